@@ -73,6 +73,7 @@ frontend: $(READY)
 reference: $(READY)
 	$(BIN)/python docs/write_commands.py
 	$(BIN)/python docs/write_benchmarks.py
+	$(BIN)/python paper/figures.py
 
 # The programs that `levkas evaluate --compare` sets beside Levkas, in an environment of their own.
 PEERS := $(VENV)-peers

@@ -1,6 +1,8 @@
 """What holds for every test and doctest."""
 
-from collections.abc import Iterator
+import json
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 from levkas.core.instructions import hold_instructions
 
@@ -15,3 +17,70 @@ def numbers_as_numpy_prints_them() -> Iterator[None]:
     """colour-science turns NumPy's printing back by ten years for the whole process."""
     with np.printoptions(legacy=False):
         yield
+
+
+KEYS = """
+[campaign]
+title = "Plates"
+date = 2019-08-29
+reference = { camera = "photo", band = "G" }
+[cameras.photo]
+kind = "image"
+files = "photo/{target}.png"
+[cameras.infrared]
+kind = "image"
+files = "infrared/{target}.png"
+[targets]
+objects = OBJECTS
+"""
+
+
+@pytest.fixture(scope="session")
+def make_plates() -> Callable[..., Path]:
+    """Return a function that writes a campaign of some objects, each with two small pictures."""
+
+    def make(folder: Path, names: Sequence[str] = ("one", "two")) -> Path:
+        import cv2
+
+        for number, name in enumerate(sorted(names)):
+            rng = np.random.default_rng(number)
+            big = np.full((400, 480), 90, np.float32)
+            for _ in range(150):
+                centre = rng.integers(0, [480, 400]).tolist()
+                radius, grey = int(rng.integers(4, 40)), float(rng.integers(20, 235))
+                cv2.circle(big, centre, radius, grey, -1, cv2.LINE_AA)
+            grain = cv2.GaussianBlur(rng.standard_normal(big.shape).astype(np.float32), (0, 0), 2)
+            big = np.clip(big + 60 * grain, 5, 250)
+            photo = cv2.resize(big, (240, 200), interpolation=cv2.INTER_AREA)
+            matrix = np.array([[1.9, 0.04, 6.0], [-0.04, 1.9, 9.0]])
+            how = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+            infrared = 255 - cv2.warpAffine(big, matrix, (250, 210), flags=how, borderValue=5)
+            for part, picture in (("photo", np.dstack([photo] * 3)), ("infrared", infrared)):
+                (folder / part).mkdir(parents=True, exist_ok=True)
+                data = cv2.imencode(".png", picture.clip(0, 255).astype(np.uint8))[1]
+                (folder / part / f"{name}.png").write_bytes(data.tobytes())
+        (folder / "campaign.toml").write_text(KEYS.replace("OBJECTS", json.dumps(list(names))))
+        return folder
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def plates(make_plates: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a campaign of the object ``one``, a photograph and an infrared picture, built."""
+    from levkas.building import build
+
+    folder: Path = make_plates(tmp_path_factory.mktemp("plates"), ["one"])
+    assert [step.line for step in build(folder) if step.state in ("refused", "failed")] == []
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def names_of_doctests(request: pytest.FixtureRequest) -> None:
+    """Give a doctest that mentions it the folder `plates`, and an empty folder `folder`."""
+    test = getattr(request.node, "dtest", None)
+    if test is not None:
+        source = "".join(example.source for example in test.examples)
+        for name, fixture in (("plates", "plates"), ("folder", "tmp_path")):
+            if name in source:
+                test.globs.setdefault(name, request.getfixturevalue(fixture))

@@ -1,5 +1,10 @@
-"""Write docs/benchmarks.md, and the headline tables of README.md, from benchmarks/results.json; a test keeps them the same."""
+"""Write docs/benchmarks.md, the tables of README.md and the figures of paper/paper.md from benchmarks/results.json.
 
+Tests hold the files to the results. In the paper a figure has its name in a comment behind it,
+``0.016<!-- comparison | Levkas | d80 -->``, and a table stands between two comments.
+"""
+
+import re
 import sys
 from pathlib import Path
 
@@ -10,6 +15,8 @@ from results import Figure, Results, load  # noqa: E402
 
 HEADLINE = ("comparison", "build")
 UNKNOWN = "not recorded"
+NAMED = re.compile(r"[^\s<(]+<!-- ([^|>]+) \| ([^|]+?) \|(?: ([^|]*?))? -->")
+TABLE = re.compile(r"(<!-- table: (\S+) -->\n).*?(<!-- end of table -->)", re.DOTALL)
 BEGIN, END = "<!-- headline: docs/write_benchmarks.py -->\n", "<!-- end of headline -->\n"
 
 
@@ -45,6 +52,20 @@ def with_headline(readme: str, results: Results) -> str:
     """Return README.md with its tables as the results have it."""
     before, _, rest = readme.partition(BEGIN)
     return before + headline(results) + rest.partition(END)[2]
+
+
+def with_figures(paper: str, results: Results) -> str:
+    """Return a text with every named figure and table as the results have it; KeyError for an unknown name."""
+    figures = {figure.key: figure for figure in results.figures}
+
+    def named(match: re.Match[str]) -> str:
+        value = shown(figures[match[1], match[2], match[3] or ""], with_unit=False)
+        return value + match[0][match[0].index("<!--") :]
+
+    def laid_out(match: re.Match[str]) -> str:
+        return match[1] + "\n".join(table(results.of(match[2]))) + "\n" + match[3]
+
+    return TABLE.sub(laid_out, NAMED.sub(named, paper))
 
 
 def table(figures: list[Figure]) -> list[str]:
@@ -130,7 +151,9 @@ def judged(figures: list[Figure], shared: dict[str, bool]) -> str:
 
 
 if __name__ == "__main__":
-    everything, readme = load(), ROOT / "README.md"
+    everything, readme, paper = load(), ROOT / "README.md", ROOT / "paper/paper.md"
     (ROOT / "docs/benchmarks.md").write_text(page(everything), encoding="utf-8")
     text = readme.read_text(encoding="utf-8")
     readme.write_text(with_headline(text, everything), encoding="utf-8")
+    text = paper.read_text(encoding="utf-8")
+    paper.write_text(with_figures(text, everything), encoding="utf-8")

@@ -6,6 +6,10 @@ import levkas
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
+WORDS = 1500
+REFERENCE = {"api.md", "campaign.md", "commands.md", "database.md"}
+REFERENCE_FOLDERS = (DOCS / "reference", DOCS / "development" / "measurements")
+"""Pages in which one looks things up: no limit of words."""
 
 
 def pages():
@@ -22,7 +26,7 @@ def test_the_command_reference_is_what_the_commands_say(monkeypatch):
 
 
 def test_every_public_name_loads_and_is_in_the_documentation():
-    text = "\n".join(p.read_text(encoding="utf-8") for p in DOCS.glob("*.md"))
+    text = "\n".join(p.read_text(encoding="utf-8") for p in pages())
     for name in levkas.__all__:
         assert getattr(levkas, name) is not None
         assert name in text, name
@@ -39,10 +43,35 @@ def test_every_page_of_the_documentation_is_in_one_list_of_pages():
     assert sorted(listed) == sorted(pages() - {DOCS / "index.md"})
 
 
-def test_links_of_the_documentation_lead_to_files():
-    for page in (*pages(), ROOT / "README.md"):
-        for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
-            assert (page.parent / link).exists(), f"{page}: {link}"
+def anchors(page):
+    """Return the anchors of the headings of a page, as GitHub and MyST make them."""
+    text = re.sub(r"^(`{3,}).*?^\1$", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    titles = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    plain = [
+        re.sub(r"\]\([^)]*\)|[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles
+    ]
+    return {*plain, *re.findall(r"^\(([\w-]+)\)=$", text, re.MULTILINE)}
+
+
+def test_links_of_pages_lead_to_files_and_headings():
+    named = [ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")]
+    found = 0
+    for page in (*pages(), *named):
+        text = page.read_text(encoding="utf-8")
+        for path, anchor in re.findall(r"\]\(([^)#:\s]*)(?:#([^)\s]*))?\)", text):
+            target = (page.parent / path) if path else page
+            assert target.exists(), f"{page}: {path}"
+            if anchor and target.suffix == ".md":
+                assert anchor in anchors(target), f"{page}: {path}#{anchor}"
+            found += 1
+    assert found > 150
+
+
+def test_a_page_that_one_reads_is_short():
+    for page in (*pages(), ROOT / "README.md", ROOT / "CONTRIBUTING.md"):
+        words = [w for w in page.read_text(encoding="utf-8").split() if re.search(r"\w", w)]
+        looked_up = page.name in REFERENCE or page.parent in REFERENCE_FOLDERS
+        assert looked_up or len(words) <= WORDS, f"{page}: {len(words)} words"
 
 
 def test_the_lock_file_names_no_registry_and_pins_by_hash():

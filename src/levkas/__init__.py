@@ -12,6 +12,7 @@ _HOMES = {
     "status": "building",
     "load_campaign": "campaign.campaign",
     "find_captures": "campaign.discovery.find_captures",
+    "calibrate": "calibration.reflectance",
     "open": "database",
     "hold_instructions": "core.instructions",
     "read_stiff": "database.spectral_tiff",

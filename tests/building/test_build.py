@@ -225,7 +225,7 @@ def test_a_different_painting_is_refused_by_reason_and_nothing_of_it_is_written(
     assert not (campaign / "database/objects/panel/panel_irr.tif").exists()
     assert "irr" not in (campaign / "database/catalogue.csv").read_text()
     page = (campaign / "database/objects/panel/report.html").read_text()
-    assert "irr was left out: it could not be aligned" in page
+    assert "irr was left out: its registration was refused" in page
     assert "What was refused" not in page  # its own section says why
 
 
@@ -268,7 +268,7 @@ def test_an_output_that_cannot_be_written_is_refused_before_any_work(tmp_path):
 
 
 def test_an_output_over_the_campaign_is_refused(campaign):
-    with pytest.raises(Refused, match="written over the campaign"):
+    with pytest.raises(Refused, match="replace the campaign"):
         list(build(campaign, output=campaign))
 
 

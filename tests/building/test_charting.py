@@ -195,7 +195,7 @@ def test_charts_of_a_published_database_are_measured_again(campaign, tmp_path):
     everywhere = CliRunner().invoke(app, ["chart", str(database), "--json"])
     told = json.loads(everywhere.output)
     assert [p["code"] for p in told["problems"]] in (["E_CHART_MISSING"], ["E_CHART_DETECTOR"])
-    with pytest.raises(Refused, match=r"no such object.*panel"):
+    with pytest.raises(Refused, match=r"unknown object.*panel"):
         measure_charts(database, objects=["painting"])
 
 
@@ -390,10 +390,10 @@ def test_edges_of_a_cube_are_named_on_the_command_line_and_refused_by_name(edged
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("{ vis = ", "{ nir = ", "there is no such camera"),
-        ("edges = { sfr", "edges = { square", "not among targets.charts"),
+        ("{ vis = ", "{ nir = ", "unknown camera"),
+        ("edges = { sfr", "edges = { square", "not listed in targets.charts"),
         ("[[40, 20, 60, 100]", "[[40, 20, 60]", "x, y, width, height"),
-        ("{ vis = ", '{ "vis@soft" = ', "there is no such setup"),
+        ("{ vis = ", '{ "vis@soft" = ', "unknown setup"),
     ],
 )
 def test_edges_that_are_declared_wrongly_are_refused(tmp_path, old, new, message):
@@ -414,5 +414,5 @@ def test_edges_of_a_finished_photograph_are_said_to_be_encoded(tmp_path):
     told = CliRunner().invoke(
         app, ["chart", str(tmp_path / "photo.png"), "--kind", "edges", "--edge", "0,0,64,100"]
     )
-    assert told.exit_code == 0 and "as they are encoded" in told.stdout
+    assert told.exit_code == 0 and "encoded values" in told.stdout
     assert "colour misregistration, largest" in told.stdout and ": 0.00 px" in told.stdout

@@ -175,7 +175,7 @@ def test_a_pipe_among_the_frames_is_waited_for_by_nobody(campaign):
     (campaign / "photo/one.png").unlink()
     os.mkfifo(campaign / "photo/one.png")
     for work in (status, lambda path: summarise(build(path))):
-        with pytest.raises(Refused, match="no file fits for 'one'"):
+        with pytest.raises(Refused, match="no file of 'one' matches the pattern"):
             work(campaign)
 
 

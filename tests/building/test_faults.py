@@ -440,7 +440,7 @@ def test_a_layer_whose_stage_the_disk_refused_stays_what_it_was(scenes, kind, tm
         assert not changed
     else:
         assert changed <= {*TOLD, "manifest-sha256.txt"}
-        assert "panel/photo: the layer of an earlier build stays" in report.warnings
+        assert "panel/photo: the layer of an earlier build is kept" in report.warnings
         assert not report.ok
     assert validate(scene.output).ok
     assert not list(mend(scene))

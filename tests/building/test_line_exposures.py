@@ -103,7 +103,7 @@ def test_twice_the_time_and_the_same_counts_are_half_the_reflectance(tmp_path, s
     values, _, warnings = developed(folder)
     # The dark current of 10 ms, 40 counts of 1540, is not known here.
     assert values.mean() == pytest.approx(0.5, abs=1e-3)
-    assert any("whether counts scale is not known" in w for w in warnings)
+    assert any("the linearity is unknown" in w for w in warnings)
 
 
 @pytest.mark.parametrize("scan", WAYS)

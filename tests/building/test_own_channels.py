@@ -97,7 +97,7 @@ def test_other_sensitivities_make_the_layer_stale(campaign):
             lambda f, t: t.replace('sensitivity = "split.csv"\n', ""),
             "follow from its sensitivities",
         ),
-        (lambda f, t: sensitivities(f, names=("R1", "G1")) and t, "do not fit the channels"),
+        (lambda f, t: sensitivities(f, names=("R1", "G1")) and t, "do not match the channels"),
         (
             lambda f, t: (f / "split.csv").write_text("wavelength,R1\nnm,none\n") and t,
             "cannot be read",

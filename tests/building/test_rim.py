@@ -82,7 +82,7 @@ def test_a_value_that_is_no_number_is_flagged_counted_and_poisons_no_neighbour(
     assert np.isfinite(cube.values).all()
     band = 1
     assert cube.flags[(*PLACE, band)] & Flag.DEFECT
-    assert any("B2: 1 value (0.05 %) is no finite number" in text for text in warnings)
+    assert any("B2: 1 value (0.05 %) is not a finite number" in text for text in warnings)
     elsewhere = np.ones(cube.values.shape, bool)
     elsewhere[(*PLACE, band)] = False
     assert np.array_equal(cube.values[elsewhere], clean.values[elsewhere])
@@ -121,7 +121,7 @@ def test_nan_in_a_line_scan_stays_where_it_is(tmp_path):
     lost = Flag.DEFECT | Flag.OUTSIDE
     assert np.argwhere(cube.flags & lost == lost).tolist() == [[7, 5, 2]]
     assert np.isfinite(cube.values).all()
-    assert any("1 value" in text and "no finite number" in text for text in warnings)
+    assert any("1 value" in text and "not a finite number" in text for text in warnings)
 
 
 def test_8_bit_frames_where_12_are_said_are_refused_with_every_file(tmp_path):
@@ -161,10 +161,10 @@ def test_codes_at_the_upper_end_of_16_bits_are_read_where_saturation_says_so(tmp
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda f, *_: f >> 4, "no code is above"),
+        (lambda f, *_: f >> 4, "no code exceeds"),
         (
             lambda f, *_: np.round((f >> 4) * (4095 / 255)).astype(np.uint16),
-            "8 bits stretched to 12",
+            "8 bits were stretched to 12",
         ),
     ],
     ids=["low", "stretched"],

@@ -52,7 +52,7 @@ def test_templates_of_another_size_than_the_object_are_refused_by_name(tmp_path,
     report = built(tmp_path, kind, {odd: size})
     problem = report.problems[0]
     assert not report.ok and problem.code == "E_SIZE"
-    assert problem.message == f"{odd} and object are of different sizes"
+    assert problem.message == f"{odd} and object differ in size"
     assert odd in problem.file and str(min(size)) in problem.found and "64" in problem.expected
 
 

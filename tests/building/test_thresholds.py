@@ -5,7 +5,7 @@ import pytest
 from levkas.building import build, status, summarise
 from levkas.campaign.campaign import load_campaign
 
-NO_EFFECT = 'has no effect under the default method; it belongs to method = "mirhashemi2019"'
+NO_EFFECT = 'has no effect with the default method; it is an option of method = "mirhashemi2019"'
 
 
 def added(folder, text):

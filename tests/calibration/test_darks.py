@@ -31,7 +31,7 @@ def test_between_two_times_the_dark_lies_on_their_line():
 def test_a_single_dark_is_scaled_about_a_known_black_only():
     assert level(dark(70, 1.0), 3.0, black=64.0) == 82
     assert level(dark(70, 1.0), 3.0) == 70
-    assert "not known" in match_dark(dark(70, 1.0), 3.0).note
+    assert "unknown" in match_dark(dark(70, 1.0), 3.0).note
 
 
 def test_without_times_the_only_dark_serves():

@@ -58,7 +58,7 @@ def test_binned_bands_are_refused():
 
 
 def test_too_few_spectra_are_refused():
-    with pytest.raises(CalibrationRefused, match="too little for a signal subspace"):
+    with pytest.raises(CalibrationRefused, match="too few spectra or bands for a signal subspace"):
         find_subspace([cubes()[1][:3]])
 
 

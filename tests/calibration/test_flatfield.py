@@ -122,7 +122,7 @@ def test_white_darker_than_dark_is_refused_with_its_numbers():
 def test_the_channel_that_has_no_white_is_named():
     lit = np.full((40, 40), 900, np.float32)
     lit[1::2, ::2] = 60
-    with pytest.raises(CalibrationRefused, match="white is darker than dark in R"):
+    with pytest.raises(CalibrationRefused, match="the white is darker than the dark in R"):
         flat_field(
             flat(90, shape=(40, 40)),
             flat(64, shape=(40, 40)),

@@ -54,7 +54,9 @@ def test_a_reused_buffer_is_not_mistaken_for_the_first_shot():
 
 
 def test_shots_of_other_shapes_are_refused_by_index():
-    with pytest.raises(CalibrationRefused, match="shot 2 does not fit shot 0") as refused:
+    with pytest.raises(
+        CalibrationRefused, match="shot 2 differs from shot 0 in size or type"
+    ) as refused:
         average([np.zeros((2, 2), np.uint16)] * 2 + [np.zeros((2, 3), np.uint16)])
     assert refused.value.problems[0].code == "E_SIZE"
 

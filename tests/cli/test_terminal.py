@@ -114,7 +114,7 @@ def test_a_refusal_and_what_follows_from_it_are_said_once(campaign):
 def test_a_campaign_that_is_not_there_is_said_so(tmp_path):
     for path, found in ((tmp_path / "no", "no such folder"), (tmp_path, "a folder without")):
         status, _, err = run("build", path)
-        assert status == 1 and "there is no campaign here" in err and found in err
+        assert status == 1 and "no campaign was found here" in err and found in err
 
 
 def test_an_object_that_is_not_there_is_refused_with_the_nearest(campaign):

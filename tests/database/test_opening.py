@@ -231,7 +231,7 @@ def test_files_of_others_are_opened_too(tmp_path):
 
 
 def test_no_database_is_said_so(tmp_path):
-    with pytest.raises(DatabaseRefused, match="no database here"):
+    with pytest.raises(DatabaseRefused, match="no database was found here"):
         levkas.open(tmp_path)
 
 

@@ -132,7 +132,7 @@ def test_frame_names_are_read(text, frame):
 
 @pytest.mark.parametrize("text", ["", ":R", "a:", "a@", "@s", "a@:R"])
 def test_what_is_no_frame_is_refused(text):
-    with pytest.raises(MappingRefused, match="no frame"):
+    with pytest.raises(MappingRefused, match="not a pixel frame"):
         parse_frame(text)
 
 
@@ -142,7 +142,7 @@ def test_what_is_no_frame_is_refused(text):
         ("icon2", "grid", "icon1"),
         ("../icon1", "grid", "no registered object"),
         ("icon1", "nir", "expected: grid, d80, d80@45-degree, v10, vis"),
-        ("icon1", "vis:700 nm", "no band"),
+        ("icon1", "vis:700 nm", "unknown band"),
         ("icon1", "v10", "7 matches of 10.*Add pairs"),
     ],
 )
@@ -158,7 +158,10 @@ def test_tables_that_are_none_are_refused_with_all_their_lines(database):
         map_table(database, "icon1", "1,2\n", source="grid", target="vis")
     with pytest.raises(MappingRefused) as info:
         map_table(database, "icon1", "x,y\n1,a\n\n3\n4,5\n", source="grid", target="vis")
-    assert [p.message for p in info.value.problems] == ["line 2 is no point", "line 4 is no point"]
+    assert [p.message for p in info.value.problems] == [
+        "line 2 is not a point",
+        "line 4 is not a point",
+    ]
     assert map_table(database, "icon1", "\ufeffx,y\n", source="grid", target="vis") == "x,y\n"
 
 

@@ -90,7 +90,7 @@ def test_a_region_without_a_sound_pixel_has_no_mean(planted):
     ],
 )
 def test_what_is_no_region_is_refused(planted, region):
-    with pytest.raises(regions.RegionRefused, match="no region of the layer"):
+    with pytest.raises(regions.RegionRefused, match="not a region of the layer"):
         planted[0].region(**region)
 
 

@@ -173,12 +173,12 @@ def test_a_file_that_is_replaced_while_it_is_read_is_refused(s3, database):
 @pytest.mark.parametrize(
     ("address", "why"),
     [
-        ("s3://museum/nothing", "there is no database here"),
-        ("s3://no-such-bucket/icons", "there is no database here"),
+        ("s3://museum/nothing", "no database was found here"),
+        ("s3://no-such-bucket/icons", "no database was found here"),
         ("http://127.0.0.1:9/icons", "cannot be reached"),
-        ("ftp://example.org/icons", "no address of a database"),
-        ("https://ada:hunter2@example.org/icons", "no password"),
-        ("https://example.org/icons?token=hunter2", "no query"),
+        ("ftp://example.org/icons", "not the address of a database"),
+        ("https://ada:hunter2@example.org/icons", "must not contain a password"),
+        ("https://example.org/icons?token=hunter2", "or a query"),
     ],
 )
 def test_an_address_without_a_database_is_refused_with_what_to_do(s3, address, why):
@@ -240,5 +240,5 @@ def test_evaluate_export_and_map_read_an_address(remote, database, tmp_path):
 def test_names_that_lead_elsewhere_are_refused(web, database, tmp_path):
     text = (database / "catalogue.csv").read_text().replace("icon 1é", "../../secret", 1)
     (tmp_path / "catalogue.csv").write_text(text)
-    with pytest.raises(Refused, match="leads to another folder"):
+    with pytest.raises(Refused, match="points to another folder"):
         levkas.open(web(tmp_path)[0])

@@ -148,7 +148,7 @@ def test_what_happened_to_a_file_is_said(database):
     assert "icon2_vis.sigma.tif" in told["objects/icon1/icon1_vis.sigma.tif"].found
     assert told["objects/icon1/icon1_d80.tif"].code == "E_TRUNCATED"
     assert told["objects/icon1/icon1_d80.tif"].found == "100 bytes"
-    assert told["objects/icon2/icon2_vis.png"].found == "its content stands under lost.png"
+    assert told["objects/icon2/icon2_vis.png"].found == "its content is at lost.png"
     assert told["lost.png"].code == "E_EXTRA"
 
 

@@ -58,7 +58,7 @@ def test_files_of_somebody_else_in_the_folder_of_an_export_stay(database, tmp_pa
 @pytest.mark.parametrize("text", ["a list of my files", '{"files": 3}', "[]"])
 def test_a_record_that_is_none_of_ours_stays(database, tmp_path, text):
     (tmp_path / "levkas-files.json").write_text(text)
-    with pytest.raises(WriteRefused, match="none of ours"):
+    with pytest.raises(WriteRefused, match="was not written by Levkas"):
         exported(database, "csv-spectra", tmp_path)
     assert hash_tree(tmp_path).keys() == {"levkas-files.json"}
     assert (tmp_path / "levkas-files.json").read_text() == text
@@ -75,7 +75,7 @@ def test_names_of_a_catalogue_lead_no_export_out_of_its_folder(database, tmp_pat
         csv.writer(file).writerows(rows)
     before = hash_tree(tmp_path)
     for form in FORMS:
-        with pytest.raises(Refused, match="leads to another folder"):
+        with pytest.raises(Refused, match="points to another folder"):
             exported(foreign, form, tmp_path / "a/out")
     assert hash_tree(tmp_path) == before
 
@@ -99,7 +99,7 @@ def test_a_page_or_table_replaces_no_file_unless_asked_to(database, tmp_path, co
     assert "--overwrite" in done.output
     assert page.read_text() == "three years"
     more = CliRunner().invoke(app, [*map(str, arguments), "--overwrite"])
-    assert "stands there already" not in more.output
+    assert "already exists" not in more.output
 
 
 def test_nothing_is_written_into_a_database_from_outside(database, tmp_path):
@@ -111,14 +111,14 @@ def test_nothing_is_written_into_a_database_from_outside(database, tmp_path):
     done = CliRunner().invoke(
         app, ["map", str(foreign), "icon1", str(table), "-o", str(foreign / "new.csv")]
     )
-    assert done.exit_code == 1 and "in what Levkas made" in done.output
+    assert done.exit_code == 1 and "into a folder of Levkas" in done.output
     assert hash_tree(foreign) == before
 
 
 def test_converted_points_replace_no_file_unless_asked_to(tmp_path):
     points = ControlPoints(np.eye(3, 2), np.eye(3, 2))
     (target := tmp_path / "out.csv").write_text("three years")
-    with pytest.raises(WriteRefused, match="stands there already"):
+    with pytest.raises(WriteRefused, match="already exists"):
         write_points(points, target, "levkas")
     assert target.read_text() == "three years"
     assert write_points(points, target, "levkas", overwrite=True) == [target]
@@ -129,7 +129,7 @@ CONTENTS = {
     "missing": (None, "no such file"),
     "Latin-1": ("x,y\né,1\n".encode("latin-1"), "UTF-8"),
     "empty": (b"", "nothing"),
-    "no table": (b'x,y\n"' + b"1" * 200_000, "field larger"),
+    "not a table": (b'x,y\n"' + b"1" * 200_000, "field larger"),
 }
 
 

@@ -60,7 +60,9 @@ def test_a_weak_lamp_is_found_in_a_captured_white(captured, mosaic):
     one, other = record["lamps"]
     assert other["share"] == 1.0 and 0.7 < one["share"] < 0.87  # 0.74, drawn to the plan
     assert record["light_at_middle"] == [pytest.approx(0.74, abs=0.05), 1.0]
-    assert record["planned_drop"] == pytest.approx(0.077, abs=0.003)  # docs/planning.md
+    assert record["planned_drop"] == pytest.approx(
+        0.077, abs=0.003
+    )  # docs/development/measurements/light.md
     assert record["drop"] > record["planned_drop"] + 0.03
 
 
@@ -120,7 +122,7 @@ def test_whites_of_twelve_bits_in_sixteen_are_refused_unless_their_full_scale_is
     white = captured("clipped.tif", np.zeros((2, 7)))
     tifffile.imwrite(white, np.minimum(whole, 4095))
     asked = run(white, "--black", 64)
-    assert asked.exit_code == 1 and "nothing tells the full scale" in asked.stderr
+    assert asked.exit_code == 1 and "full scale of the camera is unknown" in asked.stderr
     for told in (("--bits", 12), ("--saturation", 4095)):
         refused = run(white, "--black", 64, *told)
         assert refused.exit_code == 1 and "the white clips" in refused.stderr

@@ -78,7 +78,7 @@ def test_a_lamp_in_the_view_of_a_camera_is_refused(rewritten):
     ("new", "word"),
     [
         ("distance_mm = 1900\naim_mm = [900, 0]", "looks past it"),
-        ("place_mm = [0, 0, -1900]", "stands behind it"),
+        ("place_mm = [0, 0, -1900]", "is behind the object"),
         ("distance_mm = 30\nsure = true", "focal length"),
     ],
 )

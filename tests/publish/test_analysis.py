@@ -182,7 +182,7 @@ def test_a_layer_that_has_no_components_is_left_out_and_that_is_said(database, p
     (note,) = report.left_out
     assert (
         note
-        == "icon2/rgb, principal components: too little for components: 0 sound pixels of 3 bands"
+        == "icon2/rgb, principal components: too few pixels or bands for components: 0 valid pixels of 3 bands"
     )
     assert note in report.text and report.to_dict()["left_out"] == [note]
     assert not (report.output / "objects/icon2/analysis/icon2_rgb.pca.tif").exists()

@@ -50,7 +50,7 @@ def test_a_record_fits_the_published_schema_of_datacite():
 
 def test_everything_missing_is_named_with_file_field_and_fix(database):
     report = check(database)
-    assert report.ok and "Before it gets a DOI, 2 more" in report.text  # as `publish` has it
+    assert report.ok and "A DOI needs 2 more" in report.text  # as `publish` has it
     assert [p.field for p in report.deposit] == ["publication.doi", "publication.publisher"]
     assert {p.field for p in report.advice} >= {"publication.keywords", "publication.creators"}
     assert all(

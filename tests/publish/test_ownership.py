@@ -118,7 +118,7 @@ def test_names_of_a_catalogue_that_lead_out_are_refused(database, column, name):
     assert {p.file for p in refused(database)} == {str(path)}
     import levkas
 
-    with pytest.raises(DatabaseRefused, match="leads to another folder"):
+    with pytest.raises(DatabaseRefused, match="points to another folder"):
         levkas.open(database)
     assert str(path) in {p.file for p in validate(database).problems}
 

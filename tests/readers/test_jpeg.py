@@ -64,7 +64,7 @@ def test_a_cut_photograph_with_a_whole_thumbnail_is_refused(tmp_path):
     path.write_bytes(whole)
     assert read_frame(path).shape == (48, 64, 3)
     path.write_bytes(whole[:-40])
-    with pytest.raises(UnreadableCapture, match="ends before its image"):
+    with pytest.raises(UnreadableCapture, match="is truncated"):
         read_frame(path)
 
 

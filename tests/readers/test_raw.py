@@ -114,7 +114,7 @@ def test_a_rendered_dng_is_no_mosaic(tmp_path):
     tags = [(50706, "B", 4, (1, 4, 0, 0), True), (50708, "s", 0, "Levkas test", True)]
     colours = np.repeat(MOSAIC[..., None], 3, axis=2)
     tifffile.imwrite(path, colours, photometric=34892, extratags=tags, metadata=None)
-    with pytest.raises(UnreadableCapture, match="no mosaic"):
+    with pytest.raises(UnreadableCapture, match="not a sensor mosaic"):
         read_frame(path)
 
 

@@ -110,3 +110,33 @@ def test_blank_target_is_refused_by_name(pair):
     with pytest.raises(RegistrationRefused) as refused:
         register(reference, blank, reference_band="550 nm")
     assert refused.value.problems[0].code == "E_MATCHES"
+
+
+def test_plain_arrays_are_registered_as_their_bands_are():
+    rng = np.random.default_rng(5)
+    scene = ndimage.gaussian_filter(rng.random((200, 240)), 2)
+    reference, target = scene[:180, :220], np.dstack([scene[4:184, 6:226], 1 - scene[4:184, 6:226]])
+    found = register(reference, target)
+    assert list(found.transforms) == ["1", "2"]
+    assert found.verdict.decision == "accept"
+    for transform in found.transforms.values():
+        assert np.abs(transform(np.array([[100.0, 90.0]])) - [94.0, 86.0]).max() < 0.05
+    bands = [BandImage.of("a", target[..., 0]), BandImage.of("b", target[..., 1])]
+    named = register([BandImage.of("c", reference)], bands, reference_band="c")
+    points = rng.uniform(0, 180, (50, 2))
+    np.testing.assert_array_equal(named.transforms["b"](points), found.transforms["2"](points))
+
+
+@pytest.mark.parametrize(
+    "wrong", [np.zeros(40), np.zeros((2, 40, 40, 3)), np.zeros((40, 40), complex), "picture.png",
+              [np.zeros((40, 40))]]
+)  # fmt: skip
+def test_what_is_no_picture_is_refused_by_name(wrong):
+    picture = np.random.default_rng(1).random((40, 40))
+    for given, name in (((wrong, picture), "reference"), ((picture, wrong), "target")):
+        with pytest.raises(RegistrationRefused) as refused:
+            register(*given)
+        assert (refused.value.problems[0].code, refused.value.problems[0].field) == (
+            "E_VALUE",
+            name,
+        )

@@ -101,7 +101,7 @@ def test_an_installed_package_adds_a_method(tmp_path):
     assert done.stdout.splitlines() == [
         "{'method': 'fancy', 'shift': 2.5}",
         "[[2.5, 0.0]]",
-        "the method 'levkas' has no `shift` | Take it out, or write method = \"fancy\".",
+        "the method 'levkas' has no `shift` | Remove it, or write method = \"fancy\".",
         "E_VALUE registration.shift",
     ], done.stderr
 
@@ -113,7 +113,7 @@ def test_an_installed_package_adds_a_method(tmp_path):
             "import nowhere_to_be_found",
             "raises ModuleNotFoundError: No module named 'nowhere_to_be_found'",
         ),
-        ("METHOD = print", "is no Method with a function"),
+        ("METHOD = print", "is not a Method with a function"),
     ],
 )
 def test_a_method_that_cannot_be_loaded_is_named_and_stops_only_who_chooses_it(
@@ -123,7 +123,7 @@ def test_a_method_that_cannot_be_loaded_is_named_and_stops_only_who_chooses_it(
     why = f"fancy_method:METHOD {why}"
     assert done.stdout.splitlines() == [
         f"registration.method | method must be another one: 'fancy' cannot be used, {why}",
-        f"there is no registration method 'fancy': {why}",
+        f"unknown registration method 'fancy': {why}",
         "{}",
     ], done.stderr
     assert done.stderr.count(f"the registration method 'fancy' cannot be used: {why}") == 1

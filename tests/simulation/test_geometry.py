@@ -115,7 +115,7 @@ def test_points_beside_the_board_or_the_picture_are_nan():
 
 
 def test_a_band_that_is_not_there_is_refused():
-    with pytest.raises(Refused, match="there is no band 'X9'"):
+    with pytest.raises(Refused, match="unknown band 'X9'"):
         truth().map(np.zeros((1, 2)), "main", "X9")
 
 

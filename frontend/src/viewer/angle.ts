@@ -68,9 +68,9 @@ export function anglePicture(layer: Layer, key: string): Picture | undefined {
     kind: "angle",
     white: null,
     note:
-      `Angle between the spectrum of each pixel and that at ${x}, ${y}: 0° has the same shape, however bright. ` +
-      "Not an identification: paints that differ may have one shape, and one paint may have several. " +
-      "Grey: a band that is needed is not to be trusted.",
+      `Angle between the spectrum of each pixel and that at ${x}, ${y}: 0° means the same shape at any brightness. ` +
+      "Not an identification: different paints may have the same shape, and one paint may have several. " +
+      "Grey: a needed band is not reliable.",
     legend: legendOf(facts.range),
     angle: { layer, ...facts },
   };
@@ -208,7 +208,7 @@ export class AngleMaps {
       const spectrum = await spectra.read(...place);
       const bands = trusted(spectrum, this.marks);
       if (bands.length < LEAST_BANDS) {
-        progress.value = `Fewer than ${LEAST_BANDS} bands are to be trusted at ${place.join(", ")}: there is no angle.`;
+        progress.value = `Fewer than ${LEAST_BANDS} bands are reliable at ${place.join(", ")}: no angle can be computed.`;
         return angles;
       }
       const sound = Array.from({ length: 256 }, (_, bits) =>

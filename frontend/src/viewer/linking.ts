@@ -21,9 +21,9 @@ export function startCopying(
 }
 
 function sentence(done: boolean): string {
-  if (!done) return "This browser lets no page copy: take the link from the address bar.";
+  if (!done) return "This browser does not allow copying: take the link from the address bar.";
   return location.protocol === "file:"
-    ? "Link copied. It leads to files on this computer: whoever follows it needs the folder at the same place."
+    ? "Link copied. It points to files on this computer; it works only where the folder has the same path."
     : "Link copied. It shows what you see now.";
 }
 

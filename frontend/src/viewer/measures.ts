@@ -18,10 +18,10 @@ const DIGITS = 4;
 const MEASURED: Measure["kind"][] = ["line", ...KINDS];
 const LABELS = { line: "Length", polygon: "Area", rectangle: "Rectangle", circle: "Circle" };
 const HINTS: Record<Measure["kind"], string> = {
-  line: "Click the corners of a line; a double click or Enter ends it, Esc gives it up.",
-  polygon: "Click the corners; a double click or Enter closes the area, Esc gives it up.",
-  rectangle: "Drag over the painting; Esc gives it up.",
-  circle: "Drag from the middle outwards; Esc gives it up.",
+  line: "Click the corners of a line; a double click or Enter ends it, Esc cancels.",
+  polygon: "Click the corners; a double click or Enter closes the area, Esc cancels.",
+  rectangle: "Drag over the painting; Esc cancels.",
+  circle: "Drag from the middle outwards; Esc cancels.",
 };
 
 export class MeasurePanel {

@@ -25,9 +25,9 @@ const MINE = "#5ed3e0";
 const PUBLISHED = "#fff";
 const SHORT = 24; // letters of a note beside its mark
 const WAYS: Record<Kind, string> = {
-  rectangle: "Drag over the painting; Esc gives it up.",
-  circle: "Drag from the middle outwards; Esc gives it up.",
-  polygon: "Click the corners; a double click or Enter closes the polygon, Esc gives it up.",
+  rectangle: "Drag over the painting; Esc cancels.",
+  circle: "Drag from the middle outwards; Esc cancels.",
+  polygon: "Click the corners; a double click or Enter closes the polygon, Esc cancels.",
 };
 
 /** What the panel needs of the rest of the page. */
@@ -273,10 +273,10 @@ export class NotePanel {
       if (notes.length > MOST_NOTES)
         throw new Error(`there would be more than ${MOST_NOTES} notes`);
       this.set(notes);
-      this.message.textContent = `${names.size} note${names.size === 1 ? "" : "s"} taken from ${file.name}.`;
+      this.message.textContent = `${names.size} note${names.size === 1 ? "" : "s"} imported from ${file.name}.`;
     } catch (error) {
       const why = error instanceof Error ? error.message : String(error);
-      this.message.textContent = `${file.name} is not taken: ${why}.`;
+      this.message.textContent = `${file.name} was refused: ${why}.`;
     }
   }
 }

@@ -14,7 +14,7 @@ export interface Reading {
 }
 
 /** Shown for a bit that the page's record does not name. */
-const UNKNOWN = { word: "unknown flag, not to be trusted", colour: "#000000", trusted: false };
+const UNKNOWN = { word: "unknown flag, not reliable", colour: "#000000", trusted: false };
 
 /** The shortest decimal number that is this float32; ``nan`` where it is not finite. */
 export function shortest(value: number): string {

@@ -12,7 +12,7 @@ const ANGLE = "angle";
 const GROUPS: [Picture["kind"], string][] = [
   ["colour", "As seen"],
   ["light", "Under another light"],
-  ["map", "How far to trust it"],
+  ["map", "Reliability"],
   ["analysis", "Computed from its bands"],
   ["band", "Single bands"],
 ];

@@ -55,18 +55,14 @@ function pairKeys({ store, stage, table, pair }: Parts): Key[] {
     key("I", ["i"], "insert a pair: propose one in the middle of the reference", () =>
       stage.proposeAtMiddle(),
     ),
-    key("R", ["r"], "read how far off the pictures are in the middle", () =>
-      stage.measureAtMiddle(),
-    ),
+    key("R", ["r"], "measure the error in the middle of the view", () => stage.measureAtMiddle()),
     key("Del", ["Delete", "Backspace"], "delete the pair; the next one is chosen", () =>
       pair.act("delete"),
     ),
-    key("U", ["u"], "use the pair again that was deleted or removed", () => pair.act("restore")),
-    key("P", ["p"], "keep the pair (pin it): never to be removed", () => pair.act("pin")),
-    key("J", ["j"], "let it jump (snap) to where its surroundings agree", () => pair.act("snap")),
-    key("V", ["v"], "make it a check point, which verifies and is not fitted", () =>
-      pair.act("check"),
-    ),
+    key("U", ["u"], "use a deleted or removed pair again", () => pair.act("restore")),
+    key("P", ["p"], "pin the pair: it is never removed", () => pair.act("pin")),
+    key("J", ["j"], "snap the pair to the best match nearby", () => pair.act("snap")),
+    key("V", ["v"], "make it a check point: measured, not fitted", () => pair.act("check")),
     key("W", ["w"], "go to the worst pair", goToWorst),
     {
       keys: ["Ctrl-Z"],

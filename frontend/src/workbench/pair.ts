@@ -75,8 +75,8 @@ export class PairCard {
     const [session, row] = [this.store.session.value!, this.store.selected.value];
     const [state, hand] = [session.state[row]!, session.hand[row]];
     const standing = {
-      check: "measures only; the map does not know it",
-      kept: "the map rests on it",
+      check: "measured only, not used for the map",
+      kept: "used for the map",
       removed: `removed: ${session.reason[row]}`,
     };
     const removed = state === "removed";
@@ -86,18 +86,18 @@ export class PairCard {
       [
         Number.isFinite(session.residual[row])
           ? make("p", {}, this.lengthOf(session.residual[row]), ` off; ${standing[state]}.`)
-          : make("p", {}, `How far off is not known; ${standing[state]}.`),
+          : make("p", {}, `The error is unknown; ${standing[state]}.`),
         make(
           "p",
           { class: "soft" },
-          `By a map that does not know it: ${px(session.leave_one_out[row])} px.`,
+          `Error of a map fitted without it: ${px(session.leave_one_out[row])} px.`,
         ),
         coordinates(pair, (to) => void this.store.edit({ operation: "move", pair, to }, to)),
       ],
       [
         removed
-          ? this.button("use", "Restore", "restore", "Let the map rest on it, come what may (U)")
-          : this.button("use", "Delete", "delete", "The map no longer rests on it (Del)"),
+          ? this.button("use", "Restore", "restore", "Always use it for the map (U)")
+          : this.button("use", "Delete", "delete", "Do not use it for the map (Del)"),
         this.button("pin", hand === "pinned" ? "Unpin" : "Pin", "pin", "Never to be removed (P)"),
         this.button("snap", "Snap", "snap", "Move it to where its surroundings agree best (J)"),
         this.button(
@@ -113,8 +113,8 @@ export class PairCard {
   private showProposal(proposal: Proposal): void {
     const { pair, score, sure, placed } = proposal;
     const found = sure
-      ? `The partner was found by comparing, likeness ${percent(score)}.`
-      : "The partner was not found by comparing: click it in the other picture.";
+      ? `The partner was found by comparing the pictures, likeness ${percent(score)}.`
+      : "The partner was not found. Click it in the other picture.";
     this.show(
       "A new pair",
       [
@@ -122,7 +122,7 @@ export class PairCard {
         make(
           "p",
           { class: "soft" },
-          `Not there? Click the right place in the other picture. Arrow keys move it by 0.1 px, with Shift by 1 px.`,
+          `If the place is wrong, click the correct one in the other picture. Arrow keys move it by 0.1 px, with Shift by 1 px.`,
         ),
         coordinates(pair, (to) =>
           this.store.choose({ proposal: { ...proposal, pair: to, placed: true } }),
@@ -135,11 +135,11 @@ export class PairCard {
   private showMeasured({ score, sure, length }: Partner): void {
     const unlike =
       score > 0
-        ? `The pictures are too unlike here to be compared (likeness ${percent(score)}): how far off they are is not known.`
+        ? `The pictures are too different here to compare (likeness ${percent(score)}): the error is unknown.`
         : "Nothing here can be compared.";
     const text = sure ? [this.lengthOf(length), ` off (likeness ${percent(score)}).`] : [unlike];
     this.show(
-      "How far off here?",
+      "Error here",
       [make("p", { id: "measured" }, ...text)],
       this.choices("Keep as check point", "Close", sure),
     );

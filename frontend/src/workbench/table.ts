@@ -12,15 +12,15 @@ const ROW_PX = 28;
 const SPARE = 4; // rows made above and below those in view
 const PAGE = 8;
 const COLUMNS: [Key, string, string][] = [
-  ["row", "Pair", "Number of the pair, which it keeps"],
-  ["residual", "Off by", "Distance from where the map puts it, reference px"],
+  ["row", "Pair", "Permanent number of the pair"],
+  ["residual", "Off by", "Residual: distance from the place given by the map, reference px"],
   [
     "leave_one_out",
     "Without it",
-    "The same by a map that does not know this pair: large where a pair vouches only for itself",
+    "Error of a map fitted without this pair: large where no other pair supports it",
   ],
-  ["weight", "Weight", "How much the map rests on it"],
-  ["state", "State", "Whether the map rests on it"],
+  ["weight", "Weight", "Weight of the pair in the map"],
+  ["state", "State", "Whether the pair is used for the map"],
   ["reason", "Why", "Why it was removed, or what you did to it"],
 ];
 const FILTERS: [Filter, string][] = [

@@ -32,7 +32,7 @@ export class VerdictCard {
       type: "button",
       class: "small",
       id: "take-back",
-      title: "One change, which Undo brings back",
+      title: "One change; Undo restores it",
     },
     "Take all back",
   );
@@ -114,7 +114,7 @@ function describe(
         make(
           "span",
           { class: "soft" },
-          " as of the last registration, which does not know your latest corrections",
+          " as of the last registration, without your latest corrections",
         ),
     ),
     make("p", { class: "sum", id: "sum" }, ...summarise(frame, session, stale)),
@@ -130,7 +130,7 @@ function describe(
   ];
 }
 
-/** What the pairs say, for someone who has never heard of a residual. */
+/** Error of the map on the pairs, in plain words. */
 function summarise(frame: FrameInfo, session: SessionState, stale: boolean): string[] {
   const { summary, refusal } = session;
   const { kept, pairs, mean, max, checks, check_mean } = summary;
@@ -138,30 +138,28 @@ function summarise(frame: FrameInfo, session: SessionState, stale: boolean): str
   const measured = (value: number | null): string => length(value, frame.px_per_mm);
   if (frame.is_reference)
     return [
-      "This is the camera that all others are registered to. Its own bands are brought together by the registration; there are no pairs to correct.",
+      "This is the reference camera: all others are registered to it. Its own bands are registered to each other without pairs, so there are no pairs to correct.",
     ];
   if (!refusal && mean === null && kept >= ENOUGH)
     return [
-      `${kept} pairs make a map, but there is no redundancy: they leave nothing that could show how far off it is. A fifth pair does.`,
+      `${kept} pairs determine a map without redundancy, so its error is unknown. Add a fifth pair.`,
     ];
   if (refusal || mean === null) {
     const found = pairs
       ? `${kept} of at least ${ENOUGH} pairs. `
-      : "No place was recognised in both pictures. Click a place that you can find in both, and Enter; ";
+      : "No matching places were found. Click a place that both pictures show, then press Enter; ";
     return [found, `${ENOUGH} pairs are enough for a new registration.`];
   }
   const words = [
-    `${countPlaces(kept - own.length, own.length)} A simple map through them is off by ${measured(mean)} on average, by ${measured(max)} at worst.`,
+    `${countPlaces(kept - own.length, own.length)} A simple map through them has a mean error of ${measured(mean)}, at most ${measured(max)}.`,
   ];
   const taken = frame.ladder[0]?.[frame.chosen[0] ?? ""];
   // What was refused is off elsewhere than where this was measured: the reasons say so.
   if (taken !== undefined && !stale && frame.verdict.decision !== "refuse")
-    words.push(
-      ` The registration itself, which looks everywhere, is off by ${measured(taken)} where it was not fitted.`,
-    );
+    words.push(` The held-out error of the registration itself is ${measured(taken)}.`);
   if (checks)
     words.push(
-      ` Your ${checks} check point${checks > 1 ? "s are" : " is"} off by ${measured(check_mean)}.`,
+      ` The ${checks === 1 ? "error of your check point" : `mean error of your ${checks} check points`} is ${measured(check_mean)}.`,
     );
   return words;
 }
@@ -169,7 +167,7 @@ function summarise(frame: FrameInfo, session: SessionState, stale: boolean): str
 function countPlaces(found: number, own: number): string {
   const set = `${own} ${own === 1 ? "pair is" : "pairs are"} set by hand`;
   if (!found) return `${set}.`;
-  return `${found} places are recognised in both pictures${own ? `, ${set}` : ""}.`;
+  return `${found} places were matched in both pictures${own ? `, ${set}` : ""}.`;
 }
 
 function describeModels({ ladder, chosen }: FrameInfo): HTMLElement[] {
@@ -186,7 +184,7 @@ function describeModels({ ladder, chosen }: FrameInfo): HTMLElement[] {
     );
   });
   const about =
-    "Error on parts of the picture that the model had not seen, px. A richer one is taken only where it is better there.";
+    "Held-out error, px. A model with more parameters is used only where it lowers this error.";
   return [
     make(
       "details",

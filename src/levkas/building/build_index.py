@@ -272,7 +272,7 @@ class BuildIndex:
         state = "stale" if changed else "fresh"
         states["fresh"] -= 1  # the catalogue, which is listed
         unlisted = tuple((name, number) for name, number in states.items() if number > 0)
-        why = "what it lists may be stale" if changed else ""
+        why = "it may list stale files" if changed else ""
         warnings = (*facts["warnings"], *_more_warnings(facts["more warnings"]))
         last = Step(
             CATALOGUE,

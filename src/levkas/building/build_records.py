@@ -114,7 +114,7 @@ class BuildRecords:
     def why_stale(self, key: Key, fingerprint: dict[str, Any]) -> str:
         """Say why a stage must be done; empty where its products stand and fit."""
         if not (record := self._record(key)):
-            return "its record was damaged" if self.path_of(key).is_file() else "not yet built"
+            return "its record is damaged" if self.path_of(key).is_file() else "not yet built"
         if changed := _difference(record.get("fingerprint", {}), fingerprint):
             return changed
         for path, name, digest in self._made(record):

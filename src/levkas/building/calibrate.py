@@ -200,7 +200,7 @@ def _require_chart_of_size(context: SensorContext, light: ChartLight) -> None:
     if (height, width) != seen:
         problem = Problem(
             "E_SIZE",
-            f"{context.camera.name}: chart and object are of different sizes",
+            f"{context.camera.name}: chart and object differ in size",
             field=f"cameras.{context.camera.name}.white.chart",
             found=f"{seen[1]} x {seen[0]}",
             expected=f"{width} x {height}",
@@ -386,7 +386,7 @@ def _require(frames: list[FrameRef], context: SensorContext, label: str) -> list
                 f"cameras.{context.camera.name}.files",
                 "no file",
                 f"a white frame of {label}",
-                "Add the frame, or leave the band out of `wavelengths`.",
+                "Add the frame, or remove the band from `wavelengths`.",
             )
         )
     return frames
@@ -406,12 +406,12 @@ def _check_shape(
         raise CalibrationRefused(
             Problem(
                 "E_SIZE",
-                f"{context.camera.name}: band {label} has another size than the others",
+                f"{context.camera.name}: band {label} differs in size from the other bands",
                 str(path),
                 "width, height",
                 f"{found[1]} x {found[0]}",
                 f"{expected[1]} x {expected[0]}",
-                "Take the frame of the right camera.",
+                "Use a frame of the correct camera.",
             )
         )
 

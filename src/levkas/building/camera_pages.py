@@ -107,7 +107,7 @@ def prints_of_page(page: CameraPage, campaign: Campaign, records: BuildRecords) 
         "campaign.creator": described.creator,
         "campaign.date": described.date,
         "campaign.licence": described.licence,
-        "learnt of sensor and light": digest(learnt_of(page, records)),
+        "measured of sensor and light": digest(learnt_of(page, records)),
         "charts refused": [written(campaign, p) for p in page.refused],
     }
     for key in ("kind", "bits", "black", "saturation"):
@@ -214,7 +214,7 @@ def _page(
             if CHART_WHITE in told:
                 whites += chart_white_rows(name, told[CHART_WHITE])
                 notes.append(
-                    f"{name or camera}: fitted to the patches of a chart, and extrapolated beyond it"
+                    f"{name or camera}: fitted to the patches of a chart and extrapolated beyond the chart"
                 )
             fields = told.get("light", {})
             for label in spread(list(fields), FEW_BANDS):
@@ -236,14 +236,14 @@ def _page(
             whites=whites,
             charts=[describe_chart(m) for m in measures],
             problems=[{"code": p.code, "text": written(campaign, p)} for p in problems],
-            footer=f"Levkas {__version__}. Camera {camera}; places are in its native pixels.",
+            footer=f"Levkas {__version__}. Camera {camera}; coordinates are in its native pixels.",
         )
     )
 
 
 BY_ITSELF = (
-    "the camera's white is a chart: where it is this one, its colours agree with the published ones because "
-    "they were made to; held-out errors say how well"
+    "the camera's white is a chart: the colours of that chart were fitted to the "
+    "published ones, so only their held-out errors are a test"
 )
 PICTURES = ("levels", "shape", "step", "size")
 """Of a light field: its map, which the camera's page shows."""

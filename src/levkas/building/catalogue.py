@@ -145,8 +145,9 @@ def foreign_files(others: dict[str, str]) -> tuple[str, ...]:
     named = f"{first} and {more} more" if more else first
     them = "them" if more else "it"
     return (
-        f"{named} in the database: Levkas has no record of having made {them}; the manifest lists "
-        f"{them}, and a publication would hold {them}. Take out what is private, then build again",
+        f"{named} in the database: Levkas has no record of writing {them}. The manifest lists "
+        f"{them}, and a publication would contain {them}. Remove private files, then build "
+        "again",
     )
 
 

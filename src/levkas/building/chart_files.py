@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from levkas.database.catalogue import Entry
     from levkas.readers.facts import Facts
 
-NOTE = "one cube: the noise is the spread in each patch, its texture included"
+NOTE = "one cube: the noise is the spread within each patch, including its texture"
 
 
 class Subject(NamedTuple):
@@ -195,9 +195,7 @@ def _check(database: Path, option: str, wanted: Sequence[str], known: set[str]) 
         raise ChartRefused(
             Problem(
                 "E_VALUE",
-                "the database has no such camera"
-                if "camera" in option
-                else "there is no such object",
+                "unknown camera in this database" if "camera" in option else "unknown object",
                 str(database),
                 option,
                 ", ".join(unknown),
@@ -226,11 +224,11 @@ def read_cube_file(path: Path) -> CubeFile:
         raise ChartRefused(
             Problem(
                 "E_VALUE",
-                "a raw file of a mosaic is no picture yet",
+                "a raw mosaic file must be developed first",
                 str(path),
                 found=facts.kind,
                 expected="a photograph, a calibrated TIFF, ENVI, a database or a campaign",
-                fix="Declare it in a campaign, which develops it: `levkas look FOLDER --write`.",
+                fix="Declare it in a campaign and build that: `levkas look FOLDER --write`.",
             )
         )
     if plain and (len(facts.shape) == 2 or facts.shape[2] in (1, 3)) and facts.pages == 1:
@@ -253,11 +251,11 @@ def read_cube_file(path: Path) -> CubeFile:
             raise ChartRefused(
                 Problem(
                     "E_SIZE",
-                    "the flags are not of the cube's size",
+                    "the flags and the cube differ in size",
                     str(beside),
                     found=" x ".join(map(str, pages.shape)),
                     expected=" x ".join(map(str, values.shape)),
-                    fix="Put the flags there that belong to the cube, or take them away.",
+                    fix="Replace the flags by those of the cube, or remove them.",
                 )
             )
         flags = pages.read()

@@ -123,11 +123,11 @@ def spectra_of_chart(campaign: Campaign, camera: str) -> tuple[Chart, ChartRefer
         raise ChartRefused(
             Problem(
                 "E_CHART_REFERENCE",
-                f"{camera}: the spectra of its chart are not known: none are published of the {chart.name}",
+                f"{camera}: the spectra of its chart are unknown: none are published for the {chart.name}",
                 str(campaign.path),
                 f"cameras.{camera}.white.reference",
                 "none",
-                "a CSV of wavelength in nm and a column a patch",
+                "a CSV with wavelength in nm and one column per patch",
                 'Measure the chart, and write white = { chart = "…", reference = "chart.csv" }.',
             )
         )
@@ -138,7 +138,7 @@ def _named(problem: Problem, camera: str) -> Problem:
     """Return a refusal of a chart with the camera whose white it is to be."""
     field = f"cameras.{camera}.white.chart"
     fix = (problem.fix or "").replace("--corners x,y,x,y,x,y,x,y", "`corners` beside `chart`")
-    message = f"{camera}: {problem.message}; it is to be the white of the camera"
+    message = f"{camera}: {problem.message}; this chart is declared as the white of the camera"
     return replace(problem, message=message, field=field, fix=fix or None)
 
 
@@ -150,11 +150,11 @@ def _overexposed(cube: Cube, camera: str) -> Problem | None:
         return None
     return Problem(
         "E_WHITE_SATURATED",
-        f"{camera}: the chart that is to be its white cannot be recognised, for the frame is saturated",
+        f"{camera}: the chart declared as its white was not found, because the frame is saturated",
         field=f"cameras.{camera}.white.chart",
         found=f"{100 * shares[i]:.0f} % of the pixels in {cube.bands[i].label}",
         expected="the white patch at 85 % of saturation",
-        fix="Capture the chart with less exposure.",
+        fix="Capture the chart with a shorter exposure.",
     )
 
 
@@ -201,7 +201,7 @@ def known_reflectance(
             wide, weight = np.array([band.wavelength]), np.ones(1)
         else:
             why[band.label] = (
-                "its sensitivity is not known, so that only the grey patches are; declare `sensitivity`"
+                "its sensitivity is unknown, so only the grey patches can be used; declare `sensitivity`"
             )
             greys = list(chart.greys)
             found[greys, i] = np.nanmean(reference.at(GREY_NM)[greys], axis=1)
@@ -218,10 +218,7 @@ def known_reflectance(
 def _beyond(reference: ChartReference, nm: float) -> str:
     first, last = reference.wavelengths[0], reference.wavelengths[-1]
     where = "infrared" if nm > (first + last) / 2 else "ultraviolet"
-    return (
-        f"no reference in the {where}: the chart's spectra ({reference.source}) are known from "
-        f"{first:g} to {last:g} nm"
-    )
+    return f"no reference in the {where}: the chart's spectra ({reference.source}) cover {first:g} to {last:g} nm"
 
 
 def _spectrum_of_light(campaign: Campaign, setup: str) -> Any:
@@ -265,8 +262,8 @@ def _fit_bands(
         reflectance = known.reflectance[:, i].copy()
         if found.unfit[i] and band.label not in why:
             why[band.label] = (
-                f"its patches do not rank as its wavelength says ({found.bands[i]:.2f}), as where a filter "
-                "leaks, so that it is scaled by the grey patches alone"
+                f"the order of its patches does not match its wavelength ({found.bands[i]:.2f}), as "
+                "with a leaking filter; it is scaled by the grey patches alone"
             )
         if band.label in why:
             keep = np.isin(np.arange(len(reflectance)), chart.greys)
@@ -313,30 +310,31 @@ def _too_few(
     count = int(used[greys].sum())
     if count >= LEAST_GREYS:
         return None
-    expected = f"{LEAST_GREYS} grey patches or more"
+    expected = f"at least {LEAST_GREYS} grey patches"
     if why.startswith("no reference"):
         return Problem(
             "E_CHART_REFERENCE",
             f"{band.label}: {why}",
             found="nothing there",
-            expected="spectra measured as far as the band sees",
-            fix='Measure the chart so far, and write `reference = "chart.csv"` beside `chart`; or capture a white.',
+            expected="spectra over the whole range of the band",
+            fix="Measure the spectra of the chart over this range and write `reference = "
+            '"chart.csv"` beside `chart`, or capture a white.',
         )
     full = [chart.patches[n] for n in greys if patches.saturated[n, i] > SATURATED]
     if full:
         return Problem(
             "E_WHITE_SATURATED",
             f"{band.label}: grey patches of the chart are saturated",
-            found=f"{', '.join(full)} saturated, {count} of {len(greys)} left",
+            found=f"{', '.join(full)} saturated, {count} of {len(greys)} usable",
             expected=expected,
-            fix="Capture the chart with less exposure: its white patch at 85 % of saturation.",
+            fix="Capture the chart with a shorter exposure: its white patch at 85 % of saturation.",
         )
     return Problem(
         "E_CHART_GREYS",
-        f"{band.label}: too few grey patches of the chart can be used",
+        f"{band.label}: too few grey patches of the chart are usable",
         found=f"{count} of {len(greys)} above dark",
         expected=expected,
-        fix="Capture the chart with more exposure; check dark and black level.",
+        fix="Capture the chart with a longer exposure; check dark and black level.",
     )
 
 
@@ -457,8 +455,8 @@ def _notes(fitted: SensorLight, record: Mapping[str, Any], reference: ChartRefer
     ]
     if held > DOUBTFUL:
         notes.append(
-            f"the chart disagrees with its spectra by {held:.2g}, rms, in {worst}: glare, another chart, or a band "
-            "that is not what its wavelength says"
+            f"the chart differs from its spectra by {held:.2g} rms in {worst}: check for glare, "
+            "another chart, or a wrong wavelength"
         )
     if reference.note:
         notes.append(f"chart: {reference.note}")
@@ -467,9 +465,7 @@ def _notes(fitted: SensorLight, record: Mapping[str, Any], reference: ChartRefer
         notes.append(f"{label}: {why}{shape}")
     if record["beyond_the_chart"] > 0:
         most = max(band["sigma_most"] for band in bands.values())
-        told = (
-            "not known at all in places" if most >= 1 else f"known to {100 * most:.2g} % at worst"
-        )
+        told = "unknown in some places" if most >= 1 else f"known to {100 * most:.2g} % or better"
         notes.append(
             f"{100 * record['beyond_the_chart']:.0f} % of the frame lie beyond the chart: the light is extrapolated "
             f"there, and {told}, which sigma holds"

@@ -52,8 +52,8 @@ UNSEEN = ("E_CHART_MISSING", "E_CHART_FRAME", "E_CHART_SIZE", "E_CHART_ORDER")
 """Refusals that say no more than that a layer, which need not be one, is no chart."""
 
 ENCODED = (
-    "a finished photograph: the response is that of its values as they are encoded, for no grey scale tells "
-    "their curve; ISO 12233 wants linear values"
+    "a rendered photograph: the response is measured on its encoded values, because no "
+    "grey scale gives their tone curve; ISO 12233 requires linear values"
 )
 
 # --- charts of a campaign, or in files ------------------------------------------------------------
@@ -111,7 +111,7 @@ def measure_charts(
                     "E_CHART_MISSING",
                     f"no layer of the database shows {kind}",
                     str(path),
-                    fix="Name the object that is one with --object, or give --corners.",
+                    fix="Name the chart with --object, or give --corners.",
                 )
             )
         return found
@@ -196,8 +196,8 @@ def measure_edges_of(
     if not any(places.values()):
         raise EdgeRefused(
             Problem(
-                "E_EDGE_MISSING", f"{name}: no slanted edge is named", None, "targets.edges",
-                expected="a rectangle round one edge, which leans by about 5 degrees",
+                "E_EDGE_MISSING", f"{name}: no slanted edge is declared", None, "targets.edges",
+                expected="a rectangle around one edge that is tilted by about 5 degrees",
                 fix="Write edges = { TARGET = { CAMERA = [x, y, width, height] } }, or give --edge x,y,width,height.",
             )
         )  # fmt: skip
@@ -246,7 +246,7 @@ def _of_campaign(
         raise ChartRefused(
             Problem(
                 "E_VALUE",
-                "there is no such camera",
+                "unknown camera",
                 str(campaign.path),
                 "--camera",
                 ", ".join(unknown),
@@ -455,7 +455,7 @@ class ChartReport:
                 subtitle="Charts: signal, noise and colour",
                 charts=[describe_chart(m, self.between_layers) for m in self.measures],
                 problems=[{"code": p.code, "text": str(p)} for p in self.problems],
-                footer=f"Levkas {__version__}. Places are in native pixels.",
+                footer=f"Levkas {__version__}. Coordinates are in native pixels.",
             )
         )
 
@@ -477,7 +477,8 @@ def _lines(measure: ChartMeasure | EdgeTargetMeasure) -> list[str]:
     ]
     if blurred:
         lines.append(
-            f"  noise of neighbours is alike in {', '.join(blurred)} (a camera that blurs, or demosaicing): SNR corrected"
+            f"  the noise of neighbouring pixels is correlated in {', '.join(blurred)} (blur or "
+            "demosaicing): SNR corrected"
         )
     return lines + _edge_lines(measure)
 

@@ -74,7 +74,7 @@ def check_apart(campaign: Campaign, output: Path, captures: Iterable[Capture]) -
     among = folders - {campaign.root, *campaign.root.parents}
     why = unusable_output(output, campaign.root)
     if not why and any(output in (folder, *folder.parents) for folder in folders):
-        why = "the database would be written over raw frames"
+        why = "the database would replace raw frames"
     elif not why and any(folder in output.parents for folder in among):
         why = "the database would be written among raw frames"
     if why:
@@ -85,7 +85,7 @@ def check_apart(campaign: Campaign, output: Path, captures: Iterable[Capture]) -
                 str(campaign.path),
                 "campaign.output",
                 str(output),
-                "a folder of its own",
+                "a separate folder",
                 FIX,
             )
         )
@@ -102,7 +102,7 @@ def _strangers(campaign: Campaign, places: Places, objects: set[str]) -> Iterato
         return
     kept = stands_in(places.kept)
     if kept and not (kept == "a folder" and _is_kept(places.kept)):
-        yield _problem(places.kept, kept, "what an earlier build kept")
+        yield _problem(places.kept, kept, "the kept data of an earlier build")
         return
     yield from _links(places.output)
     yield from _links(places.kept)

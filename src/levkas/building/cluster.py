@@ -72,7 +72,7 @@ def check_address(address: str, *, insecure: bool = False) -> None:
         raise ClusterRefused(
             Problem(
                 "E_VALUE",
-                "this is no address of a scheduler",
+                "this is not the address of a scheduler",
                 field="--cluster",
                 found=address,
                 expected="tcp://HOST:PORT or tls://HOST:PORT",
@@ -83,12 +83,12 @@ def check_address(address: str, *, insecure: bool = False) -> None:
     raise ClusterRefused(
         Problem(
             "E_INSECURE",
-            "the scheduler is reached unencrypted over a network; whoever reaches it too can run "
+            "the connection to the scheduler is not encrypted; anyone with access to it can run "
             "programs on all its workers",
             field="--cluster",
             found=address,
             expected="an address of this machine (through an ssh tunnel, say), or tls://",
-            fix="See docs/howto/cluster.md; on a network of your own, --insecure goes on.",
+            fix="See docs/howto/cluster.md. On a trusted network, use --insecure.",
         )
     )
 
@@ -186,7 +186,7 @@ class Cluster:
                 raise ClusterRefused(
                     Problem(
                         "E_CLUSTER",
-                        "a scheduler behind TLS is reached with certificates, and none are set",
+                        "a scheduler with TLS needs certificates, and none are set",
                         field="--cluster",
                         found=self.address,
                         expected=" ".join(CERTIFICATES),
@@ -200,7 +200,7 @@ class Cluster:
                         "the scheduler does not answer",
                         field="--cluster",
                         found=f"{self.address}: {str(error).splitlines()[0] if str(error) else ''}",
-                        fix="Start `dask scheduler` and `dask worker` there; what is done is kept.",
+                        fix="Start `dask scheduler` and `dask worker` there. Finished stages are kept.",
                     )
                 ) from error
         return self._client
@@ -233,7 +233,7 @@ class Cluster:
             raise ClusterRefused(
                 Problem(
                     "E_VERSION",
-                    f"the worker {worker} has another Levkas, or other libraries, than this machine",
+                    f"the worker {worker} has a different version of Levkas or of its libraries",
                     field="--cluster",
                     found=", ".join(f"{name} {told[name]}" for name in unlike),
                     expected=", ".join(f"{name} {mine[name]}" for name in unlike),
@@ -251,7 +251,7 @@ class Cluster:
             kinds = Counter(str(one[name]) for one in self.facts.values())
             if kinds.keys() - {str(mine[name])}:
                 each = "; ".join(f"{count} of {kind}" for kind, count in sorted(kinds.items()))
-                told.append(f"the workers are unlike in {name}: {each}; here {mine[name]}")
+                told.append(f"the workers differ in {name}: {each}; this machine has {mine[name]}")
         return tuple(told)
 
     def workers(self) -> list[str]:

@@ -50,6 +50,7 @@ from levkas.core.files import make_folder, remove, write_text
 from levkas.core.problems import Problem, Refused
 from levkas.core.progress import FRAMES
 from levkas.core.sweeping import sweep
+from levkas.core.text import counted
 
 if TYPE_CHECKING:
     from levkas.building.build_records import Key
@@ -190,7 +191,7 @@ class ClusterExecutor:
     def where(self) -> str:
         """How many workers there are, and which task waits for memory while one of them is idle."""
         count = len(self._there)
-        told = f"{count} worker{'' if count == 1 else 's'}"
+        told = counted(count, "worker")
         idle = self._idle()
         if not idle:
             return told
@@ -280,7 +281,7 @@ class ClusterExecutor:
                 field=f"cameras.{capture.camera}",
                 found=f"{most / 1e9:.1f} GB on the largest of {len(self._cluster.sizes)} workers",
                 expected=f"at least {flight.need / 1e9:.1f} GB",
-                fix="Give the cluster a worker with more memory, or take fewer workers a machine.",
+                fix="Add a worker with more memory, or start fewer workers per machine.",
             )
         )
 
@@ -449,12 +450,12 @@ class ClusterExecutor:
         return Refused(
             Problem(
                 "E_WORKER",
-                f"{key.object}/{key.layer} {key.stage} failed on every worker that it was sent to",
+                f"{key.object}/{key.layer} {key.stage} failed on every worker that tried it",
                 found="; ".join(
                     f"{one['worker']}, {one['peak'] / 1e9:.1f} GB: {one['why']}"
                     for one in flight.attempts
                 ),
-                fix="See to those machines, then build again: what is done is kept.",
+                fix="Check those machines, then build again. Finished stages are kept.",
             )
         )
 
@@ -464,7 +465,9 @@ class ClusterExecutor:
         task = flight.due.task
         self._redone[key] += 1
         if self._redone[key] > RETRIES:
-            problem = Problem("E_DAMAGED", "a file is damaged whenever it is written", found=name)
+            problem = Problem(
+                "E_DAMAGED", "a file was damaged at every attempt to write it", found=name
+            )
             yield from self._end(task, self._endings.refuse(task, Refused(problem)))
             return
         self._queue.wait(task.key, key)
@@ -480,7 +483,9 @@ class ClusterExecutor:
         task, records = flight.due.task, self._records
         receipt = read_receipt(receipt_path(records, task.key, flight.part))
         if receipt.get("made of") != digest(flight.due.prints):
-            if again := self._give_up(flight, NotShared("the receipt is not seen here")):
+            if again := self._give_up(
+                flight, NotShared("the result is not visible on this machine")
+            ):
                 yield from self._end(task, self._endings.refuse(task, again))
             else:
                 self._resend(flight)

@@ -80,7 +80,7 @@ def declared_points(
             raise PointsRefused(
                 Problem(
                     "E_BAND_MISSING",
-                    f"points of a band that {capture.layer} does not have",
+                    f"points of an unknown band of {capture.layer}",
                     file=str(path),
                     found=band,
                     expected=", ".join(labels)[:200],
@@ -138,7 +138,7 @@ def _of_capture(campaign: Campaign, capture: Capture, path: Path) -> dict[str, C
         raise PointsRefused(
             Problem(
                 "E_VALUE",
-                "one file of points cannot be that of every camera",
+                "one file of points cannot belong to every camera",
                 file=str(path),
                 field="registration.points",
                 found=name,

@@ -128,7 +128,7 @@ class Endings:
                 k for k in self.graph if k.object == key.object and (k.camera, k.setup) in layers
             ]
             if all(map(self._stands, keys)):
-                told = f"{key.object}/{key.layer}: the layer of an earlier build stays"
+                told = f"{key.object}/{key.layer}: the layer of an earlier build is kept"
                 return replace(step, warnings=(*step.warnings, told))
             self.records.forget(key)
             withdraw(capture, self.places, self.records)

@@ -15,7 +15,7 @@ from levkas.calibration.exposures import best_exposure, merge_exposures
 from levkas.calibration.flatfield import Calibrated, flat_field, pair_darks
 from levkas.calibration.linearity import check_linearity, require_reciprocity
 from levkas.calibration.motion import find_moved
-from levkas.calibration.noise_fit import fit_noise, fit_noise_single, level_of
+from levkas.calibration.noise_fit import fit_noise_of_frames, level_of
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.sensor_context import SensorContext, doubt_scaling, exposure_of, placed
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
@@ -81,7 +81,7 @@ def _merge(
         raise CalibrationRefused(
             Problem(
                 "E_VALUE",
-                f"{context.camera.name}: exposures cannot be merged without a saturation level",
+                f"{context.camera.name}: merging exposures needs a saturation level",
                 field=f"cameras.{context.camera.name}.saturation",
                 fix="Declare `bits` or `saturation`.",
             )
@@ -105,10 +105,14 @@ def _describe_choice(merged: Merged, shots: Sequence[Template]) -> str:
     taken = sorted({s.exposure_s or 0.0 for s in shots} - set(merged.left_out))
     out = ", ".join(f"{t:g} s" for t in sorted(merged.left_out))
     if len(taken) == 1:
-        return f"no two exposures scale to within 1 %: {taken[0]:g} s is taken alone, {out} not at all; check times and black level"
+        return (
+            f"no two exposures are proportional within 1 %: only {taken[0]:g} s is used, {out} "
+            "not; check the times and the black level"
+        )
     return (
-        f"the exposures of {out} do not scale with {', '.join(f'{t:g} s' for t in taken)} to within 1 % and are "
-        "left out; check their times"
+        f"the exposures of {out} are not proportional to "
+        f"{', '.join(f'{t:g} s' for t in taken)} within 1 % and are left out; check their "
+        "times"
     )
 
 
@@ -183,38 +187,13 @@ def noise_of(
     darks: list[Template],
 ) -> NoiseModel | None:
     """Noise of the sensor from stacks, darks among them, or from single shots where there are no stacks."""
-    dark = darks[0] if darks else None
+    black = context.black or 0.0
     if context.light is not None:  # smooth: it tells no noise
         whites = [None] * len(whites)
-    stacks = [t for t in (*shots, *(w for w in whites if w is not None)) if t.count > 1]
-    black = context.black or 0.0
-    fitted = None
-    if stacks:
-        stacks += [d for d in darks if d.count > 1]
-        under = [_dark_of(t, darks) for t in stacks] if darks else None
-        fitted = fit_noise(stacks, under, black=black, step=context.step)
-    unread = fitted is not None and not any(d.count > 1 for d in darks)
-    if (fitted is None or unread) and len(shots) == len(whites):  # of a line scan there is no shot
-        under = [_dark_of(t, darks) for t in shots] if darks else None
-        more: dict[str, Any] = {"pattern": context.sensor.pattern, "step": context.step}
-        single = fit_noise_single(shots, whites, under, black=black, **more)
-        if fitted is None:
-            fitted = single
-        elif single is not None and fitted.read_variance <= fitted.step**2 / 12:
-            fitted = replace(fitted, read_variance=single.read_variance)
-    note_noise(context.told, fitted, dark, black, context.saturation)
+    pattern, step = context.sensor.pattern, context.step
+    fitted = fit_noise_of_frames(shots, whites, darks, black=black, pattern=pattern, step=step)
+    note_noise(context.told, fitted, darks[0] if darks else None, black, context.saturation)
     return fitted
-
-
-def _dark_of(stack: Template, darks: Sequence[Template]) -> Template:
-    """Return the dark nearest in time, a dark itself where it is one of them."""
-    if any(stack is dark for dark in darks):
-        return stack
-    time = stack.exposure_s
-    timed = [
-        (abs(np.log(d.exposure_s / time)), i) for i, d in enumerate(darks) if time and d.exposure_s
-    ]
-    return darks[min(timed)[1] if timed else 0]
 
 
 def require_same_size(
@@ -246,10 +225,10 @@ def require_same_size(
         placed(
             Problem(
                 "E_SIZE",
-                f"{name} and object are of different sizes",
+                f"{name} and object differ in size",
                 found=str(template.mean.shape),
                 expected=str(shape),
-                fix="Capture templates in the object's mode; crops of other sessions do not fit.",
+                fix="Capture dark and white in the same mode and with the same crop as the object.",
             ),
             frames,
         )
@@ -351,7 +330,7 @@ def _with_movement(
     if moved is None or not moved.any():
         return flat
     share = float(np.mean(moved))
-    note = f"{context.camera.name}: {100 * share:.2g} % of the pixels moved between shots, flagged"
+    note = f"{context.camera.name}: {100 * share:.2g} % of the pixels moved between shots and are flagged"
     flags = np.where(moved, flat.flags | np.uint8(Flag.MOVED), flat.flags)
     return replace(flat, flags=flags, notes=(*flat.notes, note))
 

@@ -116,7 +116,7 @@ def ordered(tasks: Graph, wanted: Iterable[Key]) -> list[Task]:
 def captures_of(task: Task) -> tuple[Capture, Capture]:
     """Return what a task is done with, and what that is registered to; ValueError for pages."""
     if task.capture is None or task.reference is None:
-        raise ValueError(f"{task.key} is no task of a capture")
+        raise ValueError(f"{task.key} is not a task of a capture")
     return task.capture, task.reference
 
 

@@ -259,8 +259,8 @@ def require_memory(capture: Capture, kind: str) -> None:
             field=f"cameras.{capture.camera}",
             found=f"{free / 1e9:.1f} GB free",
             expected=f"at least {needed / 1e9:.1f} GB",
-            fix="Build on a machine with more memory, or cut or bin the frames. Only a line scan in "
-            "ENVI files, of another camera than the reference, is built line by line.",
+            fix="Build on a machine with more memory, or crop or bin the frames. Only ENVI line "
+            "scans of cameras other than the reference are built line by line.",
         )
     )
 
@@ -275,8 +275,7 @@ def ran_out(capture: Capture, error: MemoryError) -> TooLarge:
             file=str(capture.sensors[0].object[0].path),
             field=f"cameras.{capture.camera}",
             found=None if free is None else f"{free / 1e9:.1f} GB free",
-            fix="Close other programs, or build on a machine with more memory; then build again: what "
-            "is done is kept.",
+            fix="Close other programs or use a machine with more memory, then build again. Finished stages are kept.",
         )
     )
 

@@ -62,7 +62,7 @@ class Plan:
             raise CampaignInvalid(
                 Problem(
                     "E_VALUE",
-                    "there is no such object",
+                    "unknown object",
                     str(self.campaign.path),
                     "--object",
                     ", ".join(missing),
@@ -129,9 +129,9 @@ def _without_reference(plan: Plan, capture: Capture) -> Step:
     lost = plan.refusals.get((name, reference, ""))
     problem = Problem(
         "E_NO_REFERENCE",
-        f"{name}: there is no image by the reference camera {reference}, so nothing can be registered",
+        f"{name}: the reference camera {reference} has no image, so no camera can be registered",
         field="campaign.reference",
         found=lost.problems[0].message if lost else "no capture",
-        fix="Mend the reference camera's frames first.",
+        fix="Correct the frames of the reference camera first.",
     )
     return refused_step(key_of(capture, "calibrate"), NoReference(problem))

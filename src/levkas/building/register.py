@@ -115,7 +115,7 @@ def verdict_problems(
     record: dict[str, Any], capture: Capture, refused: Refused | None
 ) -> tuple[Problem, ...]:
     """Return the problems of a registration that is refused; none for one that is accepted."""
-    what = f"{capture.object}/{capture.layer} was left out: it could not be aligned"
+    what = f"{capture.object}/{capture.layer} was left out: its registration was refused"
     if refused is not None:
         return tuple(replace(p, message=f"{what}: {p.message}") for p in refused.problems)
     verdict = record["verdict"]

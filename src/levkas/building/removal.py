@@ -8,6 +8,7 @@ from levkas.building.build_records import CATALOGUE, STAGES, BuildRecords, Key, 
 from levkas.building.graph import Step, keys_of
 from levkas.core.disk import DISK_CODES
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import counted
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -54,7 +55,7 @@ def describe(keys: Iterable[Key], records: BuildRecords) -> str:
         "object": sum(key.stage == "report" for key in there),
         "camera": sum(key.stage == "camera" for key in there),
     }
-    parts = [f"{n} {what}{'s' if n > 1 else ''}" for what, n in told.items() if n]
+    parts = [counted(n, what) for what, n in told.items() if n]
     if not parts:
         return ""
     verb = "is" if sum(told.values()) == 1 else "are"
@@ -145,10 +146,10 @@ def no_reference(name: str, layer: str, failed: Step) -> NoReference:
     refused = NoReference(
         Problem(
             "E_NO_REFERENCE",
-            f"{name}: the reference camera could not be built, so nothing can be registered to it",
+            f"{name}: the reference camera could not be built, so no camera can be registered",
             field="campaign.reference",
             found=f"{layer}: {failed.why}",
-            fix="Mend the reference camera's frames first.",
+            fix="Correct the frames of the reference camera first.",
         )
     )
     refused.of_the_disk = is_of_the_disk(failed.problems)

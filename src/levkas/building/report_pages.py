@@ -21,6 +21,7 @@ from levkas.campaign.schema.toml import to_toml
 from levkas.core.files import make_folder, together, write_json, write_text
 from levkas.core.instructions import describe_instructions
 from levkas.core.problems import Refused
+from levkas.core.text import counted
 from levkas.database.registrations import (
     describe_pairs,
     mm_per_px,
@@ -130,7 +131,8 @@ def report_of(
             layers=layers,
             problems=problems,
             mm_per_px=sampling,
-            footer=f"Levkas {__version__}. Object {name}; lengths are in pixels of the reference band unless they say otherwise.",
+            footer=f"Levkas {__version__}. Object {name}; lengths are in pixels of the reference band "
+            "unless stated otherwise.",
             views=[{"name": layer.name, "src": layer.preview} for layer in layers if layer.preview],
             radiometry=rows,
             short=summarise_layers(layers, rows, float(sampling) if sampling else None, lost),
@@ -188,7 +190,7 @@ def _layer(
         ssim="–" if ssim is None else f"{ssim:.3f}",
         flags=describe_flags(resampled.get("flags", {})) if shown else "–",
         preview=preview.name if shown else "",
-        description=str(resampled.get("description", "")) or f"{len(capture.bands)} bands",
+        description=str(resampled.get("description", "")) or counted(len(capture.bands), "band"),
         figures=[] if removal else drawn,
         history=drawn if removal else [],
         maps=draw_maps(places.output, capture.object, record, tiff, quantity) if shown else [],
@@ -244,8 +246,8 @@ def _checks(errors: dict[str, Any]) -> str:
         return ""
     mean, most = sum(numbers) / len(numbers), max(numbers)
     return (
-        f"{len(found)} check points, set by hand and not fitted, are {mean:.2f} reference px off in the "
-        f"mean and {most:.2f} px at most."
+        f"{len(found)} check points, set by hand and not fitted: mean error {mean:.2f} "
+        f"reference px, largest error {most:.2f} px."
     )
 
 

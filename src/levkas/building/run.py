@@ -106,6 +106,13 @@ def build(
     Refused
         Where the campaign itself cannot be read, the output cannot be written, or the cluster cannot be
         used.
+
+    Examples
+    --------
+    A second build of a campaign computes nothing:
+
+    >>> {step.state for step in build(plates)}
+    {'fresh'}
     """
     from levkas.core.sweeping import sweep
 
@@ -176,10 +183,10 @@ def _chosen(cluster: str | None, workers: int | None, insecure: bool) -> Where |
         raise Refused(
             Problem(
                 "E_VALUE",
-                "--cluster has workers of its own",
+                "--cluster and --workers cannot be combined",
                 field="--workers",
                 found=str(workers),
-                fix="Give one of the two.",
+                fix="Give one of them.",
             )
         )
     address = cluster or (os.environ.get(SCHEDULER, "") if workers is None else "")
@@ -290,11 +297,33 @@ def status(
     output: str | Path | None = None,
     verify: bool | Literal["full"] = False,
 ) -> BuildReport:
-    """Say of every stage whether it is fresh or stale, and why; no pixel is read.
+    """Return of every stage whether it is fresh or stale, and why; no pixel is read.
 
-    Parameters are those of `build`, and it raises as `build`. Of a large campaign that has an index, and
-    without `verify`, the states are those of the last build, with what of its inputs has changed
-    since; `compared` says so.
+    Parameters
+    ----------
+    path : path
+        A campaign's folder or its campaign.toml.
+    output : path, optional
+        The database, instead of the campaign's own `output`.
+    verify : bool or "full"
+        As of `build`.
+
+    Returns
+    -------
+    report : BuildReport
+        `stages`: a `Step` each with `state` and `why`; `text`: a line a stage that is not fresh. Of a large
+        campaign that has an index, and without `verify`, the states are those of the last build, with what
+        of its inputs has changed since.
+
+    Raises
+    ------
+    Refused
+        Where the campaign cannot be read.
+
+    Examples
+    --------
+    >>> [str(step.key.stage) for step in status(plates).stages if step.state == "stale"]
+    []
     """
     started_ns = time.time_ns()
     campaign = load_campaign(path)
@@ -378,7 +407,7 @@ def _state_of_catalogue(
 ) -> Step:
     """Return whether catalogue and manifest are stale, because what they list is, or by themselves."""
     if any(step.state == "stale" for step in steps):
-        return Step(CATALOGUE, "stale", "what it lists is stale")
+        return Step(CATALOGUE, "stale", "it lists stale files")
     others = by_others(places, records)
     prints = prints_of_catalogue(plan.campaign, places, records, plan.captures, plan.names, others)
     why = records.why_stale(CATALOGUE, prints)

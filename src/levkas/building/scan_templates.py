@@ -136,11 +136,11 @@ class FrameLines:
                 raise CalibrationRefused(
                     Problem(
                         "E_SIZE",
-                        f"{role} and object are of different sizes",
+                        f"{role} and object differ in size",
                         str(frame.path),
                         found=f"{file.shape} {file.dtype}",
                         expected=f"{shape} {dtype}",
-                        fix="Capture templates in the object's mode; crops of other sessions do not fit.",
+                        fix="Capture dark and white in the same mode and with the same crop as the object.",
                     )
                 )
         return [

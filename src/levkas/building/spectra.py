@@ -85,11 +85,11 @@ def read_sensitivity(path: Path, labels: Sequence[str]) -> tuple[np.ndarray, np.
         Where it cannot be read, a wavelength stands twice, or it has not as many columns as there
         are channels.
     """
-    expected = "a CSV of wavelength in nm and a column a channel"
+    expected = "a CSV with wavelength in nm and one column per channel"
     try:
         table, head = parse_spectra(read_text(path, expected))
         if not are_spectra(table):
-            raise ValueError(f"{len(table)} rows, or wavelengths that are none or not distinct")
+            raise ValueError(f"{len(table)} rows, or wavelengths that are missing or repeated")
     except ValueError as error:
         message = "the sensitivities cannot be read"
         raise Refused(
@@ -102,7 +102,7 @@ def read_sensitivity(path: Path, labels: Sequence[str]) -> tuple[np.ndarray, np.
         raise Refused(
             Problem(
                 "E_BAND_COUNT",
-                "the sensitivities do not fit the channels",
+                "the sensitivities do not match the channels",
                 str(path),
                 found=f"{len(columns)} columns",
                 expected=f"{len(labels)}: {', '.join(labels)}",
@@ -194,18 +194,18 @@ def read_table(path: Path) -> np.ndarray:
                 str(path),
                 found=str(error),
                 expected=expected,
-                fix="Name the right file, or save the table again as CSV.",
+                fix="Name the correct file, or save the table again as CSV.",
             )
         ) from error
     if not are_spectra(table) or not np.isfinite(table).all() or table[0, 0] < LOWEST_NM:
         raise SpectrumRefused(
             Problem(
                 "E_VALUE",
-                "this is no spectrum",
+                "this is not a spectrum",
                 str(path),
-                found=f"{len(table)} rows, or wavelengths that are not distinct",
-                expected="two rows or more of wavelength in nm and value",
-                fix="Name the right file, or mend its rows.",
+                found=f"{len(table)} rows, or repeated wavelengths",
+                expected="at least two rows of wavelength in nm and value",
+                fix="Name the correct file, or correct its rows.",
             )
         )
     return table

@@ -228,10 +228,10 @@ class Stages:
         except (OSError, KeyError, ValueError, EOFError, BadZipFile, zlib.error) as error:
             problem = Problem(
                 "E_DAMAGED",
-                "the registration that was kept of a capture cannot be read",
+                "the stored registration of a capture cannot be read",
                 str(path),
                 found=str(error),
-                fix="Build again: it is made anew.",
+                fix="Build again: it will be computed again.",
             )
             raise Damaged(key, problem) from error
 

@@ -199,10 +199,10 @@ def resample_scan(
         raise ScanRefused(
             Problem(
                 "E_SIZE",
-                "the scan lies askew: a few rows or columns of the grid need too many of its lines",
+                "the scan is tilted relative to the grid: some rows or columns of the grid need too many of its lines",
                 str(scan.context.sensor.object[0].path),
                 "grid.rotate",
-                fix="Turn the grid so that the scan's lines run along its rows or columns.",
+                fix="Rotate the grid so that the lines of the scan follow its rows or columns.",
             )
         )
     yield from _turned(_in_rows(scan, sideways, across, columns), scan, size[1], spool)

@@ -212,8 +212,9 @@ class Seam:
         )
         if self.ratio > MOST_RATIO:
             yield (
-                f"{names} differ in their overlap by {self.ratio:.1f} times what their sigma predicts (in "
-                f"{self.worst[0]} by {self.worst[1]:.1f} times): light, focus or object changed between the passes"
+                f"{names} differ in their overlap by {self.ratio:.1f} times their sigma (in "
+                f"{self.worst[0]} by {self.worst[1]:.1f} times): light, focus or object changed "
+                "between the passes"
             )
 
 
@@ -366,8 +367,8 @@ def _joint(strips: Sequence[Strip], greys: Sequence[Greys], number: int) -> Stri
         try:
             joint = find_joint(greys[number + 1], greys[number])
             fix = (
-                f"{names[1]} lies to the left of {names[0]} (they share {joint.overlap:.1f} samples): name the files "
-                "so that their natural order is that from left to right."
+                f"{names[1]} lies to the left of {names[0]} (they share {joint.overlap:.1f} samples): "
+                "name the files in order from left to right."
             )
         except RegistrationRefused:
             pass
@@ -486,6 +487,6 @@ def _require_one_time(context: SensorContext, templates: ScanTemplates) -> None:
             field="targets.white",
             found=", ".join(frames[0].path.name for _, frames in strips),
             expected="strips of one exposure, or a white",
-            fix="Capture a white, or leave the other exposures out of `files`.",
+            fix="Capture a white, or remove the other exposures from `files`.",
         )
         raise CalibrationRefused(placed(problem, context.sensor.object))

@@ -237,7 +237,9 @@ class Workplace:
         """
         task = self.graph.get(Key(*job.key))
         if task is None or digest_of(task) != job.task:
-            raise NotShared(f"{'/'.join(job.key)}: other files are seen here than by the client")
+            raise NotShared(
+                f"{'/'.join(job.key)}: this worker reads different files than the client"
+            )
         path = receipt_path(self.records, task.key, job.part)
         if is_whole(read_receipt(path), job.made_of, self.places):
             return ()
@@ -283,7 +285,7 @@ class Workplace:
             self.records.reread(key)
             while self.records.check(key) != check:
                 if time.monotonic() > until:
-                    raise NotShared(f"{'/'.join(name)}: its record is not seen here")
+                    raise NotShared(f"{'/'.join(name)}: its record is not visible on this worker")
                 time.sleep(PAUSE_S)
                 self.records.reread(key)
             if (key, check) not in self.sound:

@@ -148,7 +148,7 @@ def _only(darks: list[Template]) -> MatchedDark:
         raise CalibrationRefused(
             Problem(
                 "E_EXPOSURES",
-                "there are several darks and no exposure to choose one by",
+                "there are several darks, and their exposures are unknown",
                 field="exposure",
                 found=", ".join(f"{d.exposure_s} s" for d in darks),
                 fix="Put {exposure} into the file pattern, or keep one dark.",
@@ -183,7 +183,7 @@ def _on_line(timed: list[Template], exposure_s: float) -> MatchedDark:
 
 def _scaled(dark: Template, exposure_s: float, black: float | None) -> MatchedDark:
     if black is None:
-        note = f"dark of {_time(dark):g} s used for {exposure_s:g} s: the black level is not known"
+        note = f"the dark of {_time(dark):g} s is used for {exposure_s:g} s, because the black level is unknown"
         return _as_it_is(dark, note)
     scale = exposure_s / max(_time(dark), 1e-9)
     mean = (black + (dark.mean - np.float32(black)) * np.float32(scale)).astype(np.float32)

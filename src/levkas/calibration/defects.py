@@ -79,10 +79,10 @@ def find_defects(
         raise CalibrationRefused(
             Problem(
                 "E_VALUE",
-                "too many sensels look defective",
+                "too many sensels appear defective",
                 found=f"{np.mean(found):.1%}",
                 expected=f"at most {MANY:.0%}",
-                fix="Look at the dark and the white: is the pattern right, is a frame broken?",
+                fix="Check the dark and the white: the pattern may be wrong, or a frame damaged.",
             )
         )
     return found

@@ -114,11 +114,11 @@ def find_subspace(blocks: Iterable[np.ndarray]) -> Subspace:
         raise CalibrationRefused(
             Problem(
                 "E_SIZE",
-                "too little for a signal subspace",
+                "too few spectra or bands for a signal subspace",
                 field="denoise",
-                found=f"{pixels} spectra of {bands} bands",
-                expected=f"3 bands or more, {MORE_PIXELS} spectra a band",
-                fix="Leave `denoise` out for this camera.",
+                found=f"{pixels} spectra with {bands} bands",
+                expected=f"3 or more bands, {MORE_PIXELS} spectra per band",
+                fix="Remove `denoise` for this camera.",
             )
         )
     return _hysime(np.triu(products) + np.triu(products, 1).T, pixels)
@@ -144,12 +144,12 @@ def _hysime(products: np.ndarray, pixels: int) -> Subspace:
         raise CalibrationRefused(
             Problem(
                 "E_CORRELATED",
-                "noise and signal cannot be told apart: the noise of neighbouring bands goes "
-                "together, or there are too few bands",
+                "noise and signal cannot be separated: the noise of neighbouring bands is "
+                "correlated, or there are too few bands",
                 field="denoise",
                 found=f"excess correlation {excess:.2f}, {basis.shape[1]} of {bands} dimensions",
                 expected=f"within ±{CORRELATED:g}, at most {most} dimensions",
-                fix="Leave `denoise` out for this camera.",
+                fix="Remove `denoise` for this camera.",
             )
         )
     return Subspace(basis, np.sqrt(power), excess, pixels)

@@ -59,7 +59,7 @@ def best_exposure(shots: Sequence[Template]) -> Template:
     Raises
     ------
     CalibrationRefused
-        E_NO_FRAMES without a shot, E_EXPOSURES where an exposure is not known.
+        E_NO_FRAMES without a shot, E_EXPOSURES where an exposure is unknown.
     """
     timed = _in_order(shots)
     shares = [float(np.mean(shot.saturated)) for shot in timed]
@@ -389,7 +389,7 @@ def _check_series(timed: list[Template]) -> None:
     raise CalibrationRefused(
         Problem(
             "E_EXPOSURES",
-            "these exposures are no series that can be merged",
+            "these exposures cannot be merged",
             field="exposures",
             found=", ".join(f"{shot.exposure_s:g} s {shot.mean.shape}" for shot in timed),
             expected="two or more different exposures of one size",
@@ -426,7 +426,7 @@ def _choose(
 def _does_not_scale(scaling: Linearity) -> Problem:
     return Problem(
         "E_EXPOSURES",
-        "the exposures do not scale",
+        "the counts are not proportional to the exposure",
         field="exposures",
         found=f"rms deviation {scaling.rms:.1%}, worst {scaling.worst:+.1%} "
         f"at {scaling.worst_at_s:g} s and {scaling.worst_level:.0f} counts",
@@ -437,12 +437,12 @@ def _does_not_scale(scaling: Linearity) -> Problem:
 
 def _in_order(shots: Sequence[Template]) -> list[Template]:
     if not shots:
-        raise CalibrationRefused(Problem("E_NO_FRAMES", "there is no exposure to choose from"))
+        raise CalibrationRefused(Problem("E_NO_FRAMES", "there is no frame to choose"))
     if any(not shot.exposure_s for shot in shots):
         raise CalibrationRefused(
             Problem(
                 "E_EXPOSURES",
-                "an exposure is not known",
+                "an exposure is unknown",
                 field="exposure",
                 found=", ".join(f"{shot.exposure_s}" for shot in shots),
                 expected="seconds, > 0, of every frame",

@@ -259,7 +259,9 @@ def pair_darks(
     if shot.exposure_s and white.exposure_s:
         ratio = white.exposure_s / shot.exposure_s
     elif not same_time:
-        notes.append("the exposure of object or white is not known: taken as equal")
+        notes.append(
+            "the exposure of the object or the white is unknown: they are assumed to be equal"
+        )
     return under, white_under, ratio, tuple(dict.fromkeys(notes))
 
 
@@ -290,10 +292,10 @@ def _check_shapes(
     problems = [
         Problem(
             "E_SIZE",
-            f"{name} and object are of different sizes",
+            f"{name} and object differ in size",
             found=str(array.shape),
             expected=str(shot.mean.shape),
-            fix="Capture templates in the object's mode; crops of other sessions do not fit.",
+            fix="Capture dark and white in the same mode and with the same crop as the object.",
         )
         for name, array in offered
         if list(array.shape[1:]) != rest or array.shape[0] not in (1, height)

@@ -121,17 +121,17 @@ def require_reciprocity(found: Linearity) -> None:
     raise CalibrationRefused(
         Problem(
             "E_EXPOSURES",
-            "counts cannot be scaled from one exposure to another"
+            "the counts are not proportional to the exposure"
             if found.points
-            else "whether exposures scale cannot be told",
+            else "the linearity cannot be checked",
             field="exposures",
             found=f"rms deviation {found.rms:.1%}, worst {found.worst:+.1%} at {found.worst_at_s:g} s "
             f"and {found.worst_level:.0f} counts"
             if found.points
-            else "no scene that two exposures show between 5 and 95 % of saturation",
+            else "no scene lies between 5 and 95 % of saturation in two exposures",
             expected=f"at most {RECIPROCAL:.1%} rms",
-            fix="Capture object and white with the same exposure; or an exposure series of the white, "
-            "with darks of each time, from which the black can be fitted."
+            fix="Capture object and white with the same exposure, or capture an exposure series of "
+            "the white with a dark for each time."
             if found.points
             else "Capture the white at three exposures or more, a factor of two apart.",
         )

@@ -419,7 +419,7 @@ def method_of(
         raise CalibrationRefused(
             Problem(
                 "E_VALUE",
-                f"there is no demosaicing {method!r}",
+                f"unknown demosaicing method {method!r}",
                 field="demosaic",
                 found=method,
                 expected=", ".join(METHODS),
@@ -445,7 +445,7 @@ def interpolate(
         raise CalibrationRefused(
             Problem(
                 "E_SIZE",
-                "a mosaic holds one period of its pattern at least",
+                "a mosaic must hold at least one period of its pattern",
                 found=str(values.shape),
                 expected=f"(h, w), at least {table.shape}",
             )

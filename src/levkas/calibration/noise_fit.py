@@ -12,7 +12,7 @@ shots: variance of a mean = (T − B)/n + B, with T = noise² + step²/12 of one
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -132,6 +132,59 @@ def whole_variance(shown: float | np.ndarray, step: float) -> np.ndarray:
 def level_of(dark: np.ndarray) -> float:
     """Return the median of a dark, of many pixels about `MANY_PIXELS`."""
     return float(np.median(dark.ravel()[:: max(1, dark.size // MANY_PIXELS)]))
+
+
+def fit_noise_of_frames(
+    shots: Sequence[Template],
+    whites: Sequence[Template | None],
+    darks: Sequence[Template],
+    *,
+    black: float = 0.0,
+    pattern: str | Sequence[Sequence[str]] | None = None,
+    step: float = 1.0,
+) -> NoiseModel | None:
+    """Estimate the noise of a sensor from stacks, else from single shots.
+
+    Parameters
+    ----------
+    shots, whites, darks : sequence of Template, (h, w)
+        Frames of one sensor at one gain setting; a white or None for each shot. Where there are more
+        whites than shots, as of a line scan, single shots are not used.
+    black, pattern, step
+        As of `fit_noise_single`.
+
+    Returns
+    -------
+    noise : NoiseModel or None
+        Where no dark has several shots and stacks leave no read noise above rounding's, that of single
+        shots is taken.
+    """
+    stacks = [t for t in (*shots, *(w for w in whites if w is not None)) if t.count > 1]
+    fitted = None
+    if stacks:
+        stacks += [d for d in darks if d.count > 1]
+        under = [_dark_of(t, darks) for t in stacks] if darks else None
+        fitted = fit_noise(stacks, under, black=black, step=step)
+    unread = fitted is not None and not any(d.count > 1 for d in darks)
+    if (fitted is None or unread) and len(shots) == len(whites):
+        under = [_dark_of(t, darks) for t in shots] if darks else None
+        single = fit_noise_single(shots, whites, under, black=black, pattern=pattern, step=step)
+        if fitted is None:
+            fitted = single
+        elif single is not None and fitted.read_variance <= fitted.step**2 / 12:
+            fitted = replace(fitted, read_variance=single.read_variance)
+    return fitted
+
+
+def _dark_of(stack: Template, darks: Sequence[Template]) -> Template:
+    """Return the dark nearest in time, a dark itself where it is one of them."""
+    if any(stack is dark for dark in darks):
+        return stack
+    time = stack.exposure_s
+    timed = [
+        (abs(np.log(d.exposure_s / time)), i) for i, d in enumerate(darks) if time and d.exposure_s
+    ]
+    return darks[min(timed)[1] if timed else 0]
 
 
 def fit_noise(

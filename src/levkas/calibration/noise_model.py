@@ -14,29 +14,38 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Sensor:
-    """What noise needs to know of a sensor; the defaults are the example of [mirhashemi2019]_.
+    """Sensor of the noise model; the defaults are the example of [mirhashemi2019]_.
 
     Parameters
     ----------
     dark : float
         Mean dark current of one exposure, electrons, >= 0.
     read : float
-        Standard deviation of the read-out, electrons.
+        Standard deviation of the read-out, electrons, >= 0.
     prnu, dsnu : float
-        Relative spread of the response and of the dark current from sensel to sensel.
+        Relative spread of the response and of the dark current from sensel to sensel, >= 0.
     gain : float
-        Counts per electron.
+        Counts per electron, > 0.
     black : float
         Offset added before quantisation, counts.
     bits : int
         Of the analogue-digital converter.
     full_well : float
-        Electrons at which a sensel saturates.
+        Electrons at which a sensel saturates, > 0.
 
     Raises
     ------
     ValueError
         Where a spread or the dark current is negative, or gain or full well is not positive.
+
+    Notes
+    -----
+    Eq. (2) of [mirhashemi2019]_, doi:10.3390/computation7030047.
+
+    Examples
+    --------
+    >>> Sensor(bits=14).saturation
+    16383
     """
 
     dark: float = 32.0
@@ -74,12 +83,17 @@ def noise_variance(exposure: float | np.ndarray, sensor: Sensor) -> np.ndarray:
 
     Returns
     -------
-    variance : same shape as `exposure`
+    variance : ndarray, same shape as `exposure`
         Electrons squared.
+
+    Raises
+    ------
+    ValueError
+        Where an exposure is negative.
 
     Notes
     -----
-    Second moment of Eq. (2) of [mirhashemi2019]_, terms independent. Valid below full well.
+    Second moment of Eq. (2) of [mirhashemi2019]_, doi:10.3390/computation7030047, terms independent. Valid below full well.
     Over many sensels; the frames of one sensel share u and v, so that their variance lacks
     ``(prnu·e)² + (dsnu·d)²``.
 
@@ -89,6 +103,8 @@ def noise_variance(exposure: float | np.ndarray, sensor: Sensor) -> np.ndarray:
     25.0
     """
     e, d = np.asarray(exposure, float), sensor.dark
+    if np.any(e < 0):
+        raise ValueError(f"an exposure must be >= 0 electrons, got {e.min():g}")
     shot = e * (1 + sensor.prnu**2) + (sensor.prnu * e) ** 2
     dark = d * (1 + sensor.dsnu**2) + (sensor.dsnu * d) ** 2
     return shot + dark + sensor.read**2

@@ -37,7 +37,7 @@ def as_pattern(pattern: str | Sequence[Sequence[str]]) -> Pattern:
         raise CalibrationRefused(
             Problem(
                 "E_VALUE",
-                "a pattern is four letters or rows of equally many channel names",
+                "a pattern must be four letters, or rows with the same number of channel names",
                 field="pattern",
                 found=repr(pattern),
                 expected='"RGGB" or [["B1", "B2", "B3"], …]',
@@ -76,7 +76,7 @@ def channel_table(
         raise CalibrationRefused(
             Problem(
                 "E_BAND_MISSING",
-                "the channels are not those of the pattern",
+                "the channels differ from those of the pattern",
                 field="bands",
                 found=", ".join(order),
                 expected=", ".join(channel_names(rows)),

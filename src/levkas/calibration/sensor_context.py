@@ -152,12 +152,12 @@ def doubts_of(context: SensorContext) -> list[str]:
     if context.light is not None:
         doubts += context.light.notes
     elif not context.sensor.white:
-        doubts.append("no white reference is declared: the cube stays in counts")
+        doubts.append("no white is declared: the cube remains in counts")
     elif targets.white and not isinstance(targets.white.reflectance, str):
         given = targets.white.reflectance
         doubts.append(
-            f"the white board is taken for {1.0 if given is None else given:g} at every wavelength; "
-            "a CSV of its spectrum in targets.white.reflectance is better"
+            f"the reflectance of the white is assumed to be {1.0 if given is None else given:g} "
+            "at every wavelength; give a CSV of its spectrum in targets.white.reflectance"
         )
     return doubts
 
@@ -218,7 +218,7 @@ def check_codes(values: np.ndarray, path: Path, camera: str, bits: int, full: fl
         raise CodesRefused(
             Problem(
                 "E_BITS",
-                f"{camera}: the frame has 8 bits where {bits} are said",
+                f"{camera}: the frame has 8 bits, and {bits} are declared",
                 str(path),
                 f"cameras.{camera}.bits",
                 f"{values.dtype} codes up to {int(values.max(initial=0))}",
@@ -231,13 +231,13 @@ def check_codes(values: np.ndarray, path: Path, camera: str, bits: int, full: fl
         raise CodesRefused(
             Problem(
                 "E_BITS",
-                f"{camera}: codes are larger than {bits} bits can hold",
+                f"{camera}: codes exceed {bits} bits",
                 str(path),
                 f"cameras.{camera}.bits",
                 f"{top}",
                 f"at most {most:g}",
-                f"Write `bits = {top.bit_length()}`; where {bits} bits stand at the upper end of a "
-                f"code, write `saturation` as they are stored.",
+                f"Write `bits = {top.bit_length()}`. If the {bits} bits are stored in the upper bits "
+                "of a code, write `saturation` in stored codes.",
             )
         )
 
@@ -249,7 +249,7 @@ def doubt_codes(frames: Iterable[np.ndarray], bits: int, full: float) -> list[st
     --------
     >>> stretched = np.round(np.arange(256) * 4095 / 255).astype(np.uint16)
     >>> doubt_codes([stretched.reshape(16, 16)], 12, 4095)
-    ['only 256 codes, 16 or more apart: 8 bits stretched to 12, so that tones between them are lost']
+    ['only 256 codes, 16 or more apart: 8 bits were stretched to 12, and the tones between are lost']
     """
     codes = [np.unique(thin_rows(values)) for values in frames if values.dtype.kind in "ui"]
     seen = np.unique(np.concatenate(codes)) if codes else np.empty(0, int)
@@ -257,13 +257,14 @@ def doubt_codes(frames: Iterable[np.ndarray], bits: int, full: float) -> list[st
         return []
     if seen[-1] <= 255:
         return [
-            f"no code is above {int(seen[-1])} where {bits} bits are said: frames of 8 bits, or hardly any light"
+            f"no code exceeds {int(seen[-1])}, and {bits} bits are declared: the frames may have "
+            "8 bits, or very little light"
         ]
     gap = int(np.diff(seen.astype(np.int64)).min())
     if seen.size <= 256 and gap >= EVEN * full / 255:
         return [
-            f"only {seen.size} codes, {gap} or more apart: 8 bits stretched to {bits}, so that tones "
-            "between them are lost"
+            f"only {seen.size} codes, {gap} or more apart: 8 bits were stretched to {bits}, and "
+            "the tones between are lost"
         ]
     return []
 
@@ -324,7 +325,7 @@ def require_exposures(context: SensorContext) -> None:
     found = [f"{frame.path.name}: {_shown(times_of(frame))}" for frame in stated[:NAMED]]
     found += unclear or [f"{frame.path.name}: nothing" for frame in silent[:NAMED]]
     what = (
-        "the unit of the exposure is not known"
+        "the unit of the exposure is unknown"
         if unclear
         else f"only {len(stated)} of {len(frames)} frames state their exposure"
     )
@@ -335,7 +336,7 @@ def require_exposures(context: SensorContext) -> None:
             str(silent[0].path),
             "exposure",
             "; ".join(found),
-            "the exposure of every frame of object, white and dark, or of none",
+            "an exposure for every frame of object, white and dark, or for none",
             "Put {exposure} with its unit into the names and `files`, or list the files in a `manifest` with exposure_s.",
         )
     )
@@ -378,8 +379,8 @@ def doubt_scaling(context: SensorContext, taken: Times, other: Times) -> str:
     if all(abs(mine / its - 1) <= SAME_TIME for mine, its in pairs):
         return ""
     return (
-        f"{context.camera.name}: the white was exposed for {_shown(other)}, the object for {_shown(taken)}: whether "
-        "counts scale is not known without an exposure series of one of them"
+        f"{context.camera.name}: the white was exposed for {_shown(other)}, the object for "
+        f"{_shown(taken)}; without an exposure series the linearity is unknown"
     )
 
 

@@ -141,7 +141,7 @@ def average(
             sums.add(frame)
     if sums is None:
         raise CalibrationRefused(
-            Problem("E_NO_FRAMES", "there is nothing to average", found=0, expected="1 or more")
+            Problem("E_NO_FRAMES", "there are no frames to average", found=0, expected="1 or more")
         )
     return sums.template(exposure_s)
 
@@ -179,7 +179,7 @@ class _Sums:
             raise CalibrationRefused(
                 Problem(
                     "E_SIZE" if frame.shape != self.first.shape else "E_VALUE",
-                    f"shot {index} does not fit shot 0",
+                    f"shot {index} differs from shot 0 in size or type",
                     found=f"{frame.shape} {frame.dtype}",
                     expected=f"{self.first.shape} {self.first.dtype}",
                     fix="Average shots of one sensor and one mode only.",
@@ -304,18 +304,18 @@ def describe_gaps(lost: np.ndarray, label: str = "") -> str:
     """Say how many values were lost.
 
     >>> describe_gaps(np.array([True, False, False, False]), "550 nm")
-    '550 nm: 1 value (25 %) is no finite number in a frame: flagged as defect'
+    '550 nm: 1 value (25 %) is not a finite number: flagged as defect'
     """
     return describe_lost(int(np.count_nonzero(lost)), lost.size, label)
 
 
 def describe_lost(count: int, total: int, label: str = "") -> str:
     """Say that `count` values of `total` were lost."""
-    many = "values" if count > 1 else "value"
-    verb, what = ("are", "defects") if count > 1 else ("is", "defect")
-    share = 100 * count / total
-    start = f"{label}: " if label else ""
-    return f"{start}{count} {many} ({share:.2g} %) {verb} no finite number in a frame: flagged as {what}"
+    value = f"{f'{label}: ' if label else ''}{count} value"
+    share = f"({100 * count / total:.2g} %)"
+    if count == 1:
+        return f"{value} {share} is not a finite number: flagged as defect"
+    return f"{value}s {share} are not finite numbers: flagged as defects"
 
 
 def _filled(values: np.ndarray, lost: np.ndarray) -> np.ndarray:
@@ -343,6 +343,6 @@ def no_values(band: int, shape: tuple[int, ...]) -> CalibrationRefused:
             field="pixels",
             found=f"{shape[1]} x {shape[0]} values, each NaN or infinite in some frame",
             expected="finite numbers",
-            fix="Export the frame again, or leave it out of `files`.",
+            fix="Export the frame again, or remove it from `files`.",
         )
     )

@@ -81,7 +81,7 @@ def reflectance_table(
         raise CalibrationRefused(
             Problem(
                 "E_VALUE",
-                "the reflectance of the white does not fit the bands",
+                "the reflectance of the white does not match the bands",
                 field="white.reflectance",
                 found=f"{known.size} numbers, {np.nanmin(known):g} to {np.nanmax(known):g}",
                 expected=f"one positive number, or {wanted}",
@@ -137,11 +137,11 @@ def thinning(size: tuple[int, ...]) -> int:
 def _too_dark(name: str, lit: np.ndarray, under: np.ndarray) -> Problem:
     return Problem(
         "E_WHITE_DARK",
-        f"white is darker than dark{name}",
+        f"the white is darker than the dark{name}",
         found=f"median white {np.median(lit):g}, median dark {np.median(under):g} counts, "
         f"white not above dark at {np.mean(lit <= under):.0%} of the pixels",
         expected="white above dark",
-        fix="Look whether dark and white are swapped, or the lamp was off.",
+        fix="Check whether dark and white are swapped, or the lamp was off.",
     )
 
 

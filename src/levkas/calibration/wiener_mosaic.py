@@ -53,7 +53,7 @@ def correlate_channels(wavelengths: np.ndarray, sensitivities: np.ndarray) -> np
         raise CalibrationRefused(
             Problem(
                 "E_VALUE",
-                "a channel without sensitivity cannot be demosaiced by its correlation",
+                "Wiener demosaicing needs the sensitivity of every channel",
                 field="sensitivity",
                 found=f"channel {int(np.argmin(weights.sum(0))) + 1} is 0 at every wavelength",
                 expected="a curve a channel",

@@ -121,12 +121,25 @@ def load_campaign(path: str | Path) -> Campaign:
     path : path
         A folder that holds campaign.toml, or the file itself.
 
+    Returns
+    -------
+    campaign : Campaign
+        Its keys as attributes, defaults filled in; no frame is read.
+
     Raises
     ------
     CampaignInvalid
         With every problem of the file: key, what was found, what is expected.
     EditsInvalid
         The same of edits.toml beside it, where there is one.
+
+    Examples
+    --------
+    `plates` is the folder of a campaign of one object, a photograph and an infrared picture.
+
+    >>> campaign = load_campaign(plates)
+    >>> list(campaign.cameras), campaign.reference.band
+    (['photo', 'infrared'], 'G')
     """
     path = Path(path)
     path = path / "campaign.toml" if path.is_dir() else path
@@ -139,8 +152,8 @@ def load_campaign(path: str | Path) -> Campaign:
     except TomlRefused as refused:
         missing = refused.problems[0].found == "no such file"
         fix = (
-            "Give a campaign's folder; `levkas look FOLDER --write` makes a first campaign.toml for a folder"
-            " of raw frames; docs/campaign.md has every key."
+            "Give the folder of a campaign. For a folder of raw frames, `levkas look FOLDER "
+            "--write` proposes a campaign.toml. docs/campaign.md explains every key."
             if missing
             else None
         )
@@ -148,7 +161,7 @@ def load_campaign(path: str | Path) -> Campaign:
         if missing:
             in_folder = path.name == "campaign.toml" and path.parent.is_dir()
             found = "a folder without campaign.toml" if in_folder else "no such folder"
-            message = "there is no campaign here"
+            message = "no campaign was found here"
             problems = [replace(p, message=message, found=found) for p in problems]
         raise CampaignInvalid(*problems) from None
     document, problems = _validate(path, record)

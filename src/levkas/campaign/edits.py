@@ -24,7 +24,7 @@ from levkas.core.problems import Problem, Refused
 FILE_NAME = "edits.toml"
 MOST_TURNS = 50
 """Attempts to make a change while others change the file."""
-EXPLAINED = "docs/workbench.md explains every key; the workbench writes the file for you."
+EXPLAINED = "docs/reference/edits.md explains every key; the workbench writes the file for you."
 HEAD = """\
 # Corrections by hand; `levkas inspect` writes this file, `levkas build` replays it.
 # A pair is [reference x, reference y, target x, target y], native pixels, centres at whole numbers.
@@ -265,7 +265,7 @@ def change_edits(
             except _Changed:  # by an editor, which takes no lock
                 continue
             return merged
-    problem = Problem("E_BUSY", "edits.toml is changed again and again", str(path))
+    problem = Problem("E_BUSY", "another program keeps changing edits.toml", str(path))
     raise EditsInvalid(with_explanation(problem, path))
 
 
@@ -287,11 +287,11 @@ def _clashes(
     found = [
         Problem(
             "E_CONFLICT",
-            f"`{name}` was changed meanwhile",
+            f"`{name}` has changed in the meantime",
             field=f"{where}.{name}",
             found=getattr(present, name),
             expected=getattr(before, name),
-            fix="Look at what it is now, then change it again.",
+            fix="Check its present state, then make the change again.",
         )
         for name in ("reject", "stop", "note")
         if getattr(before, name) not in (getattr(after, name), getattr(present, name))
@@ -300,8 +300,8 @@ def _clashes(
     if merged != present:
         for problem in _contradictions(Edits({("", ""): merged})):
             key = (problem.field or "").rpartition(".")[2]
-            message = f"{problem.message}: it was changed meanwhile"
-            fix = "Look at what it is now, then change it again."
+            message = f"{problem.message}: it has changed in the meantime"
+            fix = "Check its present state, then make the change again."
             found.append(
                 replace(
                     problem, code="E_CONFLICT", message=message, field=f"{where}.{key}", fix=fix
@@ -333,7 +333,7 @@ def _revised(data: bytes, edits: Edits, wanted: Edits, place: tuple[str, str], p
             return made
     problem = Problem(
         "E_VALUE",
-        "edits.toml is laid out in a way that cannot be changed in place",
+        "the layout of edits.toml does not allow changes in place",
         field=f"objects.{place[0]}.cameras.{place[1]}",
         expected="a table of its own for every camera",
     )

@@ -128,7 +128,7 @@ def _load_installed() -> None:
         if isinstance(row, Method) and callable(row.register):
             METHODS.setdefault(entry.name, row)
         else:
-            UNUSABLE[entry.name] = f"{entry.value} is no Method with a function"
+            UNUSABLE[entry.name] = f"{entry.value} is not a Method with a function"
     for name, why in UNUSABLE.items():
         warnings.warn(f"the registration method {name!r} cannot be used: {why}", stacklevel=2)
 

@@ -20,8 +20,8 @@ from levkas.cli.output import (
     refusing,
 )
 
-VERIFY = "Read every file anew, whatever its size, times and inode say."
-FULL = "Compare every stage of a large campaign with its record, whatever the index of the last build says."
+VERIFY = "Read every file again, even if size, times and inode are unchanged."
+FULL = "Compare every stage of a large campaign with its record instead of using the index of the last build."
 
 
 @refusing("look")
@@ -29,11 +29,11 @@ def look(
     folder: Annotated[Path, typer.Argument(help="Folder of raw frames.")],
     write: Annotated[
         bool,
-        typer.Option("--write", help="Write campaign.toml into the folder, unless there is one."),
+        typer.Option("--write", help="Write campaign.toml into the folder if it has none."),
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Guess a commented campaign.toml from a folder of captures; show it before anything is written."""
+    """Propose a commented campaign.toml for a folder of captures; print it before writing."""
     from levkas.campaign.guess import look as look_at
     from levkas.campaign.guess import write_campaign
 
@@ -43,7 +43,7 @@ def look(
     written = str(write_campaign(proposal)) if write else None
     print_report("look", as_json, True, [], written=written, **proposal.to_report())
     if not as_json:
-        more = f"Written: {written}" if written else "Nothing was written; --write does."
+        more = f"Written: {written}" if written else "Nothing was written. Use --write to write it."
         typer.echo(f"{more} {len(proposal.unknown)} things are unknown.", err=True)
 
 
@@ -58,7 +58,8 @@ def build(
         bool,
         typer.Option(
             "--keep-removed",
-            help="Leave in the database what the campaign no longer has, instead of moving it to OUTPUT.removed.",
+            help="Keep layers in the database that the campaign no longer has; the default moves them "
+            "to OUTPUT.removed.",
         ),
     ] = False,
     verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
@@ -66,19 +67,18 @@ def build(
     cluster: Annotated[
         str | None,
         typer.Option(
-            help="Scheduler of dask whose workers do the work, tcp://HOST:PORT; else that in "
-            "DASK_SCHEDULER_ADDRESS. Needs levkas[cluster]."
+            help="Address of a Dask scheduler, tcp://HOST:PORT; default DASK_SCHEDULER_ADDRESS. Needs levkas[cluster]."
         ),
     ] = None,
     workers: Annotated[
         int | None,
         typer.Option(
-            help="Processes of this machine that do the work; 0: one alone.", min=0, max=1000
+            help="Worker processes on this machine; 0 uses a single process.", min=0, max=1000
         ),
     ] = None,
     insecure: Annotated[
         bool,
-        typer.Option("--insecure", help="Use a scheduler of another machine without encryption."),
+        typer.Option("--insecure", help="Use a scheduler on another machine without encryption."),
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -112,11 +112,11 @@ def status(
     full: Annotated[bool, typer.Option("--full", help=FULL)] = False,
     graph: Annotated[
         bool,
-        typer.Option("--graph", help="Draw the stages and what each reads, as a Mermaid chart."),
+        typer.Option("--graph", help="Print the stages and their inputs as a Mermaid chart."),
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Say what of a database is stale, and why."""
+    """List the stale stages of a database, with the reasons."""
     from levkas.building import status as status_of
 
     report = status_of(
@@ -133,17 +133,18 @@ def validate(
     database: Annotated[
         Path,
         typer.Argument(
-            help="Database folder or its address (s3://…, https://…), or one of the same kind by others.",
+            help="Database folder or its address (s3://…, https://…), also of a database by other "
+            "software in the same form.",
             parser=path_or_address,
         ),
     ],
     threads: Annotated[
         int | None,
-        typer.Option(help="Files hashed at a time; else as many as threads may work.", min=1),
+        typer.Option(help="Files hashed at the same time; default the number of threads.", min=1),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Find every damage of a database and name the file."""
+    """Check a database and list every damaged file."""
     from levkas.database.validation import validate as validate_database
 
     quiet = as_json or not sys.stderr.isatty()

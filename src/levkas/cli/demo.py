@@ -57,7 +57,7 @@ def demonstrate(
             raise DemonstrationRefused(
                 Problem(
                     "E_VALUE",
-                    "the folder is not empty and holds no campaign",
+                    "the folder is not empty and has no campaign",
                     file=str(folder),
                     fix="Give a new folder.",
                 )
@@ -73,7 +73,7 @@ def demonstrate(
             "Errors of every band against the exact truth, in pixels of the reference band:",
             evaluation.text,
             "",
-            f"Look at it: open {page[0] if page else folder / 'database'} in a browser.",
+            f"View it:    open {page[0] if page else folder / 'database'} in a browser.",
             f"Use it:     python -c \"import levkas; print(levkas.open('{folder / 'database'}'))\"",
         ]
     )
@@ -85,26 +85,26 @@ def simulate(
     folder: Annotated[Path, typer.Argument(help="New folder for the simulated campaign.")],
     preset: Annotated[str, typer.Option(help="small, default, hard or full.")] = "default",
     scale: Annotated[
-        float | None, typer.Option(help="1 is the paper's size; less shrinks it.")
+        float | None, typer.Option(help="Scale of the frames; 1 is the paper's size.")
     ] = None,
     objects: Annotated[
         int,
-        typer.Option(help="Number of painted panels, each with pigments of its own.", min=1),
+        typer.Option(help="Number of painted panels, each with its own pigments.", min=1),
     ] = 1,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 1,
-    setups: Annotated[bool, typer.Option(help="Also the 45-degree lighting.")] = False,
+    seed: Annotated[int, typer.Option(help="Random seed.", min=0)] = 1,
+    setups: Annotated[bool, typer.Option(help="Add the 45-degree lighting.")] = False,
     setup: Annotated[
         list[str] | None,
         typer.Option(
             "--setup",
-            help="Also the colour camera under this lighting: 45-degree, crossed (polarisers), soft or d65; "
-            "may be repeated.",
+            help="Add the colour camera under this lighting: 45-degree, crossed (polarisers), soft or "
+            "d65; may be repeated.",
         ),
     ] = None,
     unevenness: Annotated[
         float | None,
         typer.Option(
-            help="Degrees by which ground and leaf lean from the panel; default 5 with other lightings, else 0."
+            help="Tilt of ground and leaf against the panel, in degrees; default 5 with other lightings, else 0."
         ),
     ] = None,
     as_json: Json = False,
@@ -131,10 +131,10 @@ def simulate(
 @refusing("demo")
 def demo(
     folder: Annotated[Path, typer.Argument(help="Folder for the demonstration.")] = Path("demo"),
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 1,
+    seed: Annotated[int, typer.Option(help="Random seed.", min=0)] = 1,
     as_json: Json = False,
 ) -> None:
-    """Simulate a small campaign, build it, compare it with the truth, say where to look."""
+    """Simulate a small campaign, build it, compare it with the truth, and print where to view it."""
     report = demonstrate(folder, seed=seed, draw=lambda steps: draw_steps(steps, as_json))
     print_report("demo", as_json, report.ok, report.problems, results=report.results)
     if not as_json:

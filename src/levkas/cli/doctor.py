@@ -138,7 +138,7 @@ class MachineReport:
         return tuple(
             Problem(
                 "E_MISSING",
-                f"{f.name} is {'too old' if f.found else 'missing'}, which {f.needed_for} needs",
+                f"{f.name} is {'too old' if f.found else 'missing'}; {f.needed_for} needs it",
                 field=f.name,
                 found=f.found or None,
                 expected=f.expected or None,
@@ -403,18 +403,18 @@ def _find_threads() -> MachineFinding:
 
 def _find_instructions() -> MachineFinding:
     """Say which instruction set the numerical libraries are held to."""
-    name, purpose = "instructions", "the same bytes on unlike processors"
+    name, purpose = "instructions", "the same bytes on different processors"
     try:
         found = describe_instructions()
     except (ImportError, OSError, AttributeError):  # the line of that library says why
-        return MachineFinding(name, "absent", "", BASELINE, purpose, "Mend the libraries above.")
+        return MachineFinding(name, "absent", "", BASELINE, purpose, "Repair the libraries above.")
     text = found.pop("level") + "; " + "; ".join(f"{k} {v}" for k, v in found.items())
     return MachineFinding(name, "ok", text, BASELINE, purpose)
 
 
 def _find_kernel_cache() -> MachineFinding:
     """Say whether compiled kernels can be kept: beside the package, or where the user's caches are."""
-    purpose = "compiled kernels are kept; otherwise every start takes seconds longer"
+    purpose = "compiled kernels are cached; without the cache every start takes seconds longer"
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     places = [Path(chosen)] if chosen else [Path(levkas.__file__).parent, _user_cache()]
     writable = [place for place in places if _is_writable(place)]
@@ -446,10 +446,10 @@ def _is_writable(folder: Path) -> bool:
 @refusing("doctor")
 def doctor(
     folder: Annotated[
-        Path, typer.Argument(help="Where databases will stand: its disk is looked at.")
+        Path, typer.Argument(help="Folder for databases; the command checks its disk.")
     ] = Path(),
     as_json: Json = False,
 ) -> None:
-    """Say what this machine has and lacks: versions, libraries, memory, disk, threads."""
+    """Check this machine: versions, libraries, memory, disk, threads."""
     report = examine(folder)
     finish("doctor", report, as_json)

@@ -18,11 +18,12 @@ def estimate(
         list[str] | None,
         typer.Option(
             "--from",
-            help="Layer to estimate from, or several together: d80,msbs; may be repeated. Default: each camera of broad channels.",
+            help="Layer to estimate from, or several joined: d80,msbs; may be repeated. Default: each "
+            "camera with broad channels.",
         ),
     ] = None,
     target: Annotated[
-        str, typer.Option("--to", help="Layer whose spectra are estimated; default the reference.")
+        str, typer.Option("--to", help="Layer with the spectra to estimate; default the reference.")
     ] = "",
     methods: Annotated[
         list[str] | None,
@@ -42,27 +43,27 @@ def estimate(
         typer.Option(
             "--output",
             "-o",
-            help="Folder for page, JSON, CSV, error maps and models; of --apply: name of the layer.",
+            help="Folder for page, JSON, CSV, error maps and models; with --apply: name of the layer.",
         ),
     ] = None,
     model: Annotated[
         Path | None,
         typer.Option(
-            "--apply", help="Write an estimated layer by this model (.npz of an earlier -o)."
+            "--apply", help="Write an estimated layer with this model (.npz of an earlier -o)."
         ),
     ] = None,
     objects: Annotated[
         list[str] | None,
-        typer.Option("--object", help="Of --apply: only this object; may be repeated."),
+        typer.Option("--object", help="With --apply: only this object; may be repeated."),
     ] = None,
     predictions: Annotated[
         Path | None,
-        typer.Option("--score", help="Score predictions made elsewhere, one cube a test painting."),
+        typer.Option(
+            "--score", help="Score predictions from other software, one cube per test painting."
+        ),
     ] = None,
-    no_budget: Annotated[
-        bool, typer.Option("--no-budget", help="Leave the error budget out.")
-    ] = False,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 1,
+    no_budget: Annotated[bool, typer.Option("--no-budget", help="Skip the error budget.")] = False,
+    seed: Annotated[int, typer.Option(help="Random seed.", min=0)] = 1,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:

@@ -29,7 +29,9 @@ def evaluate(
     ],
     truth: Annotated[
         Path | None,
-        typer.Option(help="Folder `truth` of a simulated campaign; found beside a campaign."),
+        typer.Option(
+            help="Folder `truth` of a simulated campaign; the default is beside the campaign."
+        ),
     ] = None,
     points: Annotated[
         Path | None,
@@ -39,40 +41,47 @@ def evaluate(
     ] = None,
     frame: Annotated[
         str | None,
-        typer.Option(help="OBJECT/CAMERA[@SETUP][:BAND] that a file of another program is of."),
+        typer.Option(
+            help="OBJECT/CAMERA[@SETUP][:BAND] of the points in a file of another program."
+        ),
     ] = None,
     maps: Annotated[
-        Path | None, typer.Option(help="Folder for SSIM maps as PNG, one a layer.")
+        Path | None, typer.Option(help="Folder for SSIM maps as PNG, one per layer.")
     ] = None,
     loops: Annotated[
-        bool, typer.Option(help="Also register every two cameras to each other, and close loops.")
+        bool, typer.Option(help="Also register every pair of cameras and measure the loop closure.")
     ] = False,
     compared: Annotated[
         bool,
-        typer.Option("--compare", help="Register every layer anew by several methods, in a table."),
+        typer.Option(
+            "--compare",
+            help="Register every layer again with several methods and compare them in a table.",
+        ),
     ] = False,
     methods: Annotated[
         list[str] | None,
-        typer.Option("--method", help="Of --compare: only this method; may be repeated."),
+        typer.Option("--method", help="With --compare: only this method; may be repeated."),
     ] = None,
     objects: Annotated[
         list[str] | None,
-        typer.Option("--object", help="Of --compare: only this object; may be repeated."),
+        typer.Option("--object", help="With --compare: only this object; may be repeated."),
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="Of --compare: folder for page, JSON and SSIM maps."),
+        typer.Option("-o", "--output", help="With --compare: folder for page, JSON and SSIM maps."),
     ] = None,
     time_limit_s: Annotated[
         float | None,
-        typer.Option("--time-limit", help="Of --compare: seconds for one method and layer.", min=1),
+        typer.Option(
+            "--time-limit", help="With --compare: time limit for one method and layer, s.", min=1
+        ),
     ] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Report the error of every band where truth or check points are, and SSIM.
+    """Report SSIM, and the error of every band at truth or check points.
 
-    --compare sets Levkas beside the paper's method, the paper's opponents and today's peers.
+    --compare compares Levkas with the paper's method, its competitors and current programs.
     """
     from levkas.database.remote import place
     from levkas.quality.evaluation.layer_report import assess, locate
@@ -118,12 +127,12 @@ def map_points(
     ],
     name: Annotated[str, typer.Argument(metavar="OBJECT", help="Object in the database.")],
     points: Annotated[
-        Path | None, typer.Argument(help="CSV with header x,y; standard input without it.")
+        Path | None, typer.Argument(help="CSV with header x,y; default standard input.")
     ] = None,
     source: Annotated[
         str, typer.Option("--from", help="Frame: grid, CAMERA, CAMERA@SETUP:BAND …")
     ] = "grid",
-    target: Annotated[str, typer.Option("--to", help="Frame the points are wanted in.")] = "grid",
+    target: Annotated[str, typer.Option("--to", help="Frame of the result.")] = "grid",
     output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -144,8 +153,7 @@ def map_points(
     mapped = map_table(database, name, text, source=source, target=target, file=file)
     if outside := mapped.count("\nnan,nan"):
         typer.secho(
-            f"warning: {outside} of {mapped.count(chr(10)) - 1} points lie outside what {source} and {target} "
-            "both show; their rows are nan,nan",
+            f"warning: {outside} of {mapped.count(chr(10)) - 1} points lie outside the overlap of " f"{source} and {target}; their rows are nan,nan",
             err=True, fg=typer.colors.YELLOW,
         )  # fmt: skip
     if output is None:
@@ -160,7 +168,7 @@ def map_points(
 def convert(
     source: Annotated[
         Path,
-        typer.Argument(metavar="IN", help="File; that of the reference where there are two."),
+        typer.Argument(metavar="IN", help="File to read; with two files, that of the reference."),
     ],
     output: Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")],
     to: Annotated[
@@ -168,10 +176,11 @@ def convert(
         typer.Option(help="levkas, bigwarp, qgis, hugin, elastix, napari, butterfly or cpselect."),
     ] = "levkas",
     target: Annotated[
-        Path | None, typer.Option(help="File of the target, where IN is of the reference alone.")
+        Path | None, typer.Option(help="File of the target, if IN holds the reference points only.")
     ] = None,
     dialect: Annotated[
-        str | None, typer.Option("--from", help="Dialect of IN; told from its content without.")
+        str | None,
+        typer.Option("--from", help="Dialect of IN; by default detected from its content."),
     ] = None,
     reference_size: Annotated[
         str | None, typer.Option(help="width,height of the reference picture.")
@@ -182,7 +191,7 @@ def convert(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Read control points of one program and write them as another's, pixel origins and all."""
+    """Convert control points from one program to another, including the pixel origin."""
     from levkas.registration.control_points import losses, parse_size, read_points, write_points
 
     points = read_points(

@@ -21,24 +21,24 @@ def inspect(
     campaign: CampaignPath,
     output: DatabasePath = None,
     port: Annotated[
-        int, typer.Option(help="Port on this machine; 0 takes any free one.", min=0, max=65535)
+        int, typer.Option(help="Port on this machine; 0 uses any free port.", min=0, max=65535)
     ] = 0,
     no_open: Annotated[
-        bool, typer.Option("--no-open", help="Print the address and open no browser.")
+        bool, typer.Option("--no-open", help="Print the address without opening a browser.")
     ] = False,
 ) -> None:
-    """Follow and correct the registration on screen; corrections go to edits.toml.
+    """Inspect and correct the registration on screen; corrections are saved in edits.toml.
 
-    The page is served to this machine alone. From another one: ssh -L PORT:127.0.0.1:PORT.
+    Only this machine can open the page. From another one: ssh -L PORT:127.0.0.1:PORT.
     """
     from levkas.workbench.server.app import serve
 
     def tell(address: Address) -> None:
         typer.echo(f"The workbench is at {address.url}")
         typer.echo(
-            f"From another machine: ssh -L {address.port}:127.0.0.1:{address.port} …, then the same "
-            "address. Ctrl-C ends it."
+            f"From another machine: ssh -L {address.port}:127.0.0.1:{address.port} …, then open "
+            "the same address. Press Ctrl-C to stop."
         )
 
     serve(campaign, output=output, port=port, browse=not no_open, announce=tell)
-    typer.echo("Ended. Corrections are in edits.toml; levkas build replays them.")
+    typer.echo("Stopped. Corrections are in edits.toml; `levkas build` applies them.")

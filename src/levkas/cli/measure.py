@@ -25,7 +25,7 @@ def chart(
     kind: Annotated[
         str,
         typer.Option(
-            help="Of the chart in a cube: ColorChecker24, ColorCheckerSG, or edges: no colours."
+            help="Type of the chart in a cube: ColorChecker24, ColorCheckerSG, or edges (without colours)."
         ),
     ] = "ColorChecker24",
     cameras: Annotated[
@@ -49,7 +49,8 @@ def chart(
         ),
     ] = None,
     reference: Annotated[
-        Path | None, typer.Option(help="CSV of the chart's spectra: wavelength, a column a patch.")
+        Path | None,
+        typer.Option(help="CSV of the chart's spectra: wavelength and one column per patch."),
     ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Report page to write, HTML.")
@@ -97,9 +98,9 @@ def radiometry(
     seed: Annotated[int, typer.Option(help="Seed of the intervals' bootstrap.", min=0)] = 1,
     as_json: Json = False,
 ) -> None:
-    """Say what the cameras are: bits, codes, gain, noise, PRNU, full well, linearity, steady light.
+    """Characterise the cameras: bits, codes, gain, noise, PRNU, full well, linearity, stability of the light.
 
-    Nothing is written but the page that --output asks for.
+    The command writes only the page of --output.
     """
     from levkas.core.ownership import require_free
     from levkas.quality.emva1288 import examine_with_seed

@@ -16,6 +16,7 @@ from levkas import __version__
 from levkas.core.json_safe import plain
 from levkas.core.problems import Problem, Refused
 from levkas.core.progress import FRAMES
+from levkas.core.text import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 Json = Annotated[bool, typer.Option("--json", help="Report as one JSON object.")]
 Overwrite = Annotated[
     bool,
-    typer.Option("--overwrite", help="Replace a file that stands where this is to be written."),
+    typer.Option("--overwrite", help="Replace an existing file."),
 ]
 DatabasePath = Annotated[
     Path | None,
@@ -115,7 +116,7 @@ def refusing(command: str) -> Callable[[Callable[..., None]], Callable[..., None
                 print_report(command, as_json, False, [_out_of_memory()])
                 raise typer.Exit(1) from None
             except KeyboardInterrupt:
-                typer.secho("interrupted; run the same command to go on", err=True)
+                typer.secho("interrupted; run the same command to continue", err=True)
                 raise typer.Exit(130) from None
 
         return wrapped
@@ -130,7 +131,7 @@ def _out_of_memory() -> Problem:
         "E_MEMORY",
         "memory ran out",
         found=f"{memory_bound() / 1e9:.1f} GB now free, or as {MEMORY} sets it",
-        fix="Close other programs, use a machine with more memory, or cut or bin the frames.",
+        fix="Close other programs, use a machine with more memory, or crop or bin the frames.",
     )
 
 
@@ -185,7 +186,7 @@ def draw_bar(steps: Iterable[Any], console: Console) -> list[Any]:
             frames = FRAMES.count - task.fields["frames"]
             since = task.fields["since"]
             within = [] if since is None else [_clock(time.monotonic() - since)]
-            within += [f"{frames} frame{'' if frames == 1 else 's'}"] if frames else []
+            within += [counted(frames, "frame")] if frames else []
             so_far = f"{_clock(task.elapsed or 0)} in all"
             return Text("; ".join([part for part in (", ".join(within), so_far) if part]))
 

@@ -16,7 +16,7 @@ from levkas.cli.output import (
 
 SetupPath = Annotated[Path, typer.Argument(help="Setup file, or a folder with one.")]
 Lighting = Annotated[
-    str | None, typer.Option("--setup-name", "-s", help="One of its setups; the first without.")
+    str | None, typer.Option("--setup-name", "-s", help="One of its setups; default the first.")
 ]
 
 
@@ -25,20 +25,20 @@ def light(
     setup: SetupPath,
     name: Lighting = None,
     optimise: Annotated[
-        bool, typer.Option("--optimise", help="Search the best places for two lamps.")
+        bool, typer.Option("--optimise", help="Search the best positions for two lamps.")
     ] = False,
     report: Annotated[
         Path | None, typer.Option("--report", "-o", help="HTML page to write; prints on A4.")
     ] = None,
     render: Annotated[
         Path | None,
-        typer.Option("--render", help="PNG of what a camera would see; needs levkas[render]."),
+        typer.Option("--render", help="PNG of a camera's expected view; needs levkas[render]."),
     ] = None,
     overwrite: Overwrite = False,
     seed: Annotated[int, typer.Option(help="Seed of the random starts.", min=0)] = 1,
     as_json: Json = False,
 ) -> None:
-    """Evenness, glare, relief and bright field of a lighting, and what each lever would change."""
+    """Evenness, glare, relief and bright field of a lighting, and the effect of each adjustment."""
     from levkas.core.ownership import require_free
     from levkas.planning.text_report import light_record, light_text
 
@@ -75,12 +75,12 @@ def framing(setup: SetupPath, as_json: Json = False) -> None:
 def exposure(
     frames: Annotated[
         list[Path] | None,
-        typer.Argument(help="Frames of a white, or folders of them; a file a band."),
+        typer.Argument(help="Frames of a white, or folders of them; one file per band."),
     ] = None,
     setup: Annotated[
         Path | None,
         typer.Option(
-            "--setup", help="Setup file, or a folder with one; instead of frames, or too."
+            "--setup", help="Setup file, or a folder with one; instead of frames or with them."
         ),
     ] = None,
     name: Lighting = None,
@@ -88,38 +88,44 @@ def exposure(
         list[Path] | None, typer.Option("--dark", help="Dark frame or folder; may be repeated.")
     ] = None,
     pattern: Annotated[
-        str | None, typer.Option(help="Of a mosaic, such as RGGB; default the file's own.")
+        str | None, typer.Option(help="Pattern of a mosaic, such as RGGB; default from the file.")
     ] = None,
-    black: Annotated[float | None, typer.Option(help="Counts; default the file's own.")] = None,
+    black: Annotated[
+        float | None, typer.Option(help="Black level in counts; default from the file.")
+    ] = None,
     bits: Annotated[
         int | None,
         typer.Option(
-            help="Of the camera's converter; default the file's or campaign.toml's.", min=1, max=32
+            help="Bits of the camera's converter; default from the file or campaign.toml.",
+            min=1,
+            max=32,
         ),
     ] = None,
     saturation: Annotated[
         float | None,
-        typer.Option(help="Counts at which a sensel is full; default as the bits say."),
+        typer.Option(help="Saturation in counts; default the largest code of the bits."),
     ] = None,
     time: Annotated[
-        float | None, typer.Option(help="Exposure in s, where names and headers do not tell.")
+        float | None, typer.Option(help="Exposure in s, if names and headers do not give it.")
     ] = None,
     of_object: Annotated[
         bool,
-        typer.Option("--object", help="The frames show the object: gold may outshine a white."),
+        typer.Option(
+            "--object", help="The frames show the object; gold may be brighter than a white."
+        ),
     ] = False,
     snr: Annotated[
         float,
         typer.Option(
-            help="With --object: that one sensel of the darkest paint is to reach, linear."
+            help="With --object: SNR to reach at one sensel of the darkest paint, linear."
         ),
     ] = 20.0,
     quantile: Annotated[
         float,
-        typer.Option(help="Share of the object darker than what is called its darkest paint."),
+        typer.Option(help='Share of the object that is darker than its "darkest paint".'),
     ] = 0.01,
     longest: Annotated[
-        float | None, typer.Option(help="Longest exposure in s that can be set.")
+        float | None, typer.Option(help="Longest exposure of the camera, s.")
     ] = None,
     region: Annotated[
         str | None, typer.Option(help="x,y,width,height of the object, native pixels.")
@@ -127,8 +133,8 @@ def exposure(
     camera: Annotated[
         str | None,
         typer.Option(
-            help="Of the setup file, whose white the frames show: its regulating filter is computed from it. With "
-            "--object: whose noise and full well choose times and ISO."
+            help="Camera of the setup file that took the frames. From its white the regulating filter "
+            "is computed; with --object its noise and full well determine times and ISO."
         ),
     ] = None,
     report: Annotated[
@@ -136,15 +142,15 @@ def exposure(
         typer.Option(
             "--report",
             "-o",
-            help="HTML page of the setup file, with that filter; with --object of the series.",
+            help="HTML page to write: the setup with its filter, or with --object the series.",
         ),
     ] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Which exposure to set: from frames, channel by channel or band by band, with SNR and ISO.
+    """Recommend exposures from frames, by channel or band, with SNR and ISO.
 
-    From frames of the object (--object) also the series that brings its darkest paint to an SNR. From a setup file: exposure, SNR and limiting channel of every camera, regulating filter, dose, flicker.
+    From frames of the object (--object) also an exposure series that reaches an SNR at its darkest paint. From a setup file: exposure, SNR and limiting channel of every camera, regulating filter, dose, flicker.
     """
     if not frames and setup is None:
         raise typer.BadParameter("give frames of a white, --setup FILE, or both")
@@ -235,29 +241,33 @@ def fit(
     ] = None,
     camera: Annotated[
         str | None,
-        typer.Option(help="Whose field the frame shows; else it shows just the object's size."),
+        typer.Option(
+            help="Camera of the setup with the field of the frame; default: the frame shows exactly the object."
+        ),
     ] = None,
     lamp: Annotated[
-        int | None, typer.Option(help="The only lamp of the lighting that shone, from 1.")
+        int | None, typer.Option(help="Number of the only lamp that was on, from 1.")
     ] = None,
     region: Annotated[
         str | None, typer.Option(help="x,y,width,height of the board, native pixels.")
     ] = None,
-    black: Annotated[float | None, typer.Option(help="Counts; default the file's own.")] = None,
+    black: Annotated[
+        float | None, typer.Option(help="Black level in counts; default from the file.")
+    ] = None,
     saturation: Annotated[
         float | None,
-        typer.Option(help="Counts at which a sensel is full; default as the bits say."),
+        typer.Option(help="Saturation in counts; default the largest code of the bits."),
     ] = None,
     bits: Annotated[
         int | None,
-        typer.Option(help="Bits of the converter; default as file or campaign declare."),
+        typer.Option(help="Bits of the converter; default from the file or campaign."),
     ] = None,
     bent: Annotated[
-        bool, typer.Option("--bent", help="The board is bent as the object is.")
+        bool, typer.Option("--bent", help="The board has the curvature of the object.")
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """How the lamps really hang, from a white that was captured under them."""
+    """Measure the actual positions of the lamps from a white captured under them."""
     from levkas.planning.lamp_positions import CapturedWhite, fit_white, positions_text
 
     white = CapturedWhite(whites, dark or (), black, saturation, bits, _four(region), camera)

@@ -20,7 +20,7 @@ from levkas.cli.output import (
 @refusing("publish")
 def publish(
     subject: Annotated[
-        Path, typer.Argument(metavar="DATABASE", help="Database, or its campaign's folder.")
+        Path, typer.Argument(metavar="DATABASE", help="Database, or the folder of its campaign.")
     ],
     output: Annotated[
         Path | None,
@@ -35,14 +35,17 @@ def publish(
         typer.Option(help="Full size, at most 640 x 480, or both."),
     ] = "both",
     check: Annotated[
-        bool, typer.Option("--check", help="Only say what is missing, and where to write it.")
+        bool, typer.Option("--check", help="Only list missing metadata and where to write them.")
     ] = False,
     bag: Annotated[
-        Path | None, typer.Option("--bag", help="Also a BagIt bag, a copy, in this new folder.")
+        Path | None,
+        typer.Option(
+            "--bag", help="Also copy the publication as a BagIt bag into this new folder."
+        ),
     ] = None,
     to: Annotated[
         str | None,
-        typer.Option("--to", help="Also send it to a store like S3: s3://BUCKET/PATH."),
+        typer.Option("--to", help="Also upload it to an S3 store: s3://BUCKET/PATH."),
     ] = None,
     notes: Annotated[
         Path | None,
@@ -51,17 +54,17 @@ def publish(
             help="File of notes from the viewer, or a folder of them; default notes/ of the campaign.",
         ),
     ] = None,
-    url: Annotated[str, typer.Option(help="Address under which the folder will be found.")] = "",
+    url: Annotated[str, typer.Option(help="Web address of the published folder.")] = "",
     analyse: Annotated[
         list[str] | None,
         typer.Option(
             "--analyse",
-            help="Also pictures computed from the layers: all, or pca, mnf, infrared-visible, "
+            help="Also compute pictures from the layers: all, or pca, mnf, infrared-visible, "
             "ratio:700/1000, … separated by commas.",
         ),
     ] = None,
     no_iiif: Annotated[
-        bool, typer.Option("--no-iiif", help="Leave tiles and IIIF manifests out.")
+        bool, typer.Option("--no-iiif", help="Skip tiles and IIIF manifests.")
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -103,7 +106,7 @@ def export(
     ],
     form: Annotated[
         Literal["imagej", "envi", "matlab", "ntire", "qgis", "netcdf", "csv-spectra"],
-        typer.Option("--for", help="Who is to read it."),
+        typer.Option("--for", help="Program that will read the export."),
     ],
     output: Annotated[
         Path | None,
@@ -118,7 +121,7 @@ def export(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Write layers in the format of another program, values as they are."""
+    """Write layers in the format of another program, with unchanged values."""
     from levkas.publish.export import run
 
     chosen = {"objects": objects or (), "cameras": cameras or ()}

@@ -19,7 +19,20 @@ if TYPE_CHECKING:
 
 
 class Flag(IntFlag):
-    """Bits of the flag field, one byte per pixel and band."""
+    """Bits of the flag field, one byte per pixel and band; docs/conventions.md describes each.
+
+    Raises
+    ------
+    ValueError
+        Where a name is looked up by a value that is none, as ``Flag("glare")``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> flags = np.array([[0, 2, 66]], np.uint8)
+    >>> (flags & Flag.SATURATED > 0).tolist(), Flag(66)
+    ([[False, True, True]], <Flag.SATURATED|NEAR: 66>)
+    """
 
     OUTSIDE = 1
     SATURATED = 2
@@ -37,7 +50,27 @@ UNRELIABLE = Flag.OUTSIDE | Flag.SATURATED
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """One channel: its label, and centre and width in nm (NaN where it is broad)."""
+    """One channel of a cube.
+
+    Parameters
+    ----------
+    label : str
+        ``"550 nm"`` or a name such as ``"R1"``.
+    wavelength : float, nm
+        Centre; NaN where the channel is broad.
+    fwhm : float, nm
+        Full width at half maximum; NaN where it is not known.
+
+    Raises
+    ------
+    TypeError
+        Without a label.
+
+    Examples
+    --------
+    >>> Band("550 nm", 550.0, 10.0).wavelength
+    550.0
+    """
 
     label: str
     wavelength: float = nan
@@ -60,6 +93,19 @@ class Cube:
         In the order of the last axis.
     quantity : str
         ``"reflectance"`` or ``"counts"``.
+
+    Raises
+    ------
+    ValueError
+        Where the arrays differ in shape, or do not have as many bands as `bands`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> grey = np.full((2, 3, 1), 0.5, np.float32)
+    >>> cube = Cube(grey, np.zeros(grey.shape, np.uint8), None, (Band("550 nm", 550.0),))
+    >>> cube.to_xarray().sel(band="550 nm").shape
+    (2, 3)
     """
 
     values: np.ndarray
@@ -157,11 +203,11 @@ def find_band(labels: Sequence[str], text: str, wavelengths: Sequence[float] = (
     raise Refused(
         Problem(
             "E_BAND_MISSING",
-            f"there is no band {text!r}",
+            f"unknown band {text!r}",
             field="band",
             found=str(text),
             expected=", ".join(labels) if len(labels) <= 12 else f"{labels[0]} … {labels[-1]}",
-            fix=_near_bands(labels, text, number) or "Name a band as it stands in the list.",
+            fix=_near_bands(labels, text, number) or "Use a band name from the list.",
         )
     )
 

@@ -22,7 +22,7 @@ def hash_file(path: str | Path) -> str:
     found = path.stat()
     mode = found.st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        raise OSError(errno.EINVAL, "it is no plain file", str(path))
+        raise OSError(errno.EINVAL, "it is not a regular file", str(path))
     if found.st_size <= SMALL and stat.S_ISREG(mode):
         return hashlib.sha256(path.read_bytes()).hexdigest()
     with path.open("rb") as handle:

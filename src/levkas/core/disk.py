@@ -72,7 +72,7 @@ def _problem(path: Path, error: OSError, bytes_needed: int | None) -> Problem:
         "E_IO",
         f"the disk failed while {path.name} was written: {reason}",
         file=str(path),
-        fix="Check the disk; the build can then be run again and goes on where it was.",
+        fix="Check the disk, then run the build again; finished stages are kept.",
     )
 
 

@@ -213,7 +213,7 @@ class _Watched(io.FileIO):
 def _open_partial(path: Path, bytes_needed: int | None) -> _Watched:
     with refusing(path, bytes_needed):
         if path.is_dir():
-            raise IsADirectoryError(errno.EISDIR, "a folder stands there", str(path))
+            raise IsADirectoryError(errno.EISDIR, "a folder has this name", str(path))
         while True:
             fault("open", path)
             partial = _partial(path)
@@ -244,7 +244,7 @@ class Folder:
     def write_bytes(self, name: str, data: bytes | bytearray | memoryview) -> None:
         """Write one file of the folder; `name` is relative, with its folders made as needed.
 
-        Raises WriteRefused, as `copy_file` does, also where a name leads out of the folder.
+        Raises WriteRefused, as `copy_file` does, also where a name points outside the folder.
         """
         target, final = self._places(name)
         with refusing(final, memoryview(data).nbytes):
@@ -274,7 +274,7 @@ class Folder:
         """Where a file stands meanwhile, and in the end."""
         if Path(name).is_absolute() or ".." in Path(name).parts:
             problem = Problem(
-                "E_UNWRITABLE", "a name leads out of the folder", str(self.final), found=name
+                "E_UNWRITABLE", "a name points outside the folder", str(self.final), found=name
             )
             raise WriteRefused(problem)
         return self.path / name, self.final / name

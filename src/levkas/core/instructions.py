@@ -36,13 +36,19 @@ OPENCV_SETS = {
 def hold_instructions() -> bool:
     """Hold the libraries of this process, and of those that it starts, to x86-64-v2.
 
-    To be called before any of them is loaded. ``LEVKAS_INSTRUCTIONS=native`` leaves them as they are.
+    Call it before any of them is loaded; it raises nothing. ``LEVKAS_INSTRUCTIONS=native`` leaves them as they are.
 
     Returns
     -------
     held : bool
         False where the variable says so, on other processors than x86-64, and where NumPy or OpenCV
         are loaded already: they do not choose again.
+
+    Examples
+    --------
+    >>> import numpy
+    >>> hold_instructions()
+    False
     """
     native = os.environ.get(INSTRUCTIONS, "").strip() == "native"
     if native or platform.machine().lower() not in ("x86_64", "amd64"):

@@ -46,9 +46,9 @@ def locked(path: Path, *, patience_s: float = PATIENCE_S) -> Iterator[None]:
         raise Taken(
             Problem(
                 "E_BUSY",
-                "another process holds this",
+                "another process is using this",
                 str(path),
-                fix="Wait for it, or end it.",
+                fix="Wait for it, or stop it.",
             )
         ) from None
     except OSError:  # no locks here

@@ -72,7 +72,7 @@ def require_free(path: str | Path, *, overwrite: bool = False) -> Path:
     found = what_stands_at(path) if os.path.lexists(path) else ""
     if found and not (overwrite and found == "a file"):
         fix = "Give another name" + (", or --overwrite." if found == "a file" else ".")
-        raise refusal(f"{path.name} stands there already", path, "new file", found, fix)
+        raise refusal(f"{path.name} already exists", path, "new file", found, fix)
     return path
 
 
@@ -81,7 +81,9 @@ def require_outside(path: Path, *, fix: str) -> None:
     for folder in Path(path).resolve().parents:
         if ours := made(folder):
             what = f"a {ours}: {folder}"
-            raise refusal("this would stand in what Levkas made", path, "folder apart", what, fix)
+            raise refusal(
+                "this would be written into a folder of Levkas", path, "folder apart", what, fix
+            )
 
 
 class OwnFiles:
@@ -99,7 +101,7 @@ class OwnFiles:
         require_outside(self.folder / RECORD, fix="Give another folder with -o.")
         found = stands_in(self.folder)
         if found not in ("", "a folder"):
-            raise refusal("no folder can be made here", self.folder, "folder", found, "")
+            raise refusal("the folder cannot be created", self.folder, "folder", found, "")
         self._files = _record(self.folder / RECORD)
 
     @contextlib.contextmanager
@@ -144,7 +146,7 @@ class OwnFiles:
 
     def _require(self, path: Path, name: str) -> None:
         if name.startswith("../") or Path(name).is_absolute():
-            raise refusal("a name leads out of the folder", self.folder, "file in it", name, "")
+            raise refusal("a name points outside the folder", self.folder, "file in it", name, "")
         if self.overwrite or not os.path.lexists(path):
             require_free(path, overwrite=True)
         elif name not in self._files or self._files[name] not in (None, _hash(path)):
@@ -178,7 +180,9 @@ def _record(path: Path) -> dict[str, str | None]:
         return {str(name): digest for name, digest in dict(read_json(path)["files"]).items()}
     except (Refused, KeyError, TypeError, ValueError):
         what = "another file of that name"
-        raise refusal(f"{RECORD} is none of ours", path, "record by Levkas", what, "") from None
+        raise refusal(
+            f"{RECORD} was not written by Levkas", path, "record by Levkas", what, ""
+        ) from None
 
 
 def _hash(path: Path) -> str:

@@ -19,7 +19,7 @@ MOST_COMPARED = 20_000
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One thing that is wrong, said so that a person can mend it.
+    """One thing that is wrong: what, where, what was found and expected, and what to do.
 
     Parameters
     ----------
@@ -33,6 +33,11 @@ class Problem:
         What was there and what should have been.
     fix : str, optional
         What to do about it.
+
+    Raises
+    ------
+    TypeError
+        Without a code and a message.
 
     Examples
     --------
@@ -103,7 +108,26 @@ def closest_match(text: str, known: Iterable[str]) -> str | None:
 
 
 class Refused(Exception):
-    """Something was refused; `problems` holds every reason, not only the first."""
+    """Refusal of an input; the base of every error of Levkas that a user can correct.
+
+    Parameters
+    ----------
+    *problems : Problem
+        Every reason, not only the first.
+
+    Raises
+    ------
+    Refused
+        Itself, by most functions, or one of its kinds: `CalibrationRefused`, `RegistrationRefused`, …
+
+    Examples
+    --------
+    >>> try:
+    ...     raise Refused(Problem("E_VALUE", "the scale is out of range", found=3.0, fix="Give 0 to 1."))
+    ... except Refused as refused:
+    ...     print(refused.problems[0].code, "-", refused)
+    E_VALUE - the scale is out of range (found: 3.0). Give 0 to 1.
+    """
 
     def __init__(self, *problems: Problem) -> None:
         self.problems = problems

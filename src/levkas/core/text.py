@@ -49,9 +49,18 @@ def check_file(path: Path, expected: str) -> None:
                 str(path),
                 found=found,
                 expected=expected,
-                fix="Put the file there, or mend its name.",
+                fix="Add the file, or correct its name.",
             )
         )
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, plural unless the number is 1.
+
+    >>> counted(1, "band"), counted(31, "band")
+    ('1 band', '31 bands')
+    """
+    return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def what_stands_at(path: Path) -> str:
@@ -63,7 +72,7 @@ def what_stands_at(path: Path) -> str:
     try:
         mode = path.stat().st_mode
     except (FileNotFoundError, NotADirectoryError):
-        return "a link that leads to no such file" if path.is_symlink() else "no such file"
+        return "a broken link" if path.is_symlink() else "no such file"
     except (OSError, ValueError) as error:  # a name that is too long, or holds a null byte
         return getattr(error, "strerror", None) or str(error)
     return next((words for is_one, words in KINDS if is_one(mode)), "no plain file")
@@ -119,7 +128,7 @@ def read_stream(
                 file,
                 found=f"over {most >> 20} MiB",
                 expected=f"at most {most >> 20} MiB",
-                fix="Name the right file, or take out what does not belong in it.",
+                fix="Name the correct file, or remove foreign content from it.",
             )
         )
     try:
@@ -156,13 +165,13 @@ def read_json(path: Path) -> dict[str, Any]:
                 str(path),
                 found=found,
                 expected=f"at most {expected}",
-                fix="Write the file again with the program that made it.",
+                fix="Write the file again with its original program.",
             )
         )
     try:
         record = parse_json(text)
         if not isinstance(record, dict):
-            raise ValueError("it is no table of keys and values")
+            raise ValueError("it is not a table of keys and values")
     except (ValueError, RecursionError) as error:
         raise TextRefused(
             Problem(
@@ -171,7 +180,7 @@ def read_json(path: Path) -> dict[str, Any]:
                 str(path),
                 found=str(error)[:200],
                 expected="a JSON table, each key once, finite numbers",
-                fix="Write the file again with the program that made it.",
+                fix="Write the file again with its original program.",
             )
         ) from error
     return record
@@ -184,7 +193,7 @@ def parse_json(text: str) -> Any:
     --------
     >>> parse_json('{"a": 1, "a": 2}')
     Traceback (most recent call last):
-    ValueError: the key 'a' stands twice
+    ValueError: the key 'a' occurs twice
     """
     return json.loads(
         text, object_pairs_hook=_unique, parse_constant=_no_number, parse_float=_finite
@@ -207,18 +216,18 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(record) != len(pairs):
         seen: set[str] = set()
         twice = next(name for name, _ in pairs if name in seen or seen.add(name))  # type: ignore[func-returns-value]
-        raise ValueError(f"the key {twice!r} stands twice")
+        raise ValueError(f"the key {twice!r} occurs twice")
     return record
 
 
 def _no_number(name: str) -> Any:
-    raise ValueError(f"{name} is no number in JSON")
+    raise ValueError(f"{name} is not a JSON number")
 
 
 def _finite(text: str) -> float:
     value = float(text)
     if not isfinite(value):
-        raise ValueError(f"{text[:40]} is no finite number")
+        raise ValueError(f"{text[:40]} is not a finite number")
     return value
 
 

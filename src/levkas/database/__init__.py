@@ -13,10 +13,28 @@ if TYPE_CHECKING:
 def open(path: str | Path) -> Database:
     """Open a database: ``open("icons")["icon1"]["lctf-vis"]`` is a lazy array (y, x, band).
 
+    Parameters
+    ----------
+    path : path
+        Folder of a database, or its address (``https://``, ``s3://``).
+
+    Returns
+    -------
+    database : Database
+        A mapping: object → camera, or (camera, setup) → array of float32, reflectance or counts as its
+        attribute `quantity` says. Pixels are read when they are used.
+
     Raises
     ------
     DatabaseRefused
-        Where there is no database.
+        ``E_UNREADABLE`` where there is no database.
+
+    Examples
+    --------
+    >>> database = open(plates / "database")
+    >>> layer = database["one"]["infrared"]
+    >>> layer.dims, layer.shape, layer.flags.dtype.name
+    (('y', 'x', 'band'), (200, 240, 1), 'uint8')
     """
     from levkas.database.reader import Database
 

@@ -109,13 +109,16 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
                 entries.append(entry_of(row))
             except ValueError as error:
                 field = f"line {number}"
-                what, fix = f"a row is damaged: {error}", "Copy the file anew, or build it again."
+                what, fix = (
+                    f"a row is damaged: {error}",
+                    "Copy the file again, or build the database again.",
+                )
                 problems.append(Problem("E_VALUE", what, str(path), field, fix=fix))
     except (TextRefused, csv.Error) as error:
         raise DatabaseRefused(
             Problem(
                 "E_UNREADABLE",
-                f"there is no catalogue that can be read: {error}",
+                f"the catalogue cannot be read: {error}",
                 file=str(path),
                 fix="Give the folder of a database, or build the campaign first.",
             )
@@ -128,7 +131,7 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
 def _check_head(path: Path, row: list[str]) -> None:
     if tuple(row) not in (COLUMNS, (*COLUMNS, KIND)):
         found = ",".join(row)[:120] if row else "an empty file"
-        what, expected = "the catalogue has other columns", ",".join(COLUMNS)
+        what, expected = "the catalogue has wrong columns", ",".join(COLUMNS)
         raise DatabaseRefused(Problem("E_KEY", what, str(path), "line 1", found, expected))
 
 
@@ -138,7 +141,7 @@ def entry_of(row: list[str]) -> Entry:
         raise ValueError(f"{len(row)} cells of {len(COLUMNS)}")
     kind = row[len(COLUMNS)] if len(row) > len(COLUMNS) else MEASURED
     if kind not in (MEASURED, ESTIMATED):
-        raise ValueError(f"no kind of layer: {kind!r}")
+        raise ValueError(f"unknown kind of layer: {kind!r}")
     name, camera, setup, bands, width, height, px_per_mm, quantity, verdict, sha256 = row[:10]
     check_plain_names(name, camera, setup or "-")
     size = int(bands), int(width), int(height), float(px_per_mm or math.nan)

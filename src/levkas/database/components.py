@@ -16,6 +16,7 @@ import xarray
 
 from levkas.core.machine import steady_libraries
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import counted
 from levkas.database.regions import TRUSTED
 
 Method = Literal["pca", "mnf"]
@@ -131,9 +132,9 @@ def find_components(
         raise ComponentsRefused(
             Problem(
                 "E_SIZE",
-                "too little for components",
-                found=f"{count} sound pixels of {len(bands)} band{'s' if len(bands) > 1 else ''}",
-                expected=f"2 bands or more, {MORE_PIXELS} sound pixels a band",
+                "too few pixels or bands for components",
+                found=f"{count} valid pixels of {counted(len(bands), 'band')}",
+                expected=f"2 or more bands, {MORE_PIXELS} valid pixels per band",
             )
         )
     known = sigma if method == "mnf" else None
@@ -173,11 +174,11 @@ def _fractions(
     raise ComponentsRefused(
         Problem(
             "E_VALUE",
-            "there is no noise that the signal could be compared with",
+            "the noise is zero, so signal and noise cannot be compared",
             found=f"no noise in {bands[silent[0]]}"
             if silent.size
             else "bands that are sums of others",
-            expected="noise of its own in every band",
+            expected="independent noise in every band",
         )
     )
 

@@ -175,7 +175,7 @@ def _check_store(root: Path, store: str, names: frozenset[str], *, ours: bool) -
     yield from _check_index(root, store, inside)
     for name in sorted(inside):
         if not name.endswith(("/zarr.json", "/c")) and "/c/" not in name:
-            yield Problem("E_EXTRA", "this file is no part of the store", str(root / name))
+            yield Problem("E_EXTRA", "this file is not part of the store", str(root / name))
 
 
 def _described(store: str, name: str, *, ours: bool) -> list[str]:
@@ -205,11 +205,11 @@ def _check_index(root: Path, store: str, inside: list[str]) -> Iterator[Problem]
         except Refused:
             continue  # said by others
         if not same:
-            yield damaged(own, "it is not what the index of its store says")
+            yield damaged(own, "it differs from the index of its store")
     for name in sorted(inside):
         member = name.removeprefix(f"{store}/").removesuffix("/zarr.json")
         if name.endswith("/zarr.json") and member != "zarr.json" and member not in described:
-            yield Problem("E_EXTRA", "the index of its store does not have it", str(root / name))
+            yield Problem("E_EXTRA", "it is not in the index of its store", str(root / name))
 
 
 # --- the catalogue, the TIFFs and the Zarr groups of layers -----------------------------------
@@ -253,12 +253,12 @@ def _check_entry(inventory: Inventory, entry: Entry) -> Iterator[Problem]:
     expected = (entry.bands, entry.width, entry.height)
     if found != expected:
         more = {"found": str(found), "expected": f"{expected} in {NAME}"}
-        yield damaged(path, "bands, width and height are others", code="E_SIZE", **more)
+        yield damaged(path, "bands, width or height differ", code="E_SIZE", **more)
     elif (digest := hash_file(path)) != entry.sha256.lower():
         # A digit of the catalogue that flipped leaves the others as they are; nothing else does.
         alike = len(entry.sha256) == 64 and is_alike(digest, entry.sha256.lower())
         guilty, more = inventory.root / NAME if alike else path, {"found": digest}
-        why = f"the sha256 of {path.name} does not fit"
+        why = f"the sha256 of {path.name} does not match"
         yield damaged(guilty, why, expected=entry.sha256, **more)
     yield from _check_facts(inventory, entry, name)
 
@@ -279,7 +279,7 @@ def _check_facts(inventory: Inventory, entry: Entry, name: str) -> Iterator[Prob
     scale = float(scale) if isinstance(scale, int | float) else nan
     if abs(scale - entry.px_per_mm) > 1e-6 * abs(scale):
         more = {"found": entry.px_per_mm, "expected": scale, "field": entry.layer.path}
-        yield damaged(inventory.root / NAME, "px_per_mm is not the TIFF's", **more)
+        yield damaged(inventory.root / NAME, "px_per_mm differs from the TIFF", **more)
 
 
 def _check_names(inventory: Inventory, name: str, facts: TiffFacts) -> Iterator[Problem]:
@@ -309,18 +309,18 @@ def _check_beside(inventory: Inventory, name: str, facts: TiffFacts) -> Iterator
         if (beside.shape, beside.bands) != (facts.shape, facts.bands):
             more = {"found": f"{beside.shape}, {beside.bands} bands"}
             more["expected"] = f"{facts.shape}, {facts.bands} bands in {Path(name).name}"
-            yield damaged(path, "its size is not that of the values", code="E_SIZE", **more)
+            yield damaged(path, "its size differs from that of the values", code="E_SIZE", **more)
             continue
         found, expected = beside.tags.get(WAVELENGTHS), facts.tags.get(WAVELENGTHS)
         if not same_numbers(found, expected):
-            why = "its wavelengths are not those of the values"
+            why = "its wavelengths differ from those of the values"
             more = {"found": str(found)[:60], "expected": str(expected)[:60]}
             yield damaged(path, why, code="E_BAND_MISSING", **more)
         own, theirs = _record(beside), _record(facts)
         differ = [k for k in theirs if k not in OWN and own and own.get(k) != theirs[k]]
         if differ or (theirs and not own):
             found = str(own.get(differ[0]) if differ else None)
-            why = "it does not say of itself what the values do"
+            why = "its metadata differ from those of the values"
             yield damaged(path, why, field=f"tag {METADATA}", found=found)
 
 
@@ -352,7 +352,7 @@ def _check_bands(inventory: Inventory, group: str, record: dict[str, Any]) -> It
         if not (found == expected if name == "band" else same_numbers(found, expected)):
             path = inventory.root / group / name / "zarr.json"
             more = {"found": str(found)[:80], "expected": str(expected)[:80]}
-            yield damaged(path, f"its {key} are not the TIFF's", code="E_BAND_MISSING", **more)
+            yield damaged(path, f"its {key} differ from the TIFF", code="E_BAND_MISSING", **more)
 
 
 def _check_numbers(array: Path, tiff: Path, facts: TiffFacts) -> Iterator[Problem]:
@@ -363,7 +363,7 @@ def _check_numbers(array: Path, tiff: Path, facts: TiffFacts) -> Iterator[Proble
     shape = (*facts.shape, facts.bands)
     if tuple(values.shape) != shape:
         more = {"found": str(values.shape), "expected": f"{shape} in {tiff.name}"}
-        yield damaged(array / "zarr.json", "its size is not the TIFF's", code="E_SIZE", **more)
+        yield damaged(array / "zarr.json", "its size differs from the TIFF", code="E_SIZE", **more)
         return
     if str(values.dtype) != facts.dtype:
         return  # another store of the same layer, in other numbers: nothing to compare
@@ -379,7 +379,7 @@ def _check_numbers(array: Path, tiff: Path, facts: TiffFacts) -> Iterator[Proble
                 chunk = tuple(int(p) // s for p, s in zip(place, steps, strict=True))
                 shard = array / values.metadata.encode_chunk_key(chunk)
                 where = f"x {place[1]}, y {place[0]}, band {place[2]}"
-                yield damaged(shard, f"its numbers are not those of {tiff.name}", field=where)
+                yield damaged(shard, f"its numbers differ from those of {tiff.name}", field=where)
                 break
 
 
@@ -389,7 +389,7 @@ def _check_listed(inventory: Inventory, layers: list[LayerId]) -> Iterator[Probl
     for name in sorted(inventory.names):
         image = name.count("/") == 2 and name.endswith((".tif", ".png"))
         if image and name.startswith("objects/") and name.removesuffix(_ending(name)) not in paths:
-            fix = f"Take it away, or build the database again: {NAME} does not list it."
+            fix = f"Remove it, or build the database again: {NAME} does not list it."
             yield Problem("E_EXTRA", "this file belongs to no layer", str(root / name), fix=fix)
     for ending in (KINDS["flags"], ".png"):
         yield from _check_each(inventory, sorted(paths), ending)
@@ -397,7 +397,7 @@ def _check_listed(inventory: Inventory, layers: list[LayerId]) -> Iterator[Probl
     for group in sorted(groups - here) if here & groups else ():
         yield damaged(root / group, "it is missing", code="E_MISSING")
     for group in sorted(here - groups):
-        yield Problem("E_EXTRA", "this layer is in no row of the catalogue", str(root / group))
+        yield Problem("E_EXTRA", "the catalogue does not list this layer", str(root / group))
 
 
 def _check_records(inventory: Inventory, records: list[str]) -> Iterator[Problem]:
@@ -413,7 +413,7 @@ def _check_records(inventory: Inventory, records: list[str]) -> Iterator[Problem
             if stem not in have and (ending == ".json" or stem.rpartition(".")[0] not in have):
                 what, fix = (
                     "this file belongs to no layer",
-                    f"Take it away: {NAME} lists no such layer.",
+                    f"Remove it: {NAME} does not list this layer.",
                 )
                 yield Problem("E_EXTRA", what, str(inventory.root / name), fix=fix)
 

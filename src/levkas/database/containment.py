@@ -16,7 +16,7 @@ _ODD = re.compile(r"^/|[\\:\0]")
 """In names that may lead elsewhere, on some system."""
 EXPECTED, FIX = (
     "a file of the database itself",
-    "Put the file itself there, or take the entry away.",
+    "Replace the entry by the file itself, or remove it.",
 )
 
 
@@ -50,7 +50,7 @@ def check_plain_names(*names: str) -> None:
     """Raise ValueError for the first of some names of objects, cameras or setups that is a path."""
     for name in names:
         if not is_plain_name(name):
-            raise ValueError(f"{name!r} is no name, but leads to another folder")
+            raise ValueError(f"{name!r} is not a name; it points to another folder")
 
 
 def find_escapes(root: Path, names: Iterable[str]) -> Iterator[Problem]:
@@ -75,11 +75,13 @@ def find_escapes(root: Path, names: Iterable[str]) -> Iterator[Problem]:
             continue
         path = root / name
         if path.is_symlink() and not _leads_into(path, real):
-            yield _problem("E_LINK", path, "a link leads out of the database", str(path.readlink()))
+            yield _problem(
+                "E_LINK", path, "a link points outside the database", str(path.readlink())
+            )
         elif (found := what_stands_at(path)) not in ("a file", "a folder", "no such file"):
             if path.is_symlink() and "link" in found:
                 continue  # to nothing: what is missing is said elsewhere
-            yield _problem("E_UNREADABLE", path, "it is no file", found)
+            yield _problem("E_UNREADABLE", path, "it is not a file", found)
 
 
 def check_inside(root: Path, *paths: Path) -> None:
@@ -95,7 +97,7 @@ def check_inside(root: Path, *paths: Path) -> None:
     real = os.path.join(os.path.realpath(root), "")  # noqa: PTH118 -- once a file that is opened
     places = ((path, os.path.realpath(path)) for path in paths)
     if wrong := [(path, place) for path, place in places if not place.startswith(real)]:
-        why = "a link leads out of the database"
+        why = "a link points outside the database"
         raise LinkRefused(*(_problem("E_LINK", path, why, place) for path, place in wrong))
 
 

@@ -23,7 +23,7 @@ from levkas.database.tiff_pages import DAMAGE, FIRST_PRIVATE, opening_tiff
 from levkas.readers.facts import check_expansion, check_memory
 
 PNG = b"\x89PNG\r\n\x1a\n"
-FIX = "Copy it anew, or build it again."
+FIX = "Copy it again, or build the database again."
 CRATE = "ro-crate-metadata.json"
 """Lists all files of a publication, and so has no bound of its own."""
 LARGEST_TEXT = 256 << 20
@@ -115,7 +115,7 @@ def _facts(pages: list[Any]) -> TiffFacts:
 def _check_png(path: Path) -> Iterator[Problem]:
     data = path.read_bytes()
     if not data.startswith(PNG):
-        yield damaged(path, "it does not begin as a PNG does")
+        yield damaged(path, "it does not begin like a PNG")
         return
     at, name = len(PNG), b""
     while at + 12 <= len(data) and name != b"IEND":
@@ -128,19 +128,19 @@ def _check_png(path: Path) -> Iterator[Problem]:
             return
         at += 12 + length
     if name != b"IEND" or at > len(data):
-        yield damaged(path, "it is cut off", code="E_TRUNCATED", found=f"{len(data)} bytes")
+        yield damaged(path, "it is truncated", code="E_TRUNCATED", found=f"{len(data)} bytes")
     elif at < len(data):
         yield damaged(
-            path, "something stands behind its end", code="E_SIZE", found=len(data), expected=at
+            path, "it has extra bytes after its end", code="E_SIZE", found=len(data), expected=at
         )
 
 
 def _check_jpeg(path: Path) -> Iterator[Problem]:
     data = path.read_bytes()
     if not data.startswith(b"\xff\xd8"):
-        yield damaged(path, "it does not begin as a JPEG does")
+        yield damaged(path, "it does not begin like a JPEG")
     elif not data.rstrip(b"\0\r\n ").endswith(b"\xff\xd9"):
-        yield damaged(path, "it is cut off", code="E_TRUNCATED", found=f"{len(data)} bytes")
+        yield damaged(path, "it is truncated", code="E_TRUNCATED", found=f"{len(data)} bytes")
 
 
 def _check_text(path: Path, kind: str) -> Iterator[Problem]:
@@ -163,7 +163,9 @@ def _check_text(path: Path, kind: str) -> Iterator[Problem]:
         elif kind == ".csv":
             yield from _check_table(path, text)
         elif kind in (".html", ".htm") and not text.rstrip().lower().endswith("</html>"):
-            yield damaged(path, "it is cut off", code="E_TRUNCATED", expected="</html> at the end")
+            yield damaged(
+                path, "it is truncated", code="E_TRUNCATED", expected="</html> at the end"
+            )
     except (ValueError, RecursionError, Refused) as error:
         yield damaged(path, _reason(error))
 
@@ -180,7 +182,7 @@ def _check_table(path: Path, text: str) -> Iterator[Problem]:
     if ragged:
         yield damaged(
             path,
-            "a row has other cells than the first",
+            "a row differs from the first in its number of cells",
             field=f"row {ragged[0]}",
             found=f"{ragged[1]} cells",
             expected=f"{first} cells",

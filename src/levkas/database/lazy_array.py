@@ -165,5 +165,5 @@ def _damaged(path: Path, error: BaseException) -> Problem:
         "E_UNREADABLE",
         f"a part of the layer is damaged: {reason}",
         file=str(path),
-        fix="Copy the database anew, or build it again.",
+        fix="Copy the database again, or build it again.",
     )

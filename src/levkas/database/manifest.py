@@ -138,14 +138,14 @@ def _read(path: Path, file: BinaryIO) -> Manifest:
         comments: list[bytes] = []
         manifest = _parse(path, _noting(itertools.chain([head], lines), comments))
         if comments:
-            return _damaged(path, "its first line is not what was written", manifest)
+            return _damaged(path, "its first line has changed", manifest)
         return manifest
     digest = hashlib.sha256()
     manifest = _parse(path, _hashing(lines, digest))
     if digest.hexdigest() != told.group(3):
-        return _damaged(path, "its lines are not those that were written", manifest)
+        return _damaged(path, "its lines have changed", manifest)
     if (len(manifest.files), manifest.bytes) != (int(told.group(1)), int(told.group(2))):
-        return _damaged(path, "its numbers of files and bytes are not those of its lines", manifest)
+        return _damaged(path, "its totals of files and bytes differ from its lines", manifest)
     return manifest
 
 
@@ -182,7 +182,7 @@ def is_partial(name: str) -> bool:
 
 def unfinished(path: Path) -> Problem:
     """Return the problem of a file that an interrupted build left behind."""
-    fix = "An interrupted build left it; the next build takes it away."
+    fix = "An interrupted build left it; the next build removes it."
     return Problem("E_EXTRA", "a file that was never finished", str(path), fix=fix)
 
 
@@ -252,7 +252,7 @@ def _damaged(path: Path, why: str, manifest: Manifest | None = None) -> Manifest
         "E_DAMAGED",
         f"the manifest is damaged: {why}",
         file=str(path),
-        fix="Copy it anew, or build the database again, which writes it.",
+        fix="Copy it again, or build the database again to write it.",
     )
     files = manifest.files if manifest else {}
     return Manifest(path, files, manifest.bytes if manifest else 0, (problem,))

@@ -77,7 +77,7 @@ def parse_frame(text: str) -> Frame:
         raise MappingRefused(
             Problem(
                 "E_KEY",
-                f"{text!r} is no frame of pixels",
+                f"{text!r} is not a pixel frame",
                 found=text,
                 expected="grid, CAMERA, CAMERA:BAND, CAMERA@SETUP or CAMERA@SETUP:BAND",
             )
@@ -248,11 +248,14 @@ def map_points(
     Parameters
     ----------
     database : path
+        Folder or address of a database.
     name : str
         The object.
     points : ndarray, (n, 2), px of `source`
+        (x, y), pixel centres at integers.
     source, target : str
-        Names of frames.
+        Names of frames: ``"grid"``, ``"CAMERA"``, ``"CAMERA:BAND"``, ``"CAMERA@SETUP"`` or
+        ``"CAMERA@SETUP:BAND"``.
 
     Returns
     -------
@@ -262,6 +265,12 @@ def map_points(
     Raises
     ------
     MappingRefused
+        Where database, object, frame or band is not there, or the camera was refused.
+
+    Examples
+    --------
+    >>> map_points(plates / "database", "one", np.array([[100.0, 80.0]]), source="grid", target="infrared").round(1)
+    array([[100.6,  81.9]])
     """
     return find_map(database, name, source, target)(points)
 
@@ -298,7 +307,7 @@ def read_points(text: str, *, file: str | None = None) -> np.ndarray:
         rows = list(csv.reader(io.StringIO(text.removeprefix("\ufeff"), newline="")))
     except csv.Error as error:
         raise MappingRefused(
-            Problem("E_UNREADABLE", "the points are no table", file, None, str(error), expected)
+            Problem("E_UNREADABLE", "the points are not a table", file, None, str(error), expected)
         ) from None
     head = [cell.strip().lower() for cell in rows[0]] if rows else []
     if "x" not in head or "y" not in head:
@@ -314,7 +323,7 @@ def read_points(text: str, *, file: str | None = None) -> np.ndarray:
             points.append([float(row[column]) for column in columns])
         except (ValueError, IndexError):
             what = ",".join(row)[:80]
-            why = f"line {number} is no point"
+            why = f"line {number} is not a point"
             problems.append(Problem("E_VALUE", why, file, found=what, expected="two numbers"))
     if problems:
         raise MappingRefused(*problems[:10])
@@ -372,7 +381,7 @@ class Records:
                 return FramePixels(Inverse(from_dict(grid.get("transform", grid))), _size(grid))
         raise MappingRefused(
             Problem(
-                "E_KEY", f"no record of {self.name} tells of the grid", str(self.folder), "grid"
+                "E_KEY", f"no record of {self.name} describes the grid", str(self.folder), "grid"
             )
         )
 

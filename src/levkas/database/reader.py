@@ -57,7 +57,7 @@ class Database(Mapping[str, "Object"]):
             raise DatabaseRefused(
                 Problem(
                     "E_UNREADABLE",
-                    "there is no database here",
+                    "no database was found here",
                     file=str(path),
                     expected=f"a folder with {NAME} and objects/",
                     fix="Give the folder or the address of a database, or build the campaign first.",
@@ -375,11 +375,11 @@ def _labelled(
         raise DatabaseRefused(
             Problem(
                 "E_SIZE",
-                f"the {name} are not of as many bands as the layer has",
+                f"the {name} and the layer differ in the number of bands",
                 str(pixels.path),
                 found=" x ".join(map(str, pixels.shape)),
                 expected=f"rows, columns and {len(labels)} bands",
-                fix="Copy the database anew, or build it again.",
+                fix="Copy the database again, or build it again.",
             )
         )
     coordinates = {

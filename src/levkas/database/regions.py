@@ -191,5 +191,5 @@ class _Blocks:
 
 def _refused(found: str, expected: str) -> RegionRefused:
     return RegionRefused(
-        Problem("E_REGION", "this is no region of the layer", found=found, expected=expected)
+        Problem("E_REGION", "this is not a region of the layer", found=found, expected=expected)
     )

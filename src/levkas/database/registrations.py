@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
-from levkas.core.text import read_json
+from levkas.core.text import counted, read_json
 from levkas.database.containment import check_inside, check_plain_names
 from levkas.geometry import from_dict
 from levkas.registration.record import Sigma
@@ -68,11 +68,11 @@ def read_registration(path: Path, *, needed: tuple[str, ...] = ()) -> dict[str, 
         raise RecordRefused(
             Problem(
                 "E_VALUE",
-                f"{path.name} is no registration record: {reason}",
+                f"{path.name} is not a registration record: {reason}",
                 str(path),
                 field=place,
                 expected="a record as a build writes it",
-                fix="Copy the file anew, or build the database again.",
+                fix="Copy the file again, or build the database again.",
             )
         ) from error
     return record
@@ -102,7 +102,7 @@ def describe_pairs(record: Mapping[str, Any]) -> str:
     count = record.get("pairs_by_hand", 0)
     if not count or record.get("verdict", {}).get("decision") == "refuse":
         return ""
-    return f"aligned with {count} pair{'' if count == 1 else 's'} by hand"
+    return f"aligned with {counted(count, 'pair')} by hand"
 
 
 def unchecked_share(record: Mapping[str, Any]) -> float:
@@ -174,13 +174,13 @@ def _check(place: str, part: Any) -> None:
     elif place == "verdict":
         decision, reasons = part.get("decision", ""), part.get("reasons", [])
         if not isinstance(decision, str) or not isinstance(reasons, list):
-            raise TypeError("the verdict is no text")
+            raise TypeError("the verdict is not text")
         if any(len(cell) != 4 for cell in unconfirmed_cells({"verdict": part})):
-            raise TypeError("a cell of the verdict is no rectangle")
+            raise TypeError("a cell of the verdict is not a rectangle")
     elif place in ("reference", "target") and isinstance(part, dict):
         for key in ("camera", "setup", "band"):
             if not isinstance(part.get(key) or "", str):
-                raise TypeError(f"{key} is no text")
+                raise TypeError(f"{key} is not text")
         check_plain_names(part.get("camera") or "-", part.get("setup") or "-")
         _check_size(part.get("size"))
     elif place == "errors":

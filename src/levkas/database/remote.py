@@ -100,11 +100,11 @@ class RemoteStore:
         parts = urlsplit(url)
         if parts.scheme not in SCHEMES or not parts.netloc:
             found, expected = parts.scheme or "nothing", ", ".join(f"{s}://…" for s in SCHEMES)
-            raise _refused("this is no address of a database", None, found, expected=expected)
+            raise _refused("this is not the address of a database", None, found, expected=expected)
         if "@" in parts.netloc or parts.query or parts.fragment:
-            fix = f"Leave it out; a store is given its credentials by {CREDENTIALS}."
+            fix = f"Remove it; give the credentials of a store in {CREDENTIALS}."
             place = f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"
-            raise _refused("an address holds no password and no query", place, fix=fix)
+            raise _refused("an address must not contain a password or a query", place, fix=fix)
         self.url = url.rstrip("/")
         self._lock = threading.Lock()
         self._pieces: OrderedDict[str, Piece] = OrderedDict()
@@ -462,15 +462,15 @@ def _reason(error: Exception) -> tuple[str, str]:
     if name.startswith(("PermissionDenied", "Unauthenticated")) or status in ("401", "403"):
         return "the server does not allow this", f"Check the address; set {CREDENTIALS}."
     if name.startswith("NotSupported"):
-        fix = "Use a server that does (nginx, Apache, S3), or copy the database."
-        return "the server gives no parts of files (range requests)", fix
+        fix = "Use a server with range requests (nginx, Apache, S3), or copy the database."
+        return "the server does not support range requests", fix
     if name.startswith("Precondition"):
         return "the file was replaced while it was read", "Open the database again."
     if status:
         return f"the server answers with an error {status}", "Check the address, or try it again."
     if "kind: Connect" in str(error):
         return "the server cannot be reached", "Check the address and the network."
-    return "the server's answer is cut off, or does not come", "Check the network; try it again."
+    return "the server's answer is truncated or missing", "Check the network; try it again."
 
 
 def _refused(

@@ -279,14 +279,27 @@ def write_stiff(
     ----------
     path : path
     cube : ndarray, (height, width, bands)
-        Floats are written as float32; uint16 (reflectance × 65535) and uint8 as they are.
-    wavelengths : (bands,), nm
+        Floats (reflectance or counts) are written as float32; uint16 (reflectance × 65535) and uint8 as they are.
+    wavelengths : sequence of float or ndarray, (bands,), nm
+        Ascending or descending.
     rgb : ndarray, (height, width, 3), uint8, or None
+        A render in sRGB, 0–255.
     metadata : str
+        Text that is kept with the bands, such as JSON.
 
     Raises
     ------
-    TiffRefused, WriteRefused
+    TiffRefused
+        Where shapes, dtypes, or bands and wavelengths do not fit.
+    WriteRefused
+        Where the file cannot be written.
+
+    Examples
+    --------
+    >>> write_stiff(folder / "a.tif", np.full((2, 3, 2), 0.5), [450.0, 550.0], None, "by hand")
+    >>> cube, wavelengths, rgb, text = read_stiff(folder / "a.tif")
+    >>> cube.shape, wavelengths.tolist(), rgb, text
+    ((2, 3, 2), [450.0, 550.0], None, 'by hand')
     """
     cube = np.asarray(cube)
     keep = cube.dtype in (np.uint8, np.uint16)
@@ -319,8 +332,9 @@ def read_stiff(
     Parameters
     ----------
     path : path
+        A TIFF whose pages are bands.
     silent : bool
-        Whether to say nothing of wavelengths or texts that are repeated on every page.
+        Whether to warn of nothing where wavelengths or texts are repeated on every page.
     rgb_only : bool
         Whether to leave the bands out, and to give None for the cube.
 
@@ -331,12 +345,21 @@ def read_stiff(
     wavelengths : ndarray, (bands,), nm
         0, 1, 2 … where the file has none.
     rgb : ndarray, (height, width, 3), uint8, or None
+        A render in sRGB, 0–255.
     metadata : str
+        Text that is kept with the bands.
 
     Raises
     ------
     TiffRefused
         Damaged or truncated files, and lists that differ from page to page.
+
+    Examples
+    --------
+    >>> path = plates / "database/objects/one/one_photo.tif"
+    >>> cube, wavelengths, rgb, text = read_stiff(path)
+    >>> cube.shape, cube.dtype.name, rgb.shape
+    ((200, 240, 3), 'float32', (200, 240, 3))
     """
     pages = open_pages(path)
     wavelengths = _only(pages.path, pages.tags(WAVELENGTHS), "wavelengths", silent)
@@ -398,12 +421,31 @@ def decode_text(stored: str) -> str:
 
 
 def read_mtiff(path: str | Path) -> dict[str, np.ndarray]:
-    """Read masks: {label: (height, width) bool}.
+    """Read masks of a TIFF, a page each.
+
+    Parameters
+    ----------
+    path : path
+        A TIFF whose pages have a label, tag 65001.
+
+    Returns
+    -------
+    masks : dict of str to ndarray, (height, width), bool
+        Label → where the page is above 0.
 
     Raises
     ------
     TiffRefused
         Where a page has no label, or two have the same.
+
+    Examples
+    --------
+    >>> import tifffile
+    >>> mask = np.zeros((2, 3), np.uint8)
+    >>> mask[0, 1] = 255
+    >>> tifffile.imwrite(folder / "m.tif", mask, extratags=[(LABEL, "s", 0, "glare", True)])
+    >>> {label: int(mask.sum()) for label, mask in read_mtiff(folder / "m.tif").items()}
+    {'glare': 1}
     """
     pages = open_pages(path, uniform=False)
     masks: dict[str, np.ndarray] = {}

@@ -27,7 +27,7 @@ DAMAGE = (
     *(struct.error, OverflowError, ZeroDivisionError, MemoryError, AssertionError, OSError),
 )
 FIRST_PRIVATE = 65000
-FIX = "The file is damaged or no TIFF: copy it anew, or build it again."
+FIX = "The file is damaged or not a TIFF: copy it again, or build it again."
 
 
 class TiffRefused(Refused):
@@ -135,7 +135,7 @@ def opening_tiff(path: Path) -> Iterator[list[TiffPage]]:
     """
     try:
         if path.exists() and not path.is_file():  # to open a pipe waits for ever
-            raise ValueError("it is no file")
+            raise ValueError("it is not a file")
         kinds = kinds_of_pages(path)
         with _tiff_file(path) as tiff:
             pages: list[Any] = list(tiff.pages)
@@ -195,7 +195,7 @@ def _place(handle: BinaryIO, page: TiffPage, number: int, plane: np.ndarray, sta
     handle.seek(page.dataoffsets[number])
     data = handle.read(page.databytecounts[number])
     if len(data) != page.databytecounts[number]:
-        raise ValueError(f"strip {number} is cut off")
+        raise ValueError(f"strip {number} is truncated")
     decoded, (_, _, top, left, _), _ = page.decode(data, number)
     pixels = np.asarray(decoded)[0, :, :, 0]
     skip = max(0, start - top)

@@ -126,7 +126,7 @@ def validate(
     --------
     >>> validate("no/such/folder")
     Traceback (most recent call last):
-    levkas.database.catalogue.DatabaseRefused: there is no database here...
+    levkas.database.catalogue.DatabaseRefused: no database was found here...
     """
     root = place(database)
     manifest = _find_manifest(root)
@@ -165,7 +165,7 @@ def _find_manifest(root: Path) -> Manifest | None:
         raise DatabaseRefused(
             Problem(
                 "E_UNREADABLE",
-                "there is no database here",
+                "no database was found here",
                 file=str(root),
                 expected=f"a folder with {CATALOGUE}, {NAME} or objects/",
                 fix="Give the folder of a database, or build the campaign first.",
@@ -182,9 +182,7 @@ def _find_manifest(root: Path) -> Manifest | None:
     files = {**{n: f for n, f in tags.files.items() if n != NAME}, **manifest.files}
     problems = (*manifest.problems, *tags.problems)
     if (own := tags.files.get(NAME)) and hash_file(root / NAME) != own.sha256:
-        problems += (
-            _problem(root, NAME, "E_DAMAGED", "it is not what the bag's tag manifest says"),
-        )
+        problems += (_problem(root, NAME, "E_DAMAGED", "it differs from the bag's tag manifest"),)
     return Manifest(manifest.path, files, manifest.bytes, problems)
 
 
@@ -216,7 +214,7 @@ def _by_hash(root: Path, manifest: Manifest, names: list[str], threads: int) -> 
         yield Checked(there[key], (problem,), total, total)
     for entry in missing:
         where = [there[key] for key, digest in found.items() if digest == entry.sha256]
-        more = {"found": f"its content stands under {where[0]}"} if where else {}
+        more = {"found": f"its content is at {where[0]}"} if where else {}
         yield Checked(
             "", (_problem(root, entry.name, "E_MISSING", "it is missing", **more),), total, total
         )
@@ -241,10 +239,12 @@ def _check_catalogue(root: Path, listed: dict[str, Listed]) -> Iterator[Problem]
         name = f"{'data/' if base != root else ''}{entry.layer.path}.tif"
         file = listed.get(plain(name))
         if file is None:
-            yield _problem(root, name, "E_MISSING", f"{CATALOGUE} lists it, and there is none")
+            yield _problem(root, name, "E_MISSING", f"{CATALOGUE} lists it, but it is missing")
         elif file.sha256 != entry.sha256.lower():
             told = {"field": f"sha256 of {name}", "found": entry.sha256, "expected": file.sha256}
-            yield _problem(base, CATALOGUE, "E_DAMAGED", "a hash in it is not the file's", **told)
+            yield _problem(
+                base, CATALOGUE, "E_DAMAGED", "a hash in it differs from the file", **told
+            )
 
 
 def _damage_of(
@@ -263,8 +263,8 @@ def _damage_of(
     if entry.size is not None and size != entry.size:
         told = {"found": f"{size} bytes", "expected": f"{entry.size} bytes"}
         if size < entry.size:
-            return _problem(root, name, "E_TRUNCATED", "it is cut off", **told)
-        return _problem(root, name, "E_SIZE", "it is longer than it was", **told)
+            return _problem(root, name, "E_TRUNCATED", "it is truncated", **told)
+        return _problem(root, name, "E_SIZE", "it has extra bytes", **told)
     told = {"found": f"sha256 {digest}", "expected": entry.sha256}
     return _problem(root, name, "E_DAMAGED", "its bytes have changed", **told)
 
@@ -277,7 +277,7 @@ def _unlisted(root: Path, name: str) -> Problem:
         "E_EXTRA",
         "this file is not in the manifest",
         str(root / name),
-        fix="Take it away; a file that belongs here comes in by a build.",
+        fix="Remove it; only a build adds files here.",
     )
 
 
@@ -308,7 +308,7 @@ def _by_structure(
         yield Checked(NAME, more, total, total)
     elif ours:
         gone = [name for name in (CATALOGUE, NAME) if name not in names]
-        why = "it is missing; what it would tell could not be checked"
+        why = "it is missing, so its content could not be checked"
         missing = tuple(_problem(root, name, "E_MISSING", why) for name in gone)
         yield Checked("", missing, total, total)
 
@@ -334,7 +334,7 @@ def _check_damaged_manifest(
 
 def _problem(root: Path, name: str, code: str, why: str, **more: Any) -> Problem:
     """Return the problem of one file of a database."""
-    fix = "Copy it anew, or build the database again."
+    fix = "Copy it again, or build the database again."
     return Problem(code, f"{Path(name).name}: {why}", file=str(root / name), fix=fix, **more)
 
 

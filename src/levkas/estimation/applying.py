@@ -167,11 +167,11 @@ def _check_names(
         raise EstimationRefused(
             Problem(
                 "E_EXISTS",
-                f"{layer!r} is a layer that was measured; an estimate never takes its place",
+                f"{layer!r} is a measured layer; an estimate must not replace it",
                 str(database.path),
                 "-o",
                 found=layer,
-                expected="a name that no camera has",
+                expected="a name that differs from all cameras",
                 fix=f"Say -o {layer}-estimated.",
             )
         )

@@ -78,7 +78,7 @@ def choose_methods(names: Sequence[str]) -> list[EstimationMethod]:
         raise EstimationRefused(
             Problem(
                 "E_METHOD",
-                f"there is no method {unknown[0]!r} of estimation",
+                f"unknown method of estimation {unknown[0]!r}",
                 field="--method",
                 found=unknown[0],
                 expected=", ".join(METHODS),
@@ -177,7 +177,7 @@ def splits_of(
         raise EstimationRefused(
             Problem(
                 "E_VALUE",
-                f"there is no split {plan.split!r}",
+                f"unknown split {plan.split!r}",
                 field="--split",
                 found=plan.split,
                 expected=", ".join(SPLITS),

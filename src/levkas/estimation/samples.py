@@ -153,8 +153,8 @@ class SampleSource:
                     "E_NO_OVERLAP",
                     f"no pixel of {name} is free of flags in all layers at once",
                     found=f"{', '.join(sources)} and {self.target}: masks without overlap",
-                    expected="pixels that all of them see, neither saturated nor glaring nor moved",
-                    fix="Look at the flags of the layers, or leave one of them out of --from.",
+                    expected="pixels in all layers without saturation, glare or movement",
+                    fix="Check the flags of the layers, or remove one of them from --from.",
                 )
             )
         gold = self._mirrors(name, step)[good]
@@ -290,7 +290,7 @@ def choose_training(
                 "E_NO_OVERLAP",
                 "no pixel of paint is left to train on",
                 found="gold, gloss and flagged pixels only",
-                fix="Look at the flags of the training paintings.",
+                fix="Check the flags of the training paintings.",
             )
         )
     return select_training(joined, count, rng)

@@ -71,7 +71,7 @@ class Predictions:
             raise EstimationRefused(
                 Problem(
                     "E_SIZE",
-                    "the prediction is of another shape than the layer",
+                    "the prediction and the layer differ in shape",
                     str(path),
                     found=" x ".join(map(str, cube.shape)),
                     expected=" x ".join(map(str, shape)) + " (rows, columns, bands)",
@@ -155,12 +155,12 @@ def find_predictions(
     problems += [
         Problem(
             "E_SPLIT_LEAK",
-            f"{name} is a training painting: its score would say nothing",
+            f"{name} is a training painting: its score would be meaningless",
             str(files[name]),
             "--score",
             found=name,
             expected=f"test paintings: {', '.join(tested)}",
-            fix="Take the file out of the folder, or name the test paintings with --test.",
+            fix="Remove the file from the folder, or name the test paintings with --test.",
         )
         for name in trained
         if files[name] is not None

@@ -84,9 +84,9 @@ def read_model(path: Path) -> StoredModel:
         raise EstimationRefused(
             Problem(
                 "E_MODEL",
-                f"the facts beside the model are not its own: {error}",
+                f"the facts beside the model do not belong to it: {error}",
                 str(path.with_suffix(".json")),
-                fix="Fit it anew with `levkas estimate -o`.",
+                fix="Fit it again with `levkas estimate -o`.",
             )
         ) from None
 

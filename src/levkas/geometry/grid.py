@@ -36,10 +36,10 @@ class Grid:
         x flips, first of all.
     rotate : float
         Degrees clockwise as seen, next. Multiples of 90 map whole pixels to whole pixels.
-    region : (x, y, width, height), optional
+    region : (x, y, width, height), px, optional
         In the turned frame at native scale, origin at the top left of its bounding box; may reach
         beyond it. Default: the whole bounding box, rounded up to whole pixels.
-    output : (width, height), optional
+    output : (width, height), px, optional
         Of the grid. Default: the region's, rounded. The scales along x and y are output / region,
         each on its own, where the two have not the same proportions.
 

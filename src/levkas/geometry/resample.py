@@ -65,18 +65,20 @@ def warp(
     held: tuple[int, int] | None = None,
     out: Warped | None = None,
 ) -> Warped:
-    """Resample a source on a grid, each pixel and band interpolated once.
+    """Resample a picture or cube on a grid, each pixel and band interpolated once.
 
     Parameters
     ----------
     source : ndarray, (h, w) or (h, w, bands), float32, uint16 or uint8
-        Pixels that are not finite are taken as not there.
+        Values in any unit. Pixels that are not finite are taken as not there.
     transforms : Transform, sequence of Transform, or PixelMap
-        Grid px → source px: one for all bands, or one each. Where the same maps are used again, for
+        Grid px → source px: one for all bands, or one for each. Where the same maps are used again, for
         tiles, `levkas.geometry.pixel_maps.lay` them once.
-    shape : (height, width) of the grid
-    flags : ndarray, uint8, and variance : ndarray, float32, optional
-        As large as `source`. Variance in its unit squared.
+    shape : (height, width) of the grid, px
+    flags : ndarray like `source`, uint8, optional
+        Bits of `levkas.Flag`.
+    variance : ndarray like `source`, float32, optional
+        In the unit of `source` squared.
     rows : (start, stop), optional
         Grid rows wanted; default all.
     held : (first row, height), optional
@@ -87,16 +89,17 @@ def warp(
     Returns
     -------
     warped : Warped
-        Rows `start` to `stop`; the same bytes for any rows and threads. NaN where there is nothing.
+        `values`, `flags` and `variance` of rows `start` to `stop`, (rows, width) or (rows, width, bands);
+        the same bytes for any rows and threads. NaN, flagged OUTSIDE, where there is nothing.
 
     Raises
     ------
     ValueError
-        Where sizes or types do not fit, or rows of the source are wanted that are not held.
+        Where sizes or types do not fit (float64 is refused: `source.astype(np.float32)`), or rows of the source are wanted that are not held.
 
     Notes
     -----
-    Cubic convolution, a = −0.5, over 4 x 4 pixels (Keys 1981, doi:10.1109/TASSP.1981.1163711).
+    Cubic convolution, a = −0.5, over 4 x 4 pixels ([keys1981]_, doi:10.1109/TASSP.1981.1163711).
 
     Footprint: a pixel of the source covers half a pixel around its centre; what falls outside
     −0.5 … w − 0.5 is OUTSIDE and NaN. Taps that the edge of the image cuts off are left out, and
@@ -212,7 +215,9 @@ def _check(
     if source.ndim not in (2, 3) or 0 in source.shape:
         raise ValueError(f"source of shape {source.shape}; (h, w) or (h, w, bands) is wanted")
     if source.dtype not in (np.float32, np.uint16, np.uint8):
-        raise ValueError(f"source of {source.dtype}; float32, uint16 or uint8 is wanted")
+        raise ValueError(
+            f"source of {source.dtype}; float32, uint16 or uint8 is wanted: source.astype(np.float32)"
+        )
     for name, twin in (("flags", flags), ("variance", variance)):
         if twin is not None and twin.shape != source.shape:
             raise ValueError(f"{name} of shape {twin.shape} for a source of {source.shape}")

@@ -67,11 +67,17 @@ def solve_2x2(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Affine:
-    """``p ↦ matrix[:, :2] p + matrix[:, 2]``.
+    """Affine map, ``p ↦ matrix[:, :2] p + matrix[:, 2]``, of points (x, y) in px.
 
     Parameters
     ----------
     matrix : ndarray, (2, 3)
+        Linear part, no unit, and shift, px.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        By `inverse` where the linear part is singular.
 
     Examples
     --------
@@ -123,7 +129,29 @@ class Affine:
 
 @dataclass(frozen=True, eq=False)
 class Homography:
-    """Projective map by a (3, 3) matrix."""
+    """Projective map of points (x, y) in px by a matrix: ``(x′, y′, 1) ∝ matrix (x, y, 1)``.
+
+    Parameters
+    ----------
+    matrix : ndarray, (3, 3)
+        Of homogeneous coordinates, px; any scale.
+
+    Raises
+    ------
+    ValueError
+        By `fit` where the points determine none.
+    numpy.linalg.LinAlgError
+        By `inverse` where the matrix is singular.
+
+    Notes
+    -----
+    `fit` is the normalised direct linear transform ([hartley1997]_, doi:10.1109/34.601246).
+
+    Examples
+    --------
+    >>> Homography(np.array([[1.0, 0, 0], [0, 1, 0], [0.1, 0, 1]]))(np.array([[10.0, 4]])).tolist()
+    [[5.0, 2.0]]
+    """
 
     matrix: np.ndarray
 
@@ -207,16 +235,26 @@ def exponents(order: int) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True, eq=False)
 class Polynomial:
-    """Polynomial in centred, scaled coordinates: u = (x − cx)/s, v = (y − cy)/s.
+    """Polynomial map in centred, scaled coordinates: u = (x − cx)/s, v = (y − cy)/s.
 
     Parameters
     ----------
-    order : int
+    order : int, >= 1
+        Total degree; the paper's is 3.
     centre : ndarray, (2,), px
     spread : float, px
         Order 3 on raw pixels has a condition number of 1e11; on these it is below 100.
     coefficients : ndarray, (terms, 2)
         Rows as `exponents` orders them, columns x′ and y′ in px.
+
+    Raises
+    ------
+    ValueError
+        By `fit` with fewer points than terms.
+
+    Notes
+    -----
+    Section 3.5 of [mirhashemi2019]_, doi:10.3390/computation7030047, has order 3.
 
     Examples
     --------
@@ -328,10 +366,35 @@ def _powers(base: np.ndarray, most: int) -> list[np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """Brown's lens in centred, scaled coordinates, keys radial k1, k2, tangential p1, p2.
+    """Lens distortion in centred, scaled coordinates: radial k1, k2 and tangential p1, p2.
 
     With (u, v) = (p − centre)/spread and r² = u² + v²:
     u′ = u(1 + k1 r² + k2 r⁴) + 2 p1 u v + p2 (r² + 2u²), and v′ alike; then back to pixels.
+
+    Parameters
+    ----------
+    centre : ndarray, (2,), px
+        Centre of distortion (x, y).
+    spread : float, px, > 0
+        Length that is 1 in (u, v), such as half of the longer side.
+    radial, tangential : (float, float)
+        (k1, k2) and (p1, p2), no unit; usually within ±0.1.
+
+    Raises
+    ------
+    ValueError
+        Where points are not (n, 2). `inverse` gives NaN past the fold of the lens.
+
+    Notes
+    -----
+    Model of [brown1966]_, which has no DOI.
+
+    Examples
+    --------
+    A corner 100 px from the centre moves outwards by one per cent:
+
+    >>> Lens(np.array([100.0, 100.0]), 100.0, radial=(0.01, 0.0))(np.array([[200.0, 100.0]])).tolist()
+    [[201.0, 100.0]]
     """
 
     centre: np.ndarray
@@ -379,7 +442,23 @@ class Lens:
 
 
 class Composed:
-    """Maps applied one after another, left to right; nested ones are laid flat."""
+    """Maps applied one after another, left to right; nested ones are laid flat.
+
+    Parameters
+    ----------
+    *steps : Transform
+        Each takes the points (n, 2), px, that the one before it gives.
+
+    Raises
+    ------
+    Exception
+        What the steps raise.
+
+    Examples
+    --------
+    >>> Composed(Affine.scaling(2.0), Affine(np.array([[1.0, 0, 10], [0, 1, 0]])))(np.array([[1.0, 1]])).tolist()
+    [[12.5, 2.5]]
+    """
 
     def __init__(self, *steps: Transform) -> None:
         flat: list[Transform] = []
@@ -414,7 +493,23 @@ class Composed:
 
 
 class Inverse:
-    """The inverse of a map, as a map."""
+    """Inverse of a map, as a map.
+
+    Parameters
+    ----------
+    of : Transform
+        Points (n, 2), px, to points (n, 2), px.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        Where an affine or projective map has no inverse; other maps give NaN where there is none.
+
+    Examples
+    --------
+    >>> Inverse(Affine(np.array([[2.0, 0, 1], [0, 2, -1]])))(np.array([[7.0, 7]])).tolist()
+    [[3.0, 4.0]]
+    """
 
     def __init__(self, of: Transform) -> None:
         self.of = of

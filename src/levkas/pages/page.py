@@ -8,18 +8,10 @@ from dataclasses import dataclass, field
 from importlib.resources import files as resources
 from typing import TYPE_CHECKING, Any
 
+from levkas.registration.record import DECISIONS
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-DECISIONS = {
-    "accept": "accepted",
-    "warn": "doubtful, please check",
-    "refuse": "refused",
-    "reference": "reference",
-    "not built": "not built yet",
-}
-"""Verdicts in the words of every page, of the viewer and of the workbench; records hold the keys."""
-
 
 WORTH_NAMING = 0.1
 """Share of an object that was not checked which stands beside the decision."""
@@ -183,6 +175,6 @@ def describe_model(model: dict[str, Any]) -> str:
     mask = model.get("mask") or {}
     if mask.get("automatic"):
         told.append(
-            f"only the object is compared, told from its background: {mask['share']:.0%} of the frame"
+            f"only the object is compared, without its background: {mask['share']:.0%} of the frame"
         )
     return "; ".join(told) or str(model.get("kind", "")).replace("_", " ")

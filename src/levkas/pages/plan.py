@@ -208,7 +208,7 @@ def _in_short(setup: StudioSetup, plan: LightPlan) -> list[tuple[str, str]]:
     missing = [f.camera for f in plan_framing(setup) if not f.covers]
     if missing:
         told.append(
-            ("refuse", f"{', '.join(missing)} cannot show the whole object from where they stand.")
+            ("refuse", f"{', '.join(missing)} cannot show the whole object from their positions.")
         )
     return told
 

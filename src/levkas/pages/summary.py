@@ -60,17 +60,17 @@ def _overlay(layers: Sequence[LayerReport], mm_per_px: float | None) -> Iterator
         worst = max(known, key=lambda one: one.error_px or 0.0)
         assert worst.error_px is not None
         which = "Every other camera" if len(laid) > 1 else worst.name
-        told = f"{which} lies on {reference} to within {describe_length(worst.error_px, mm_per_px)}"
-        told += ", where it was not fitted"
+        told = f"{which} is registered to {reference}: held-out error {describe_length(worst.error_px, mm_per_px)}"
+        told += " at most" if len(laid) > 1 else ""
         least = min((one.checked for one in known if one.checked is not None), default=None)
-        told += f" and could be checked ({percent(least)} of the object or more)" if least else ""
+        told += f", checked over at least {percent(least)} of the object" if least else ""
         yield mark, f"{told}. {f'The worst is {worst.name}.' if len(laid) > 1 else ''}".rstrip()
     elif laid:
         names = ", ".join(one.name for one in laid)
-        yield mark, f"Overlaid on {reference}: {names}; nothing was held out to measure how well."
+        yield mark, f"Registered to {reference}: {names}; no held-out error was measured."
     for one in layers:
         if one.decision == "refuse":
-            yield "refuse", f"{one.name} was left out: it could not be aligned."
+            yield "refuse", f"{one.name} was left out: its registration was refused."
         elif one.by_hand:
             yield mark, f"{one.name} was {one.by_hand}."
         elif one.decision == "warn":
@@ -82,7 +82,7 @@ def _glare(rows: Sequence[RadiometryRow]) -> Iterator[tuple[str, str]]:
     if known:
         most, name = max(known)
         told = (
-            f"Glare, saturated gold included: at most {100 * most:.2g} % of what is seen ({name})."
+            f"Glare, including saturated gold: at most {100 * most:.2g} % of the object ({name})."
         )
         yield ("warn" if most > GLARE else "ok"), told
 
@@ -105,6 +105,6 @@ def _next(layers: Sequence[LayerReport], rows: Sequence[RadiometryRow], lost: Se
             if one.decision == decision and one.next_step:
                 return f"{one.name}: {one.next_step}"
     if lost:
-        return "Mend the frames that were refused, listed below, and build again."
+        return "Correct the refused frames, listed below, and build again."
     notes = [(row.glare_share or 0.0, f"{row.name}: {row.notes[0]}") for row in rows if row.notes]
-    return max(notes)[1] if notes else "Nothing has to be done."
+    return max(notes)[1] if notes else "No action is needed."

@@ -412,7 +412,9 @@ def _noise(
     if single is None or not 0 < single.gain <= max(top - black, 1.0) / FEWEST_ELECTRONS:
         # 8 bits of a usual sensor, or texture all over: the advice on time does not hang on it, the SNR does.
         assumed = NoiseModel(max(top, 1.0) / 20_000, 1.0, "spatial")
-        return assumed, ["noise could not be told: 20,000 electrons are assumed at the peak"]
+        return assumed, [
+            "the noise could not be measured: 20,000 electrons are assumed at the peak"
+        ]
     note = "one shot only: the SNR is a lower bound, for texture counts as noise; two shots tell it"
     return single, [note]
 
@@ -434,7 +436,7 @@ def _clipped(reading: tuple[Shot, list[Reading]]) -> Problem:
 def _too_faint(shot: Shot, channels: list[Reading]) -> Problem:
     return Problem(
         "E_WHITE_DARK",
-        f"{shot.name}: nothing stands above black",
+        f"{shot.name}: no signal exceeds the black level",
         found=f"peak {max(c.peak for c in channels):.1f} counts above it",
         expected=f"{FAINT * channels[0].room:.0f} or more",
         fix="Look whether the lamp was on, then capture it ten times longer.",

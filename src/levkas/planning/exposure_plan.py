@@ -109,7 +109,7 @@ def irradiance_spectrum(setup: StudioSetup, lighting: Lighting) -> np.ndarray:
         raise PlanRefused(
             value_problem(
                 str(setup.path), f"setups.{lighting.name}.illuminance_lx",
-                "nothing says how strong the light is", "no power_w, no illuminance_lx",
+                "the strength of the light is unknown", "no power_w, no illuminance_lx",
                 "one of them", "Measure at the object's middle with a lux meter, or give power_w.",
                 "E_NO_POWER",
             )

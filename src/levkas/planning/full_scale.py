@@ -88,7 +88,7 @@ def not_known(file: Path, facts: Facts) -> Problem:
     """Return the problem of a full scale that is not known."""
     return Problem(
         "E_BITS",
-        "nothing tells the full scale of the camera",
+        "the full scale of the camera is unknown",
         str(file),
         "white level",
         f"{facts.dtype} without a white level, not all bits in use",

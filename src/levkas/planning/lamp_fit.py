@@ -296,7 +296,7 @@ def _differences(plan: Lighting, found: Lighting, errors: Sequence[LampError]) -
             f"{strength if len(errors) > 1 else ''}its place known to {e.place_mm / 10:.0f} cm."
         )
         if e.kept:
-            sentences[-1] += f" The white hardly tells its {_listed(e.kept)}."
+            sentences[-1] += f" The white hardly constrains its {_listed(e.kept)}."
     return sentences
 
 

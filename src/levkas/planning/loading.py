@@ -344,7 +344,7 @@ def _check_lamp(setup: StudioSetup, lamp: StudioLamp, at: str, file: str) -> Ite
     highest = height_range(setup.object)[1]
     if lamp.place[2] <= highest:
         yield value_problem(
-            file, at, "this lamp stands behind the panel, or in its plane",
+            file, at, "this lamp is behind the panel or in its plane",
             f"{lamp.place[2]:.0f} mm before the object's middle (angle {lamp.angle_deg:.0f}°)",
             f"more than {highest:.0f} mm; below 88° from the normal",
             "Lower angle_deg, or give z > 0 in place_mm.", "E_LAMP_BEHIND",
@@ -354,14 +354,14 @@ def _check_lamp(setup: StudioSetup, lamp: StudioLamp, at: str, file: str) -> Ite
         place = image_of(camera, lamp.place)
         if place is not None and in_field(camera, lamp.place, LAMP_BODY_MM):
             yield value_problem(
-                file, at, f"this lamp stands in the view of camera {camera.name!r}",
+                file, at, f"this lamp is in the field of view of camera {camera.name!r}",
                 f"{lamp.place.round().tolist()} mm",
                 f"outside its field, or beyond {camera.distance_mm:.0f} mm",
                 "Move it aside: a larger angle_deg or distance_mm.", "E_LAMP_IN_VIEW",
             )  # fmt: skip
         elif _in_the_way(lamp.place, camera.place):
             yield value_problem(
-                file, at, f"camera {camera.name!r} stands between this lamp and the object",
+                file, at, f"camera {camera.name!r} is between this lamp and the object",
                 f"lamp at {lamp.angle_deg:.0f}°", "a clear path", "Move the lamp aside.",
                 "E_LAMP_HIDDEN",
             )  # fmt: skip
@@ -389,7 +389,7 @@ def _blind(setup: StudioSetup, camera: StudioCamera, file: str) -> Iterator[Prob
         return
     if camera.place[2] <= height_range(setup.object)[1]:
         yield value_problem(
-            file, f"{at}.place_mm", "this camera cannot see the object: it stands behind it",
+            file, f"{at}.place_mm", "this camera is behind the object",
             camera.place.round().tolist(), "z > 0", code="E_CAMERA_BLIND",
         )  # fmt: skip
         return

@@ -134,7 +134,7 @@ def check_analyses(database: Path, analyses: Iterable[Analysis]) -> None:
             "--analyse",
             near_bands(analysis, bands),
             analysis.needs,
-            "Leave it out, or give bands as they stand in a layer: `ratio:700/1000`, `ratio:R/IR`.",
+            "Remove it, or give bands of a layer: `ratio:700/1000`, `ratio:R/IR`.",
         )
         for analysis in wanted
         if analysis not in made

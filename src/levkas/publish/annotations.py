@@ -98,11 +98,11 @@ def find_annotations(path: Path) -> tuple[Path, ...]:
         raise PublishRefused(
             Problem(
                 "E_UNREADABLE",
-                "there is no file of notes here",
+                "no file of notes was found here",
                 str(path),
                 found="a folder without *.json",
                 expected="files that the viewer exported",
-                fix="Put the exported notes there, or name them with --notes.",
+                fix="Move the exported notes there, or name them with --notes.",
             )
         )
     return found
@@ -174,12 +174,12 @@ class _Reader:
         raise PublishRefused(
             Problem(
                 "E_VALUE",
-                f"{self.path.name} is no file of notes that Levkas publishes",
+                f"{self.path.name} is not a valid file of notes",
                 str(self.path),
                 where,
                 found,
                 expected,
-                "Export the notes from the viewer again, or take this file away.",
+                "Export the notes from the viewer again, or remove this file.",
             )
         )
 

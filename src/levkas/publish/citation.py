@@ -150,7 +150,7 @@ def check_datacite(facts: PublicationFacts) -> tuple[list[Problem], list[Problem
             "there is no DOI yet: a repository reserves one before it publishes",
             '"10.5281/zenodo.1234567"',
         ),
-        "publication.publisher": (facts.publisher, "nobody is named as publisher", '"Zenodo"'),
+        "publication.publisher": (facts.publisher, "the publisher is missing", '"Zenodo"'),
     }
     unnamed = [p.name for p in facts.creators if not p.orcid and not p.organisation]
     recommended = {
@@ -166,17 +166,21 @@ def check_datacite(facts: PublicationFacts) -> tuple[list[Problem], list[Problem
         ),
         "publication.keywords": (facts.keywords, "there are no keywords", '["icons", "spectral"]'),
         "publication.version": (facts.version, "there is no version", '"1.0"'),
-        "publication.contact": (facts.contact, "nobody is named to ask", '"a.b@example.org"'),
+        "publication.contact": (
+            facts.contact,
+            "the contact person is missing",
+            '"a.b@example.org"',
+        ),
         "publication.related": (
             facts.related,
-            "no article is named that the database goes with",
+            "the related article is missing",
             '["https://doi.org/10.1000/182"]',
         ),
     }
     if facts.licence and not facts.licence.url:
         recommended["campaign.licence"] = (
             "",
-            "the licence is no known identifier and no address: no program can tell what it allows",
+            "the licence is neither an SPDX identifier nor an address: programs cannot read it",
             '"CC-BY-4.0"',
         )
     return (

@@ -244,7 +244,7 @@ def _copy(publication: Publication, root: Path, name: str) -> None:
         publication.source / name, (_place(publication, root) / name).as_posix()
     )
     if copied != publication.manifest.files[name].sha256:
-        raise PublishRefused(not_whole(publication.source / name, "it is not what was built"))
+        raise PublishRefused(not_whole(publication.source / name, "it has changed since the build"))
 
 
 def _check(publication: Publication, path: Path) -> None:
@@ -253,7 +253,7 @@ def _check(publication: Publication, path: Path) -> None:
         name = beside.relative_to(publication.source).as_posix()
         listed = publication.manifest.files.get(name)
         if listed is not None and (not beside.is_file() or hash_file(beside) != listed.sha256):
-            raise PublishRefused(not_whole(beside, "it is not what was built"))
+            raise PublishRefused(not_whole(beside, "it has changed since the build"))
 
 
 def _place(publication: Publication, root: Path) -> Path:
@@ -279,7 +279,7 @@ def write_content(publication: Publication) -> Iterator[str]:
             problems.append(not_whole(publication.source / name, "it is missing"))
             continue
         if found != listed.sha256:
-            problems.append(not_whole(publication.source / name, "it is not what was built"))
+            problems.append(not_whole(publication.source / name, "it has changed since the build"))
     if problems:
         raise PublishRefused(*problems[:10])
 
@@ -290,7 +290,7 @@ def not_whole(path: Path, why: str) -> Problem:
         "E_DAMAGED",
         f"{path.name} cannot be published: {why}",
         file=str(path),
-        fix="levkas validate names all that is damaged; build the database again.",
+        fix="Build the database again; `levkas validate` lists all damage.",
     )
 
 

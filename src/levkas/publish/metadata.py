@@ -229,17 +229,17 @@ def missing_facts(facts: PublicationFacts) -> list[Problem]:
         "campaign.title": (facts.title, "the database has no title", '"Icons of Levkas"'),
         "campaign.creator": (
             facts.creators,
-            "nobody is named as creator",
+            "the creator is missing",
             '"Family, Given"',
         ),
         "campaign.licence": (
             facts.licence,
-            "the database has no licence: nobody may use it",
+            "the database has no licence, so nobody may use it",
             '"CC-BY-4.0"',
         ),
         "campaign.date": (
             facts.published,
-            "neither the captures nor the campaign say a date",
+            "neither the captures nor the campaign have a date",
             "2024-05-31",
         ),
     }

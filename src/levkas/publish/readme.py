@@ -23,7 +23,8 @@ PARTS = {
     "database.toml": "title, creators, licence, cameras and lightings",
     "splits.csv": "which objects to learn from, to choose with and to test on",
     "objects/": "one folder an object: spectral TIFFs with flags and sigma, previews, registration, report",
-    "objects/OBJECT/analysis/": "pictures computed from layers, as float TIFFs; the JSON beside each says how",
+    "objects/OBJECT/analysis/": "pictures computed from layers, as float TIFFs; the JSON file beside each gives the "
+    "method",
     "zarr/": "the same layers as Zarr v3, one store an object",
     "cameras/": "sensors, sensitivities, report of each camera",
     "setups/": "spectra of the light",
@@ -32,7 +33,7 @@ PARTS = {
     "colour/": "the CIELAB gamut of the database",
     "iiif/": "tiles and manifests for IIIF viewers",
     "viewer/": "open [index.html](index.html) in a browser: no server is needed",
-    "ro-crate-preview.html": "every file and every step of its making, as a page",
+    "ro-crate-preview.html": "every file and its processing steps, as a page",
     "ro-crate-metadata.json": "the same for programs, RO-Crate",
     "datacite.json": "DataCite metadata",
     "CITATION.cff": "how to cite",

@@ -122,9 +122,9 @@ class CheckReport:
         lines = [f"{word}: {p.message}\n  do: {p.fix}" for word, p in self._wanted()]
         end = "Nothing that `levkas publish` requires is missing." if self.ok else ""
         count = len(self.problems)
-        end = end or f"{count} thing{'s are' if count > 1 else ' is'} required and missing."
+        end = end or f"{count} required item{'s are' if count > 1 else ' is'} missing."
         if self.ok and self.deposit:
-            end += f" Before it gets a DOI, {len(self.deposit)} more must be known."
+            end += f" A DOI needs {len(self.deposit)} more."
         return "\n".join([*lines, end])
 
     def _wanted(self) -> Iterator[tuple[str, Problem]]:
@@ -214,10 +214,10 @@ def find_subject(
         raise PublishRefused(
             Problem(
                 "E_STALE",
-                "the database is not what its campaign says now",
+                "the database is older than its campaign",
                 file=str(campaign.output),
                 found=f"{len(stale)} stage{'s are' if len(stale) > 1 else ' is'} stale, the first: {stale[0].line}",
-                fix=f"Run levkas build {campaign.root} first, or give the database to publish it as it is.",
+                fix=f"Run levkas build {campaign.root} first, or give the database folder to publish it unchanged.",
             )
         )
     if notes is None and (campaign.root / FOLDER).is_dir():
@@ -376,10 +376,10 @@ def find_manifest(database: Path) -> Manifest:
         raise PublishRefused(
             Problem(
                 "E_UNREADABLE",
-                "there is no finished database here: the build writes its manifest last",
+                "no finished database was found here: the manifest, which a build writes last, is missing",
                 file=str(path),
                 found=found,
-                fix="Give a database that was built to its end, or its campaign's folder.",
+                fix="Give a finished database, or the folder of its campaign.",
             )
         )
     manifest = read_manifest(path)
@@ -392,8 +392,8 @@ def find_manifest(database: Path) -> Manifest:
                 "this folder is a publication already",
                 file=str(database),
                 found=CRATE,
-                expected="the database that it was made of",
-                fix="Give that database, or its campaign's folder.",
+                expected="the database it was made from",
+                fix="Give that database, or the folder of its campaign.",
             )
         )
     names = list_files(database)
@@ -408,7 +408,7 @@ def find_manifest(database: Path) -> Manifest:
                 "the database holds files that its manifest does not list",
                 file=str(database / extra[0]),
                 found=f"{len(extra)} files",
-                fix="Take them away, or run levkas build again, which brings the manifest up to date.",
+                fix="Remove them, or run levkas build again to update the manifest.",
             )
         )
     if CATALOGUE in manifest.files:
@@ -432,7 +432,7 @@ def _check_output(final: Path, subject: PublishSubject) -> None:
 
     database = subject.database.resolve()
     if final == database or database in final.parents or final in database.parents:
-        raise PublishRefused(_not_there(final, "it holds the database, or lies in it"))
+        raise PublishRefused(_not_there(final, "it contains the database or is inside it"))
     require_ours(final, "publication", fix="Give another folder with -o.")
     if not stands_in(final):
         return

@@ -47,12 +47,14 @@ class UploadTarget:
         self.store = RemoteStore(address)
         if not self.store.url.startswith("s3://"):
             raise _not_there(
-                address, "it is no address of a store like S3", "Give s3://BUCKET/PATH."
+                address, "it is not the address of an S3 store", "Give s3://BUCKET/PATH."
             )
         try:
             names = [name for name, _ in self.store.sizes()]
         except FileNotFoundError:
-            raise _not_there(address, "there is no such bucket", "Make the bucket first.") from None
+            raise _not_there(
+                address, "the bucket does not exist", "Create the bucket first."
+            ) from None
         with ThreadPoolExecutor(THREADS) as pool:
             self.hashes = dict(zip(names, pool.map(self._hash_there, names), strict=True))
         if strangers := [name for name in names if not self.hashes[name]]:
@@ -112,8 +114,8 @@ class UploadTarget:
         sizes = {name: listed.size for name, listed in manifest.files.items()}
         wrong = [n for n, size in self.store.sizes() if size != sizes.pop(n, size)] + list(sizes)
         if wrong:
-            why = f"{wrong[0]} did not arrive whole"
-            raise _not_there(self.store.url, why, "Run the same command to go on.")
+            why = f"{wrong[0]} was not transferred completely"
+            raise _not_there(self.store.url, why, "Run the same command to continue.")
         self._put(folder, NAME, own[NAME])
         yield NAME, total, total
 

@@ -80,7 +80,7 @@ class EnviFile:
         Raises
         ------
         UnreadableCapture
-            Where the data end early.
+            Where the data are truncated.
         ValueError
             For lines that are not there.
         """
@@ -119,7 +119,7 @@ class EnviFile:
     def _short(self, end: int, missing: int) -> Exception:
         return unreadable(
             self.data,
-            "the data end early",
+            "the data are truncated",
             code="E_TRUNCATED",
             found=f"{end} bytes",
             expected=f"{end + missing} bytes",
@@ -263,7 +263,7 @@ def _layout_of(header: EnviHeader) -> Layout:
         (lines, samples, bands),
         most=MOST_SAMPLES,
         field="lines, samples, bands",
-        fix="Mend the header: no scan is as large.",
+        fix="Correct the header: no scan is so large.",
     )
     if header.whole("file compression", least=0, default=0):
         fix = "Save the cube again without compression."
@@ -271,7 +271,7 @@ def _layout_of(header: EnviHeader) -> Layout:
     for key in ("major frame offsets", "minor frame offsets"):
         text = header.text(key)
         if any(parse_number(v) != 0 for v in re.split(r"[,\s]+", text) if v):
-            message = "gaps between lines or bands are not read"
+            message = "gaps between lines or bands are not supported"
             fix = "Save the cube again without frame offsets."
             raise header.refusal(message, key, text, "0, 0", fix)
     interleave = header.text("interleave").lower() or ("bsq" if bands == 1 else "")
@@ -282,7 +282,7 @@ def _layout_of(header: EnviHeader) -> Layout:
     code = header.whole("data type")
     if code not in DATA_TYPES:
         raise header.refusal(
-            "samples of this type cannot be read",
+            "this data type is not supported",
             "data type",
             f"{code}, complex numbers" if code in (6, 9) else code,
             ", ".join(map(str, DATA_TYPES)),
@@ -306,7 +306,7 @@ def _check_length(header: EnviHeader, data: Path, layout: Layout) -> None:
     lines, samples, bands = layout.shape
     raise unreadable(
         data,
-        "the data do not fit their header",
+        "the data do not match their header",
         code="E_TRUNCATED" if found < layout.end else "E_SIZE",
         field=f"{header.path.name}: {field}",
         found=f"{found} bytes",
@@ -323,15 +323,15 @@ def _likely_field(found: int, layout: Layout) -> tuple[str, str]:
         return "header offset", "The data end before the offset: `header offset = 0` is usual."
     types = [c for c, t in DATA_TYPES.items() if prod(layout.shape) * int(t[1]) == room]
     if types:
-        return "data type", f"Data type {' or '.join(map(str, types))} would fit."
+        return "data type", f"Data type {' or '.join(map(str, types))} would match."
     units = {"lines": samples * bands, "bands": lines * samples, "samples": lines * bands}
     order = ("bands", "lines", "samples") if layout.interleave == "bsq" else tuple(units)
     for key in order:
         count, rest = divmod(room, units[key] * layout.dtype.itemsize)
         if count > 0 and rest == 0:
-            fits = f"`{key} = {count}` would fit: mend the header, or copy the scan again."
+            fits = f"`{key} = {count}` would match: correct the header, or copy the scan again."
             return key, fits
     if 0 < found - layout.end <= SHIFTED:
         start = layout.offset + found - layout.end
         return "header offset", f"If the data start later, write `header offset = {start}`."
-    return "lines, samples, bands or data type", "Mend the header, or copy the scan again."
+    return "lines, samples, bands or data type", "Correct the header, or copy the scan again."

@@ -69,11 +69,11 @@ class EnviHeader:
         value = self.number(key)
         if value is None or value != int(value) or value < least:
             raise self.refusal(
-                f"the header does not say its {key}",
+                f"the header has no {key}",
                 key,
                 self.text(key)[:80] or "nothing",
                 f"a whole number from {least}",
-                f"Write `{key} = …` as the camera's software gives it.",
+                f"Write `{key} = …` with the value from the camera's software.",
             )
         return int(value)
 
@@ -140,7 +140,7 @@ def find_data(header: EnviHeader, needed: int) -> Path:
             "data file",
             "; ".join(odd[:3]) or "no such file",
             f"{stem} with one of {', '.join(DATA_SUFFIXES[:-1])}, or no suffix",
-            "Put the data beside their header, under the same name.",
+            "Put the data beside their header, with the same name.",
         )
     if found[0].name == named or len(found) == 1:
         return found[0]
@@ -148,11 +148,11 @@ def find_data(header: EnviHeader, needed: int) -> Path:
     if len(fitting) == 1:
         return fitting[0]
     raise header.refusal(
-        "several files could be the data of this header",
+        "several files may hold the data of this header",
         "data file",
         ", ".join(f.name for f in found),
         f"one of {needed} bytes",
-        "Move the others elsewhere, or open the data file by its own name.",
+        "Move the other files, or open the data file by its own name.",
     )
 
 
@@ -170,9 +170,11 @@ def parse_header(path: Path) -> EnviHeader:
     header = EnviHeader(path, {})
     rows = _rows(path)
     if not rows or not rows[0].strip().upper().startswith("ENVI"):
-        fix = "Name the header of an ENVI cube, or leave the file out of `files`."
+        fix = "Name the header of an ENVI cube, or remove the file from `files`."
         found = (rows or [""])[0][:40]
-        raise header.refusal("this is no ENVI header", "header", found, "a first line ENVI", fix)
+        raise header.refusal(
+            "this is not an ENVI header", "header", found, "a first line ENVI", fix
+        )
     left = iter(rows[1:])
     for row in left:
         name, equals, text = row.partition("=")
@@ -181,7 +183,10 @@ def parse_header(path: Path) -> EnviHeader:
         key, text = re.sub(r"\s+", " ", name.strip().lower()), text.strip()
         value = _list(header, key, text, left) if text.startswith("{") else _bare(text)
         if key in LAYOUT and header.fields.get(key, value) != value:
-            message, found = f"the header says its {key} twice", f"{header.fields[key]} and {value}"
+            message, found = (
+                f"the header gives its {key} twice",
+                f"{header.fields[key]} and {value}",
+            )
             raise header.refusal(message, key, found, "one value", "Delete the line that is wrong.")
         header.fields[key] = value
     return header
@@ -194,12 +199,12 @@ def _rows(path: Path) -> list[str]:
         if size > LONGEST_HEADER:
             raise unreadable(
                 path,
-                "the header is too long to be one",
+                "the header is too long",
                 code="E_SIZE",
                 field="header",
                 found=f"{size} bytes",
                 expected=f"at most {LONGEST_HEADER} bytes",
-                fix="The data may have the name of the header: a header is a page of text.",
+                fix="This may be the data under the name of the header: a header is a short text.",
             )
         text = path.read_bytes().decode("utf-8-sig", "replace")
     except OSError as error:
@@ -226,7 +231,7 @@ def _list(header: EnviHeader, key: str, text: str, left: Iterator[str]) -> list[
     while "}" not in parts[-1]:
         row = next(left, None)
         if row is None:
-            message, fix = "a list in the header has no end", "Write the } where the list ends."
+            message, fix = "a list in the header is not closed", "Write the } where the list ends."
             raise header.refusal(message, key, "the end of the file", "a closing }", fix)
         parts.append(row)
     inner = "\n".join(parts).rpartition("}")[0]
@@ -290,14 +295,14 @@ def check_list(header: EnviHeader, key: str, count: int, bands: int, *, one: boo
         return
     raise unreadable(
         header.path,
-        f"the list of {key} does not fit the bands",
+        f"the list of {key} does not match the bands",
         code="E_BAND_COUNT",
         field=key,
         found=f"{count} numbers",
         expected=f"{bands}, or one" if one else f"{bands}",
-        fix="Write one number a band, or one for all."
+        fix="Write one number per band, or one for all."
         if one
-        else "Write one number a band, or take the list out.",
+        else "Write one number per band, or remove the list.",
     )
 
 

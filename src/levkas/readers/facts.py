@@ -23,7 +23,7 @@ LARGEST_EXPANSION = 50
 """Bytes of a larger frame from one stored byte; noise of one code compresses to a tenth, and PackBits goes to 64 to 1."""
 IN_WORK = 8
 """Bytes of a sample in work, beside the frame as it was read: a float64, or several smaller arrays."""
-COPY_AGAIN = "Copy the file again from the camera, or leave it out of the campaign."
+COPY_AGAIN = "Copy the file again from the camera, or remove it from the campaign."
 
 
 class UnreadableCapture(Refused):
@@ -92,7 +92,7 @@ def unreadable(
     message: str,
     *,
     code: str = "E_UNREADABLE",
-    expected: Any = "a whole file as its format is",
+    expected: Any = "a complete file of its format",
     fix: str | None = COPY_AGAIN,
     **more: Any,
 ) -> UnreadableCapture:
@@ -103,7 +103,7 @@ def unreadable(
     >>> print(unreadable("a.tif", "no page 3", found="2 pages", expected="4", fix="Check the name."))
     no page 3 (file: a.tif; found: 2 pages; expected: 4). Check the name.
     """
-    more.setdefault("found", "nothing of the kind")
+    more.setdefault("found", "no such data")
     return UnreadableCapture(
         Problem(code, message, file=str(path), expected=expected, fix=fix, **more)
     )
@@ -150,7 +150,7 @@ def check_size(
         return
     raise unreadable(
         path,
-        "the declared size cannot be right",
+        "the declared size is not plausible",
         code="E_SIZE",
         field=field,
         found=" x ".join(str(s) for s in shape),
@@ -184,13 +184,13 @@ def check_expansion(
         return
     raise unreadable(
         path,
-        "a small file decodes to a large frame, as no capture does",
+        "the file is far smaller than its decoded frame, unlike any capture",
         code="E_SIZE",
         field="width, height",
         found=f"{needed / 1e6:.0f} MB from {stored / 1e6:.2g} MB",
         expected=f"at most {most} to 1 where there are over {SMALL_SAMPLES >> 20} Mi samples",
-        fix=f"Is it the right file? If so, save it again without compression, or set {MEMORY} to the GB that "
-        "a command may take.",
+        fix="Check that this is the correct file. If it is, save it again without compression, "
+        f"or set {MEMORY} to the memory in GB that a command may use.",
     )
 
 
@@ -211,9 +211,9 @@ def check_memory(path: Path, samples: int, itemsize: int) -> None:
         code="E_MEMORY",
         field="width, height",
         found=f"{samples * itemsize / 1e6:.0f} MB decoded, {needed / 1e6:.0f} MB in work",
-        expected=f"at most {bound / 1e6:.0f} MB, as levkas doctor says",
-        fix=f"Use a machine with more memory, close other programs, or set {MEMORY} to the GB that a command "
-        "may take.",
+        expected=f"at most {bound / 1e6:.0f} MB, as `levkas doctor` reports",
+        fix=f"Use a machine with more memory, close other programs, or set {MEMORY} to the memory "
+        "in GB that a command may use.",
     )
 
 
@@ -225,7 +225,7 @@ def check_ratio(
         return
     raise unreadable(
         path,
-        "the image is larger than its stored bytes can hold",
+        "the image is larger than its stored bytes allow",
         code="E_SIZE",
         field=field,
         found=f"{needed} bytes from {stored}",

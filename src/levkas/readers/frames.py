@@ -86,10 +86,10 @@ def kind_of(path: str | Path) -> str:
         return "envi"
     raise unreadable(
         path,
-        "the file is of no known kind",
+        "the file format is not supported",
         found=f"first bytes {head[:8].hex(' ')}",
         expected="TIFF, PNG, JPEG, camera raw or ENVI with its header",
-        fix="Leave it out of `files`, or put the header of a cube beside it.",
+        fix="Remove it from `files`, or put the header of the cube beside it.",
     )
 
 
@@ -120,12 +120,12 @@ def _foreign(path: Path, name: str) -> UnreadableCapture:
     """Return the refusal of a format that is known and not read."""
     return unreadable(
         path,
-        f"{name} is not read",
+        f"{name} is not supported",
         field="format",
         found=name,
         expected="TIFF, PNG, JPEG, camera raw or ENVI with its header",
-        fix="Save the cube as ENVI (spectral.envi.save_image in Python, enviwrite in MATLAB), or as "
-        "a TIFF of one page a band, and name that in `files`.",
+        fix="Save the cube as ENVI (spectral.envi.save_image in Python, enviwrite in MATLAB), or "
+        "as a TIFF with one page per band, and name that file in `files`.",
     )
 
 
@@ -184,7 +184,7 @@ def read_frame(path: str | Path, *, page: int | None = None) -> np.ndarray:
     if page not in (None, 0):
         raise unreadable(
             path,
-            f"there is no page {page}",
+            f"the file has no page {page}",
             code="E_BAND_MISSING",
             field="page",
             found="a file of one frame",
@@ -253,7 +253,7 @@ def _first_bytes(path: Path) -> bytes:
                 "the file cannot be opened",
                 found=found,
                 expected="a file",
-                fix="Put the frame there, or mend the pattern in `files`.",
+                fix="Add the frame, or correct the pattern in `files`.",
             )
         with path.open("rb") as handle:
             head = handle.read(32)
@@ -262,8 +262,8 @@ def _first_bytes(path: Path) -> bytes:
             path,
             "the file cannot be opened",
             found=str(error),
-            expected="a file that may be read",
-            fix="Allow its reading, or copy it again.",
+            expected="a readable file",
+            fix="Change its permissions, or copy it again.",
         ) from error
     if not head:
         raise unreadable(

@@ -102,7 +102,7 @@ def read_png(path: Path) -> np.ndarray:
     with decoding(path, "PNG"):
         data = path.read_bytes()
         if b"IEND" not in data[-4096:]:
-            message, expected = "the file ends before its image does", "an IEND chunk at the end"
+            message, expected = "the file is truncated", "an IEND chunk at the end"
             raise truncated(path, message, "IEND", f"{len(data)} bytes", expected)
         values = np.asarray(imagecodecs.png_decode(data))
     if values.ndim == 3:
@@ -113,7 +113,7 @@ def read_png(path: Path) -> np.ndarray:
 def _as_declared(path: Path, values: np.ndarray, facts: Facts) -> np.ndarray:
     if values.shape != facts.shape or values.dtype != facts.dtype:
         found = f"{values.shape} {values.dtype}"
-        raise unreadable(path, "the image is not what its header says", found=found)
+        raise unreadable(path, "the image does not match its header", found=found)
     return np.ascontiguousarray(values)
 
 
@@ -137,7 +137,7 @@ def _png_chunks(path: Path) -> tuple[bytes, dict[bytes, bytes], int]:
             else:
                 handle.seek(length + 4, 1)
     field, expected = "IDAT" if head else "IHDR", "an IHDR chunk first, then pixels in IDAT"
-    raise truncated(path, "the file ends before its image does", field, f"{size} bytes", expected)
+    raise truncated(path, "the file is truncated", field, f"{size} bytes", expected)
 
 
 # --- JPEG -------------------------------------------------------------------------------------
@@ -163,7 +163,7 @@ def read_jpeg(path: Path) -> np.ndarray:
         data = path.read_bytes()
         if data.rfind(END) < scan:
             expected = "an end-of-image marker after the scan"
-            message = "the file ends before its image does"
+            message = "the file is truncated"
             raise truncated(path, message, "scan", f"{len(data)} bytes", expected)
         if (scans := data.count(SCAN, scan - 4)) > MOST_SCANS:
             raise unreadable(
@@ -190,7 +190,7 @@ def _jpeg_header(path: Path) -> tuple[Facts, int]:
                 exif = exif or content[6:]
             frame = frame or jpeg_frame(marker, content)
     field, expected = "scan" if frame else "frame header", "a frame header and a scan"
-    raise truncated(path, "the file ends before its image does", field, f"{size} bytes", expected)
+    raise truncated(path, "the file is truncated", field, f"{size} bytes", expected)
 
 
 def _jpeg_facts(path: Path, frame: tuple[int, int, int, int], exif: bytes, size: int) -> Facts:
@@ -198,7 +198,7 @@ def _jpeg_facts(path: Path, frame: tuple[int, int, int, int], exif: bytes, size:
     if samples not in (1, 3) or bits != 8:
         raise unreadable(
             path,
-            "this kind of JPEG is not read",
+            "this kind of JPEG is not supported",
             field="frame header",
             found=f"{samples} components of {bits} bits",
             expected="gray or three colours of 8 bits",

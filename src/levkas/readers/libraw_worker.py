@@ -81,7 +81,7 @@ def read(path: str, pixels: bool) -> tuple[dict[str, Any], bytes]:
         mosaic = raw.raw_image_visible
         if mosaic is None or mosaic.ndim != 2 or mosaic.dtype != np.uint16:
             found = "already rendered" if mosaic is None else f"{mosaic.shape} {mosaic.dtype}"
-            return {"error": f"no mosaic of a sensor: {found}"}, b""
+            return {"error": f"not a sensor mosaic: {found}"}, b""
         if not mosaic.any():  # what LibRaw leaves where it could not begin to decode
             return {"error": "nothing but zeros"}, b""
         # Levels and pattern only now: some formats have them set while their pixels unpack.

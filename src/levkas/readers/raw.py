@@ -225,7 +225,7 @@ def _check_parts(path: Path) -> None:
 
 def _check_mosaic(path: Path, tiff: Any, page: Any) -> None:
     """Refuse a mosaic of which a strip or tile is missing, or declares fewer samples than it has to hold."""
-    message, field = "a strip or tile of the camera raw is not there", "offsets and byte counts"
+    message, field = "a strip or tile of the camera raw is missing", "offsets and byte counts"
     try:
         check_strips(path, tiff, page, "the mosaic")
     except UnreadableCapture as refused:

@@ -124,7 +124,7 @@ def _decode(path: Path, tiff: Any, pages: list[int], index: int) -> np.ndarray:
     if index >= len(pages):
         raise unreadable(
             path,
-            f"there is no page {index}",
+            f"the file has no page {index}",
             code="E_BAND_MISSING",
             field="page",
             found=f"{len(pages)} pages",
@@ -139,7 +139,7 @@ def _decode(path: Path, tiff: Any, pages: list[int], index: int) -> np.ndarray:
     if values.shape != shape:
         values = np.moveaxis(values, 0, -1)
     if values.shape != shape:
-        raise unreadable(path, "the TIFF is not what its tags say", found=str(values.shape))
+        raise unreadable(path, "the TIFF does not match its tags", found=str(values.shape))
     return _bright_is_more(page, values)
 
 
@@ -219,17 +219,17 @@ def kinds_of_pages(path: Path) -> list[int]:
         while offset:
             expected = f"below {size}"
             if offset >= size:
-                message = "the file ends before its pages do"
+                message = "the file is truncated"
                 raise truncated(path, message, "next directory", f"byte {offset}", expected)
             # Directories stand side by side: laid over one another, each costs a reader as much
             # of the file again.
             if offset in seen or walked > size:
                 raise unreadable(
                     path,
-                    "the pages of the TIFF go round in a circle or lie over one another",
+                    "the pages of the TIFF form a loop or overlap",
                     field="next directory",
                     found=f"byte {offset}",
-                    expected="a byte not yet visited",
+                    expected="an unused part of the file",
                 )
             if len(kinds) >= MOST_PAGES:
                 raise unreadable(
@@ -302,7 +302,7 @@ def _checked_shape(path: Path, tiff: Any, page: Any, index: int) -> tuple[int, .
     if page.compression not in CODECS:
         raise unreadable(
             path,
-            f"page {index} is compressed in a way that is not read",
+            f"the compression of page {index} is not supported",
             field="Compression",
             found=str(getattr(page.compression, "name", page.compression)),
             expected=", ".join(dict.fromkeys(CODECS.values())),
@@ -311,7 +311,7 @@ def _checked_shape(path: Path, tiff: Any, page: Any, index: int) -> tuple[int, .
     if page.dtype is None or page.dtype.kind not in "uif" or page.dtype.itemsize > 8:
         raise unreadable(
             path,
-            f"page {index} has samples of no known kind",
+            f"the sample format of page {index} is not supported",
             field="SampleFormat, BitsPerSample",
             found=f"{page.sampleformat}, {page.bitspersample}",
             expected="integers of 2 to 64 bits or floats",
@@ -319,7 +319,7 @@ def _checked_shape(path: Path, tiff: Any, page: Any, index: int) -> tuple[int, .
     if _colours_of(page) is None:
         raise unreadable(
             path,
-            f"page {index} is in a colour space whose numbers are no counts",
+            f"the colour space of page {index} does not hold counts",
             field="PhotometricInterpretation",
             found=str(page.photometric),
             expected="gray, red-green-blue or a mosaic",
@@ -349,15 +349,15 @@ def check_strips(path: Path, tiff: Any, page: Any, name: str) -> None:
         raise truncated(path, message, where, f"{there} with data", f"{declared}")
     end = max(o + c for o, c in zip(offsets, counts, strict=False))
     if end > size:
-        message = "the file ends before its image does"
+        message = "the file is truncated"
         raise truncated(path, message, where, f"{size} bytes", f"at least {end}")
     if (stored := sum(counts)) > size:
         raise unreadable(
             path,
-            "the strips or tiles lie over one another",
+            "the strips or tiles overlap",
             field=where,
             found=f"{stored} bytes of strips in a file of {size}",
-            expected="each strip at a place of its own",
+            expected="strips that do not overlap",
         )
     if page.compression == PLAIN:
         samples = page.samplesperpixel
@@ -366,7 +366,7 @@ def check_strips(path: Path, tiff: Any, page: Any, name: str) -> None:
             width, planes = page.imagewidth, samples
         needed = planes * page.imagelength * ceil(width * page.bitspersample / 8)
         if stored < needed:
-            message, where = "the strips hold less than the image", "StripByteCounts"
+            message, where = "the strips hold less than the whole image", "StripByteCounts"
             raise truncated(path, message, where, f"{stored} bytes", f"{needed} bytes")
         return
     most = 2 * prod(page.chunks) * page.dtype.itemsize + SLACK
@@ -391,7 +391,7 @@ def _check_frames(path: Path, tiff: Any, page: Any) -> None:
         if samples > most or scans > MOST_SCANS:
             raise unreadable(
                 path,
-                "a strip or tile says another size than its page",
+                "a strip or tile differs in size from its page",
                 code="E_SIZE",
                 field="StripByteCounts",
                 found=f"{samples} samples in {scans} scans",
@@ -405,7 +405,7 @@ def _check_endings(path: Path, tiff: Any, page: Any) -> None:
         return
     for data in strips_of(tiff, page):
         if b"\xff\xd9" not in data[-16:]:
-            message, expected = "a strip or tile is cut short", "an end-of-image marker in each"
+            message, expected = "a strip or tile is truncated", "an end-of-image marker in each"
             raise truncated(path, message, "StripByteCounts", f"{len(data)} bytes", expected)
 
 
@@ -418,10 +418,10 @@ def _check_stack(path: Path, tiff: Any, page: Any) -> None:
     if int(np.prod(tiff.series[0].shape)) > prod(page.shape):
         raise unreadable(
             path,
-            "the pages of this stack have no tags of their own",
+            "the pages of this stack have no separate tags",
             field="ImageDescription",
             found=f"{tuple(tiff.series[0].shape)} behind one page",
-            fix="Save it again with one page a frame.",
+            fix="Save it again with one page per frame.",
         )
 
 

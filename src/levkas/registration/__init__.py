@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.campaign.methods import DEFAULT_METHOD, METHODS, Method
+from levkas.core.problems import Problem
 from levkas.registration.bands import BandImage
 from levkas.registration.record import (
     Matches,
@@ -50,10 +51,10 @@ __all__ = [
 
 
 def register(
-    reference: Sequence[BandImage],
-    target: Sequence[BandImage],
+    reference: np.ndarray | Sequence[BandImage],
+    target: np.ndarray | Sequence[BandImage],
     *,
-    reference_band: str,
+    reference_band: str | None = None,
     method: str = DEFAULT_METHOD,
     region: Sequence[float] | None = None,
     given: Mapping[str, ManualPoints] | None = None,
@@ -63,14 +64,16 @@ def register(
 
     Parameters
     ----------
-    reference : sequence of BandImage
-        Bands of the reference camera.
-    target : sequence of BandImage
-        Bands of the camera to register; the same sequence for the reference camera itself.
-    reference_band : str
-        Label of the band of `reference` that defines reference px.
+    reference : ndarray, (h, w) or (h, w, bands), or sequence of BandImage
+        Pixels of the reference camera, at least 16 px a side, in any unit. Integers and floats are taken; a
+        value that is not finite is not used. Bands of an array are labelled ``"1"``, ``"2"``, …
+    target : ndarray, (h, w) or (h, w, bands), or sequence of BandImage
+        Pixels of the camera to register, of any size; the same object as `reference` for the reference
+        camera's own bands.
+    reference_band : str, optional
+        Label of the band of `reference` that defines reference px. Default: the middle band.
     method : str
-        A key of `METHODS`.
+        A key of `METHODS`: ``"levkas"``, ``"mirhashemi2019"``, or one of an installed package.
     region : (x, y, width, height), reference px, optional
         Where the object lies; nothing outside is used or judged.
     given : mapping of sensor name to ManualPoints, optional
@@ -83,16 +86,42 @@ def register(
     Returns
     -------
     registration : Registration
-        With the verdict ``"refuse"`` where there is an answer that cannot be relied on.
+        `transforms`: band label → map, reference px to native px of the band; `sigma`: band label →
+        one standard deviation of the position, reference px; `verdict`: `decision` is ``"accept"``,
+        ``"warn"`` or ``"refuse"``, with `reasons`. A map with the verdict ``"refuse"`` is not reliable.
 
     Raises
     ------
     RegistrationRefused
-        Where there is no answer at all, or an argument is wrong.
+        ``E_MATCHES`` and others where no map is found; ``E_VALUE``, ``E_SIZE``, ``E_BAND_MISSING`` or
+        ``E_BAND_TWICE`` where an argument is wrong.
+
+    Notes
+    -----
+    The method ``"mirhashemi2019"`` is section 3.5 of [mirhashemi2019]_, doi:10.3390/computation7030047. The default method
+    is described in docs/explanation/registration.md.
+
+    Examples
+    --------
+    A picture, and the same scene moved by 5 px and 3 px:
+
+    >>> import numpy as np
+    >>> from scipy.ndimage import gaussian_filter
+    >>> scene = gaussian_filter(np.random.default_rng(1).random((260, 330)), 2)
+    >>> found = register(scene[:240, :300], scene[3:243, 5:305])
+    >>> found.verdict.decision
+    'accept'
+    >>> found.transforms["1"](np.array([[150.0, 120.0]])).round(1).tolist()
+    [[145.0, 117.0]]
     """
     from levkas.core.machine import steady_libraries
     from levkas.registration.request import check_request, read_options
 
+    own = target is reference
+    reference = _bands_of(reference, "reference")
+    target = reference if own else _bands_of(target, "target")
+    if reference_band is None:
+        reference_band = reference[len(reference) // 2].label if len(reference) else ""
     given = {name: pairs for name, pairs in (given or {}).items() if pairs}
     further = {name: options.pop(name) for name in FURTHER & options.keys()}
     request = Request(reference, target, reference_band, region=region, given=given, **further)
@@ -102,6 +131,26 @@ def register(
     with steady_libraries():
         found = run(request, chosen)
     return _with_checks(found, target, given)
+
+
+def _bands_of(pixels: np.ndarray | Sequence[BandImage], name: str) -> Sequence[BandImage]:
+    """Return the bands of an array, labelled by their number from 1; other sequences as they are."""
+    if not isinstance(pixels, np.ndarray):
+        if all(isinstance(band, BandImage) for band in pixels):
+            return pixels
+        found, fix = (
+            type(pixels[0]).__name__,
+            "Give one array; np.stack(pictures, axis=-1) makes it.",
+        )
+    elif pixels.ndim in (2, 3) and pixels.size and pixels.dtype.kind in "uif":
+        planes = np.moveaxis(np.atleast_3d(pixels), -1, 0)
+        return [BandImage.of(str(i), plane) for i, plane in enumerate(planes, 1)]
+    else:
+        found, fix = f"{pixels.dtype} {pixels.shape}", None
+    expected = "an array (height, width) or (height, width, bands) of integers or floats"
+    raise RegistrationRefused(
+        Problem("E_VALUE", f"the {name} is no picture", None, name, found, expected, fix)
+    )
 
 
 def _function(method: str) -> Callable[[Request, Any], Registration]:

@@ -149,7 +149,7 @@ def _apart(first: list[BandImage], other: list[BandImage], found: int) -> Regist
     return RegistrationRefused(
         Problem(
             "E_MATCHES",
-            f"sensors {names} show too little in common to be aligned",
+            f"sensors {names} have too little common detail to be aligned",
             field="align",
             found=f"{found} matches",
             expected=f"at least {LEAST_MATCHES}",

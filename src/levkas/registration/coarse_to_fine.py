@@ -308,9 +308,9 @@ def register_sensor(
         raise RegistrationRefused(
             Problem(
                 "E_MATCHES",
-                "too few key points agree on any map of this sensor to the reference",
+                "too few key points match between this sensor and the reference",
                 field=bands[0].sensor or None,
-                fix=f"Check that both show the same object, in focus and well exposed; if they do, {POINTS}.",
+                fix=f"Check that both pictures show the same object, in focus and well exposed; if they do, {POINTS}.",
             )
         )
     bands = by_wavelength(bands)
@@ -474,7 +474,7 @@ class _Refinement:
             raise RegistrationRefused(
                 Problem(
                     "E_FOLD",
-                    "the map of this sensor folds, or is stretched more than a camera can",
+                    "the map of this sensor folds, or stretches more than a camera can",
                     field=self.task.bands[0].sensor or None,
                     fix=BY_HAND,
                 )

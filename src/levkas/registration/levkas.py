@@ -177,7 +177,7 @@ def _matches(sensor: RegisteredSensor) -> Matches:
     jacobian = found.base.jacobian(initial.reference)
     residual = np.linalg.norm(solve_2x2(jacobian, miss), axis=1)
     kept = initial.kept
-    reason = np.where(kept, "", "does not agree with the map of the others").astype(object)
+    reason = np.where(kept, "", "contradicts the map of the other pairs").astype(object)
     if initial.reason is not None:
         reason = np.where(initial.reason == "", reason, initial.reason)
     return Matches.of(

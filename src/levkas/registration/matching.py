@@ -74,7 +74,7 @@ def match(
         raise RegistrationRefused(
             Problem(
                 "E_VALUE",
-                f"`{name}` cannot be used",
+                f"the value of `{name}` is not valid",
                 field=f"registration.{name}",
                 found=value,
                 expected=expected,

@@ -268,7 +268,7 @@ def _spread(camera: AlignedCamera, transform: Transform) -> dict[str, Transform]
 def _own(images: Sequence[BandImage], sensor: str, align: Mapping[str, Any] | None) -> Registration:
     """Return the reference camera itself: its bands stay, its other sensors are aligned."""
     aligned = align_sensors(images, given=align, first=sensor)
-    reason = "The paper's method leaves the reference camera's own bands where they are."
+    reason = "The paper's method does not register the reference camera's own bands."
     return Registration(
         method="mirhashemi2019",
         transforms={image.label: aligned[image.sensor] for image in images},
@@ -285,9 +285,9 @@ def _own(images: Sequence[BandImage], sensor: str, align: Mapping[str, Any] | No
 def _no_matches(a: KeyPoints, b: KeyPoints) -> RegistrationRefused:
     blank = [n for n, points in (("reference", a), ("target", b)) if len(points) == 0]
     message = (
-        f"the {' and the '.join(blank)} show no structure to match"
+        f"the {' and the '.join(blank)} have too little structure to match"
         if blank
-        else "no key point of one picture looks like one of the other"
+        else "no key points match between the two pictures"
     )
     return RegistrationRefused(
         Problem(
@@ -296,7 +296,7 @@ def _no_matches(a: KeyPoints, b: KeyPoints) -> RegistrationRefused:
             field="registration",
             found=f"{len(a)} key points in the reference, {len(b)} in the target",
             expected="hundreds in both",
-            fix="Look at both pictures: exposure, focus, and whether they show the same object.",
+            fix="Check exposure and focus of both pictures, and that they show the same object.",
         )
     )
 

@@ -327,7 +327,7 @@ def _too_few(found: int, terms: RemovalTerms, before: int) -> RegistrationRefuse
             field="registration",
             found=f"{found} of {before} matches are closer than `reject` under scale alone",
             expected=f"at least {terms.coefficients}",
-            fix="Check that both cameras show the same object the same way up; else raise `reject`.",
+            fix="Check that both cameras show the same object with the same side up; if they do, raise `reject`.",
         )
     )
 
@@ -340,7 +340,7 @@ def _undetermined(found: int, order: int) -> RegistrationRefused:
             field="registration",
             found=found,
             expected="matches spread over the picture",
-            fix="Check that both pictures show structure all over the object.",
+            fix="Check that both pictures have detail over the whole object.",
         )
     )
 

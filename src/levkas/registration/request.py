@@ -81,7 +81,7 @@ def read_options(model: type[BaseModel], options: Mapping[str, Any]) -> BaseMode
                 problems.append(
                     Problem(
                         "E_VALUE",
-                        f"`{name}` cannot be used",
+                        f"the value of `{name}` is not valid",
                         field=f"registration.{name}",
                         found=one["input"],
                         expected=one["msg"],
@@ -104,7 +104,7 @@ def check_request(request: Request, method: str, methods: Iterable[str]) -> None
         problems.append(
             Problem(
                 "E_BAND_MISSING",
-                f"there is no reference band {request.reference_band!r}",
+                f"unknown reference band {request.reference_band!r}",
                 field="reference_band",
                 found=request.reference_band,
                 expected=", ".join(labels[:12]),
@@ -123,7 +123,7 @@ def _check_method(method: str, methods: Iterable[str]) -> list[Problem]:
     return [
         Problem(
             "E_VALUE",
-            f"there is no registration method {method!r}" + (f": {why}" if why else ""),
+            f"unknown registration method {method!r}" + (f": {why}" if why else ""),
             field="registration.method",
             found=method,
             expected=", ".join(known),
@@ -154,11 +154,11 @@ def _positive(value: Any) -> bool:
 def _value_problem(name: str, value: Any, expected: str) -> Problem:
     return Problem(
         "E_VALUE",
-        f"`{name}` cannot be used",
+        f"the value of `{name}` is not valid",
         field=f"registration.{name}",
         found=value,
         expected=expected,
-        fix=f"Give `{name}` in reference pixels, or leave it out.",
+        fix=f"Give `{name}` in reference pixels, or remove it.",
     )
 
 
@@ -170,7 +170,11 @@ def _check_bands(name: str, images: Sequence[BandImage]) -> list[Problem]:
     twice = sorted({label for label in labels if labels.count(label) > 1})
     if twice:
         problems.append(
-            Problem("E_BAND_TWICE", f"bands of the {name} share a label", found=", ".join(twice))
+            Problem(
+                "E_BAND_TWICE",
+                f"two bands of the {name} have the same label",
+                found=", ".join(twice),
+            )
         )
     sizes: dict[str, tuple[int, int]] = {}
     for image in images:

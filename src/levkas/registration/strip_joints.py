@@ -159,7 +159,7 @@ def find_joint(left: Greys, right: Greys) -> StripJoint:
     joint = _described(left, right, course, start, name, error)
     if not joint.error <= LARGEST_ERROR_PX:
         raise _apart(
-            f"the offset is known to ± {joint.error:.2f} px only", "more detail in the overlap"
+            f"the offset has an uncertainty of ± {joint.error:.2f} px", "more detail in the overlap"
         )
     if not joint.correlation >= LEAST_CORRELATION:
         raise _apart(_best(joint.overlap, joint.correlation))
@@ -208,12 +208,15 @@ def _search(a: np.ndarray, b: np.ndarray) -> tuple[int, int]:
             found.append((_correlation(*pair), overlap, shift))
     found.sort(key=lambda one: -one[0])
     if not found:
-        raise _apart("no place of the first samples of the second in the first")
+        raise _apart("the first samples of the second strip were not found in the first")
     best, *others = found
     rivals = [one for one in others if 1 - one[0] < RIVAL * (1 - best[0])]
     if rivals and best[0] >= LEAST_CORRELATION:
         places = " and ".join(str(one[1]) for one in (best, rivals[0]))
-        raise _apart(f"overlaps of {places} samples look alike", "an overlap without a repeat")
+        raise _apart(
+            f"overlaps of {places} samples match equally well",
+            "an overlap without repeating detail",
+        )
     return best[1], best[2]
 
 
@@ -366,7 +369,7 @@ def _best(overlap: float, correlation: float) -> str:
 
 def _apart(
     found: str,
-    expected: str = f"an overlap that looks the same in both, at a correlation of {LEAST_CORRELATION}",
+    expected: str = f"an overlap with a correlation of at least {LEAST_CORRELATION}",
 ) -> RegistrationRefused:
     return RegistrationRefused(
         Problem(
@@ -374,6 +377,6 @@ def _apart(
             "two strips of a scan cannot be joined",
             found=found,
             expected=expected,
-            fix="Check the order of the strips, left to right by name, and that each shares samples with the next.",
+            fix="Check that the names order the strips from left to right and that each overlaps the next.",
         )
     )

@@ -89,10 +89,10 @@ def fit_base(
         raise RegistrationRefused(
             Problem(
                 "E_WINDOWS",
-                "too few windows of this sensor can be compared with the reference",
+                "too few windows of this sensor match the reference",
                 found=int(used.sum()),
                 expected=f"at least {SETTINGS.least_windows}",
-                fix="The frames overlap too little, or the picture is too small.",
+                fix="Check that the frames overlap and that the picture is large enough.",
             )
         )
     points = windows[0].centres[used]

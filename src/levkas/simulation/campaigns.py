@@ -92,8 +92,9 @@ def simulate_campaign(
         ``"default"``, ``"small"`` for a demonstration, ``"hard"``, ``"full"`` for the size of the
         real cameras, about 2.6 GB.
     scale : float, optional
-        Instead of the preset's.
-    objects : int
+        Size over that of the real cameras, 0 < scale <= 1, no unit; instead of the preset's.
+    objects : int, >= 1
+        Icons to simulate.
     cameras : sequence of str, optional
         All five if left out; the reference, lctf-vis, is always among them.
     setups : bool or sequence of str
@@ -118,6 +119,12 @@ def simulate_campaign(
         folder that holds something.
     levkas.core.disk.WriteRefused
         Where the folder cannot be written or the disk is full.
+
+    Examples
+    --------
+    >>> *_, last = simulate_campaign(folder / "icon", preset="small", scale=0.1, cameras=["d80"])
+    >>> sorted(path.name for path in (folder / "icon").iterdir() if path.is_dir())
+    ['raw', 'truth']
     """
     folder = Path(folder)
     folder = folder.resolve() if folder.is_symlink() else folder

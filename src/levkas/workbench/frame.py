@@ -105,7 +105,7 @@ class RegistrationView:
         )
         if len(numbers) not in (0, 1, 3) or any(not 0 <= n < len(view.labels) for n in numbers):
             found = ", ".join(map(str, numbers))
-            raise refused("there is no such band", found, f"one or three below {len(view.labels)}")
+            raise refused("unknown band", found, f"one or three below {len(view.labels)}")
         return [view.labels[n] for n in numbers] or [first]
 
     @property
@@ -260,7 +260,7 @@ class RegistrationView:
             point = back(point[None])[0]
         predicted = forward(point[None])[0]
         if not (np.isfinite(point).all() and np.isfinite(predicted).all()):
-            raise refused("the map says nothing of this place", [x, y], "a place in both pictures")
+            raise refused("the map does not cover this place", [x, y], "a place in both pictures")
         found = self._compared(forward, point, reach or self._reach(which), bands or {})
         place = np.array([x, y], float)
         pair = [*point, *found.target]
@@ -287,7 +287,7 @@ class RegistrationView:
         found = self._compared(forward, start[:2], SNAP_PX, bands or {})
         if found.score < SURE:
             raise refused(
-                "nothing around this pair is alike enough to snap to",
+                "no similar place was found around this pair",
                 f"score {found.score:.2f}",
                 f"at least {SURE:g}",
             )

@@ -165,7 +165,7 @@ class Library:
         with self._lock:
             if key not in self._frames:
                 if key not in self.views:
-                    raise FrameMissing(Problem("E_NO_FRAME", "there is no such camera", found=key))
+                    raise FrameMissing(Problem("E_NO_FRAME", "unknown camera", found=key))
                 self._frames[key] = self._opened(self.views[key])
             return self._frames[key]
 
@@ -209,7 +209,7 @@ class Library:
                     capture.object, capture.camera, capture.setup, sensor.name
                 )
                 return place, labels.index(band)
-        raise FrameMissing(Problem("E_BAND_MISSING", "there is no such band", found=band))
+        raise FrameMissing(Problem("E_BAND_MISSING", "unknown band", found=band))
 
     def _opened(self, view: SensorView) -> RegistrationView:
         capture = view.capture
@@ -218,7 +218,7 @@ class Library:
             raise FrameMissing(
                 Problem(
                     "E_NOT_BUILT",
-                    f"{capture.object}/{capture.layer} was not built yet",
+                    f"{capture.object}/{capture.layer} has not been built yet",
                     fix=f"Run: levkas build {self.campaign.root}",
                 )
             )

@@ -225,7 +225,7 @@ RAMP = np.array([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253
 KINDS = {
     "sigma": "predicted uncertainty of the map, px (one standard deviation)",
     "leave-one-out": "error of the kept pairs by a fit without them, px",
-    "ssim": "structural similarity of both pictures, 1 is alike",
+    "ssim": "structural similarity of both pictures; 1 is identical",
     "flags": "share of pixels flagged in this band",
 }
 

@@ -188,13 +188,13 @@ def test_previews_copies_and_leftovers_are_left_out_and_named(tmp_path):
     assert proposal.objects == ("icon",)
     left_out = "\n".join(proposal.left_out)
     for reason in (
-        "icon_450nm.jpg and 2 more: a preview, by its name, of icon_450nm.tif",
-        "previews/icon_450nm.png and 2 more: a preview",
-        "icon_550nm (1).tif: a copy of icon_550nm.tif",
-        "icon_550nm_old.tif: a copy",
-        "icon_550nm - Copy.tif: a copy",
-        "test.tif: no wavelength in its name",
-        "overview of the studio by a camera that saw nothing of what",
+        "icon_450nm.jpg and 2 more: by its name a preview of icon_450nm.tif",
+        "previews/icon_450nm.png and 2 more: by its name a preview",
+        "icon_550nm (1).tif: by its name a copy of icon_550nm.tif",
+        "icon_550nm_old.tif: by its name a copy",
+        "icon_550nm - Copy.tif: by its name a copy",
+        "test.tif: its name has no wavelength",
+        "overview of the studio by a camera that shares no object with",
         "broken.tif",
     ):
         assert reason in left_out, reason
@@ -234,7 +234,7 @@ def test_folders_of_several_campaigns_are_told_apart(tmp_path):
         write(tmp_path / f"archive/{name}.jpg", np.zeros((90, 120, 3)) + 0.5, bits=8)
     proposal = look(tmp_path)
     assert len(proposal.to_dict()["cameras"]) == 1
-    assert any("look at a folder that holds these alone" in line for line in proposal.left_out)
+    assert any("run `levkas look` on their folder alone" in line for line in proposal.left_out)
 
 
 def test_darks_and_whites_alone_are_refused(tmp_path):

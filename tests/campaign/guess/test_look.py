@@ -142,7 +142,7 @@ def test_numbers_of_sensors_shots_and_bands_are_told_apart(folder):
     assert labels(captures, ("icon1", "msbs")) == ["R1", "G1", "B1", "ccd2"]
     assert cameras["msi"]["files"] == "msi/{target}/{band}.tif"
     assert labels(captures, ("icon1", "msi")) == ["band01", "band02", "band03", "band04"]
-    assert any("what ccd2 sees" in text for text in proposal.unknown)
+    assert any("sensitivity of ccd2" in text for text in proposal.unknown)
 
 
 @pytest.mark.parametrize(("seeds", "objects"), [((5, 5), {"icon"}), ((5, 6), {"icon_0", "icon_1"})])
@@ -176,7 +176,7 @@ def test_two_lightings_of_one_camera_are_setups(folder):
         folder.all(f"{light}/d80/{{}}/001.tif", bayer=True)
     proposal, captures, _ = found(folder.root)
     assert {c.layer for c in captures.values()} == {"d80", "d80@45deg"}
-    assert "'diffuse' is taken for the default one" in proposal.text
+    assert "'diffuse' is assumed to be the default" in proposal.text
 
 
 def test_photograph_reflectogram_and_radiograph_are_plain_images(folder):
@@ -222,7 +222,7 @@ def test_darks_and_whites_without_names_are_known_by_their_histograms(folder):
     said = proposal.to_dict()["targets"]
     assert (said["dark"], said["white"]) == (["0000", "0001"], "0002")
     assert {name for name, _ in captures} == {"0003", "0004"}
-    assert any("0002 is taken for a white" in text for text in proposal.unknown)
+    assert any("0002 is assumed to be a white" in text for text in proposal.unknown)
 
 
 def test_twelve_bits_at_the_upper_end_of_sixteen_have_their_saturation(folder):
@@ -238,7 +238,7 @@ def test_dim_frames_leave_the_bits_open(folder):
     proposal = look(folder.root)
     (camera,) = proposal.to_dict()["cameras"].values()
     assert "bits" not in camera
-    assert any("bits of a code" in text for text in proposal.unknown)
+    assert any("bit depth" in text for text in proposal.unknown)
 
 
 def test_pages_are_bands_and_exposures_are_chosen_from(folder):
@@ -462,6 +462,6 @@ def test_pictures_without_any_order_are_objects_and_the_doubt_is_said(real_data)
     for name, count in (("paintings", 3), ("stain-landmarks", 8)):
         proposal = look(real_data / name)
         assert (len(proposal.cameras), len(proposal.objects)) == (1, count)
-        assert "show one object" in proposal.unknown[0]
-    with pytest.raises(LookRefused, match="library of spectra"):
+        assert "show the same object" in proposal.unknown[0]
+    with pytest.raises(LookRefused, match="spectral library"):
         look(real_data / "spectra")

@@ -74,11 +74,9 @@ MAPS = [map_of(title) for title in ("Error of the registration", "Sigma", "Flags
 def test_in_short_says_error_worst_camera_glare_noise_and_what_to_do():
     marks, told = zip(*summarise_layers([REFERENCE, COLOUR], ROWS, 1.212), strict=True)
     assert marks == ("ok", "warn", "ok", "next")
-    assert told[0].startswith(
-        "rgb lies on vis to within 0.060 px = 0.073 mm, where it was not fitted"
-    )
+    assert told[0].startswith("rgb is registered to vis: held-out error 0.060 px = 0.073 mm")
     assert "96 % of the object" in told[0]
-    assert "at most 2 % of what is seen (rgb)" in told[1]
+    assert "at most 2 % of the object (rgb)" in told[1]
     assert "0.002 (rgb) to 0.008 (vis)" in told[2]
     assert told[3].startswith("rgb: The scene goes beyond the sensor")
 
@@ -87,11 +85,11 @@ def test_in_short_names_the_worst_what_was_left_out_and_what_a_hand_placed():
     lines = summarise_layers([REFERENCE, COLOUR, XRAY, LOST], [], None, ["uv"])
     assert lines[0] == (
         "warn",
-        "Every other camera lies on vis to within 0.250 px, where it was not fitted and could be checked "
-        "(80 % of the object or more). The worst is xray.",
+        "Every other camera is registered to vis: held-out error 0.250 px at most, "
+        "checked over at least 80 % of the object. The worst is xray.",
     )
     assert ("warn", "xray was aligned with 4 pairs by hand.") in lines
-    assert ("refuse", "nir was left out: it could not be aligned.") in lines
+    assert ("refuse", "nir was left out: its registration was refused.") in lines
     assert ("refuse", "uv was left out: its frames were refused.") in lines
     assert lines[-1] == ("next", "nir: Run `levkas inspect CAMPAIGN`.")
 
@@ -99,8 +97,8 @@ def test_in_short_names_the_worst_what_was_left_out_and_what_a_hand_placed():
 def test_of_one_sound_object_nothing_has_to_be_done():
     lines = summarise_layers([REFERENCE, replace(COLOUR, checked=None)], [], None)
     assert lines == [
-        ("ok", "rgb lies on vis to within 0.060 px, where it was not fitted."),
-        ("next", "Nothing has to be done."),
+        ("ok", "rgb is registered to vis: held-out error 0.060 px."),
+        ("next", "No action is needed."),
     ]
 
 
@@ -224,10 +222,7 @@ def test_tables_are_cards_on_a_phone_and_a_thumb_can_scroll_past_the_picture(bro
     page = browser.open(written(tmp_path, [REFERENCE, COLOUR]).as_uri(), width=390, height=844)
     assert page.locator("#evidence thead").is_hidden()
     cell = page.locator("#evidence tbody td").nth(2)
-    assert (
-        cell.evaluate("c => getComputedStyle(c, '::before').content")
-        == '"Error where nothing was fitted"'
-    )
+    assert cell.evaluate("c => getComputedStyle(c, '::before').content") == '"Held-out error"'
     assert page.locator("#stage").evaluate("s => getComputedStyle(s).touchAction") == "pan-y"
 
 

@@ -190,7 +190,7 @@ def test_a_veiled_pixel_is_told_coloured_and_not_trusted(browser, address):
     # What the page's own table does not name is not to be trusted either.
     page.evaluate("levkasViewer.readout.record.flags.pop()")
     click_pixel(page, 105, 103)
-    assert "not to be trusted" in row.inner_text()
+    assert "not reliable" in row.inner_text()
     assert row.locator(".n").first.evaluate(struck) == "line-through"
 
 

@@ -26,5 +26,5 @@ def test_a_wrong_dialect_ends_in_status_one(tmp_path):
     source = tmp_path / "a.csv"
     source.write_text("reference_x,reference_y,x,y\n1,2,3,4\n")
     result = run(app, ["points", "convert", str(source), str(tmp_path / "b"), "--to", "word"])
-    assert result.exit_code == 1 and "no dialect 'word'" in result.output
+    assert result.exit_code == 1 and "unknown dialect 'word'" in result.output
     assert not (tmp_path / "b").exists()

@@ -287,14 +287,14 @@ def mat_without_numbers(*shape):
 BROKEN = {
     "mat of no rows": (mat_without_numbers(0, 2), "found: a; expected: movingPoints"),
     "mat of a long side": (mat_without_numbers(0, 2**31 - 1, 2**31 - 1), "a variable of"),
-    "empty": (b"", "no control points that are known"),
-    "picture": (b"\x89PNG\r\n\x1a\n" + bytes(100), "no control points that are known"),
+    "empty": (b"", "format of these control points is unknown"),
+    "picture": (b"\x89PNG\r\n\x1a\n" + bytes(100), "format of these control points is unknown"),
     "bigwarp text": (b'"Pt-0","true","1","2","3","four"\n', "'four' in line 1"),
     "nan": (b"reference_x,reference_y,x,y\n1,2,3,nan\n", "'nan' in y"),
-    "far": (b"reference_x,reference_y,x,y\n1,2,3,1e300\n", "no place in a picture"),
+    "far": (b"reference_x,reference_y,x,y\n1,2,3,1e300\n", "not a valid position"),
     "short row": (b"mapX,mapY,sourceX,sourceY\n1,2,3\n", "3 columns"),
     "count": (b"point\n3\n1 2\n3 4\n", "two, of the fixed"),
-    "weight": (b"reference_x,reference_y,x,y,weight\n1,2,3,4,0\n", "a weight is not > 0"),
+    "weight": (b"reference_x,reference_y,x,y,weight\n1,2,3,4,0\n", "a weight must be > 0"),
     "mat cut": (format_points(ControlPoints([[1, 2]], [[3, 4]]), "cpselect")[0][:-60], "MAT file"),
     "mat 7.3": (b"MATLAB 7.3 MAT-file" + bytes(200), "7.3"),
     "one layer": (b"index,axis-0,axis-1\n0,1,2\n", "two CSV files"),
@@ -374,7 +374,7 @@ def test_too_many_points_are_refused():
 
 
 def test_points_of_one_side_do_not_pair_up():
-    with pytest.raises(PointsRefused, match="do not pair up"):
+    with pytest.raises(PointsRefused, match="numbers of points differ"):
         ControlPoints([[0, 0]], [[0, 0], [1, 1]])
 
 

@@ -68,7 +68,7 @@ def test_it_says_its_address_serves_this_machine_alone_and_ends_cleanly(campaign
     finally:
         run.kill()
     assert run.returncode == 0 and errors == ""
-    assert "ssh -L" in second and said.rstrip().endswith("levkas build replays them.")
+    assert "ssh -L" in second and said.rstrip().endswith("`levkas build` applies them.")
 
 
 def _other_address():

@@ -41,7 +41,7 @@ def bands_of_mosaic(
         raise CaptureRefused(
             Problem(
                 "E_VALUE",
-                f"{camera.name}: neither campaign.toml nor the file says its mosaic",
+                f"{camera.name}: neither campaign.toml nor the file gives the mosaic pattern",
                 str(facts.path) if facts else None,
                 f"cameras.{camera.name}.pattern",
                 expected='such as pattern = "RGGB"',
@@ -138,12 +138,12 @@ def _check_near(
             raise CaptureRefused(
                 Problem(
                     "E_VALUE",
-                    f"{camera.name}: `wavelengths` are not those of the header",
+                    f"{camera.name}: `wavelengths` differ from the header",
                     path,
                     f"cameras.{camera.name}.wavelengths",
                     f"{theirs:g} nm in the header",
                     f"{ours:g} nm",
-                    "Mend `wavelengths`, or take it out: the header has them.",
+                    "Correct `wavelengths`, or remove the key to use those of the header.",
                 )
             )
 
@@ -187,7 +187,7 @@ def count_problem(
         f"cameras.{camera.name}.{field}",
         found,
         declared,
-        f"Mend `{field}` in campaign.toml, or give the whole file.",
+        f"Correct `{field}` in campaign.toml, or replace an incomplete file.",
     )
 
 
@@ -318,9 +318,9 @@ def _checked(
             f"cameras.{camera.name}.{field}",
             len(keys),
             len(expected),
-            f"Add the missing files, or write the bands that there are as `{field}`."
+            f"Add the missing files, or list only the existing bands in `{field}`."
             if missing
-            else f"Take the files away, or add them to `{field}`.",
+            else f"Remove these files, or add their bands to `{field}`.",
         )
     )
 
@@ -339,10 +339,10 @@ def _listed(keys: Sequence[Key]) -> str:
 def _nameless(camera: Camera, frames: list[FrameRef]) -> Problem:
     return Problem(
         "E_BAND_MISSING",
-        f"{camera.name}: a file's name does not tell its band",
+        f"{camera.name}: a file name does not contain the band",
         str(frames[0].path),
         f"cameras.{camera.name}.files",
         frames[0].path.name,
         "a pattern with {wavelength} or {band}",
-        "Mend the pattern that this file fits.",
+        "Correct the pattern that matches this file.",
     )

@@ -58,7 +58,8 @@ def nothing_known(campaign: Campaign, camera: Camera, labels: Sequence[str]) -> 
         f"cameras.{camera.name}.white.reference",
         ", ".join(labels[:6]),
         f"bands from {first:g} to {last:g} nm, or spectra that reach further",
-        "Measure the chart so far, and write `reference` beside `chart`; or capture a white.",
+        "Measure the spectra of the chart over this range and name them in `reference` "
+        "beside `chart`, or capture a white.",
     )
 
 
@@ -70,12 +71,12 @@ def no_chart_frames(index: FileIndex, camera: Camera, setup: str) -> Problem:
     patterns = dict.fromkeys(p.text for p in patterns_of(index, camera.name, setup))
     return Problem(
         "E_CHART_MISSING",
-        f"{camera.name}{under}: there is no frame of the chart {name!r}, which is to be its white",
+        f"{camera.name}{under}: no frame shows the chart {name!r}, which is declared as its white",
         str(index.campaign.path),
         f"cameras.{camera.name}.white.chart",
         ", ".join(known) or "no file",
         f"{{target}} = {name} in {' or '.join(patterns)}",
-        closest_match(name, known) or "Capture the chart by this camera under the same light.",
+        closest_match(name, known) or "Capture the chart with this camera under the same light.",
     )
 
 
@@ -92,5 +93,5 @@ def other_chart_bands(
         f"cameras.{camera.name}.white.chart",
         f"none in {', '.join(lacking[:6])}" if lacking else ", ".join(b.label for b in seen[:6]),
         f"{len(bands)} bands: {', '.join(b.label for b in bands[:6])}",
-        "Capture the chart in every band, or leave the others out of `wavelengths`.",
+        "Capture the chart in every band, or remove the other bands from `wavelengths`.",
     )

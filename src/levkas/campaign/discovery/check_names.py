@@ -102,16 +102,14 @@ def check_edits(edits: Edits, captures: Iterable[Capture], path: Path) -> None:
         ):
             if wanted and wanted not in names:
                 known_names = ", ".join(sorted(names))
-                problem = Problem(
-                    "E_VALUE", f"there is no such {kind}", None, where, wanted, known_names
-                )
+                problem = Problem("E_VALUE", f"unknown {kind}", None, where, wanted, known_names)
                 problems.append(with_explanation(problem, path))
                 break
         else:
             sensors = layers[layer]
             place = (name, layer, sensors[band] if band else next(iter(sensors.values())))
             if (first := edited.setdefault(place, frame)) != frame:
-                message = "the sensor is edited twice"
+                message = "edits.toml has two tables for this sensor"
                 problem = Problem(
                     "E_VALUE", message, None, where, f"{first}, {frame}", "one of them"
                 )

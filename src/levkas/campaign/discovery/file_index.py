@@ -88,7 +88,7 @@ def too_deep(folder: Path) -> FolderUnreadable:
             "E_SIZE",
             "folders are nested too deeply",
             str(folder),
-            found=f"over {DEEPEST} in one another",
+            found=f"more than {DEEPEST} levels",
             expected=f"at most {DEEPEST}",
             fix="Name the folder that holds the frames.",
         )
@@ -145,7 +145,7 @@ def _list_folder(folder: Path) -> tuple[tuple[str, ...], tuple[str, ...], frozen
                 "a folder of raw frames cannot be listed",
                 str(folder),
                 found=error.strerror,
-                fix="Give yourself the right to read it.",
+                fix="Set its permissions so that you can read it.",
             )
         ) from error
     if "catalogue.csv" in files and "objects" in folders:
@@ -415,7 +415,7 @@ def _scan_camera(index: FileIndex, name: str, camera: Camera) -> None:
         index.broken[default] = CaptureRefused(
             Problem(
                 "E_VALUE",
-                f"{name}: several setups, and which is the default one is not said",
+                f"{name}: several setups, and none is declared as the default",
                 str(campaign.path),
                 f"cameras.{name}.files",
                 ", ".join(unnamed),
@@ -567,7 +567,7 @@ def read_exposures(path: Path) -> dict[str, float]:
 def _bad_row(path: Path, number: int, row: dict[str, str]) -> Problem:
     return Problem(
         "E_VALUE",
-        f"line {number} of the manifest says no exposure",
+        f"line {number} of the manifest has no exposure",
         str(path),
         "exposure_s",
         ", ".join(str(v) for v in row.values())[:80],

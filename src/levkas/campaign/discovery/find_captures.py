@@ -70,7 +70,13 @@ def find_captures(
 
     A camera or setup that has frames of some objects did not take the others, without a refusal. One
     that has frames of none is refused for each; so is an object without a reference image.
-    `index` is what `scan_folders` found, where the folders were walked already.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        As `load_campaign` returns it.
+    index : FileIndex, optional
+        What `scan_folders` found, where the folders were walked already.
 
     Returns
     -------
@@ -83,6 +89,13 @@ def find_captures(
     ------
     CaptureRefused
         Where there is neither an object nor a chart.
+
+    Examples
+    --------
+    >>> from levkas.campaign.campaign import load_campaign
+    >>> captures, refusals = find_captures(load_campaign(plates))
+    >>> [capture.camera for capture in captures], refusals
+    (['photo', 'infrared'], {})
     """
     index = index or scan_folders(campaign)
     index.objects = _objects(index)
@@ -154,13 +167,13 @@ def _no_objects(index: FileIndex) -> Refused:
     return CaptureRefused(
         Problem(
             "E_NO_FRAMES",
-            f"{reference}: no file fits for an object",
+            f"{reference}: no file of an object matches the pattern",
             str(index.campaign.path),
             f"cameras.{reference}.files",
             f"only {', '.join(sorted({f.target for f in found}, key=natural))}",
-            "a {target} that is no dark, white or chart in "
+            "a {target} other than dark, white or chart in "
             + " or ".join(p.text for p in patterns_of(index, reference)),
-            "Put the object's frames where the pattern looks, or mend it.",
+            "Move the object's frames to match the pattern, or correct the pattern.",
         )
     )
 
@@ -190,7 +203,7 @@ def _require_frames(index: FileIndex, name: str, camera: str, setup: str) -> Non
                 field="{target}",
                 found=name,
                 expected="letters, digits, - and _",
-                fix="Rename the frames, or list `targets.objects` to leave it out.",
+                fix="Rename the frames, or list the other objects in `targets.objects`.",
             )
         )
     if (camera, setup) in index.broken:
@@ -205,14 +218,14 @@ def _require_frames(index: FileIndex, name: str, camera: str, setup: str) -> Non
     raise CaptureRefused(
         Problem(
             "E_NO_FRAMES",
-            f"{name}: the reference camera {camera} has no image of it",
+            f"{name}: the reference camera {camera} has no image of this object",
             str(index.campaign.path),
             f"cameras.{camera}.files",
             f"seen by {', '.join(others)}" if others else f"targets {', '.join(known)}",
             f"{{target}} = {name} in {' or '.join(p.text for p in patterns_of(index, camera))}",
             closest_match(name, known)
             if not others
-            else "Add the image, or list in `targets.objects` only the objects that have one.",
+            else "Add the image, or list only objects with an image in `targets.objects`.",
         )
     )
 
@@ -225,12 +238,12 @@ def _no_frames(index: FileIndex, camera: str, setup: str, what: str, target: str
     where = f"setups.{setup}.cameras.{camera}.files" if setup else f"cameras.{camera}.files"
     return Problem(
         "E_NO_FRAMES",
-        f"{camera}{f' under {setup}' if setup else ''}: no file fits for {what}",
+        f"{camera}{f' under {setup}' if setup else ''}: no file of {what} matches the pattern",
         file=str(folder),
         field=where,
         found=", ".join(names) if names else "nothing there",
         expected=" or ".join(dict.fromkeys(p.text for p in patterns)),
-        fix=_meant(wanted, names) or "Mend the pattern, or put the frames where it looks.",
+        fix=_meant(wanted, names) or "Correct the pattern, or move the frames to match it.",
     )
 
 
@@ -253,12 +266,12 @@ def _misspelt(index: FileIndex) -> Refusals:
         refusals[name, camera, setup] = CaptureRefused(
             Problem(
                 "E_NO_FRAMES",
-                f"{camera}: a file of {name} is spelled in other upper and lower case",
+                f"{camera}: a file of {name} differs from the pattern in upper and lower case",
                 str(path),
                 f"setups.{setup}.cameras.{camera}.files" if setup else f"cameras.{camera}.files",
                 path.relative_to(campaign.root).as_posix(),
                 pattern.with_value("target", name).text,
-                "Rename the files, or write in campaign.toml what they are called.",
+                "Rename the files, or correct the name in campaign.toml.",
             )
         )
     return refusals
@@ -480,8 +493,8 @@ def _several_exposures(
         "one exposure",
         'Write exposures = "best" (the longest unsaturated) or "merge".'
         if camera.kind != "cube"
-        else 'Name one of them in `files`; or write exposures = "best" if they are strips of one scan: each is '
-        "divided by its own time.",
+        else "Name one exposure in `files`. If the files are strips of one scan, write exposures "
+        '= "best": each strip is divided by its own time.',
     )
 
 
@@ -493,7 +506,7 @@ def _two_files(camera: Camera, what: str, frames: list[FrameRef]) -> Problem:
         f"cameras.{camera.name}.files",
         ", ".join(f.path.name for f in frames[:3]) + (" …" if len(frames) > 3 else ""),
         "one file",
-        "Take one away; or write {shot} where the names differ, if they are shots to average.",
+        "Remove one. If they are shots to average, write {shot} where the names differ.",
     )
 
 
@@ -513,7 +526,7 @@ def _check_every_band(
                 str(templates[0].path.parent),
                 f"cameras.{camera.name}.files",
                 f"none for {', '.join(lacking[:6])}{' …' if len(lacking) > 6 else ''}",
-                f"a {kind} for every band, or one without a band for all",
+                f"a {kind} for every band, or one {kind} for all bands",
                 f"Add the frames, or write `{kind} = []` under [cameras.{camera.name}].",
             )
         )
@@ -522,7 +535,7 @@ def _check_every_band(
 def _same_names(index: FileIndex, camera: Camera, twice: list[str]) -> Problem:
     return Problem(
         "E_BAND_TWICE",
-        f"{camera.name}: two channels have one name",
+        f"{camera.name}: two channels have the same name",
         str(index.campaign.path),
         f"cameras.{camera.name}.bands",
         ", ".join(twice),
@@ -543,7 +556,7 @@ def _no_sensor(index: FileIndex, name: str, camera: Camera, sensor: str) -> Prob
         f"cameras.{camera.name}.sensors.{sensor}.files",
         "no file",
         patterns,
-        "Add the frames, or mend the pattern.",
+        "Add the frames, or correct the pattern.",
     )
 
 

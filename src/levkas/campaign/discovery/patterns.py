@@ -163,11 +163,11 @@ def match_pieces(pieces: Sequence[Piece], text: str) -> dict[str, str] | None:
     raise Refused(
         Problem(
             "E_VALUE",
-            "a name can be read in too many ways",
+            "a file name matches the pattern in too many ways",
             field="files",
             found=text[:80],
-            expected="a pattern whose placeholders stand apart",
-            fix="Put letters between the placeholders of `files`.",
+            expected="a pattern with text between its placeholders",
+            fix="Write characters between the placeholders of `files`.",
         )
     )
 
@@ -282,14 +282,16 @@ class Pattern:
         ['target', 'wavelength']
         """
         if len(text) > LONGEST:
-            raise ValueError(f"the pattern is longer than the {LONGEST} letters of any path")
+            raise ValueError(
+                f"the pattern is longer than {LONGEST} characters, the limit of a path"
+            )
         path = text.replace("\\", "/")
         segments = tuple(s for s in path.split("/") if s not in ("", "."))
         segments = tuple(
             s for i, s in enumerate(segments) if s != "**" or segments[i - 1 : i] != (s,)
         )
         if not segments or path.endswith("/"):
-            raise ValueError("the pattern ends in a folder, not in a file")
+            raise ValueError("the pattern names a folder, not a file")
         fields = set()
         for segment in segments:
             for piece in _PIECE.split(segment):
@@ -299,11 +301,11 @@ class Pattern:
                     known = ", ".join(f"{{{name}}}" for name in FIELDS)
                     raise ValueError(f"unknown placeholder {piece}; known are {known}")
                 elif "{" in piece or "}" in piece:
-                    raise ValueError("a brace has no pair")
+                    raise ValueError("a brace is not closed")
             if "**" in segment and segment != "**":
-                raise ValueError("** stands for whole folders: raw/**/{target}.tif")
+                raise ValueError("** matches whole folders only: raw/**/{target}.tif")
         if segments[-1] == "**":
-            raise ValueError("the pattern ends in **, which stands for folders")
+            raise ValueError("the pattern ends in **, which matches folders only")
         return cls(
             ("/" if path.startswith("/") else "") + "/".join(segments), segments, frozenset(fields)
         )

@@ -45,7 +45,7 @@ def look(folder: str | Path) -> Proposal:
         raise LookRefused(
             Problem(
                 "E_NO_FRAMES",
-                "there is no capture here that can be read",
+                "no readable capture was found here",
                 file=str(folder),
                 found="; ".join([*([others] if others else []), *unreadable]) or "no files",
                 expected="TIFF, PNG, JPEG, camera raw, or ENVI with its header",
@@ -72,9 +72,9 @@ def write_campaign(proposal: Proposal) -> Path:
         raise LookRefused(
             Problem(
                 "E_EXISTS",
-                "there is a campaign.toml already",
+                "a campaign.toml exists already",
                 file=str(path),
-                fix="Move it away, or take over by hand what is wanted of the proposal.",
+                fix="Move it, or copy what you need from the proposal by hand.",
             )
         )
     write_text(path, proposal.text)

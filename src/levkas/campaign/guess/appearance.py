@@ -68,8 +68,8 @@ def infer_roles(group: CameraGroup, samples: Samples) -> list[str]:
     group.frames = [f.with_role(roles.get(f.target, f.role)) for f in group.frames]
     if len(by_target) > MOST_TARGETS:
         reasons.append(
-            f"whether darks or whites are among {len(by_target) - MOST_TARGETS} of {len(by_target)} targets "
-            "whose names do not say so: their frames were not looked at"
+            f"whether darks or whites are among {len(by_target) - MOST_TARGETS} of "
+            f"{len(by_target)} targets: their names do not show it, and their frames were not read"
         )
     return reasons
 
@@ -95,7 +95,7 @@ def _roles_of(
         darks = {t: s for t, s in darks.items() if s.high - s.low < EVEN_DARK * brightest}
     darks = {} if "dark" in named else darks
     reasons = [
-        f"{t} is taken for a dark: 99 % of it are below {s.high:.4g} counts"
+        f"{t} is assumed to be a dark: 99 % of its pixels are below {s.high:.4g} counts"
         for t, s in darks.items()
     ]
     rest = {t: s for t, s in found.items() if t not in darks}
@@ -105,7 +105,9 @@ def _roles_of(
         even = s.unevenness < EVEN and s.texture < SMOOTH and s.mean > 0.3 * brightest
         if even and others and max(others) > STRUCTURED * max(s.texture, 1e-6):
             whites.append(target)
-            reasons.append(f"{target} is taken for a white: bright ({s.mean:.4g} counts) and even")
+            reasons.append(
+                f"{target} is assumed to be a white: bright ({s.mean:.4g} counts) and uniform"
+            )
     if len(darks) + len(whites) == len(found):
         return {}, []  # nothing would be left to be an object
     return dict.fromkeys(darks, "dark") | dict.fromkeys(whites, "white"), reasons

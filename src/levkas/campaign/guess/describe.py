@@ -16,6 +16,7 @@ from levkas.campaign.guess.appearance import mosaic_behind_filters, mosaic_of, t
 from levkas.campaign.guess.groups import CameraGroup, FilePatterns, find_patterns, safe_name
 from levkas.campaign.guess.names import NamedFile
 from levkas.campaign.guess.pixels import CLIPPED, MOST_SAMPLED, Samples, bits_of
+from levkas.core.text import counted
 from levkas.readers.spectra import parse_spectra
 
 READ_BYTES, ROWS = 20_000, 8
@@ -117,7 +118,7 @@ def describe_camera(
         keys |= _band_keys(group, files)
     if kind == "cube" and group.frames[0].facts.kind != "envi":
         keys["scan"] = Guess(
-            "mirror", "darks and whites are frames; take it out for a push-broom scan"
+            "mirror", "darks and whites are frames; remove this line for a push-broom scan"
         )
     elif kind == "cube" and len({f.facts.shape[0] for f in group.frames}) == 1:
         notes.hints.append(
@@ -144,7 +145,7 @@ def describe_camera(
 
 def _setup(frames: Sequence[NamedFile], kind: str) -> Guess:
     patterns = find_patterns(frames).of_kind(kind)
-    why = "the same camera in a folder of its own: another lighting"
+    why = "the same camera in a separate folder: another lighting"
     return Guess(patterns[0] if len(patterns) == 1 else patterns, why)
 
 
@@ -156,24 +157,26 @@ def _kind(group: CameraGroup, files: FilePatterns, samples: Samples) -> Guess:
     first = group.objects[0]
     facts, channels, templates = first.facts, first.file.channels, group.of_role("dark", "white")
     if files.sensors:
-        return Guess("sensors", f"{len(files.sensors)} sensors: {', '.join(files.sensors)}")
+        return Guess(
+            "sensors", f"{counted(len(files.sensors), 'sensor')}: {', '.join(files.sensors)}"
+        )
     if files.wavelengths or files.bands:
         what = "a wavelength" if files.wavelengths else "a band"
-        return Guess("bands", f"one file a band: the names say {what}")
+        return Guess("bands", f"one file per band: the names contain {what}")
     if facts.kind == "envi":
-        return Guess("cube", f"ENVI, {facts.shape[2]} bands")
+        return Guess("cube", f"ENVI, {counted(facts.shape[2], 'band')}")
     if facts.kind == "raw" or facts.pattern:
         return Guess("mosaic", f"camera raw, {facts.pattern}" if facts.pattern else "camera raw")
     if facts.pages > 1 and channels == 1:
-        return Guess("bands", f"{facts.pages} pages a file: a band each")
+        return Guess("bands", f"{facts.pages} pages per file, one band each")
     if channels == 3:
-        return Guess("image", "3 channels a pixel: a finished picture, nothing to calibrate")
+        return Guess("image", "3 channels per pixel: a rendered picture, nothing to calibrate")
     if channels > 3:
-        return Guess("cube", f"{channels} channels a pixel")
+        return Guess("cube", f"{channels} channels per pixel")
     if side := tile_side(group.frames, samples):
         return Guess("mosaic", f"levels repeat every {side} sensels")
     if templates:
-        return Guess("bands", "one channel, and darks or whites to calibrate it with")
+        return Guess("bands", "one channel, with darks or whites for calibration")
     return Guess("image", "one channel, no darks and whites: nothing to calibrate")
 
 
@@ -230,9 +233,9 @@ def _describe_sensors(
             keys["bands"] = Guess(tuple(bands), f"from the header{': ' * bool(centres)}{centres}")
         else:
             keys["bands"] = Guess(
-                (name,), "no mosaic seen: one channel, and what it sees is not said"
+                (name,), "no mosaic was found: one channel of unknown sensitivity"
             )
-            notes.unknown.append(f"what {name} sees; `bands` bears the sensor's name")
+            notes.unknown.append(f"the sensitivity of {name}; `bands` holds the sensor's name")
         notes.sensors.append(SensorGuess(name, keys))
 
 
@@ -252,11 +255,11 @@ def _centres(group: CameraGroup, files: FilePatterns) -> tuple[float, ...]:
 
 def _band_keys(group: CameraGroup, files: FilePatterns) -> dict[str, Guess]:
     if files.wavelengths:
-        return {"wavelengths": Guess(_steps(files.wavelengths), f"{len(files.wavelengths)} bands")}
-    if files.bands:
         return {
-            "bands": Guess(files.bands, "as the names have them; their wavelengths are not said")
+            "wavelengths": Guess(_steps(files.wavelengths), counted(len(files.wavelengths), "band"))
         }
+    if files.bands:
+        return {"bands": Guess(files.bands, "from the file names; the wavelengths are unknown")}
     facts = group.frames[0].facts
     if facts.pages == 1:
         return {"bands": Guess((group.name,), "one channel, named after the camera")}
@@ -291,16 +294,16 @@ def _scale_keys(group: CameraGroup, samples: Samples, notes: CameraNotes) -> dic
                 f"saturation = {65536 - step}  # codes are multiples of {step}; highest seen {top}"
             )
             return {}
-        why = f"{bits} bits at the upper end of 16: every code is a multiple of {step}"
+        why = f"{bits} bits stored in the upper bits of 16: every code is a multiple of {step}"
         return {"saturation": Guess(65536 - step, why)}
     if bits == 16:
         return {}
     if count >= CLIPPED and top >= (1 << bits) - 1 - (1 << bits) // 50:
-        return {"bits": Guess(bits, f"{count} samples of those looked at stop at {top}")}
+        return {"bits": Guess(bits, f"{count} of the samples read reach {top} and no more")}
     if bits >= 12 and top > BRIGHT * (1 << bits):
-        return {"bits": Guess(bits, f"highest code of the frames looked at: {top}")}
-    notes.hints.append(f"bits = {max(bits, 12)}  # highest code of the frames looked at: {top}")
-    notes.unknown.append(f"the bits of a code: 16 are stored, the highest seen is {top}")
+        return {"bits": Guess(bits, f"highest code in the frames read: {top}")}
+    notes.hints.append(f"bits = {max(bits, 12)}  # highest code in the frames read: {top}")
+    notes.unknown.append(f"the bit depth: 16 bits are stored, the highest code is {top}")
     return {}
 
 
@@ -337,13 +340,13 @@ def _check_exposures(group: CameraGroup, notes: CameraNotes) -> None:
     unclear = {text for texts in silent.values() for text in texts}
     if stated and silent:
         notes.unknown.append(
-            f"the exposure of {' and '.join(silent)} frames: others state theirs, and a build wants it of all "
-            "or of none; give them in a `manifest`"
+            f"the exposure of {' and '.join(silent)} frames: other frames state it, and a build "
+            "needs all or none; list them in a `manifest`"
         )
     elif len(unclear) > 1:
         shown = ", ".join(sorted(f"{text!r}" for text in unclear if text)[:3])
         notes.unknown.append(
-            f"the exposures, whose unit the headers leave open ({shown}); give them in a `manifest`"
+            f"the exposures: the headers give no unit ({shown}); list them in a `manifest`"
         )
 
 
@@ -359,7 +362,7 @@ def _check_templates(group: CameraGroup, samples: Samples, notes: CameraNotes) -
     dark, white, shown = means["dark"], means["white"], means["object"]
     if dark > max(white, shown):
         notes.unknown.append(
-            "whether darks and whites are swapped: the darks are brighter than all else"
+            "whether darks and whites are swapped: the darks are the brightest frames"
         )
         return
     if dark > 0.5 * min(v for v in (white, shown, np.inf) if not isnan(v)):
@@ -409,7 +412,7 @@ def find_white_table(root: Path, tables: Sequence[str]) -> str | None:
 
 
 def with_sensitivity(camera: CameraGuess, root: Path, tables: Sequence[str]) -> CameraGuess:
-    """Give a camera the table that bears its name, and its channels the names in it where they fit."""
+    """Give a camera the table with its name, and its channels the names in it where they fit."""
     if camera.kind not in ("mosaic", "sensors", "image"):
         return camera
     for table in tables:
@@ -418,7 +421,7 @@ def with_sensitivity(camera: CameraGuess, root: Path, tables: Sequence[str]) -> 
         names, rows = _read(root / table)
         if not len(rows) or len(names) < 2:
             continue
-        keys = {**camera.keys, "sensitivity": Guess(table, "the table that bears its name")}
+        keys = {**camera.keys, "sensitivity": Guess(table, "the table with its name")}
         sensors = _renamed(camera.sensors, names[1:])
         return replace(camera, keys=keys, sensors=sensors, unknown=_still(camera, sensors))
     return camera

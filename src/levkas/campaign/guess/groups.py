@@ -113,7 +113,10 @@ def _without_bandless(group: CameraGroup) -> list[str]:
         return []
     lost = [f for f in group.of_role("object") if not f.number("wavelength")]
     group.frames = [f for f in group.frames if f not in lost]
-    return [f"{f.file.name}: no wavelength in its name, as its camera's others have" for f in lost]
+    return [
+        f"{f.file.name}: its name has no wavelength, unlike the other files of this camera"
+        for f in lost
+    ]
 
 
 # --- darks and whites that lie apart ----------------------------------------------------------
@@ -136,14 +139,14 @@ def _attach_templates(groups: list[CameraGroup]) -> tuple[list[CameraGroup], lis
         if len(fits) == 1:
             fits[0].frames += group.frames
         elif fits:
-            left_out.append(f"{shown}: {what}, and several cameras have frames of its size")
+            left_out.append(f"{shown}: {what}; several cameras have frames of this size")
         elif group.of_role("chart"):
             left_out.append(
-                f"{shown}: {what} of a camera that saw no object; `levkas chart FILE` measures one alone"
+                f"{shown}: {what} of a camera without an object; `levkas chart FILE` measures a single file"
             )
         else:
             sides = "x".join(str(n) for n in reversed(group.frames[0].facts.shape[:2]))
-            left_out.append(f"{shown}: {what} of {sides}, and no object's frame has this size")
+            left_out.append(f"{shown}: {what} of {sides}; no frame of an object has this size")
     return owners, left_out
 
 
@@ -169,7 +172,7 @@ def _attach_setups(groups: list[CameraGroup]) -> list[CameraGroup]:
                 continue
             base.setups[name] = group.frames
             if own:
-                base.notes.append(f"the lighting in folder {own!r} is taken for the default one")
+                base.notes.append(f"the lighting in folder {own!r} is assumed to be the default")
             break
         else:
             kept.append(group)
@@ -204,7 +207,9 @@ def _joined_pictures(groups: list[CameraGroup]) -> list[CameraGroup]:
             kept.append(group)
             continue
         twin.frames += group.frames
-        twin.notes = ["no two of these folders have an object in common: taken for one camera's"]
+        twin.notes = [
+            "these folders have no object in common: they are assumed to belong to one camera"
+        ]
     return kept
 
 
@@ -422,7 +427,7 @@ def _field(tokens: Sequence[Token], frames: Sequence[NamedFile]) -> tuple[str, s
     if tokens[0].names_sensor:
         return "sensor", f"{{sensor}}: {tokens[0].before!r} and a number"
     if _headers_differ(texts, frames):
-        return "sensor", "{sensor}: the headers give each number its own wavelength"
+        return "sensor", "{sensor}: in the headers each number has its own wavelength"
     banded = kind == "numbered" and tokens[0].before.lower() in BANDS
     if banded and len(set(texts)) >= FEWEST_BANDS:
         return "band", f"{{band}}: {tokens[0].before!r} and a number, the same for every target"

@@ -42,7 +42,7 @@ def leave_out_leftovers(
         if original := _previewed(capture, measured):
             previews[capture.folders].append((capture, original))
         elif name := _copied(capture, places):
-            copies.append(f"{capture.name}: a copy of {name} by its name")
+            copies.append(f"{capture.name}: by its name a copy of {name}")
         else:
             kept.append(capture)
     return kept, [*map(_line, previews.values()), *copies]
@@ -68,4 +68,4 @@ def _copied(capture: CaptureFile, places: set[tuple[tuple[str, ...], str]]) -> s
 def _line(pairs: Sequence[tuple[CaptureFile, CaptureFile]]) -> str:
     first, original = pairs[0]
     more = f" and {len(pairs) - 1} more" if len(pairs) > 1 else ""
-    return f"{first.name}{more}: a preview, by its name, of {original.name}"
+    return f"{first.name}{more}: by its name a preview of {original.name}"

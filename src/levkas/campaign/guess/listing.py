@@ -81,7 +81,7 @@ def list_captures(root: str | Path) -> Listing:
         if any(name.endswith((".kept", ".removed")) for name in above):
             continue
         if names is None:
-            listing.unreadable["/".join(above)] = f"over {DEEPEST} folders in one another"
+            listing.unreadable["/".join(above)] = f"more than {DEEPEST} levels of folders"
             continue
         folder = listing.root.joinpath(*above)
         paths += [(above, folder / name) for name in names]
@@ -123,5 +123,5 @@ def _facts_of_image(path: Path) -> Facts:
     from levkas.readers.frames import read_facts
 
     if path.suffix.lower() == ".hdr" and "library" in parse_header(path).text("file type").lower():
-        raise unreadable(path, "a library of spectra, no image")
+        raise unreadable(path, "a spectral library, not an image")
     return read_facts(path)

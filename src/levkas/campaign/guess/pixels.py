@@ -247,7 +247,7 @@ def name_mosaic(
     if diagonal is None:
         names = [f"B{i + 1}" for i in range(side * side)]
         rows = tuple(tuple(names[r * side : (r + 1) * side]) for r in range(side))
-        unknown = "what each channel of the mosaic sees: the names are in reading order"
+        unknown = "the sensitivity of each channel of the mosaic: the names are in reading order"
         return GuessedMosaic(rows, f"levels repeat every {side} sensels", unknown)
     greens, ends = (DIAGONALS[diagonal], DIAGONALS[1 - diagonal])
     red, why, unknown = _first_is_red(ends, bright - dark, dark, shown or {}, warmth or {})
@@ -255,7 +255,9 @@ def name_mosaic(
     grid[greens[0]] = grid[greens[1]] = "G"
     grid[ends[0] if red else ends[1]] = "R"
     rows = tuple(tuple(str(n) for n in row) for row in grid)
-    return GuessedMosaic(rows, f"two phases on a diagonal are alike: greens{why}", unknown)
+    return GuessedMosaic(
+        rows, f"two phases on a diagonal are alike, so they are green{why}", unknown
+    )
 
 
 def _first_is_red(
@@ -274,11 +276,17 @@ def _first_is_red(
     if known and sum(map(abs, known.values())) > 0.01:
         vote, most = sum(known.values()), sum(map(abs, known.values()))
         sure = abs(vote) > AGREE * most
-        return vote > 0, "; red sees objects as spectra have them", "" if sure else FIRST
+        return (
+            vote > 0,
+            "; the object's ratio to the white rises towards red, as in measured spectra",
+            "" if sure else FIRST,
+        )
     if not votes:
         return True, "", FIRST
     vote = sum(votes.values())
-    why = "; red is where objects are brighter against the white, as paintings are"
+    why = (
+        "; red is the phase in which the object is brighter relative to the white, as paintings are"
+    )
     return vote >= 0, why, FIRST
 
 
@@ -309,7 +317,9 @@ def _by_wavelength(narrow: Mapping[float, np.ndarray], dark: float) -> GuessedMo
     if len(greens) != 2 or abs(greens[0] - greens[1]).sum() != 2:
         return None
     rows = tuple(tuple(str(n) for n in row) for row in grid)
-    return GuessedMosaic(rows, "one phase sees the long waves best (R), one the short ones (B)")
+    return GuessedMosaic(
+        rows, "one phase is most sensitive to long wavelengths (R), one to short ones (B)"
+    )
 
 
 # --- frames, decoded once ---------------------------------------------------------------------

@@ -48,7 +48,7 @@ PHOTOGRAPHS = r"(.*[-_ ])?(photo|photograph|foto|vis|visible|rgb|color|colour)([
 RANKS = {"bands": 4, "mosaic": 3, "cube": 2, "sensors": 2, "image": 1}
 """Fitness of kinds as the reference: a sharp frame a band, then a sharp mosaic."""
 MOST_LISTED = 6
-UNKNOWN_WHITE = "what the white board reflects: 1 is taken"
+UNKNOWN_WHITE = "the reflectance of the white board: 1 is assumed"
 
 
 class LookRefused(Refused):
@@ -123,8 +123,8 @@ def propose(listing: Listing) -> Proposal:
     ]
     if len(cameras) == 1 and cameras[0].kind == "image" and len(cameras[0].targets) > 1:
         unknown.append(
-            "whether some of these pictures show one object: each is taken for an object of its own, "
-            "and with one camera nothing is registered"
+            "whether some of these pictures show the same object: each is treated as a separate "
+            "object, and one camera needs no registration"
         )
     shapes = [group.frames[0].facts.shape for group in groups]
     reference, why = _reference(cameras, [shape[0] * shape[1] for shape in shapes])
@@ -174,7 +174,8 @@ def _without_conflicts(groups: Sequence[CameraGroup]) -> list[str]:
     for group in groups:
         group.frames = [f.with_role("object") if f.target in doubted else f for f in group.frames]
     return [
-        f"whether {name} is an object: not all cameras' frames look it" for name in sorted(doubted)
+        f"whether {name} is an object: some cameras' frames do not look like one"
+        for name in sorted(doubted)
     ]
 
 
@@ -213,7 +214,11 @@ def _reference(cameras: Sequence[CameraGuess], sizes: Sequence[int]) -> tuple[Ca
         return objects, near or not camera.centres, *order
 
     best = max(range(len(cameras)), key=worth)
-    why = "the only camera" if len(cameras) == 1 else "a guess: what all else is registered to"
+    why = (
+        "the only camera"
+        if len(cameras) == 1
+        else "a guess: all other cameras are registered to it"
+    )
     return cameras[best], why
 
 
@@ -238,8 +243,8 @@ def _without_strangers(
         files = camera.keys["files"].value
         where = files if isinstance(files, str) else files[0]
         left_out.append(
-            f"{where}: {shown} by a camera that saw nothing of what {reference.name} saw; name frames of one object "
-            "alike, or look at a folder that holds these alone"
+            f"{where}: {shown} by a camera that shares no object with {reference.name}; give "
+            "frames of one object the same name, or run `levkas look` on their folder alone"
         )
     return kept, left_out
 
@@ -278,17 +283,17 @@ def _targets(
         unknown += shown if set(white) & calibrated else []
     charts = {t: _chart(t) for t in sorted(by_role["chart"], key=natural)}
     if charts:
-        keys["charts"] = Guess(charts, "by their names; check which chart each is")
+        keys["charts"] = Guess(charts, "from their names; check the type of each chart")
     registered = next(c.targets for c in cameras if c.name == reference)
     objects = sorted(by_role["object"], key=natural)
     if unsafe := [name for name in objects if not is_safe_name(name)]:
         unknown.append(
-            f"how to call {', '.join(unsafe[:MOST_LISTED])}: file names cannot hold this"
+            f"a name for {', '.join(unsafe[:MOST_LISTED])}: file names cannot contain these characters"
         )
     objects = [name for name in objects if name not in unsafe]
     lost = [name for name in objects if name not in registered]
     if lost:
-        unknown.append(f"where the reference camera's image of {', '.join(lost[:MOST_LISTED])} is")
+        unknown.append(f"the reference camera's image of {', '.join(lost[:MOST_LISTED])}")
     objects = [name for name in objects if name in registered]
     if objects:
         keys["objects"] = Guess(objects, "all other targets" if dark or white or charts else "")
@@ -299,8 +304,8 @@ def _white(listing: Listing, names: list[str], how: str) -> tuple[Guess, list[st
     """Return the white board, with a table of its reflectance where one lies beside."""
     one: object = names[0] if len(names) == 1 else names
     if table := find_white_table(listing.root, listing.tables):
-        return Guess({"names": one, "reflectance": table}, "the table that stands beside"), []
-    return Guess(one, f"{how}; what it reflects is not in the files"), [UNKNOWN_WHITE]
+        return Guess({"names": one, "reflectance": table}, "the table beside it"), []
+    return Guess(one, f"{how}; the files do not give its reflectance"), [UNKNOWN_WHITE]
 
 
 def _hints(targets: dict[str, Guess]) -> tuple[str, ...]:
@@ -359,9 +364,9 @@ def _shortened(lines: Sequence[str]) -> list[str]:
 
 
 def _document(proposal: Proposal) -> Iterator[str]:
-    yield "# Guessed by `levkas look` from the names, headers and numbers of the files; read it before a build."
+    yield "# Proposed by `levkas look` from the names, headers and pixels of the files. Check it before you build."
     for title, lines in (
-        ("Unknown, and for you to say:", proposal.unknown),
+        ("Unknown; please fill in:", proposal.unknown),
         ("Left out:", proposal.left_out),
     ):
         if lines:
@@ -389,12 +394,12 @@ def _document(proposal: Proposal) -> Iterator[str]:
             yield from _table({"files": files})
     if proposal.objects:
         yield f"\n# [objects.{to_toml_key(proposal.objects[0])}]"
-        yield from _aligned('# title = ""', "what a museum says of it; all of it is optional")
+        yield from _aligned('# title = ""', "facts from the museum's records; all optional")
         yield from _aligned("# size_mm = [width, height]", "gives the sampling in px per mm")
     if len(proposal.objects) > 1 or any(camera.setups for camera in proposal.cameras):
         yield "\n# [registration]"
         yield from _aligned(
-            "# joint = true", "if nothing moved: a camera's captures share its lens"
+            "# joint = true", "if the camera did not move: its captures share one lens"
         )
 
 

@@ -24,7 +24,7 @@ from levkas.core.problems import LONGEST_NAME, MOST_COMPARED, Problem, closest_m
 
 MOST_LISTED = 20
 MOST_CAMERAS, MOST_LAYERS, MOST_PATTERNS = 1000, 20_000, 1000
-"""Cameras; objects times cameras; patterns of one camera: each is looked up among the files."""
+"""Cameras; objects times cameras; patterns for one camera: each is looked up among the files."""
 _UNSAFE = re.compile(r'[\x00-\x1f\x7f/\\:*?"<>|@{}]|^[.\s]|[.\s]$')
 
 
@@ -52,7 +52,7 @@ def unusable_output(output: Path, root: Path) -> str:
     """Return why no database can be written to a folder, whatever is there; ``""`` where one can.
 
     >>> unusable_output(Path("/"), Path("/data/icons"))
-    'the database would be written over a whole disk or a home'
+    'the database would replace a whole disk or a home folder'
     >>> unusable_output(Path("/data/icons/database"), Path("/data/icons"))
     ''
     """
@@ -61,9 +61,9 @@ def unusable_output(output: Path, root: Path) -> str:
     except RuntimeError:  # a user without one
         home = root
     if output in (Path(output.anchor), home):
-        return "the database would be written over a whole disk or a home"
+        return "the database would replace a whole disk or a home folder"
     if output in (root, *root.parents):
-        return "the database would be written over the campaign"
+        return "the database would replace the campaign"
     return ""
 
 
@@ -100,7 +100,7 @@ def _sizes(document: Document) -> Iterator[Problem]:
             MOST_LAYERS,
             "objects times cameras",
         ),
-        ("cameras", patterns, MOST_PATTERNS, "patterns of one camera"),
+        ("cameras", patterns, MOST_PATTERNS, "patterns for one camera"),
     ):
         if count > most:
             fix = "Divide it into several campaigns."
@@ -142,7 +142,7 @@ def _names(document: Document) -> Iterator[Problem]:
     layers = [(name, f"cameras.{name}") for name in cameras]
     for setup, keys in document.setups.items():
         layers += [(f"{c}_{setup}", f"setups.{setup}.cameras.{c}") for c in keys.cameras]
-    yield from _twice(layers, "two layers would have one file name")
+    yield from _twice(layers, "two layers would have the same file name")
     yield from _twice(
         [(n, f"objects.{n}") for n in set(tables["objects"])], "names differ in case only"
     )
@@ -187,7 +187,7 @@ def _targets(document: Document) -> Iterator[Problem]:
         if near := closest_match(name, known):
             yield value_problem(
                 f"objects.{name}",
-                "facts of an object that is not among targets.objects",
+                "this object is not listed in targets.objects",
                 name,
                 listed(known),
                 near,
@@ -201,7 +201,7 @@ def _edges(document: Document) -> Iterator[Problem]:
         if target not in targets.charts:
             yield value_problem(
                 f"targets.edges.{target}",
-                "slanted edges of a target that is not among targets.charts",
+                "this target has slanted edges and is not listed in targets.charts",
                 target,
                 listed(tuple(targets.charts))
                 or f'charts = {{ {target} = "edges" }}, which has no colour chart',
@@ -214,7 +214,7 @@ def _edges(document: Document) -> Iterator[Problem]:
                 near = closest_match(camera, cameras)
                 yield value_problem(
                     f"targets.edges.{target}",
-                    "there is no such camera",
+                    "unknown camera",
                     frame,
                     listed(cameras),
                     near,
@@ -222,7 +222,7 @@ def _edges(document: Document) -> Iterator[Problem]:
             elif setup and setup not in document.setups:
                 yield value_problem(
                     f"targets.edges.{target}",
-                    "there is no such setup",
+                    "unknown setup",
                     frame,
                     listed(tuple(document.setups)),
                 )
@@ -236,7 +236,7 @@ def _setups(document: Document) -> Iterator[Problem]:
         if setup == document.campaign.setup and keys.cameras:
             yield value_problem(
                 f"setups.{setup}.cameras",
-                "the default lighting has the cameras' own files",
+                "the default lighting uses the files of the cameras",
                 ", ".join(keys.cameras),
                 "no cameras: it is campaign.setup",
             )
@@ -272,7 +272,7 @@ def _registration(document: Document) -> Iterator[Problem]:
     own = {name: camera.registration for name, camera in document.cameras.items()}
     methods = _methods_of(document)
     if common.use is not None and not any((common.points, *(k.points for k in own.values()))):
-        yield value_problem("registration.use", "there are no points to use", common.use)
+        yield value_problem("registration.use", "no control points are given", common.use)
     shared = common.method or DEFAULT_METHOD
     yield from _foreign_options("registration", common, {shared, *methods.values()}, shared)
     if common.joint and not any(METHODS[name].joint for name in methods.values()):
@@ -283,7 +283,7 @@ def _registration(document: Document) -> Iterator[Problem]:
             yield _not_joint(f"{where}.joint", method)
         yield from _foreign_options(where, keys, {method}, method)
         if keys.use is not None and (keys.points or common.points) is None:
-            yield value_problem(f"{where}.use", "there are no points to use", keys.use)
+            yield value_problem(f"{where}.use", "no control points are given", keys.use)
         reject, stop = keys.reject or common.reject, keys.stop or common.stop or 1.0
         if reject is not None and reject <= stop:
             table = where if keys.declared() else "registration"
@@ -302,9 +302,9 @@ def _not_joint(where: str, method: str) -> Problem:
     able = next(name for name, row in METHODS.items() if row.joint)
     return value_problem(
         where,
-        f"the method {method!r} adjusts no captures together",
+        f"the method {method!r} has no joint adjustment",
         "true",
-        fix=f'Take it out, or write method = "{able}".',
+        fix=f'Remove it, or write method = "{able}".',
     )
 
 
@@ -319,7 +319,7 @@ def _foreign_options(
                 f"{where}.{option}",
                 f"the method {method!r} has no `{option}`",
                 getattr(keys, option),
-                fix=f'Take it out, or write method = "{owners_of(option)[0]}".',
+                fix=f'Remove it, or write method = "{owners_of(option)[0]}".',
             )
 
 
@@ -339,7 +339,7 @@ def find_ineffective(document: Document) -> Iterator[str]:
 def without_effect(field: str) -> str:
     """Return the warning about an option that the default method accepts and does not use."""
     owner = owners_of(field.rpartition(".")[2])[0]
-    return f'{field} has no effect under the default method; it belongs to method = "{owner}"'
+    return f'{field} has no effect with the default method; it is an option of method = "{owner}"'
 
 
 def _files(document: Document, root: Path) -> Iterator[Problem]:
@@ -359,7 +359,7 @@ def _files(document: Document, root: Path) -> Iterator[Problem]:
         if name is not None and not (root / name).is_file():
             yield Problem(
                 "E_UNREADABLE",
-                "the table that is named is not there",
+                "the named table does not exist",
                 field=field,
                 found=name,
                 expected="a CSV file, named relative to campaign.toml",
@@ -392,7 +392,7 @@ def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
             per_sensor = key in ("pattern", "bands") and camera.kind == "sensors"
             yield value_problem(
                 f"{where}.{key}",
-                f"a camera of kind {camera.kind!r} has no `{key}`",
+                f"a camera of kind {camera.kind!r} does not have the key `{key}`",
                 expected=" or ".join(f'kind = "{kind}"' for kind in kinds),
                 fix="Write it in each [[sensors]] table." if per_sensor else "Take it out.",
             )
@@ -422,7 +422,7 @@ def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
     dark, white = set(camera.dark or ()), set(camera.white_names or ())
     if dark & white:
         yield value_problem(
-            f"{where}.white", "a template is dark and white at once", min(dark & white)
+            f"{where}.white", "a target is declared both dark and white", min(dark & white)
         )
 
 
@@ -433,7 +433,7 @@ def _white_chart(where: str, camera: CameraKeys, charts: Collection[str]) -> Ite
         return
     if camera.kind not in KINDS_BY_CHART:
         why = (
-            "a line scan has no picture of the light"
+            "a line scan has no frame from which to measure the light"
             if camera.kind == "cube"
             else "it is not calibrated"
         )
@@ -448,7 +448,7 @@ def _white_chart(where: str, camera: CameraKeys, charts: Collection[str]) -> Ite
         known = [*charts, *sorted(set(CHARTS.values()))]
         yield value_problem(
             f"{where}.chart",
-            "this is neither a target that is declared as a chart nor the name of a chart",
+            "this is neither a declared chart target nor the name of a known chart",
             white.chart,
             f"one of {listed(known)}",
             closest_match(white.chart, known)
@@ -461,7 +461,7 @@ def _sensors(where: str, camera: CameraKeys) -> Iterator[Problem]:
         yield Problem("E_KEY", "[[sensors]] tables are required", field=f"{where}.sensors")
     for name, count in Counter(s.name for s in camera.sensors).items():
         if count > 1:
-            yield value_problem(f"{where}.sensors.{name}", "two sensors have one name", name)
+            yield value_problem(f"{where}.sensors.{name}", "two sensors have the same name", name)
     for sensor in camera.sensors:
         at = f"{where}.sensors.{sensor.name}"
         if not sensor.files and not any("{sensor}" in text for text in camera.files):
@@ -482,7 +482,7 @@ def _sensor_alignment(where: str, sensors: tuple[SensorKeys, ...]) -> Iterator[P
     if sensors and sensors[0].align not in ("measure", identity):
         yield value_problem(
             f"{where}.sensors.{sensors[0].name}.align",
-            "the first sensor is what the others are aligned to",
+            "the other sensors are aligned to the first sensor",
             fix="Take it out.",
         )
 
@@ -517,28 +517,28 @@ def _wavelengths(where: str, camera: CameraKeys) -> Iterator[Problem]:
     if not centres and isinstance(keys, Range):
         yield value_problem(
             field,
-            f"{keys.start:g} to {keys.stop:g} nm is no whole number of steps of {keys.step:g} nm",
+            f"{keys.start:g} to {keys.stop:g} nm is not a whole number of steps of {keys.step:g} nm",
         )
     elif not centres:
         yield value_problem(
-            field, "the list is empty", fix="Take it out: the files say their wavelengths."
+            field, "the list is empty", fix="Remove it: the files give their wavelengths."
         )
     elif len(set(centres)) < len(centres):
         yield value_problem(
-            field, "a wavelength stands there twice", Counter(centres).most_common(1)[0][0]
+            field, "a wavelength is listed twice", Counter(centres).most_common(1)[0][0]
         )
     elif camera.bands and len(camera.bands) != len(centres):
         yield Problem(
             "E_BAND_COUNT",
-            "`bands` and `wavelengths` do not fit",
+            "`bands` and `wavelengths` differ in length",
             field=field,
             found=f"{len(centres)} wavelengths",
-            expected=f"{len(camera.bands)}, one a band",
+            expected=f"{len(camera.bands)}, one per band",
         )
     elif not camera.bands and any("{band}" in text for text in camera.files):
         yield Problem(
             "E_KEY",
-            "nothing says which band has which wavelength",
+            "the assignment of wavelengths to bands is unknown",
             field=f"{where}.bands",
             fix="Write `bands` in the order of `wavelengths`.",
         )
@@ -550,13 +550,13 @@ def _channels(
     for name, count in Counter(bands or ()).items():
         if count > 1:
             yield Problem(
-                "E_BAND_TWICE", "two bands have one name", field=f"{where}.bands", found=name
+                "E_BAND_TWICE", "two bands have the same name", field=f"{where}.bands", found=name
             )
     channels = {name for row in pattern or () for name in row}
     if pattern and bands and len(bands) != len(channels):
         yield Problem(
             "E_BAND_COUNT",
-            "`bands` does not fit `pattern`",
+            "`bands` and `pattern` disagree",
             field=f"{where}.bands",
             found=len(bands),
             expected=f"{len(channels)}: {', '.join(sorted(channels))}",

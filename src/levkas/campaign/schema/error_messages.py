@@ -56,8 +56,8 @@ def left_out(count: int | None = None) -> list[Problem]:
     if count == 0:
         return []
     how_many = "more" if count is None else f"{count} more"
-    fix = "Mend those above first; is it the right file?"
-    return [Problem("E_TOO_MANY", f"there are {how_many} problems, which are not listed", fix=fix)]
+    fix = "Correct those above first. Is it the right file?"
+    return [Problem("E_TOO_MANY", f"{how_many} problems are not listed", fix=fix)]
 
 
 def _problem(record: dict[str, Any], error: Any, document: type[BaseModel]) -> Problem:

@@ -89,7 +89,7 @@ def _white(value: Any) -> Any:
 
 def _camera_white(value: Any) -> Any:
     if isinstance(value, dict) and {"chart", "names"} <= value.keys():
-        raise ValueError("must be white frames or a chart, not both: take out `chart` or `names`")
+        raise ValueError("must be white frames or a chart, not both: remove `chart` or `names`")
     return value
 
 

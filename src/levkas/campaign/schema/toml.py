@@ -66,7 +66,7 @@ def read_toml(path: Path) -> dict[str, Any]:
                 str(path),
                 found=str(error)[:200],
                 expected="TOML 1.0",
-                fix="Mend that line: text in quotes, lists in brackets, one key a line.",
+                fix="Correct that line: text in quotes, lists in brackets, one key per line.",
             )
         ) from error
 
@@ -154,6 +154,6 @@ def _check_bounds(path: Path, text: str) -> None:
                     str(path),
                     found="more",
                     expected=f"at most {most}",
-                    fix="docs/campaign.md has every key: none needs as much.",
+                    fix="docs/campaign.md explains every key; none needs so much.",
                 )
             )

@@ -62,7 +62,7 @@ def _reflectance(value: Any) -> float | str:
     if isinstance(value, str) and value:
         return value
     if not _is_number(value) or not 0 < value <= 1.5:
-        raise ValueError("must be a share such as 0.98, or a CSV over wavelength")
+        raise ValueError("must be a reflectance such as 0.98, or a CSV over wavelength")
     return float(value)
 
 

@@ -123,7 +123,7 @@ def find_method(name: str) -> EstimationMethod:
         raise Refused(
             Problem(
                 "E_METHOD",
-                "there is no such method of estimation",
+                "unknown method of estimation",
                 found=name,
                 expected=", ".join(METHODS),
             )
@@ -166,6 +166,6 @@ def load_model(path: str | Path) -> tuple[str, Model]:
                 "E_MODEL",
                 f"no fitted model of this version: {error}",
                 file=str(path),
-                fix="fit it anew with `levkas estimate`",
+                fix="fit it again with `levkas estimate`",
             )
         ) from None

@@ -98,7 +98,7 @@ def export(
         raise ExportRefused(
             Problem(
                 "E_UNWRITABLE",
-                "an export cannot stand in the database: its manifest would not fit it any more",
+                "an export cannot be written into the database: the manifest would no longer match",
                 file=str(folder),
                 fix="Give another folder with -o.",
             )
@@ -120,7 +120,7 @@ def load_writer(form: str) -> Writer:
     """Return the function of a format."""
     if form not in FORMS:
         raise ExportRefused(
-            Problem("E_VALUE", "there is no such format", None, "--for", form, ", ".join(FORMS))
+            Problem("E_VALUE", "unknown format", None, "--for", form, ", ".join(FORMS))
         )
     module, _, function = FORMS[form].partition(":")
     writer: Writer = getattr(import_module(module), function)
@@ -143,7 +143,7 @@ def _check_names(
             raise ExportRefused(
                 Problem(
                     "E_VALUE",
-                    "the database has none of this name",
+                    "the database has no such name",
                     str(root),
                     field,
                     found,

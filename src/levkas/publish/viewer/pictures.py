@@ -165,7 +165,7 @@ def _lights(source: Source, pages: TiffPages) -> Iterator[LayerPicture]:
             some = pages.read(rows.start, rows.stop)
             linear = np.stack([np.einsum("yxb,b->yx", some, gain) for gain in matrix.T.copy()], -1)
             image[rows] = encode_srgb(linear)
-        note = "as seen by an eye that is used to this light: white stays white"
+        note = "for an eye adapted to this light: white remains white"
         yield LayerPicture(f"light-{name.lower()}", words, "light", image, note)
 
 
@@ -222,7 +222,7 @@ def shown_grey(values: np.ndarray, black: float, white: float) -> np.ndarray:
 def _maps(source: Source, size: tuple[int, int]) -> Iterator[LayerPicture]:
     if source.flags.is_file():
         image, palette, legend = flag_map(source.flags)
-        note = "the gravest flag of any band"
+        note = "the most serious flag of any band"
         yield LayerPicture("flags", "Flags", "map", image, note, palette, legend)
     if source.sigma.is_file():
         image, legend = sigma_map(source.sigma)
@@ -237,7 +237,7 @@ def _maps(source: Source, size: tuple[int, int]) -> Iterator[LayerPicture]:
             yield LayerPicture("ssim", "Similarity (SSIM)", "map", found[0], note, legend=found[1])
     predicted = registration_map(source.database, source.object, source.record, size)
     if predicted:
-        note = "error of the registration as its own evidence predicts it; grey where nothing confirms the map"
+        note = "predicted error of the registration; grey where the map was not checked"
         yield LayerPicture(
             "error", "Registration error", "map", predicted[0], note, legend=predicted[1]
         )

@@ -134,7 +134,7 @@ def _check_informative(frames: Sequence[np.ndarray], zeros: float) -> None:
     raise CalibrationRefused(
         Problem(
             "E_DARK_CLIPPED",
-            "the darks are clipped so far that black cannot be told from them",
+            "the darks are clipped too strongly to measure the black level",
             found=f"{zeros:.1%} zeros, {beyond} pixels at 2 to 4 counts",
             expected=f"{FEWEST} or more",
             fix="Raise the camera's black level (offset) by some counts, or capture an exposure series "

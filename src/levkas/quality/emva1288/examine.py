@@ -87,7 +87,7 @@ def _examine_camera(
 
     if campaign.cameras[name].kind == "image":
         facts = describe_frame(captures[0].sensors[0].object[0].path)
-        note = ["a plain image: nothing is calibrated, and noise cannot be told"]
+        note = ["an image without calibration: its noise cannot be measured"]
         yield SensorReport(name, "", facts, facts.levels or _no_levels(), notes=note)
         return
     try:

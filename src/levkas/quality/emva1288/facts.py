@@ -196,7 +196,7 @@ def describe_files(path: str | Path) -> tuple[list[FrameFacts], Levels | None, l
         raise NothingToDescribe(
             Problem(
                 "E_NO_FRAMES",
-                "no frame stands here",
+                "no frame is here",
                 file=str(path),
                 expected="a campaign, a frame, or a folder of frames (TIFF, PNG, camera raw, ENVI)",
                 fix="Name the folder that holds the frames.",

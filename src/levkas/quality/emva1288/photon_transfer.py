@@ -218,9 +218,7 @@ def _notes(
     if best["dark_variance"] < LEAST_QUANTISED:
         notes.append("rounding hides the noise in the dark: it is an upper bound (EMVA 1288, 6.6)")
     if whites and not any(np.isfinite(b.mean).any() for b in whites):
-        notes.append(
-            "the white is saturated everywhere, and tells nothing: capture it with its peak at 85 %"
-        )
+        notes.append("the white is saturated everywhere: capture it with its peak at 85 %")
     elif len({b.exposure_s for b in whites}) < 3:
         notes.append("linearity needs whites of three exposures or more")
     if (levels := sum(b.shots > 1 for b in lit)) < 5:
@@ -261,7 +259,7 @@ def _check_stacks(darks: Sequence[Dark], lit: Sequence[Blocks]) -> None:
     if not any(b.shots > 1 for b in lit):
         raise _refusal(
             "E_SHOTS",
-            "noise over time cannot be told from one shot of each scene",
+            "temporal noise cannot be measured from one shot of each scene",
             f"{len(lit)} lit scenes, one shot each" if lit else "nothing lit",
             "two shots or more of one scene, nothing moved between them",
             "Capture the white twice or more at one exposure, and two darks.",

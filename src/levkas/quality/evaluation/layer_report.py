@@ -25,6 +25,7 @@ from levkas.quality.evaluation.similarity import (
     read_truth,
     summarise_errors,
 )
+from levkas.registration.record import DECISIONS
 
 if TYPE_CHECKING:
     from levkas.registration.control_points.points import Size
@@ -57,8 +58,9 @@ class Assessment:
             count = sum(c["points"] for c in result["check_points"])
             check = sum(checks) / count if count else np.nan
             ssim = np.nan if result["ssim"] is None else result["ssim"]
+            verdict = DECISIONS.get(result["verdict"], result["verdict"]).partition(",")[0]
             lines.append(
-                f"{result['layer']:28} {result['verdict']:8} {len(result['bands']):5d} "
+                f"{result['layer']:28} {verdict:8} {len(result['bands']):5d} "
                 f"{_number(mean):>8} {_number(worst):>11} {_number(most):>8} {_number(check):>8} {_number(ssim):>6}"
             )
         return "\n".join(lines)
@@ -96,12 +98,24 @@ def assess(
     overwrite : bool
         Whether files may be replaced there that were not written so, or were changed since.
 
+    Returns
+    -------
+    assessment : Assessment
+        `results`: a dict a layer with verdict, errors of every band in reference px, and SSIM; `problems`:
+        what could not be evaluated; `text`: a table.
+
     Raises
     ------
     EvaluationRefused
         Where there is no database, or the points cannot be read.
     WriteRefused
         Where a map would replace a file that Levkas did not write, or the disk refuses.
+
+    Examples
+    --------
+    >>> found = assess(plates / "database")
+    >>> [(one["layer"], one["verdict"]) for one in found.results]
+    [('one/infrared', 'accept'), ('one/photo', 'accept')]
     """
     from levkas.core.ownership import OwnFiles
 

@@ -298,8 +298,8 @@ def _misfits(
             )
         leak = "; near infrared leaks through its filter" if wavelength >= INFRARED else ""
         said.append(
-            f"{bands[i].label} does not see what its wavelength says: rank correlation {fit[i]:.2f}; "
-            f"{like}{leak}. It is left out of the colours"
+            f"the signal of {bands[i].label} does not match its wavelength: rank correlation "
+            f"{fit[i]:.2f}; {like}{leak}. It is left out of the colours"
         )
     return said
 
@@ -319,9 +319,10 @@ def _unknown_bands(bands: Sequence[Band], reference: ChartReference | None) -> l
         if labels:
             more = f" and {len(labels) - 6} more" if len(labels) > 6 else ""
             said.append(
-                f"no reference in the {where} for {', '.join(labels[:6])}{more}: the spectra ({reference.source}) are "
-                f"known from {reference.wavelengths[0]:g} to {reference.wavelengths[-1]:g} nm. Signal and noise are "
-                "told there, and nothing is compared; give a CSV that reaches so far"
+                f"no reference in the {where} for {', '.join(labels[:6])}{more}: the spectra "
+                f"({reference.source}) cover {reference.wavelengths[0]:g} to "
+                f"{reference.wavelengths[-1]:g} nm. Signal and noise are reported there without a "
+                "comparison; give a CSV that covers this range"
             )
     return said
 

@@ -144,7 +144,7 @@ def read_variables(data: bytes) -> dict[str, Any]:
     """
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if order is None:
-        raise unreadable("no mark of the byte order", "a MAT file of level 5")
+        raise unreadable("no byte order mark", "a MAT file of level 5")
     left, found = LARGEST_CONTENT, {}
     for kind, body in _elements(data[128:], order):
         if kind == COMPRESSED:
@@ -179,11 +179,11 @@ def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
         else:
             start, step = at + 8, 8 + size + (0 if kind == COMPRESSED else -size % 8)
         if start + size > len(data):
-            raise unreadable("a variable that ends before its time", "a whole MAT file")
+            raise unreadable("a truncated variable", "a whole MAT file")
         yield kind, data[start : start + size]
         at += step
     if any(data[at:]):
-        raise unreadable("a variable that ends before its time", "a whole MAT file")
+        raise unreadable("a truncated variable", "a whole MAT file")
 
 
 def _matrix(data: bytes, order: str, depth: int) -> tuple[str, Any]:

@@ -112,7 +112,7 @@ def sniff(data: bytes) -> str:
     raise PointsRefused(
         Problem(
             "E_UNREADABLE",
-            "these are no control points that are known",
+            "the format of these control points is unknown",
             found=repr(data[:40].decode("utf-8", "replace").splitlines()[:1])[1:-1] or "nothing",
             expected=", ".join(d.title for d in DIALECTS.values()),
             fix="Export the points again, or write a CSV: reference_x,reference_y,x,y.",
@@ -160,7 +160,7 @@ def parse_points(
             raise PointsRefused(
                 Problem(
                     "E_SIZE",
-                    "a file of points is too large",
+                    "the file of control points is too large",
                     found=f"{len(data) >> 20} MiB",
                     expected=f"at most {LARGEST_TABLE >> 20} MiB",
                 )
@@ -218,7 +218,7 @@ def _known(dialect: str) -> Dialect:
         raise PointsRefused(
             Problem(
                 "E_VALUE",
-                f"there is no dialect {dialect!r}",
+                f"unknown dialect {dialect!r}",
                 field="dialect",
                 found=dialect,
                 expected=", ".join(DIALECTS),

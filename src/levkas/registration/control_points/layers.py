@@ -61,7 +61,7 @@ def read_table_of_frames(path: Path) -> dict[Frame, ControlPoints]:
             raise PointsRefused(
                 Problem(
                     "E_SIZE",
-                    "points of too many frames in one table",
+                    "the table has points of too many frames",
                     str(path),
                     "object, camera, band",
                     f"more than {MOST_FRAMES}",
@@ -97,7 +97,7 @@ def parse_frame(text: str) -> Frame:
         raise PointsRefused(
             Problem(
                 "E_VALUE",
-                "this names no frame of an object",
+                "this is not a frame of an object",
                 field="frame",
                 found=text,
                 expected="OBJECT/CAMERA, OBJECT/CAMERA@SETUP:BAND",
@@ -131,7 +131,7 @@ def read_frames(
         raise PointsRefused(
             Problem(
                 "E_VALUE",
-                "these points do not say of which object and camera they are",
+                "the object and camera of these points are unknown",
                 file=str(path),
                 found=f"a file of {dialect}" if dialect else "no such file",
                 expected=", ".join("/".join(key) for key in sizes),
@@ -143,7 +143,7 @@ def read_frames(
         raise PointsRefused(
             Problem(
                 "E_VALUE",
-                f"there is no layer {name}/{layer}",
+                f"unknown layer {name}/{layer}",
                 field="frame",
                 found=frame,
                 expected=", ".join("/".join(key) for key in sizes),

@@ -152,9 +152,7 @@ def parse_size(text: str | None) -> Size | None:
     parts = text.lower().replace("x", ",").split(",")
     if len(parts) != 2 or not all(p.strip().isdecimal() and int(p) > 0 for p in parts):
         raise PointsRefused(
-            Problem(
-                "E_VALUE", "this is no size of a picture", found=text[:40], expected="1392,1040"
-            )
+            Problem("E_VALUE", "this is not a picture size", found=text[:40], expected="1392,1040")
         )
     return int(parts[0]), int(parts[1])
 
@@ -172,7 +170,13 @@ def _faults(columns: dict[str, Any], n: int) -> list[Problem]:
     for name, value in columns.items():
         if len(value) != n:
             problems.append(
-                Problem("E_SIZE", "points do not pair up", field=name, found=len(value), expected=n)
+                Problem(
+                    "E_SIZE",
+                    "the numbers of points differ",
+                    field=name,
+                    found=len(value),
+                    expected=n,
+                )
             )
     if n > MOST_POINTS:
         problems.append(
@@ -186,7 +190,7 @@ def _faults(columns: dict[str, Any], n: int) -> list[Problem]:
             problems.append(
                 Problem(
                     "E_VALUE",
-                    f"point {row + 1} is no place in a picture",
+                    f"point {row + 1} is not a valid position",
                     field=name,
                     found=points[row].tolist(),
                     expected=f"finite numbers up to {LARGEST_COORDINATE:.0f}",
@@ -195,7 +199,7 @@ def _faults(columns: dict[str, Any], n: int) -> list[Problem]:
     weights = np.asarray(columns["weights"])
     if not (np.isfinite(weights).all() and (weights > 0).all()):
         problems.append(
-            Problem("E_VALUE", "a weight is not > 0 and finite", field="weights", expected="> 0")
+            Problem("E_VALUE", "a weight must be > 0 and finite", field="weights", expected="> 0")
         )
     names = columns["names"]
     long = next((v for v in names if len(v) > LONGEST_NAME or not v.isprintable()), None)
@@ -203,7 +207,7 @@ def _faults(columns: dict[str, Any], n: int) -> list[Problem]:
         problems.append(
             Problem(
                 "E_VALUE",
-                "the name of a point cannot be used",
+                "the name of a point is not valid",
                 field="names",
                 found=repr(long)[:80],
                 expected=f"at most {LONGEST_NAME} printable characters",

@@ -102,7 +102,7 @@ def serve(
     library = Library(campaign, output)
     if not library.views:
         raise ServerRefused(
-            Problem("E_NO_FRAMES", "the campaign has nothing to look at", str(campaign))
+            Problem("E_NO_FRAMES", "the campaign has no layers to show", str(campaign))
         )
     library.list()
     for name in ("workbench.js", "workbench.css"):
@@ -160,10 +160,10 @@ def _check_campaign(folder: Path) -> None:
         raise ServerRefused(
             Problem(
                 "E_UNREADABLE",
-                "this is a database: a registration is corrected in its campaign",
+                "this is a database; registrations are corrected in its campaign",
                 file=str(folder),
                 expected="a folder with campaign.toml",
-                fix="Give the campaign's folder. To look at a database, run levkas publish and open index.html.",
+                fix="Give the folder of the campaign. To view a database, run levkas publish and open index.html.",
             )
         )
 
@@ -230,7 +230,7 @@ def _listen(port: int) -> socket.socket:
                 field="--port",
                 found=str(error),
                 expected="a free port above 1023",
-                fix="Leave --port out: any free one is taken.",
+                fix="Omit --port to use any free port.",
             )
         ) from None
     return listening

@@ -162,9 +162,9 @@ async def _body(request: Request) -> dict[str, Any]:
         )
         json.dumps(record, ensure_ascii=False).encode()  # half a character is none
     except (ValueError, RecursionError):
-        raise refused("the request is no JSON", "", "a JSON object") from None
+        raise refused("the request is not JSON", "", "a JSON object") from None
     if not isinstance(record, dict):
-        raise refused("the request is no JSON object", type(record).__name__, "an object")
+        raise refused("the request is not JSON object", type(record).__name__, "an object")
     return record
 
 
@@ -182,7 +182,7 @@ async def refuse_http(request: Request, error: Exception) -> Response:
     """Answer for a path or a method that there is not, as every refusal is answered."""
     status = getattr(error, "status_code", 404)
     problem = Problem(
-        "E_NO_PAGE", "there is nothing here", found=f"{request.method} {request.url.path[:80]}"
+        "E_NO_PAGE", "no such page", found=f"{request.method} {request.url.path[:80]}"
     )
     return JSONResponse(
         {"ok": False, "problems": [problem.to_dict()]}, status, getattr(error, "headers", None)
