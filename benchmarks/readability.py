@@ -6,7 +6,8 @@
 
 A text is a string literal of at least four words in `src/levkas` that is no docstring, a command's help (its
 docstring), the text between the tags of a page's template, or a string of at least four words in
-`frontend/src`. A value that is put in counts as one word.
+`frontend/src`. A value that is put in counts as one word. The documentation is the paragraphs of README.md and
+docs/, without code, tables, generated pages and the development pages.
 
 Flesch reading ease = 206.835 - 1.015 * words / sentences - 84.6 * syllables / words (R. Flesch, "A new readability
 yardstick", J. Appl. Psychol. 32, 1948, doi:10.1037/h0057532). Syllables are groups of vowels, less a silent final e,
@@ -31,6 +32,7 @@ WORD = re.compile(r"[A-Za-z][A-Za-z'’-]*")
 SENTENCE_END = re.compile(r"[.!?](?=\s|$)|:\s+(?=[A-Z])|\n{2,}")
 NOT_PROSE = re.compile(r"</|/>|\w=\"|\{\{|\\[dwbs(]|\(\?|;\s*\}|=>|CREATE |classDef|@media")
 WORD_LISTS = ("words.py", "chart_names.py")
+NO_PROSE_PAGES = ("docs/commands.md", "docs/benchmarks.md")
 SCRIPT_STRING = re.compile(r'"((?:[^"\\\n]|\\.)*)"|`((?:[^`\\]|\\.)*)`')
 
 
@@ -135,6 +137,30 @@ def texts_of(root: Path) -> Iterator[Text]:
                 yield Text("screens", str(path.relative_to(root)), text)
 
 
+def paragraphs_of(page: str) -> Iterator[str]:
+    """Yield the paragraphs and list items of a Markdown page, without code, tables, headings and addresses of links.
+
+    >>> list(paragraphs_of("# Title\\n\\nA map has two [parts](a.md) here.\\n\\n| a | b |\\n"))
+    ['A map has two parts here.']
+    """
+    page = re.sub(r"(?ms)^\s*(```|~~~).*?^\s*\1\s*$", "", page)
+    page = re.sub(r"(?ms)^\$\$.*?^\$\$|<!--.*?-->|\{[a-z:]+\}(?=`)", "", page)
+    page = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", page)
+    page = re.sub(r"(?m)^\s*([|#<(]|:::).*$", "\n", page)
+    for part in re.split(r"\n\s*\n|\n\s*(?:[-*]|\d+\.)\s", page):
+        if len(WORD.findall(part)) >= LEAST_WORDS:
+            yield " ".join(re.sub(r"`[^`]*`", "X", part).replace("*", "").split())
+
+
+def documentation_of(root: Path) -> Iterator[Text]:
+    """Yield every paragraph of the documentation of a source tree."""
+    for path in [root / "README.md", *sorted((root / "docs").rglob("*.md"))]:
+        name = path.relative_to(root).as_posix()
+        if path.is_file() and name not in NO_PROSE_PAGES and "docs/development/" not in name:
+            for text in paragraphs_of(path.read_text()):
+                yield Text("documentation", name, text)
+
+
 def main() -> None:
     """Print the figures of each kind of text, and of all."""
     parser = argparse.ArgumentParser(
@@ -147,7 +173,15 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         if options.commit:
             packed = subprocess.run(
-                ["git", "archive", options.commit, "src/levkas", "frontend/src"],
+                [
+                    "git",
+                    "archive",
+                    options.commit,
+                    "src/levkas",
+                    "frontend/src",
+                    "docs",
+                    "README.md",
+                ],
                 cwd=root,
                 check=True,
                 capture_output=True,
@@ -155,7 +189,7 @@ def main() -> None:
             with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
                 archive.extractall(folder, filter="data")
             root = Path(folder)
-        texts = list(texts_of(root))
+        texts = [*texts_of(root), *documentation_of(root)]
     if options.list:
         for one in texts:
             print(f"{one.kind}\t{one.place}\t{one.text!r}")

@@ -3,6 +3,9 @@
 import ast
 import importlib
 import json
+import re
+import runpy
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +16,8 @@ from PIL import Image
 import levkas
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-SCRIPTS = sorted(EXAMPLES.glob("figure_*.py"))
+SCRIPTS = sorted([*EXAMPLES.glob("figure_*.py"), *EXAMPLES.glob("notebook_*.py")])
+DOCS = EXAMPLES.parent / "docs"
 MODULES = {
     "levkas",
     "levkas.colour.gamut",
@@ -71,6 +75,43 @@ def test_a_script_is_short_and_rests_on_public_names(path):
             assert {name.name for name in node.names} <= set(public)
         elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
             assert node.value.id != "levkas" or node.attr in levkas.__all__, node.attr
+
+
+def test_every_script_is_shown_in_the_documentation_and_run_by_a_test():
+    shown = "\n".join(page.read_text(encoding="utf-8") for page in DOCS.rglob("*.md"))
+    tests = Path(__file__).parent
+    run = "\n".join(
+        (tests / name).read_text(encoding="utf-8")
+        for name in ("test_gallery.py", "test_tutorials.py", "estimation/test_example.py")
+    )
+    for path in EXAMPLES.glob("*.py"):
+        assert path.name in shown, path.name
+        assert re.search(rf"[\"/]{path.stem}(\.py)?\"", run), path.name
+
+
+def test_the_gallery_shows_every_figure_with_its_script():
+    text = (DOCS / "gallery.md").read_text(encoding="utf-8")
+    for path in SCRIPTS:
+        picture = f"images/{path.stem}.png"
+        assert f"]({picture})" in text and (DOCS / picture).is_file()
+        assert f"```{{literalinclude}} ../examples/{path.name}" in text
+
+
+@pytest.mark.slow
+def test_the_notebook_registers_two_cameras_on_arrays_alone(tmp_path, monkeypatch, capsys):
+    out = tmp_path / "arrays.png"
+    monkeypatch.setattr(sys, "argv", ["notebook_arrays.py", str(out)])
+    found = runpy.run_path(str(EXAMPLES / "notebook_arrays.py"))
+    assert decoded(out).std() > 5
+    assert found["found"].verdict.decision == "accept" in capsys.readouterr().out
+    assert len(found["errors"]) == 3 and np.mean(found["errors"]) < 0.15
+    # On the pixels of the reference both cameras show the same reflectance, by about as much as bands differ.
+    warped, reference = found["warped"], found["reference"]
+    assert warped.values.shape == reference.values.shape
+    sound = (warped.flags == 0).all(-1) & (reference.flags == 0).all(-1)
+    seen = np.stack([warped.values[..., 1], reference.values[..., 1]], -1)[sound]
+    assert sound.mean() > 0.5 and np.corrcoef(seen.T)[0, 1] > 0.9
+    assert np.nanmedian(warped.variance) < np.median(found["colour"].sigma ** 2)
 
 
 def test_sampled_noise_lies_on_its_closed_form(script, tmp_path):

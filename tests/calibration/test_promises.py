@@ -1,6 +1,5 @@
 """What holds for all of calibration: inputs stay as they are, threads do not matter."""
 
-import numba
 import numpy as np
 import pytest
 
@@ -14,6 +13,7 @@ from levkas.calibration.noise_fit import NoiseModel, fit_noise
 from levkas.calibration.pushbroom import average_lines
 from levkas.calibration.templates import Template, average
 from levkas.calibration.whites import WhiteBoard
+from levkas.core import threads
 
 NOISE = NoiseModel(0.1, 4.0)
 
@@ -89,13 +89,9 @@ def contents(value):
 
 
 @pytest.mark.parametrize("step", STEPS)
-def test_read_only_input_serves_and_threads_do_not_matter(step):
-    threads = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
-        alone = contents(STEPS[step]())
-        numba.set_num_threads(min(2, numba.config.NUMBA_NUM_THREADS))
-        together = contents(STEPS[step]())
-    finally:
-        numba.set_num_threads(threads)
-    assert alone == together
+def test_read_only_input_serves_and_threads_do_not_matter(step, monkeypatch):
+    monkeypatch.setattr(threads, "WORTH_THREADS", 0)
+    monkeypatch.setenv("LEVKAS_THREADS", "1")
+    alone = contents(STEPS[step]())
+    monkeypatch.setenv("LEVKAS_THREADS", "2")
+    assert alone == contents(STEPS[step]())

@@ -1,10 +1,10 @@
 """Frames against the closed form of Eq. (2), and against themselves on more threads."""
 
-import numba
 import numpy as np
 import pytest
 
 from levkas.calibration.noise_model import Sensor, noise_variance
+from levkas.core import threads
 from levkas.simulation.capture import FixedPattern, expose, fixed_pattern, key
 
 SHAPE = (400, 500)
@@ -60,14 +60,12 @@ def test_many_photons_keep_the_skewness_of_poisson():
     assert skewness == pytest.approx(1 / np.sqrt(40), abs=0.025)
 
 
-def test_the_bytes_do_not_depend_on_the_number_of_threads():
+def test_the_bytes_do_not_depend_on_the_number_of_threads(monkeypatch):
     fixed = pattern()
-    before = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
-        one = shoot(500.0, fixed=fixed)
-    finally:
-        numba.set_num_threads(before)
+    monkeypatch.setattr(threads, "WORTH_THREADS", 0)
+    monkeypatch.setenv("LEVKAS_THREADS", "1")
+    one = shoot(500.0, fixed=fixed)
+    monkeypatch.setenv("LEVKAS_THREADS", "3")
     np.testing.assert_array_equal(one, shoot(500.0, fixed=fixed))
 
 

@@ -68,8 +68,8 @@ export function anglePicture(layer: Layer, key: string): Picture | undefined {
     kind: "angle",
     white: null,
     note:
-      `Angle between the spectrum of each pixel and that at ${x}, ${y}: 0° has the same shape, however bright. ` +
-      "Not an identification: paints that differ may have one shape, and one paint may have several. " +
+      `Angle between the spectrum of each pixel and that at ${x}, ${y}: 0° means the same shape at any brightness. ` +
+      "Not an identification: different paints may have the same shape, and one paint may have several. " +
       "Grey: a needed band is not reliable.",
     legend: legendOf(facts.range),
     angle: { layer, ...facts },

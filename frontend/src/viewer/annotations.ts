@@ -52,7 +52,7 @@ export function readNotes(text: string, ground: Ground): Note[] {
   try {
     page = JSON.parse(text);
   } catch {
-    refuse("", "it is no JSON");
+    refuse("", "it is not JSON");
   }
   return readPage(page, ground);
 }
@@ -62,7 +62,7 @@ export function readPage(value: unknown, ground: Ground): Note[] {
   const page = tableOf(value, "the file");
   if (page["type"] !== "AnnotationPage") refuse("type", 'it is not "AnnotationPage"');
   const { items } = page;
-  if (!Array.isArray(items)) refuse("items", "it is no list");
+  if (!Array.isArray(items)) refuse("items", "it is not a list");
   if (items.length > MOST_NOTES) refuse("items", `there are more than ${MOST_NOTES} notes`);
   return items.map((item, i) => readNote(item, `items[${i}]`, ground));
 }
@@ -96,7 +96,7 @@ function readNote(value: unknown, where: string, ground: Ground): Note {
   if (fault) refuse(`${where}.body.value`, fault);
   const made = modified ?? created ?? "";
   if (typeof made !== "string" || (made && !DATE.test(made)))
-    refuse(`${where}.modified`, "it is no date");
+    refuse(`${where}.modified`, "it is not a date");
   return {
     id: typeof id === "string" && NAME.test(id) ? id : newId(),
     shape: readTarget(single(item["target"]), `${where}.target`, ground),
@@ -132,11 +132,11 @@ function readTarget(value: unknown, where: string, { canvas, size }: Ground): Sh
   const [columns, rows] = [width, height].map((side, i) =>
     typeof side === "number" && side >= 1 && side <= 1e6
       ? side
-      : refuse(`${where}.source.${i ? "height" : "width"}`, "it is no number of pixels"),
+      : refuse(`${where}.source.${i ? "height" : "width"}`, "it is not a number of pixels"),
   ) as [number, number];
   const scale = size[0] / columns;
   if (Math.abs(rows * scale - size[1]) > 2 + 2 * scale)
-    refuse(`${where}.source`, "it is a picture of another shape");
+    refuse(`${where}.source`, "the picture has another shape");
   const selector = tableOf(single(target["selector"]), `${where}.selector`);
   const text = textOf(selector["value"], `${where}.selector.value`);
   if (text.length > LONGEST_SELECTOR) refuse(`${where}.selector.value`, "it is too long");
@@ -182,7 +182,10 @@ function shapeOf(
   }
   const corners = POLYGON.exec(inner)?.[1]?.trim().split(/ +/) ?? [];
   if (corners.length < 3 || corners.length > MOST_CORNERS)
-    refuse(`${where}.value`, `it is no circle and no polygon of 3 to ${MOST_CORNERS} corners`);
+    refuse(
+      `${where}.value`,
+      `it is neither a circle nor a polygon of 3 to ${MOST_CORNERS} corners`,
+    );
   const points = corners.map((corner) => {
     const found = CORNER.exec(corner);
     return found
@@ -282,12 +285,12 @@ const single = (value: unknown): unknown =>
 
 function tableOf(value: unknown, where: string): Table {
   if (typeof value !== "object" || value === null || Array.isArray(value))
-    refuse(where, "it is no table of keys and values");
+    refuse(where, "it is not a table of keys and values");
   return value as Table;
 }
 
 function textOf(value: unknown, where: string): string {
-  return typeof value === "string" ? value : refuse(where, "it is no text");
+  return typeof value === "string" ? value : refuse(where, "it is not text");
 }
 
 function refuse(where: string, why: string): never {

@@ -35,7 +35,7 @@ export class NoteStore {
       return readNotes(text, this.ground);
     } catch (error) {
       if (!(error instanceof NotesRefused)) throw error;
-      this.failure = `The notes that this browser kept cannot be read: ${error.message}. They are set aside.`;
+      this.failure = `The notes stored in this browser cannot be read: ${error.message}. They are set aside.`;
       this.put(`${this.key}:unreadable`, text);
       return [];
     }
@@ -57,6 +57,6 @@ export class NoteStore {
 
   private refused(): void {
     this.failure =
-      "This browser keeps nothing for this page: export the notes before you close it.";
+      "This browser stores nothing for this page: export the notes before you close it.";
   }
 }

@@ -100,8 +100,7 @@ export class LevelPanel {
     reset.addEventListener("click", () => this.reset());
     this.invert.addEventListener("click", () => this.change({ inverted: !this.levels?.inverted }));
     this.lock.addEventListener("click", () => this.toggleLock());
-    this.lock.title =
-      "One value is shown alike in all pictures, whatever white each was published with";
+    this.lock.title = "The same value has the same brightness in all pictures";
     const buttons = make("div", { class: "pin-tools" }, view, whole, this.invert, reset);
     const below = make("div", { class: "pin-tools" }, this.lock);
     this.body = make("div", {}, this.field, this.words, buttons);
@@ -267,7 +266,7 @@ export class LevelPanel {
     const white = Math.max(...bounds.map(([, high]) => high), black + 1e-3);
     this.change({ black, white, gamma: 1 });
     this.message.textContent = few
-      ? "Too little of the picture is in view: the whole picture was taken."
+      ? "Too little of the picture is in view: the whole picture was used."
       : "";
   }
 

@@ -273,7 +273,7 @@ export class NotePanel {
       if (notes.length > MOST_NOTES)
         throw new Error(`there would be more than ${MOST_NOTES} notes`);
       this.set(notes);
-      this.message.textContent = `${names.size} note${names.size === 1 ? "" : "s"} taken from ${file.name}.`;
+      this.message.textContent = `${names.size} note${names.size === 1 ? "" : "s"} imported from ${file.name}.`;
     } catch (error) {
       const why = error instanceof Error ? error.message : String(error);
       this.message.textContent = `${file.name} was refused: ${why}.`;

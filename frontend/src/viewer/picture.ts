@@ -24,7 +24,7 @@ export async function savePicture(
 ): Promise<string> {
   const canvas = await drawView(stage, legend);
   if (!canvas)
-    return "This browser cannot draw the levels into a picture: take them back, or use another browser.";
+    return "This browser cannot save a picture with levels: reset the levels, or use another browser.";
   try {
     const blob = await new Promise<Blob | null>((resolve) => canvas.toBlob(resolve, "image/png"));
     if (!blob) return "The picture is too large for this browser: make the window smaller.";
@@ -32,7 +32,7 @@ export async function savePicture(
     return `Saved as ${name}.`;
   } catch {
     // Tiles that the browser takes for another site's. Those of the viewer are data in scripts: none is known to.
-    return "This browser lets no page from a file save pictures: run “python -m http.server” in the folder, and open http://localhost:8000/ there.";
+    return "This browser does not allow pages from a file to save pictures: run “python -m http.server” in the folder, and open http://localhost:8000/ there.";
   }
 }
 

@@ -220,7 +220,7 @@ export class RegionPanel {
       const drawn = drawHistograms(bars, quantityOf(layer));
       this.bars.replaceChildren(...(drawn ? [drawn] : []));
       this.message.textContent = regions.length
-        ? "Lines are means; the band about them is one standard deviation of the pixels, not of the mean."
+        ? "Lines are means. The shaded range is one standard deviation of the pixels, not of the mean."
         : "";
     } catch (error) {
       if (turn === this.turn) this.message.textContent = String(error);
@@ -269,7 +269,7 @@ export class RegionPanel {
     const { means, spreads, counts, pixels } = found;
     const digits = (value: number | undefined): string =>
       value !== undefined && Number.isFinite(value) ? value.toPrecision(4) : "–";
-    const numbers = `${digits(means[band])} ± ${digits(spreads[band])} · ${counts[band] ?? 0} of ${pixels} px sound · ${describeArea(areaOf(region), this.record.grid.px_per_mm)}`;
+    const numbers = `${digits(means[band])} ± ${digits(spreads[band])} · ${counts[band] ?? 0} of ${pixels} valid px · ${describeArea(areaOf(region), this.record.grid.px_per_mm)}`;
     const words = make("span", { class: "region-words soft" }, numbers);
     Object.assign(words.dataset, { mean: means[band], spread: spreads[band], n: counts[band] });
     return make("li", { class: "region-row" }, badge, name, remove, words);

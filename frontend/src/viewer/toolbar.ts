@@ -12,11 +12,11 @@ import type { State } from "./state";
 export const MODES: Option<Mode>[] = [
   { value: "single", label: "One", title: "A alone" },
   { value: "curtain", label: "Curtain", title: "A on one side of a line, B on the other (C)" },
-  { value: "opacity", label: "Opacity", title: "B over A, as opaque as you like (O)" },
+  { value: "opacity", label: "Opacity", title: "B over A, with adjustable opacity (O)" },
   { value: "flicker", label: "Flicker", title: "A and B in turn (K)" },
   { value: "side", label: "Side by side", title: "A and B, linked (S)" },
   { value: "grid", label: "Four", title: "A, B, C and D, linked (Q)" },
-  { value: "difference", label: "Difference", title: "Where A and B differ is bright (D)" },
+  { value: "difference", label: "Difference", title: "Differences between A and B are bright (D)" },
 ];
 const OPACITY: Range = { min: 0, max: 1, step: 0.01, value: 0.5 };
 
@@ -43,9 +43,12 @@ export function fillToolbar(
   const cover = slider("B over A", OPACITY, percent, (value) =>
     keep(() => (opacity.value = value)),
   );
-  const other = pill("Show the other", "Your system asks for less motion: nothing turns by itself");
+  const other = pill(
+    "Show the other",
+    "Your system asks for less motion: the pictures do not alternate by themselves",
+  );
   other.addEventListener("click", () => flicker.step());
-  const begin = pill("Start", "A link led here: the flicker starts when you say so (K)");
+  const begin = pill("Start", "This page was opened by a link: press K to start the flicker");
   begin.addEventListener("click", () => flicker.wait(false));
   const level = pill("Level line", "A above the line, B below it (Shift C)");
   level.addEventListener("click", () => curtain.turn(!curtain.level.value));

@@ -226,7 +226,7 @@ const keys: Key[] = [
   key(
     "P",
     ["p"],
-    "Keep the pinned place; while one draws: take it, or the middle, as a corner",
+    "Keep the pinned place; while drawing: use it, or the middle, as a corner",
     () => {
       if (drawing.active) drawing.add(state.pin.value ?? stage.left.centre);
       else pins.keep();
@@ -245,7 +245,7 @@ const keys: Key[] = [
     () => (state.marks.value = !state.marks.value),
   ),
   key("Enter", ["Enter"], "End the line or polygon that is drawn", () => drawing.close()),
-  key("Esc", ["Escape"], "Give up what is drawn, or let go of the pin", () => {
+  key("Esc", ["Escape"], "Cancel the drawing, or remove the pin", () => {
     if (drawing.active) drawing.cancel();
     else state.pin.value = null;
   }),

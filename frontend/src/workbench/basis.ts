@@ -13,8 +13,8 @@ const MARGIN = 0.05;
 const LINE = 12; // about the length of the longer shifts as drawn, units
 const LIGHT = 0.5; // windows of less weight are drawn faintly
 const LEGEND =
-  "Above: windows that the map was fitted to; lines lead from where it puts each to where it is seen. " +
-  "Below: windows searched freely; full ones confirm the map, red ones lie elsewhere, hollow ones were not found.";
+  "Above: windows to which the map was fitted; each line leads from the place given by the map to the place found in the picture. " +
+  "Below: check windows, searched without the map. Filled: they agree with the map. Red: they lie elsewhere. Hollow: they were not found.";
 
 export class BasisView {
   readonly root: HTMLElement;
@@ -29,7 +29,7 @@ export class BasisView {
     this.root = make(
       "section",
       { class: "card basis", "aria-labelledby": "basis-head", hidden: true },
-      make("h2", { id: "basis-head" }, "What the map rests on"),
+      make("h2", { id: "basis-head" }, "Evidence for the map"),
       this.windows,
       this.words,
       this.checks,

@@ -59,12 +59,10 @@ function pairKeys({ store, stage, table, pair }: Parts): Key[] {
     key("Del", ["Delete", "Backspace"], "delete the pair; the next one is chosen", () =>
       pair.act("delete"),
     ),
-    key("U", ["u"], "use the pair again that was deleted or removed", () => pair.act("restore")),
-    key("P", ["p"], "keep the pair (pin it): never to be removed", () => pair.act("pin")),
+    key("U", ["u"], "use a deleted or removed pair again", () => pair.act("restore")),
+    key("P", ["p"], "pin the pair: it is never removed", () => pair.act("pin")),
     key("J", ["j"], "snap the pair to the best match nearby", () => pair.act("snap")),
-    key("V", ["v"], "make it a check point, which verifies and is not fitted", () =>
-      pair.act("check"),
-    ),
+    key("V", ["v"], "make it a check point: measured, not fitted", () => pair.act("check")),
     key("W", ["w"], "go to the worst pair", goToWorst),
     {
       keys: ["Ctrl-Z"],

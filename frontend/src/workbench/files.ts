@@ -41,7 +41,7 @@ export function filesDialog(store: Store): HTMLDialogElement {
     make(
       "p",
       {},
-      "Take the pairs to another program, or bring those that you set there. Pixel conventions are translated.",
+      "Export the pairs for another program, or import pairs that were set there. Pixel conventions are converted.",
     ),
     make("h3", {}, "Save"),
     make("div", { class: "actions" }, dialect, save),
@@ -49,7 +49,7 @@ export function filesDialog(store: Store): HTMLDialogElement {
     make(
       "p",
       { class: "soft" },
-      "The program is recognised by the file. Programs that write a file for each picture: choose both, the reference's first by name.",
+      "The format is recognised from the file. If the program writes one file per picture, choose both; the reference must come first by name.",
     ),
     input,
     status,
@@ -67,7 +67,7 @@ async function exportPoints(store: Store, dialect: string): Promise<string> {
       saveFile(name, bytes, "application/octet-stream");
     }
     const saved = `Saved ${files.map(({ name }) => name).join(" and ")}.`;
-    return [saved, ...losses.map((loss) => `Not held by this format: ${loss}.`)].join(" ");
+    return [saved, ...losses.map((loss) => `This format cannot store: ${loss}.`)].join(" ");
   } catch (error) {
     return messageOf(error);
   }
@@ -84,7 +84,7 @@ async function importPoints(store: Store, files: File[]): Promise<string> {
     const body = await getBytes(`${store.path}/import`, { files: data });
     const session = readSession<{ imported: number; known: number }>(body, pairs);
     const { imported, known } = session;
-    answer = `${imported} pairs came in; ${known} were there already or are switched off.`;
+    answer = `${imported} ${imported === 1 ? "pair was" : "pairs were"} imported; ${known} in the file exist already or are disabled.`;
     return session;
   });
   return answer || store.refused.value;

@@ -22,7 +22,7 @@ import { TraceView } from "./trace";
 import { VerdictCard } from "./verdict";
 
 const BEFORE_KEYS =
-  "Drag to pan, turn the wheel to zoom. Click a place that you recognise: its partner in the other picture is found, or click it yourself; Enter adds the pair. In the overlays a click measures how far off the pictures are there.";
+  "Drag to pan, turn the wheel to zoom. Click a place: its partner in the other picture is found, or click the partner yourself; Enter adds the pair. In the overlays a click measures how far off the pictures are there.";
 const AFTER_KEYS =
   "Every change is saved at once in edits.toml and can be undone at any time, also after a restart; levkas build applies the changes. Fast flicker can trouble people with photosensitive epilepsy.";
 
@@ -171,7 +171,7 @@ function fillBar(bar: HTMLElement, store: Store, stage: PairStage): void {
   const built = make("option", { value: "built" }, "Last registration");
   const map = make(
     "select",
-    { id: "map", "aria-label": "Which map brings them together" },
+    { id: "map", "aria-label": "Map between the pictures" },
     make("option", { value: "pairs" }, "These pairs"),
     built,
   );

@@ -113,8 +113,8 @@ export class PairCard {
   private showProposal(proposal: Proposal): void {
     const { pair, score, sure, placed } = proposal;
     const found = sure
-      ? `The partner was found by comparing, likeness ${percent(score)}.`
-      : "The partner was not found by comparing: click it in the other picture.";
+      ? `The partner was found by comparing the pictures, likeness ${percent(score)}.`
+      : "The partner was not found. Click it in the other picture.";
     this.show(
       "A new pair",
       [
@@ -122,7 +122,7 @@ export class PairCard {
         make(
           "p",
           { class: "soft" },
-          `Not there? Click the right place in the other picture. Arrow keys move it by 0.1 px, with Shift by 1 px.`,
+          `If the place is wrong, click the correct one in the other picture. Arrow keys move it by 0.1 px, with Shift by 1 px.`,
         ),
         coordinates(pair, (to) =>
           this.store.choose({ proposal: { ...proposal, pair: to, placed: true } }),

@@ -12,8 +12,8 @@ const ROW_PX = 28;
 const SPARE = 4; // rows made above and below those in view
 const PAGE = 8;
 const COLUMNS: [Key, string, string][] = [
-  ["row", "Pair", "Number of the pair, which it keeps"],
-  ["residual", "Off by", "Distance from where the map puts it, reference px"],
+  ["row", "Pair", "Permanent number of the pair"],
+  ["residual", "Off by", "Residual: distance from the place given by the map, reference px"],
   [
     "leave_one_out",
     "Without it",

@@ -37,8 +37,8 @@ export class TraceView {
     const facts = { type: "range", min: -1, max: 0, value: 0, id: "round", "aria-label": label };
     const range = make("input", facts);
     const reject =
-      "Pairs farther apart than this under scale alone are dropped at once (the paper's T1).";
-    const stop = "The worst pair leaves until none is farther off than this (the paper's T2).";
+      "Pairs with a larger error under scale alone are removed at once (the paper's T1).";
+    const stop = "The worst pair is removed until no error is larger than this (the paper's T2).";
     this.root = make(
       "section",
       { class: "card trace", "aria-labelledby": "trace-head" },
@@ -163,8 +163,8 @@ function describeRound({ trace, refusal }: SessionState, round: number, kept: nu
   const rounds = trace.largest.length;
   if (round < 0) {
     const start = trace.cut ? "a first map" : "scale";
-    return `Start: ${kept} pairs, under ${start} alone; ${trace.cut} lie too far apart and are cut.`;
+    return `Start: ${kept} pairs kept under ${start} alone; ${trace.cut} above \`reject\` were removed.`;
   }
   const end = round === rounds - 1 ? "The end" : `Round ${round + 1} of ${rounds}`;
-  return `${end}: ${kept} pairs, the worst ${trace.largest[round]!.toFixed(2)} px off.`;
+  return `${end}: ${kept} pairs, largest error ${trace.largest[round]!.toFixed(2)} px.`;
 }

@@ -32,7 +32,7 @@ export class VerdictCard {
       type: "button",
       class: "small",
       id: "take-back",
-      title: "One change, which Undo brings back",
+      title: "One change; Undo restores it",
     },
     "Take all back",
   );
@@ -130,7 +130,7 @@ function describe(
   ];
 }
 
-/** What the pairs say, for someone who has never heard of a residual. */
+/** Error of the map on the pairs, in plain words. */
 function summarise(frame: FrameInfo, session: SessionState, stale: boolean): string[] {
   const { summary, refusal } = session;
   const { kept, pairs, mean, max, checks, check_mean } = summary;
@@ -138,7 +138,7 @@ function summarise(frame: FrameInfo, session: SessionState, stale: boolean): str
   const measured = (value: number | null): string => length(value, frame.px_per_mm);
   if (frame.is_reference)
     return [
-      "This is the camera that all others are registered to. Its own bands are brought together by the registration; there are no pairs to correct.",
+      "This is the reference camera: all others are registered to it. Its own bands are registered to each other without pairs, so there are no pairs to correct.",
     ];
   if (!refusal && mean === null && kept >= ENOUGH)
     return [
@@ -159,7 +159,7 @@ function summarise(frame: FrameInfo, session: SessionState, stale: boolean): str
     words.push(` The held-out error of the registration itself is ${measured(taken)}.`);
   if (checks)
     words.push(
-      ` Your ${checks} check point${checks > 1 ? "s are" : " is"} off by ${measured(check_mean)}.`,
+      ` The ${checks === 1 ? "error of your check point" : `mean error of your ${checks} check points`} is ${measured(check_mean)}.`,
     );
   return words;
 }

@@ -50,6 +50,7 @@ from levkas.core.files import make_folder, remove, write_text
 from levkas.core.problems import Problem, Refused
 from levkas.core.progress import FRAMES
 from levkas.core.sweeping import sweep
+from levkas.core.text import counted
 
 if TYPE_CHECKING:
     from levkas.building.build_records import Key
@@ -190,7 +191,7 @@ class ClusterExecutor:
     def where(self) -> str:
         """How many workers there are, and which task waits for memory while one of them is idle."""
         count = len(self._there)
-        told = f"{count} worker{'' if count == 1 else 's'}"
+        told = counted(count, "worker")
         idle = self._idle()
         if not idle:
             return told

@@ -8,6 +8,7 @@ from levkas.building.build_records import CATALOGUE, STAGES, BuildRecords, Key, 
 from levkas.building.graph import Step, keys_of
 from levkas.core.disk import DISK_CODES
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import counted
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -54,7 +55,7 @@ def describe(keys: Iterable[Key], records: BuildRecords) -> str:
         "object": sum(key.stage == "report" for key in there),
         "camera": sum(key.stage == "camera" for key in there),
     }
-    parts = [f"{n} {what}{'s' if n > 1 else ''}" for what, n in told.items() if n]
+    parts = [counted(n, what) for what, n in told.items() if n]
     if not parts:
         return ""
     verb = "is" if sum(told.values()) == 1 else "are"

@@ -21,6 +21,7 @@ from levkas.campaign.schema.toml import to_toml
 from levkas.core.files import make_folder, together, write_json, write_text
 from levkas.core.instructions import describe_instructions
 from levkas.core.problems import Refused
+from levkas.core.text import counted
 from levkas.database.registrations import (
     describe_pairs,
     mm_per_px,
@@ -126,7 +127,9 @@ def report_of(
         page=ObjectReport(
             title=(facts.title if facts else "") or name,
             facts=[text for text in dict.fromkeys(told) if text],
-            reference=f"{reference.camera}:{reference.band or 'middle band'}",
+            reference=f"{reference.camera}:{reference.band}"
+            if reference.band
+            else f"the middle band of {reference.camera}",
             layers=layers,
             problems=problems,
             mm_per_px=sampling,
@@ -189,7 +192,7 @@ def _layer(
         ssim="–" if ssim is None else f"{ssim:.3f}",
         flags=describe_flags(resampled.get("flags", {})) if shown else "–",
         preview=preview.name if shown else "",
-        description=str(resampled.get("description", "")) or f"{len(capture.bands)} bands",
+        description=str(resampled.get("description", "")) or counted(len(capture.bands), "band"),
         figures=[] if removal else drawn,
         history=drawn if removal else [],
         maps=draw_maps(places.output, capture.object, record, tiff, quantity) if shown else [],

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import types
 
 from levkas.calibration.patterns import as_pattern, split
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.core.compiled import njit, prange
+from levkas.core.compiled import njit
 from levkas.core.cube import Flag
 from levkas.core.problems import Problem
+from levkas.core.threads import in_threads
 
 HOT = 10.0  # robust sigmas of the dark above the neighbours
 LEAST_HOT = 5.0  # counts: below it subtraction of the dark is as good
@@ -159,8 +159,17 @@ def replace_defects(
     if values.ndim == 2:
         where = np.column_stack([where, np.zeros(len(where), where.dtype)])
     shape = (*values.shape[:2], values.shape[2] if values.ndim == 3 else 1)
-    numbers, spreads, marks = mend(
-        values.reshape(shape), flags.reshape(shape), np.ascontiguousarray(where), *_size(pattern)
+    numbers, spreads = np.empty(len(where), np.float32), np.empty(len(where), np.float32)
+    marks = np.zeros(len(where), np.uint8)
+    in_threads(
+        _mend,
+        len(where),
+        values.reshape(shape),
+        flags.reshape(shape),
+        np.ascontiguousarray(where, np.int64),
+        _size(pattern),
+        (numbers, spreads, marks),
+        worth=len(where) * (2 * RINGS + 1) ** 2,
     )
     at = tuple(where.T) if values.ndim == 3 else tuple(where.T[:2])
     values[at] = numbers
@@ -174,33 +183,17 @@ DEFECT, NEAR = np.uint8(Flag.DEFECT.value), np.uint8(Flag.NEAR.value)
 RINGS = 4
 ENOUGH = 3  # sound neighbours for a median; fewer only where no larger ring has more
 
-_OUT = types.Tuple((types.float32[::1], types.float32[::1], types.uint8[::1]))
 
-
-@njit(
-    [
-        _OUT(
-            types.Array(types.float32, 3, "C", readonly=True),
-            types.Array(types.uint8, 3, "C", readonly=True),
-            types.Array(types.int64, 2, "C", readonly=True),
-            types.int64,
-            types.int64,
-        )
-    ],
-    parallel=True,
-    cache=True,
-)
-def mend(values, flags, where, rows, columns):  # type: ignore[no-untyped-def]
-    """Return median, variance of prediction and extra flags for each (y, x, band) of `where`."""
+@njit(nogil=True, cache=True)
+def _mend(start, stop, values, flags, where, period, out):  # type: ignore[no-untyped-def]
+    """Fill median, variance of prediction and extra flags for each (y, x, band) of `where`."""
     height, width, _ = values.shape
-    n = where.shape[0]
-    numbers = np.empty(n, np.float32)
-    spreads = np.empty(n, np.float32)
-    marks = np.zeros(n, np.uint8)
-    for i in prange(n):
+    rows, columns = period
+    numbers, spreads, marks = out
+    sound = np.empty((2 * RINGS + 1) ** 2)
+    for i in range(start, stop):
         y, x, band = where[i, 0], where[i, 1], where[i, 2]
-        sound = np.empty((2 * RINGS + 1) ** 2, np.float64)
-        count = 0
+        count, total = 0, 0.0
         for ring in range(1, RINGS + 1):
             for v in range(-ring, ring + 1):
                 for h in range(-ring, ring + 1):
@@ -214,6 +207,7 @@ def mend(values, flags, where, rows, columns):  # type: ignore[no-untyped-def]
                     if flag & DEFECT or value != value:
                         continue
                     sound[count] = value
+                    total += value
                     count += 1
                     if flag:
                         marks[i] |= NEAR
@@ -223,10 +217,14 @@ def mend(values, flags, where, rows, columns):  # type: ignore[no-untyped-def]
             numbers[i] = np.nan
             spreads[i] = np.nan
             continue
-        numbers[i] = np.median(sound[:count])
-        mean = sound[:count].mean()
-        spread = 0.0
+        mean, spread = total / count, 0.0
         for k in range(count):
             spread += (sound[k] - mean) ** 2
         spreads[i] = spread / (count - 1) * (1 + 1 / count) if count > 1 else np.nan
-    return numbers, spreads, marks
+        for k in range(1, count):  # by insertion: there are few
+            value, place = sound[k], k
+            while place > 0 and sound[place - 1] > value:
+                sound[place] = sound[place - 1]
+                place -= 1
+            sound[place] = value
+        numbers[i] = (sound[(count - 1) // 2] + sound[count // 2]) / 2

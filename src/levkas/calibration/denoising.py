@@ -10,12 +10,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import types
 
 from levkas.calibration.templates import CalibrationRefused
-from levkas.core.compiled import njit, prange
+from levkas.core.compiled import njit
 from levkas.core.machine import tile_rows
 from levkas.core.problems import Problem
+from levkas.core.threads import in_threads
 
 CORRELATED = 0.1  # of neighbouring bands' noise, beyond what white noise would show
 MOST_KEPT = 0.45  # of the dimensions: beyond it noise has been taken for signal
@@ -107,7 +107,7 @@ def find_subspace(blocks: Iterable[np.ndarray]) -> Subspace:
         spectra = spectra[np.isfinite(spectra).all(1)]
         if products is None:
             products = np.zeros((spectra.shape[1],) * 2)
-        add_products(spectra, products)
+        in_threads(add_products, len(products), spectra, products)
         pixels += len(spectra)
     bands = 0 if products is None else len(products)
     if products is None or bands < 3 or pixels < MORE_PIXELS * bands:
@@ -237,7 +237,9 @@ class Projecting:
 
         spectra = np.array(_spectra(block))
         good = np.isfinite(spectra).all(1)
-        kept, removed = project(np.ascontiguousarray(spectra[good]), self.subspace.basis)
+        whole, across = spectra[good], np.ascontiguousarray(self.subspace.basis.T)
+        kept, removed = np.empty_like(whole), np.empty_like(whole)
+        in_threads(project, len(whole), whole, across, kept, removed)
         spectra[good] = kept
         away = removed.astype(np.float64)
         every = np.zeros(spectra.shape)
@@ -251,9 +253,12 @@ class Projecting:
             return spectra.reshape(block.shape), None
         spread, basis = np.array(_spectra(variance)), self.subspace.basis
         chance = 1 + 4 * np.sqrt(2 / (basis.shape[0] - basis.shape[1]))
-        known = np.ascontiguousarray(spread[good])
+        known = spread[good]
         projector = np.einsum("ik,jk->ij", basis, basis)  # the same whatever the threads of BLAS
-        spread[good] = project_variance(known, removed, projector, chance)
+        in_threads(
+            project_variance, len(known), known, removed, projector, projector**2, chance, kept
+        )
+        spread[good] = kept
         return spectra.reshape(block.shape), spread.reshape(block.shape)
 
 
@@ -272,16 +277,13 @@ def _spectra(block: np.ndarray) -> np.ndarray:
 
 TILE = 8  # bands whose sums stay in the first cache while the spectra pass by
 
-_SPECTRA = types.Array(types.float32, 2, "C", readonly=True)
-_BASIS = types.Array(types.float64, 2, "C", readonly=True)
 
-
-@njit([types.void(_SPECTRA, types.float64[:, ::1])], parallel=True, cache=True)
-def add_products(spectra, products):  # type: ignore[no-untyped-def]
-    """Add Σ yᵢyⱼ to `products`, (b, b); only what lies on and above the diagonal is whole."""
+@njit(nogil=True, cache=True)
+def add_products(start, stop, spectra, products):  # type: ignore[no-untyped-def]
+    """Add Σ yᵢyⱼ to rows of `products`, (b, b); only what lies on and above the diagonal is whole."""
     pixels, bands = spectra.shape
-    for tile in prange((bands + TILE - 1) // TILE):
-        first, last = tile * TILE, min(bands, tile * TILE + TILE)
+    for first in range(start, stop, TILE):
+        last = min(first + TILE, stop)
         for n in range(pixels):
             for i in range(first, last):
                 value = np.float64(spectra[n, i])
@@ -289,17 +291,14 @@ def add_products(spectra, products):  # type: ignore[no-untyped-def]
                     products[i, j] += value * np.float64(spectra[n, j])
 
 
-@njit([types.UniTuple(types.float32[:, ::1], 2)(_SPECTRA, _BASIS)], parallel=True, cache=True)
-def project(spectra, basis):  # type: ignore[no-untyped-def]
-    """Return the spectra's projection on the columns of `basis`, (b, k), and what it removed."""
-    pixels, bands = spectra.shape
-    k = basis.shape[1]
-    across = np.ascontiguousarray(basis.T)
-    kept = np.empty((pixels, bands), np.float32)
-    removed = np.empty((pixels, bands), np.float32)
-    for n in prange(pixels):
-        line = np.zeros(bands)
-        for c in range(k):
+@njit(nogil=True, cache=True)
+def project(start, stop, spectra, across, kept, removed):  # type: ignore[no-untyped-def]
+    """Fill the spectra's projection on the rows of `across`, (k, b), and what it removed."""
+    bands = spectra.shape[1]
+    line = np.empty(bands)
+    for n in range(start, stop):
+        line[:] = 0.0
+        for c in range(len(across)):
             part = 0.0
             for i in range(bands):
                 part += spectra[n, i] * across[c, i]
@@ -308,20 +307,20 @@ def project(spectra, basis):  # type: ignore[no-untyped-def]
         for i in range(bands):
             kept[n, i] = line[i]
             removed[n, i] = spectra[n, i] - line[i]
-    return kept, removed
 
 
-@njit([types.float32[:, ::1](_SPECTRA, _SPECTRA, _BASIS, types.float64)], parallel=True, cache=True)
-def project_variance(variance, removed, projector, most):  # type: ignore[no-untyped-def]
-    """Return the variances of projected spectra; `projector` is P = EEᵀ, (b, b).
+@njit(nogil=True, cache=True)
+def project_variance(  # type: ignore[no-untyped-def]
+    start, stop, variance, removed, projector, weights, most, found
+):
+    """Fill the variances of projected spectra; `projector` is P = EEᵀ, (b, b), `weights` its squares.
 
     Σⱼ Pᵢⱼ² uⱼ²; where Σ removed² is more than `most` times what noise explains, removedᵢ² besides.
     """
-    pixels, bands = variance.shape
-    weights = projector * projector
-    found = np.empty((pixels, bands), np.float32)
-    for n in prange(pixels):
-        line = np.zeros(bands)
+    bands = variance.shape[1]
+    line = np.empty(bands)
+    for n in range(start, stop):
+        line[:] = 0.0
         for j in range(bands):
             spread = np.float64(variance[n, j])
             for i in range(bands):
@@ -333,4 +332,3 @@ def project_variance(variance, removed, projector, most):  # type: ignore[no-unt
         for i in range(bands):
             more = np.float64(removed[n, i]) ** 2 if away > most * expected else 0.0
             found[n, i] = line[i] + more
-    return found

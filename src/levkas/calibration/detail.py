@@ -15,9 +15,9 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-from numba import types
 
-from levkas.core.compiled import njit, prange
+from levkas.core.compiled import njit
+from levkas.core.threads import in_threads
 
 FEWEST = 5000  # values of a channel in the smaller picture from which the trial counts
 Interpolate = Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray | None]]
@@ -99,28 +99,17 @@ def interpolation_variance(
         _smaller(mosaic, table) if whole is None else _thinned(whole, table), table, interpolate
     )
     found = np.empty((*rough.shape, len(curves)), np.float32)
-    _follow(np.ascontiguousarray(rough), np.ascontiguousarray(table, np.int64), curves, found)
+    kinds = np.ascontiguousarray(table, np.int64)
+    in_threads(_follow, len(rough), np.ascontiguousarray(rough), kinds, curves, found)
     return found
 
 
-@njit(
-    [
-        types.void(
-            types.Array(types.float32, 2, "C", readonly=True),
-            types.Array(types.int64, 2, "C", readonly=True),
-            types.Array(types.float64, 3, "C", readonly=True),
-            types.float32[:, :, ::1],
-        )
-    ],
-    parallel=True,
-    cache=True,
-)
-def _follow(rough, table, curves, found):  # type: ignore[no-untyped-def]
+@njit(nogil=True, cache=True)
+def _follow(start, stop, rough, table, curves, found):  # type: ignore[no-untyped-def]
     """Fill `found`, (h, w, c), with each channel's curve, (c, 2, groups), at `rough`; 0 where measured."""
-    height, width = rough.shape
     channels, _, groups = curves.shape
-    for y in prange(height):
-        for x in range(width):
+    for y in range(start, stop):
+        for x in range(rough.shape[1]):
             d = np.float64(rough[y, x])
             own = table[y % table.shape[0], x % table.shape[1]]
             for k in range(channels):

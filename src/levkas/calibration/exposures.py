@@ -25,8 +25,9 @@ from levkas.calibration.templates import (
     gaps_of,
     read_only,
 )
-from levkas.core.compiled import njit, prange
+from levkas.core.compiled import njit
 from levkas.core.problems import Problem
+from levkas.core.threads import in_threads
 
 TOLERATED = 1e-4  # share of clipped pixels that the best exposure may have: hot pixels, a glint
 USABLE = 0.98  # of saturation: beyond it the response bends
@@ -375,7 +376,8 @@ def _sums(
             planes = as_rows(shot.mean), as_rows(under.mean), as_marks(marks), as_marks(shot.black)
             scalars = shot.exposure_s or 0.0, read, 1.0 / shot.count, under.share
             parts: list[Any] = [*map(read_only, planes), *map(float, scalars)]
-            _add_exposure(_Frame(*parts), sums, float(full), float(offset), float(gain))
+            numbers = float(full), float(offset), float(gain)
+            in_threads(_add_exposure, shape[0], _Frame(*parts), sums, numbers, worth=total.size)
         rate = (total / np.where(weights > 0, weights, 1)).astype(np.float32)
     return total, weights, clipped, rate
 
@@ -476,8 +478,8 @@ class _Sums(NamedTuple):
     clipped: np.ndarray
 
 
-@njit(parallel=True, cache=True)
-def _add_exposure(frame, sums, limit, offset, gain):  # type: ignore[no-untyped-def]
+@njit(nogil=True, cache=True)
+def _add_exposure(start, stop, frame, sums, numbers):  # type: ignore[no-untyped-def]
     """Add w·(mean − dark − offset)/time to `total` and w to `weights`, where not saturated.
 
     w = time²/(share·(gain·rate·time + read) + dark_share·read), or `time` where `gain` < 0.
@@ -485,10 +487,10 @@ def _add_exposure(frame, sums, limit, offset, gain):  # type: ignore[no-untyped-
     """
     mean, dark, saturated, black, time, read, share, dark_share = frame
     rate, total, weights, clipped = sums
-    height, width = mean.shape
-    for y in prange(height):
+    limit, offset, gain = numbers
+    for y in range(start, stop):
         dy, dx = y % dark.shape[0], dark.shape[1] > 1
-        for x in range(width):
+        for x in range(mean.shape[1]):
             if saturated[y, x] or mean[y, x] > limit:
                 continue
             signal = np.float64(mean[y, x]) - np.float64(dark[dy, x * dx]) - offset

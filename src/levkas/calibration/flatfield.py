@@ -367,7 +367,7 @@ def flatten_line(y, sides, marks, table, values, flags):  # type: ignore[no-unty
         flags[x] = flag | (DEFECT if bad[x] or lost else np.uint8(0))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def hidden(noise, step):  # type: ignore[no-untyped-def]
     """Return `noise_fit.hidden_rounding` of one value; 0 where the noise shows all of rounding."""
     if not noise < HIDES * step * step:
@@ -383,7 +383,7 @@ def hidden(noise, step):  # type: ignore[no-untyped-def]
     return step * step / (2.0 * np.pi**2) * total
 
 
-@njit(cache=True, nogil=True)
+@njit
 def of_mean(share, signal, measured, freedom, gain, read, step):  # type: ignore[no-untyped-def]
     """Return the variance of a mean, from a stack, the model, or both; `share` of one shot's is left.
 

@@ -16,9 +16,10 @@ import numpy as np
 from levkas.calibration.detail import interpolation_variance
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.templates import CalibrationRefused, read_only
-from levkas.core.compiled import njit, prange
+from levkas.core.compiled import njit
 from levkas.core.cube import Flag
 from levkas.core.problems import Problem
+from levkas.core.threads import in_threads
 
 LARGEST = 4.0  # Σ|w| of a stencil that extrapolates; a larger window is tried before more
 WINDOWS = 4  # how many periods a window may reach to each side
@@ -278,24 +279,20 @@ def _classes(length: int, period: int) -> tuple[np.ndarray, np.ndarray]:
 NEAR = np.uint8(Flag.NEAR.value)
 
 
-@njit(parallel=True, cache=True)
-def _weigh(values, flags, variance, known, plan):  # type: ignore[no-untyped-def]
-    """Return Σwv, flags and, where `known`, Σw²u², all (h, w, channels)."""
+@njit(nogil=True, cache=True)
+def _weigh(first_row, stop, planes, plan, out):  # type: ignore[no-untyped-def]
+    """Fill rows with Σwv, flags and, where there is room for it, Σw²u², all (h, w, channels).
+
+    `planes` are values, flags, variance, and the rows with any flag.
+    """
+    values, flags, variance, marked = planes
+    made, noted, spread = out
     rows, columns, start, dy, dx, weight, _, channels, reach = plan
     height, width = values.shape
-    kinds = np.int64(0)
+    known, kinds = len(spread) > 0, 0
     for x in range(width):
         kinds = max(kinds, columns[x] + 1)
-    marked = np.zeros(height, np.bool_)
-    for y in prange(height):
-        for x in range(width):
-            if flags[y, x]:
-                marked[y] = True
-                break
-    made = np.empty((height, width, channels), np.float32)
-    noted = np.zeros((height, width, channels), np.uint8)
-    spread = np.empty((height if known else 0, width, channels), np.float32)
-    for y in prange(height):
+    for y in range(first_row, stop):
         near = False
         for v in range(max(0, y - reach), min(height, y + reach + 1)):
             near |= marked[v]
@@ -314,10 +311,9 @@ def _weigh(values, flags, variance, known, plan):  # type: ignore[no-untyped-def
                     spread[y, x, k] = total
                 if near:
                     noted[y, x, k] = _merge_flags(flags, y, x, plan, begin, end)
-    return made, noted, spread
 
 
-@njit(cache=True)
+@njit
 def _merge_flags(flags, y, x, plan, begin, end):  # type: ignore[no-untyped-def]
     """Return the flags of the value that the taps ``begin:end`` give at (y, x).
 
@@ -457,13 +453,16 @@ def interpolate(
     shape = (values.shape[0], values.shape[1])
     plan = lay_out(table, shape, method, weights)
     spreads = np.zeros((1, 1), np.float32) if variance is None else variance
-    made, noted, spread = _weigh(
+    planes = (
         read_only(np.ascontiguousarray(values, np.float32)),
         read_only(np.ascontiguousarray(flags, np.uint8)),
         read_only(np.ascontiguousarray(spreads, np.float32)),
-        variance is not None,
-        plan,
+        np.any(flags, axis=1),
     )
+    full = (*shape, plan.channels)
+    made, noted = np.empty(full, np.float32), np.zeros(full, np.uint8)
+    spread = np.empty(full if variance is not None else (0, *full[1:]), np.float32)
+    in_threads(_weigh, shape[0], planes, plan, (made, noted, spread), worth=made.size)
     return made, noted, None if variance is None else spread
 
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from levkas.calibration.noise_fit import NoiseModel
 from levkas.calibration.templates import Template, as_marks, as_rows, read_only
-from levkas.core.compiled import njit, prange
+from levkas.core.compiled import njit
+from levkas.core.threads import in_threads
 
 BY_CHANCE = 1e-10  # of one pixel: a false one in a thousand frames of 10 megapixels
 BESIDE = 1e-3  # of one pixel beside others that moved
@@ -71,8 +72,11 @@ def find_moved(
     planes = as_rows(stack.mean), as_rows(stack.variance), as_marks(stack.saturated), as_rows(level)
     model = noise.gain, noise.read_variance, _limit(stack.count - 1)
     mean, spread, full, level = map(read_only, planes)
-    marked = _find(mean, spread, full, level, tuple(map(np.float32, model)), (rows, columns))
-    return marked.reshape(shape) > 0
+    numbers = tuple(map(np.float32, model))
+    ratio, marked = np.empty(mean.shape, np.float32), np.empty(mean.shape, bool)
+    in_threads(_compare, len(mean), mean, spread, full, level, numbers, ratio)
+    in_threads(_mark, len(mean), ratio, (rows, columns), numbers[2], marked)
+    return marked.reshape(shape)
 
 
 def find_moved_between(
@@ -170,29 +174,32 @@ def _limit(freedom: int, pixels: int = 9, chance: float = BY_CHANCE) -> float:
     return MISFIT * 2 * float(gammainccinv(pixels * freedom / 2, chance)) / freedom
 
 
-@njit(parallel=True, cache=True)
-def _find(mean, variance, saturated, dark, model, period):  # type: ignore[no-untyped-def]
-    """Return where a pixel and its neighbours, those beyond the border left out, pass the limit.
+@njit(nogil=True, cache=True)
+def _compare(start, stop, mean, variance, saturated, dark, model, ratio):  # type: ignore[no-untyped-def]
+    """Fill the variance over what noise explains, 0 where saturated.
 
-    `model` is (gain, variance without light, limit), float32; `period` (rows, columns).
+    `model` is (gain, variance without light, limit), float32.
     """
-    gain, read, limit = model
-    rows, columns = period
-    height, width = mean.shape
-    ratio = np.empty((height, width), np.float32)
-    for y in prange(height):
+    gain, read, _ = model
+    for y in range(start, stop):
         dy, dx = y % dark.shape[0], dark.shape[1] > 1
-        for x in range(width):
+        for x in range(mean.shape[1]):
             light = max(mean[y, x] - dark[dy, x * dx], np.float32(0.0))
             still = np.float32(1 - saturated[y, x])
             ratio[y, x] = still * variance[y, x] / (read + gain * light)
-    marked = np.zeros((height, width), np.uint8)
-    for y in prange(height):
-        column = np.zeros(width + 2 * columns, np.float32)
+
+
+@njit(nogil=True, cache=True)
+def _mark(start, stop, ratio, period, limit, marked):  # type: ignore[no-untyped-def]
+    """Fill where a pixel and its neighbours, those beyond the border left out, pass the limit."""
+    rows, columns = period
+    height, width = ratio.shape
+    column = np.empty(width + 2 * columns, np.float32)
+    for y in range(start, stop):
+        column[:] = np.float32(0.0)
         for v in range(max(y - rows, y % rows), min(y + rows + 1, height), rows):
             for x in range(width):
                 column[x + columns] += ratio[v, x]
         for x in range(width):
             total = column[x] + column[x + columns] + column[x + 2 * columns]
             marked[y, x] = total > limit
-    return marked

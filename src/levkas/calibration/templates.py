@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from levkas.core.problems import Problem, Refused
+from levkas.core.threads import in_threads
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -202,13 +203,14 @@ class _Sums:
         from levkas.calibration import templates_kernel
 
         marks = (as_marks(self.saturated), as_marks(self.black))
+        limits = (float(self.high), float(self.low))
         if self.whole:
-            templates_kernel.add_codes(as_rows(frame, None), *totals, *marks, self.high, self.low)
+            rows = read_only(as_rows(frame, None))
+            in_threads(templates_kernel.add_codes, len(rows), rows, totals, marks, limits)
         else:
             reals = frame if frame.dtype in (np.float32, np.float64) else frame.astype(np.float64)
-            templates_kernel.add_reals(
-                as_rows(reals, None), before, *totals, *marks, self.high, self.low
-            )
+            rows = read_only(as_rows(reals, None))
+            in_threads(templates_kernel.add_reals, len(rows), rows, before, totals, marks, limits)
 
     def template(self, exposure_s: float | None) -> Template:
         from levkas.calibration import templates_kernel

@@ -1,36 +1,23 @@
-"""Kernels of `templates`: running sums over shots, one pass, rows in parallel.
+"""Running sums of `templates` over shots, one pass; arrays are (h, w) views.
 
-Arrays are (h, w) views; rows are independent, so the bytes do not depend on the threads.
+Rows are independent, so the bytes do not depend on the threads.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import types
 
-from levkas.core.compiled import njit, prange
+from levkas.core.compiled import njit
 
-_BYTES, _REALS = types.uint8[:, ::1], types.float64[:, ::1]
+ROWS = 64
 
 
-@njit(
-    [
-        types.void(
-            types.Array(code, 2, "C", readonly=True),
-            types.uint32[:, ::1],
-            types.uint64[:, ::1],
-            *(_BYTES, _BYTES, types.float64, types.float64),
-        )
-        for code in (types.uint8, types.uint16)
-    ],
-    parallel=True,
-    cache=True,
-)
-def add_codes(frame, total, squares, saturated, black, high, low):  # type: ignore[no-untyped-def]
-    """Add whole codes to Σx (uint32) and Σx² (uint64), both exact; mark clipped ones."""
-    height, width = frame.shape
-    for y in prange(height):
-        for x in range(width):
+@njit(nogil=True, cache=True)
+def add_codes(start, stop, frame, totals, marks, limits):  # type: ignore[no-untyped-def]
+    """Add whole codes to Σx (uint32) and Σx² (uint64), both exact; mark those beyond (high, low)."""
+    (total, squares), (saturated, black), (high, low) = totals, marks, limits
+    for y in range(start, stop):
+        for x in range(frame.shape[1]):
             code = np.uint64(frame[y, x])
             total[y, x] += np.uint32(code)
             squares[y, x] += code * code
@@ -38,25 +25,12 @@ def add_codes(frame, total, squares, saturated, black, high, low):  # type: igno
             black[y, x] |= np.float32(frame[y, x]) <= low
 
 
-@njit(
-    [
-        types.void(
-            types.Array(real, 2, "C", readonly=True),
-            types.int64,
-            *(_REALS, _REALS, _BYTES, _BYTES, types.float64, types.float64),
-        )
-        for real in (types.float32, types.float64)
-    ],
-    parallel=True,
-    cache=True,
-)
-def add_reals(  # type: ignore[no-untyped-def]
-    frame, before, mean, spread, saturated, black, high, low
-):
-    """Update mean and Σ(x − mean)² by Welford's step; mark clipped values."""
-    height, width = frame.shape
-    for y in prange(height):
-        for x in range(width):
+@njit(nogil=True, cache=True)
+def add_reals(start, stop, frame, before, totals, marks, limits):  # type: ignore[no-untyped-def]
+    """Update mean and Σ(x − mean)² by Welford's step; mark values beyond (high, low)."""
+    (mean, spread), (saturated, black), (high, low) = totals, marks, limits
+    for y in range(start, stop):
+        for x in range(frame.shape[1]):
             value = np.float64(frame[y, x])
             step = value - mean[y, x]
             mean[y, x] += step / (before + 1)
@@ -65,52 +39,23 @@ def add_reals(  # type: ignore[no-untyped-def]
             black[y, x] |= value <= low
 
 
-_PAIR = types.UniTuple(types.float32[:, ::1], 2)
-
-
-@njit(
-    [
-        _PAIR(
-            types.Array(types.uint32, 2, "C", readonly=True),
-            types.Array(types.uint64, 2, "C", readonly=True),
-            types.int64,
-        )
-    ],
-    parallel=True,
-    cache=True,
-)
-def finish_codes(total, squares, count):  # type: ignore[no-untyped-def]
+def finish_codes(
+    total: np.ndarray, squares: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and variance of one shot from exact sums of `count` shots."""
-    height, width = total.shape
-    mean = np.empty((height, width), np.float32)
-    variance = np.empty((height, width), np.float32)
-    n = np.uint64(count)
-    for y in prange(height):
-        for x in range(width):
-            s = np.uint64(total[y, x])
-            mean[y, x] = s / count
-            variance[y, x] = np.float64(n * squares[y, x] - s * s) / (count * (count - 1.0))
+    mean, variance = np.empty(total.shape, np.float32), np.empty(total.shape, np.float32)
+    for top in range(0, len(total), ROWS):
+        rows = slice(top, top + ROWS)
+        sums = total[rows].astype(np.uint64)
+        mean[rows] = sums / count
+        variance[rows] = (squares[rows] * np.uint64(count) - sums * sums) / (count * (count - 1.0))
     return mean, variance
 
 
-@njit(
-    [
-        _PAIR(
-            types.Array(types.float64, 2, "C", readonly=True),
-            types.Array(types.float64, 2, "C", readonly=True),
-            types.int64,
-        )
-    ],
-    parallel=True,
-    cache=True,
-)
-def finish_reals(centre, spread, count):  # type: ignore[no-untyped-def]
+def finish_reals(
+    centre: np.ndarray, spread: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and variance of one shot from Welford's sums."""
-    height, width = centre.shape
-    mean = np.empty((height, width), np.float32)
-    variance = np.empty((height, width), np.float32)
-    for y in prange(height):
-        for x in range(width):
-            mean[y, x] = centre[y, x]
-            variance[y, x] = spread[y, x] / (count - 1.0)
-    return mean, variance
+    variance = np.empty(spread.shape, np.float32)
+    np.divide(spread, count - 1.0, out=variance, casting="same_kind")
+    return centre.astype(np.float32), variance

@@ -16,6 +16,7 @@ from levkas import __version__
 from levkas.core.json_safe import plain
 from levkas.core.problems import Problem, Refused
 from levkas.core.progress import FRAMES
+from levkas.core.text import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -185,7 +186,7 @@ def draw_bar(steps: Iterable[Any], console: Console) -> list[Any]:
             frames = FRAMES.count - task.fields["frames"]
             since = task.fields["since"]
             within = [] if since is None else [_clock(time.monotonic() - since)]
-            within += [f"{frames} frame{'' if frames == 1 else 's'}"] if frames else []
+            within += [counted(frames, "frame")] if frames else []
             so_far = f"{_clock(task.elapsed or 0)} in all"
             return Text("; ".join([part for part in (", ".join(within), so_far) if part]))
 

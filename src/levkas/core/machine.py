@@ -120,19 +120,13 @@ def steady_libraries() -> Iterator[None]:
     """Let one thread at a time into the block, and the libraries have `count_threads()`, linear algebra one.
 
     Sums of linear algebra depend on its number of threads, and small problems do not wait for one
-    another on a busy machine. That number is one for the whole process, and compiled parallel loops
-    may end the process where two threads enter them at once: hence one at a time.
+    another on a busy machine. That number is one for the whole process: hence one at a time.
     """
-    # Read when compiled parallel loops first start: threads that wait must not spin, others work.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     import cv2
-    import numba
     from threadpoolctl import threadpool_limits
 
     with _alone, threadpool_limits(limits=1, user_api="blas"):
-        most: int = vars(numba.config)["NUMBA_NUM_THREADS"]
         cv2.setNumThreads(count_threads())
-        numba.set_num_threads(count_threads(most))
         yield
 
 

@@ -54,6 +54,15 @@ def check_file(path: Path, expected: str) -> None:
         )
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, plural unless the number is 1.
+
+    >>> counted(1, "band"), counted(31, "band")
+    ('1 band', '31 bands')
+    """
+    return f"{number} {noun}" + ("" if number == 1 else "s")
+
+
 def what_stands_at(path: Path) -> str:
     """Return ``"a file"``, or in words what else a name leads to; nothing is opened.
 

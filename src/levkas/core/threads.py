@@ -26,14 +26,18 @@ Made = TypeVar("Made")
 _here = threading.local()
 
 
-def in_threads(kernel: Callable[..., None], rows: int, *arguments: Any) -> None:
+def in_threads(
+    kernel: Callable[..., None], rows: int, *arguments: Any, worth: int | None = None
+) -> None:
     """Run ``kernel(start, stop, …)`` on bands of rows; each row is written by one thread only.
 
-    Within `each` there is one thread for all of them: the others have bands of their own.
+    `worth` is the number of values, where they are not in one of the arrays. Within `each` there is
+    one thread for all of them: the others have bands of their own.
     """
     workers = count_threads(MOST_THREADS)
-    largest = max(a.size for a in arguments if isinstance(a, np.ndarray))
-    if rows < 4 * workers or workers == 1 or largest < WORTH_THREADS or _is_one_of_several():
+    if worth is None:
+        worth = max(a.size for a in arguments if isinstance(a, np.ndarray))
+    if rows < 4 * workers or workers == 1 or worth < WORTH_THREADS or _is_one_of_several():
         kernel(0, rows, *arguments)
         return
     edges = np.linspace(0, rows, 2 * workers + 1).astype(int).tolist()

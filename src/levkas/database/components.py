@@ -16,6 +16,7 @@ import xarray
 
 from levkas.core.machine import steady_libraries
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import counted
 from levkas.database.regions import TRUSTED
 
 Method = Literal["pca", "mnf"]
@@ -132,7 +133,7 @@ def find_components(
             Problem(
                 "E_SIZE",
                 "too few pixels or bands for components",
-                found=f"{count} valid pixels of {len(bands)} band{'s' if len(bands) > 1 else ''}",
+                found=f"{count} valid pixels of {counted(len(bands), 'band')}",
                 expected=f"2 or more bands, {MORE_PIXELS} valid pixels per band",
             )
         )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
-from levkas.core.text import read_json
+from levkas.core.text import counted, read_json
 from levkas.database.containment import check_inside, check_plain_names
 from levkas.geometry import from_dict
 from levkas.registration.record import Sigma
@@ -102,7 +102,7 @@ def describe_pairs(record: Mapping[str, Any]) -> str:
     count = record.get("pairs_by_hand", 0)
     if not count or record.get("verdict", {}).get("decision") == "refuse":
         return ""
-    return f"aligned with {count} pair{'' if count == 1 else 's'} by hand"
+    return f"aligned with {counted(count, 'pair')} by hand"
 
 
 def unchecked_share(record: Mapping[str, Any]) -> float:

@@ -93,7 +93,9 @@ def _mix(nodes, y, segment, part):
     table = nodes.table
     rows = table.shape[0]
     if nodes.exact:
-        part[:] = table[y - nodes.first, segment]
+        for c in range(part.shape[0]):
+            for m in range(part.shape[1]):
+                part[c, m] = table[y - nodes.first, segment, c, m]
         return
     place = y * ((rows - 1) / (nodes.height - 1))
     first = min(max(floor(place) - NODES // 2 + 1, 0), rows - NODES)
@@ -446,7 +448,7 @@ def shared_rows(start, stop, nodes, source, result):
     return absent
 
 
-@njit(inline="always")
+@njit
 def _lane_weights(curves, begin, maps, t, u):
     """Write the weights of five taps on an axis for a block of bands from `s` on; return the second tap.
 
@@ -487,7 +489,7 @@ def _lane_weights(curves, begin, maps, t, u):
     return int(pixel) - (1 if low else 0)
 
 
-@njit(inline="always")
+@njit
 def _sum_patch(flat, begin, step, wide, u, v, sums):
     """Sum the 5 x 5 taps from flat index `begin` on for a block of bands."""
     for m in range(BLOCK):
@@ -554,7 +556,11 @@ def own_rows(start, stop, nodes, source, result, first, count):
                         for m in range(n):
                             flat[to + U(m)] = sums[m]
                         if noise.size:
-                            _sum_patch(noises, corner, step, wide, u * u, v * v, sums)
+                            for tap in range(5):
+                                for m in range(BLOCK):
+                                    u[tap, m] *= u[tap, m]
+                                    v[tap, m] *= v[tap, m]
+                            _sum_patch(noises, corner, step, wide, u, v, sums)
                             for m in range(n):
                                 noise[spot[0], x, b + m] = sums[m]
                         if suspect.size and _any_suspect(suspect, (fx - 1, 5, fy - 1, 5)):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.core.text import counted
 from levkas.estimation.budget import CONDITIONS, SHIFTS_PX
 from levkas.estimation.report import title_of
 from levkas.estimation.scores import METRICS
@@ -143,7 +144,7 @@ def _facts(source: SourceReport) -> str:
     parts = [
         f"{source.channels} channels",
         f"{source.pixels:,} pixels of paint and {source.gold_pixels:,} of gold scored",
-        f"{folds} fold{'' if folds == 1 else 's'}",
+        counted(folds, "fold"),
     ]
     if source.ceiling is not None:
         parts.append(f"noise ceiling {source.ceiling:.4f} (the reference’s own sigma)")
@@ -194,7 +195,7 @@ def _figures(source: SourceReport, report: EstimationReport, inks: dict[str, str
         ("distance", "distance to the training set, its standard deviations",
          "Error over the distance of a pixel’s responses to the nearest training sample: what a method makes of paint it has not seen."),
         ("sigma", "sigma of the reference",
-         "Error over the reference’s own sigma; below the dashed line no method can be told from a perfect one."),
+         "Error over the reference’s own sigma; below the dashed line no method can be distinguished from a perfect one."),
     ):  # fmt: skip
         figures.append(Figure(_over(source, what, words, inks), caption))
     if source.budget:

@@ -8,18 +8,10 @@ from dataclasses import dataclass, field
 from importlib.resources import files as resources
 from typing import TYPE_CHECKING, Any
 
+from levkas.registration.record import DECISIONS
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-DECISIONS = {
-    "accept": "accepted",
-    "warn": "doubtful, please check",
-    "refuse": "refused",
-    "reference": "reference",
-    "not built": "not built yet",
-}
-"""Verdicts in the words of every page, of the viewer and of the workbench; records hold the keys."""
-
 
 WORTH_NAMING = 0.1
 """Share of an object that was not checked which stands beside the decision."""
@@ -169,7 +161,7 @@ def describe_model(model: dict[str, Any]) -> str:
     """Say the model of a registration in words.
 
     >>> describe_model({"kind": "levkas", "sensors": [{"base": "cubic", "chromatic": "affine"}]})
-    'cubic, bands apart by affine'
+    'cubic; shift between bands: affine'
     """
     told = []
     for sensor in model.get("sensors", []):
@@ -179,7 +171,7 @@ def describe_model(model: dict[str, Any]) -> str:
         if isinstance(base, str) and base.startswith("rig"):
             base = base.replace("rig", "one map with other captures", 1)
         name = f"{sensor['sensor']}: " if sensor.get("sensor") else ""
-        told.append(name + (f"{base}, " if base else "") + f"bands apart by {apart}")
+        told.append(name + (f"{base}; " if base else "") + f"shift between bands: {apart}")
     mask = model.get("mask") or {}
     if mask.get("automatic"):
         told.append(

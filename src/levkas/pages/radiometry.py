@@ -107,7 +107,7 @@ def _snr(ranges: Sequence[Mapping[str, Any]]) -> str:
 def _glare(glare: Mapping[str, int], quantity: str) -> str:
     part = _glare_share(glare, quantity)
     if part is None:
-        return "not looked for"
+        return "not measured"
     share = 100 * part
     signs = {
         "saturated": "saturated",

@@ -11,6 +11,7 @@ import numpy as np
 
 from levkas.calibration.templates import Template, average
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import counted
 from levkas.planning.framing import plan_framing
 from levkas.planning.full_scale import files_of, find_full_scale, not_known
 from levkas.planning.lamp_fit import SPREAD, FittedLamps, fit_lamps
@@ -187,7 +188,7 @@ def positions_text(found: FittedPositions) -> str:
         f"{fitted.lighting.name}: the light drops by {100 * fitted.drop:.1f} % over the board, planned "
         f"{100 * fitted.planned_drop:.1f} %; the white itself by {100 * found.measured_drop:.1f} %, lens included",
         f"  lamps and lens explain the white to {100 * fitted.residual:.2f} % rms "
-        f"({found.frames} frame{'s' if found.frames > 1 else ''})",
+        f"({counted(found.frames, 'frame')})",
         *(f"  {words}" for words in fitted.moved),
         *(f"  {words}" for words in found.notes),
         "",

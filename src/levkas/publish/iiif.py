@@ -17,7 +17,7 @@ import numpy as np
 from levkas.colour.srgb import srgb_profile
 from levkas.core.json_safe import to_json
 from levkas.core.problems import Problem
-from levkas.core.text import parse_json
+from levkas.core.text import counted, parse_json
 from levkas.publish.annotations import annotations_of
 from levkas.publish.citation import cite
 from levkas.publish.publication import PublishRefused, describe_dataset
@@ -214,7 +214,7 @@ def _picture(publication: Publication, entry: Entry) -> tuple[np.ndarray, str]:
 
 
 def _image(entry: Entry, service: str, shape: tuple[int, ...], rendering: str) -> dict[str, Any]:
-    label = f"{entry.layer.name}: {entry.bands} bands"
+    label = f"{entry.layer.name}: {counted(entry.bands, 'band')}"
     return {
         "id": f"{service}/full/max/0/default.jpg",
         "type": "Image",

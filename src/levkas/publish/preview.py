@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
 from levkas import __version__
+from levkas.core.text import counted
 from levkas.pages.page import render_page
 from levkas.publish.crate import NAME as RECORD
 from levkas.publish.crate import PREVIEW
@@ -62,7 +63,7 @@ def render_preview(record: Mapping[str, Any], links: list[tuple[str, str]]) -> s
             for key, words in FACTS.items()
             if root.get(key)
         ],
-        "count": f"{count} file{'' if count == 1 else 's'}, and folders of many small ones as a whole",
+        "count": f"{counted(count, 'file')}, and folders of many small ones as a whole",
         "files": _parts(entities, root),
         "steps": _steps(entities, root),
         "record": Markup(embed_json(record)),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 from levkas.core.ownership import Kind, made, refusal, require_outside, stands_in
 from levkas.core.problems import Refused
+from levkas.core.text import counted
 from levkas.database.manifest import NAME, list_files, plain, read_manifest
 
 if TYPE_CHECKING:
@@ -139,7 +140,9 @@ def describe_catalogue(entries: Sequence[Entry]) -> str:
     setups = {e.setup for e in entries}
     bands = sorted(set(cameras.values()))
     span = f"{bands[0]}" if len(bands) == 1 else f"{bands[0]} to {bands[-1]}"
-    text = f"Spectral images of {_count(objects, 'object')} by {_count(cameras, 'camera')}"
+    text = (
+        f"Spectral images of {counted(len(objects), 'object')} by {counted(len(cameras), 'camera')}"
+    )
     text += f" with {span} bands" if bands != [1] else " with 1 band"
     if len(setups) > 1:
         text += f", under {len(setups)} lightings"
@@ -149,11 +152,6 @@ def describe_catalogue(entries: Sequence[Entry]) -> str:
         low, high = f"{scales[0]:.3g}", f"{scales[-1]:.3g}"
         text += f"; {low} px per mm" if low == high else f"; {low} to {high} px per mm"
     return text + "."
-
-
-def _count(things: object, word: str) -> str:
-    number = len(things)  # type: ignore[arg-type]
-    return f"{number} {word}" + ("" if number == 1 else "s")
 
 
 def require_ours(folder: Path, kind: Kind, *, fix: str) -> None:

@@ -65,13 +65,13 @@ def sum_squares(start, stop, images, known, cell, grams, counts):  # type: ignor
         for c in range(counts.shape[1]):
             counts[r, c] = _tabulate(images, known, cell, r, c, table)
             if counts[r, c] > 0:
-                grams[r, c] = np.dot(table, table.T)
+                np.dot(table, table.T, grams[r, c])
 
 
-@njit(cache=True)
+@njit
 def _tabulate(images, known, cell, r, c, table):  # type: ignore[no-untyped-def]
     """Fill what `_see` gives at every pixel of a cell, a row each; zeros where it is not known."""
-    k = images.shape[0]
+    k, _, w = images.shape
     left = c * cell
     half = np.float32(0.5)
     count = 0
@@ -89,17 +89,13 @@ def _tabulate(images, known, cell, r, c, table):  # type: ignore[no-untyped-def]
         for x in range(cell):
             table[1, place + x] = (left + x + 0.5) / cell
         for a in range(k):
-            row = images[a, i, left : left + cell]
-            after, below = images[a, i, left + 1 :], images[a, i + 1, left : left + cell]
-            before, above = images[a, i, max(left - 1, 0) :], images[a, i - 1, left : left + cell]
-            # The frame's first column is not known, so that it matters not what stands before it.
-            skew = 0 if left > 0 else 1
+            # First and last column are not known: it matters not what stands beside them.
             for x in range(cell):
-                table[3 + a, place + x] = row[x]
-                table[3 + k + a, place + x] = (
-                    after[min(x, len(after) - 1)] - before[max(x - skew, 0)]
-                ) * half
-                table[3 + 2 * k + a, place + x] = (below[x] - above[x]) * half
+                j = left + x
+                along = images[a, i, min(j + 1, w - 1)] - images[a, i, max(j - 1, 0)]
+                table[3 + a, place + x] = images[a, i, j]
+                table[3 + k + a, place + x] = along * half
+                table[3 + 2 * k + a, place + x] = (images[a, i + 1, j] - images[a, i - 1, j]) * half
         if whole < cell:
             for x in range(cell):
                 if not known[i, left + x]:
@@ -127,7 +123,7 @@ def sum_products(start, stop, target, images, known, cell, cover, out):  # type:
     target had noise of 1e-7.
     """
     number, slots = cover
-    lines, partial = out
+    lines = out[0]
     k, h, w = images.shape
     sums = np.empty((3, w), np.float32)
     for r in range(start, stop):
@@ -142,12 +138,10 @@ def sum_products(start, stop, target, images, known, cell, cover, out):  # type:
             if number[r, c] == cell * cell:
                 _ramps(target, cell, r, c, lines[r, c], k)
             elif number[r, c] > 0:
-                slot = slots[r, c]
-                g = partial[slot] if slot >= 0 else np.empty((0, 0))
-                _masked_cell(target, images, known, cell, r, c, lines[r, c], g)
+                _masked_cell(target, images, known, cell, r, c, slots[r, c], out)
 
 
-@njit(cache=True)
+@njit
 def _add_products(target, rows, sums):  # type: ignore[no-untyped-def]
     above, image, below = rows[0], rows[1], rows[2]
     plain, along, down = sums[0], sums[1], sums[2]
@@ -158,7 +152,7 @@ def _add_products(target, rows, sums):  # type: ignore[no-untyped-def]
         down[j] += t * (below[j] - above[j])
 
 
-@njit(cache=True)
+@njit
 def _gather(sums, left, cell, a, k, line):  # type: ignore[no-untyped-def]
     for n in range(3):
         value = 0.0
@@ -167,7 +161,7 @@ def _gather(sums, left, cell, a, k, line):  # type: ignore[no-untyped-def]
         line[3 + n * k + a] = value if n == 0 else value * 0.5
 
 
-@njit(cache=True)
+@njit
 def _ramps(target, cell, r, c, line, k):  # type: ignore[no-untyped-def]
     for i in range(r * cell, (r + 1) * cell):
         total = ramp = square = 0.0
@@ -182,12 +176,14 @@ def _ramps(target, cell, r, c, line, k):  # type: ignore[no-untyped-def]
         line[3 + 3 * k] += square
 
 
-@njit(cache=True)
-def _masked_cell(target, images, known, cell, r, c, line, g):  # type: ignore[no-untyped-def]
-    k = images.shape[0]
+@njit
+def _masked_cell(target, images, known, cell, r, c, slot, out):  # type: ignore[no-untyped-def]
+    line, k = out[0][r, c], images.shape[0]
     d = 3 + 3 * k
-    v = np.empty(d)
-    g[:] = 0.0
+    v, whole = np.empty(d), slot >= 0
+    g = out[1][max(slot, 0)]
+    if whole:
+        g[:] = 0.0
     for i in range(r * cell, (r + 1) * cell):
         for j in range(c * cell, (c + 1) * cell):
             t = np.float64(target[i, j])
@@ -197,12 +193,13 @@ def _masked_cell(target, images, known, cell, r, c, line, g):  # type: ignore[no
             for a in range(d):
                 line[a] += t * v[a]
             line[d] += t * t
-            if len(g):
+            if whole:
                 _add_square(g, v, d)
-    _mirror(g, len(g))
+    if whole:
+        _mirror(g, d)
 
 
-@njit(cache=True)
+@njit
 def _cholesky(a, n):  # type: ignore[no-untyped-def]
     """Factor the leading n x n block in place (lower); False where it is not positive definite."""
     for i in range(n):
@@ -219,7 +216,7 @@ def _cholesky(a, n):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True)
+@njit
 def _substitute(factor, n, right, out):  # type: ignore[no-untyped-def]
     """Solve with the factor that `_cholesky` left."""
     for i in range(n):
@@ -240,7 +237,14 @@ def _tent(r, c, a, b):  # type: ignore[no-untyped-def]
     return (0.5 if a == r else 0.25) * (0.5 if b == c else 0.25)
 
 
-@njit(cache=True)
+@njit
+def _add_scaled(g, weight, cell):  # type: ignore[no-untyped-def]
+    for i in range(g.shape[0]):
+        for j in range(g.shape[1]):
+            g[i, j] += weight * cell[i, j]
+
+
+@njit
 def _free(g, d, r, c, n, gram, mixed, ramp):  # type: ignore[no-untyped-def]
     """Centre a window's sums and take bias and ramp out; `ramp` is left factored; False if ill."""
     # Ramps about the window's own centre keep the system well conditioned.
@@ -290,12 +294,12 @@ def sum_windows(start, stop, cells, counts, cell, cover, out):  # type: ignore[n
                     full += weight * cell * cell
                     if counts[a, b] > 0:
                         n += weight * counts[a, b]
-                        g += weight * cells[a, b]
+                        _add_scaled(g, weight, cells[a, b])
             if n >= cover * full and _free(g, d, r, c, n, gram[r, c], mixed[r, c], ramp[r, c]):
                 able[r, c] = n
 
 
-@njit(cache=True)
+@njit
 def _factor_gains(g, t, ridge, factor, forward):  # type: ignore[no-untyped-def]
     """Factor the gains' block as L with the reciprocals of its diagonal, and solve L forward = t."""
     k = len(forward)
@@ -320,7 +324,7 @@ def _factor_gains(g, t, ridge, factor, forward):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True)
+@njit
 def _border_shift(g, t, gains, factor, border, grad, right):  # type: ignore[no-untyped-def]
     """Fill the two rows of the shift: sums of the prediction's gradient, and their part beside the gains."""
     k = len(gains)
@@ -341,7 +345,7 @@ def _border_shift(g, t, gains, factor, border, grad, right):  # type: ignore[no-
             border[axis, i] = value * factor[i, i]
 
 
-@njit(cache=True)
+@njit
 def _schur_complement(gains, border, grad):  # type: ignore[no-untyped-def]
     """Return what the shift's own block keeps once the gains are out of it: xx, xy, and yy less xy²/xx; its trace."""
     k = len(gains)
@@ -362,7 +366,7 @@ def _schur_complement(gains, border, grad):  # type: ignore[no-untyped-def]
     return p2, q, r2, xx + yy
 
 
-@njit(cache=True)
+@njit
 def _gauss_newton(g, t, ridge, total, answer, sensitivity, work):  # type: ignore[no-untyped-def]
     """Fit gains and shift; answer holds e, the Schur complement (3) and what is left; False if ill.
 
@@ -402,7 +406,7 @@ def _gauss_newton(g, t, ridge, total, answer, sensitivity, work):  # type: ignor
     return True
 
 
-@njit(cache=True)
+@njit
 def _backward(factor, forward, k, out):  # type: ignore[no-untyped-def]
     """Solve Lᵀ out = forward, the diagonal of L given by its reciprocals; in place if need be."""
     for back in range(k):
@@ -413,7 +417,7 @@ def _backward(factor, forward, k, out):  # type: ignore[no-untyped-def]
         out[i] = value * factor[i, i]
 
 
-@njit(cache=True)
+@njit
 def _sum_target(r, c, cell, counts, number, lines, line):  # type: ignore[no-untyped-def]
     """Sum the target's products of a window's cells; return pixels, pixels if all were known, and whether they are."""
     rows, cols = number.shape
@@ -426,11 +430,12 @@ def _sum_target(r, c, cell, counts, number, lines, line):  # type: ignore[no-unt
             whole = whole and number[a, b] == counts[a, b]
             if number[a, b] > 0:
                 n += weight * number[a, b]
-                line += weight * lines[a, b]
+                for i in range(len(line)):
+                    line[i] += weight * lines[a, b, i]
     return n, full, whole
 
 
-@njit(cache=True)
+@njit
 def _sum_partial(r, c, cells, number, slots, partial, g):  # type: ignore[no-untyped-def]
     """Sum the predictors' products of a window whose cells the target covers in part."""
     rows, cols = number.shape
@@ -440,10 +445,10 @@ def _sum_partial(r, c, cells, number, slots, partial, g):  # type: ignore[no-unt
             if number[a, b] > 0:
                 weight = _tent(r, c, a, b)
                 slot = slots[a, b]
-                g += weight * (cells[a, b] if slot < 0 else partial[slot])
+                _add_scaled(g, weight, cells[a, b] if slot < 0 else partial[slot])
 
 
-@njit(cache=True)
+@njit
 def _free_target(r, c, line, factor, mix, t):  # type: ignore[no-untyped-def]
     """Centre the target's sums and take bias and ramp out of them; return what is left of its square."""
     d = len(line) - 1
@@ -481,7 +486,7 @@ def solve_windows(start, stop, cells, band, windows, limits, out):  # type: igno
     d, k = cells.shape[2], sensitivity.shape[2]
     g, line, t = np.empty((d, d)), np.empty(d + 1), np.empty(d - 3)
     own_gram, own_mixed, own_ramp = np.empty((d - 3, d - 3)), np.empty((3, d - 3)), np.empty((3, 3))
-    answer, here = np.empty(6), np.empty((k, k))
+    answer = np.empty(6)
     work = (
         np.empty(k), np.empty((k, k)), np.empty(k), np.empty((2, k)), np.empty((2, d - 3)),
         np.empty(2),
@@ -501,6 +506,7 @@ def solve_windows(start, stop, cells, band, windows, limits, out):  # type: igno
                 if not _free(g, d, r, c, n, own_gram, own_mixed, own_ramp):
                     continue
             total = _free_target(r, c, line, factor, mix, t)
+            here = sensitivity[r, c]
             if not (total > 1e-12 * n and _gauss_newton(sums, t, ridge, total, answer, here, work)):
                 continue
             noise = max(answer[5], 1e-9 * total) / max(n - k - 5, 1.0)
@@ -508,4 +514,3 @@ def solve_windows(start, stop, cells, band, windows, limits, out):  # type: igno
             info[r, c, 0, 0], info[r, c, 1, 1] = answer[2] / noise, answer[4] / noise
             info[r, c, 0, 1] = info[r, c, 1, 0] = answer[3] / noise
             r2[r, c] = 1.0 - answer[5] / total
-            sensitivity[r, c] = here

@@ -32,6 +32,15 @@ COLUMNS = (
     "round",
 )
 Decision = Literal["accept", "warn", "refuse"]
+
+DECISIONS = {
+    "accept": "accepted",
+    "warn": "doubtful, please check",
+    "refuse": "refused",
+    "reference": "reference",
+    "not built": "not built yet",
+}
+"""Decisions in the words of every page, screen and table; records hold the keys."""
 #: Windows of one sensor that a record lists; of more an even selection.
 MOST_WINDOWS = 1000
 

@@ -1,9 +1,9 @@
 """Verdict: rules on evidence decide whether a registration is accepted, and give the reasons.
 
 A rule that finds a contradiction makes a map doubtful (``"warn"``) or refuses it. Where nothing contradicts a
-map and nothing confirms it either, it is accepted, and what was not checked is named and counted: a
-warning that is not heeded because most right maps have one is none. `benchmarks/verdict_classes.py` measures
-what the classes are worth.
+map and nothing confirms it either, it is accepted, and the part that was not checked is named and counted: most
+correct maps have such a part, and a warning on most maps would be ignored. `benchmarks/verdict_classes.py`
+measures how often each class is correct.
 """
 
 from __future__ import annotations

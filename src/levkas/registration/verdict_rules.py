@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 Finding = Literal["refuse", "warn", "unchecked"]
-"""What one rule says: refused, contradicted somewhere, or not checked somewhere."""
+"""Result of one rule: refused, contradicted somewhere, or not checked somewhere."""
 
 
 class Limits(NamedTuple):
@@ -59,7 +59,7 @@ class VerdictSettings:
     least_found, least_found_share, least_agreeing_share : float
         Windows that have to be found, in number and as a share; share of them that have to agree.
     predicted : Limits
-        Least share of windows that are predicted better than 19 of 20 windows that cannot match.
+        Least share of check windows that match better than 19 of 20 unrelated windows.
     good_steps, bad_px, bad_steps : float
         Held-out error: px of the compared grid that are a warning; reference px, and px of the grid,
         that are refused. Where the target is coarse, single windows scatter more than the map is off.
@@ -196,7 +196,7 @@ def more_than_chance(n: Numbers) -> Objection | None:
         return None
     return Objection(
         "refuse",
-        f"{n['kept']} matches were kept, and {n['chance_kept']} of random pairs: the map may be due to chance.",
+        f"{n['kept']} matches were kept. Of pairs formed at random {n['chance_kept']} are kept: the map may be due to chance.",
         f"{OTHER}; if they do, lower `reject` or try the method `levkas`.",
     )
 
@@ -213,14 +213,14 @@ def begins_with_key_points(n: Numbers) -> Objection | None:
 
 
 def better_than_chance(n: Numbers) -> Objection | None:
-    """Refuse or warn where windows are predicted hardly better than windows that cannot match."""
+    """Refuse or warn where check windows match hardly better than unrelated windows."""
     share = n["share_above_chance"]
     if share is None or share >= SETTINGS.predicted.warn:
         return None
     refused = share < SETTINGS.predicted.refuse
     return Objection(
         "refuse" if refused else "warn",
-        f"Only {percent(share)} of the check windows match better than chance (95 % limit of unrelated windows).",
+        f"Only {percent(share)} of the check windows match better than unrelated places do (permutation test, 95 % limit).",
         BY_HAND if refused else LOOK,
         lacks_evidence=refused,
     )
@@ -419,7 +419,7 @@ def _off_or_unconfirmed(n: Numbers) -> Objection | None:
 
 
 def _plane(n: Numbers) -> str:
-    """Say that cells which are off lie off alike, as what stands in another plane does; empty where they do not."""
+    """Describe a common shift of the cells that are off, as of a part in another plane; empty without one."""
     shifts = np.array(n.get("off_shift") or np.empty((0, 2)), float)
     if len(shifts) < 2:
         return ""
@@ -453,7 +453,7 @@ def is_checked(n: Numbers) -> Objection | None:
 def shows_the_same_painting(n: Numbers) -> Objection | None:
     """Refuse or warn where outlines agree and the detail between them does not.
 
-    Where nobody says what light a picture was taken in, as with an X-ray, such detail contradicts nothing.
+    Where the light of a picture is unknown, as with an X-ray, such detail contradicts nothing.
     """
     strange = n.get("strange")
     if strange is None or strange < SETTINGS.strange.warn:
@@ -464,16 +464,16 @@ def shows_the_same_painting(n: Numbers) -> Objection | None:
     if n["alike"] and copied:
         return Objection(
             "refuse",
-            f"{seen}, taken in the same light: this is another painting made from the same pattern.",
+            f"{seen}, taken in the same light: the pictures show an original and a copy with the same outlines.",
             BY_HAND,
         )
     unknown = n.get("light") == "unknown"
     return Objection(
         "unchecked" if unknown else "warn",
-        f"{seen}. Either the light differs, or this is another painting made from the same pattern; the "
+        f"{seen}. Either the light differs, or one picture shows a copy with the same outlines; the "
         "pictures alone cannot decide."
         if unknown
-        else f"{seen}. This may be another painting made from the same pattern, or the light may differ strongly.",
+        else f"{seen}. One picture may show a copy with the same outlines, or the light may differ strongly.",
         LOOK,
     )
 

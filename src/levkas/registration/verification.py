@@ -55,7 +55,7 @@ class VerificationSettings:
     faint : float
         Windows with less detail, as a share of the median, count as if they had so much.
     null_quantile : float
-        Of windows that cannot match.
+        Of unrelated windows.
     """
 
     grid: tuple[int, int] = (24, 18)
@@ -91,7 +91,7 @@ class PermutationTest:
     seen : WindowShifts
         Through the map that is judged.
     chance : float, 0..1
-        Value of `seen.r2` that 19 of 20 windows which cannot match stay below.
+        Value of `seen.r2` that 19 of 20 unrelated windows stay below.
     evidence : dict
         ``share_above_chance`` of the windows, ``cover`` of the reference, ``chance_r2``.
     """
@@ -256,7 +256,7 @@ def measure_unpredicted(
     Two views of one painting differ by noise, of which neighbouring pixels have little in common; of
     brush strokes, craquelure and pattern they have much. Of what is left when the prediction is
     subtracted only the covariance of neighbours is counted, as a share of that in the picture.
-    A copy by the same pattern has the same outlines, so that windows are found, and strokes of its own.
+    A copy made from the same pattern has the same outlines, so that windows are found, and different strokes.
 
     Parameters
     ----------

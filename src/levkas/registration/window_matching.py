@@ -41,9 +41,9 @@ class WindowSettings:
     least_cover : float
         Share of a window that has to be valid.
     chance_percent : float
-        Percentile of peaks of windows that cannot match above which a window is found.
+        Percentile of the peaks of unrelated windows above which a window is found.
     least_chances : int
-        Windows that cannot match by which chance is measured.
+        Unrelated windows by which chance is measured.
     least_near : int
         Confirmed windows that have to be near a place: one may be found by chance.
     reach_cells : float
@@ -80,7 +80,7 @@ class WindowSearch:
     peak : ndarray, (n,), 0..1
         Correlation there, whatever its sign.
     chance : float
-        The peak that 1 % of windows reach where they cannot match.
+        The peak that 1 % of unrelated windows reach.
     rival : float, 0..
         Correlation of the whole pictures at the best place that is not here, relative to here;
         near 1 where the picture repeats itself.
@@ -346,7 +346,7 @@ def peak_offset(line: np.ndarray, k: int) -> float:
 
 
 def _chance(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> float:
-    """Return the peak that 1 % of windows reach where they cannot match."""
+    """Return the peak that 1 % of unrelated windows reach."""
     if len(places) < 2:
         return 1.0
     peaks = []

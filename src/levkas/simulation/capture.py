@@ -13,7 +13,8 @@ from zlib import crc32
 
 import numpy as np
 
-from levkas.core.compiled import njit, prange
+from levkas.core.compiled import njit
+from levkas.core.threads import in_threads
 from levkas.simulation.cameras import BandModel, CameraModel, SensorModel
 from levkas.simulation.lighting import SETUPS, SimulatedLight, compose, light
 from levkas.simulation.optics import Viewpoint, band_to_base
@@ -306,11 +307,11 @@ def expose(
             sensor.full_well,
         ]
     )
-    _expose(
+    in_threads(
+        _expose,
+        len(exposure),
         np.ascontiguousarray(exposure, np.float32),
-        pattern.response,
-        pattern.dark,
-        pattern.dark_response,
+        (pattern.response, pattern.dark, pattern.dark_response),
         numbers,
         _poisson_table(sensor.dark),
         seed[0],
@@ -326,7 +327,7 @@ def _poisson_table(mean: float) -> np.ndarray:
     return pdtr(np.arange(int(mean + 12 * np.sqrt(mean) + 24)), mean)
 
 
-@njit(cache=True)
+@njit
 def _uniform(state: np.uint64) -> float:
     """Return a number in (0, 1) from a counter: splitmix64's finaliser."""
     z = state
@@ -336,7 +337,7 @@ def _uniform(state: np.uint64) -> float:
     return (float(z >> np.uint64(11)) + 0.5) * (1.0 / 9007199254740992.0)
 
 
-@njit(cache=True)
+@njit
 def _poisson(mean: float, normal: float, uniform: float) -> float:
     if mean >= FEW:
         root = np.sqrt(mean)
@@ -351,21 +352,22 @@ def _poisson(mean: float, normal: float, uniform: float) -> float:
     return k
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _expose(
+    first: int,
+    stop: int,
     exposure: np.ndarray,
-    response: np.ndarray,
-    dark: np.ndarray,
-    dark_response: np.ndarray,
+    pattern: tuple[np.ndarray, np.ndarray, np.ndarray],
     c: np.ndarray,
     table: np.ndarray,
     seed: np.uint64,
     counts: np.ndarray,
 ) -> None:
-    rows, columns = exposure.shape
+    response, dark, dark_response = pattern
+    columns = exposure.shape[1]
     golden = np.uint64(0x9E3779B97F4A7C15)
     start = int(c[0])
-    for i in prange(rows):
+    for i in range(first, stop):
         for j in range(columns):
             at = seed + np.uint64(4) * np.uint64(i * columns + j) * golden
             u0, u1 = _uniform(at), _uniform(at + golden)

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from levkas.core.compiled import njit, prange
+from levkas.core.compiled import njit
+from levkas.core.threads import in_threads
 from levkas.simulation.rendering import Texture
 
 if TYPE_CHECKING:
@@ -151,7 +152,7 @@ def light(
     )
     places = np.array([[*place, lamp.power * lamp.distance_mm**2] for place, lamp in points])
     out = np.empty((3, *painting.relief.shape), np.float32)
-    _light(painting.relief, macro, numbers, places, out)
+    in_threads(_light, len(painting.relief), painting.relief, macro, numbers, places, out)
     if lighting.crossed:
         out[1:] *= np.float32(2 * LEAK)
     return SimulatedLight(*out)
@@ -202,7 +203,9 @@ def compose(
     mirror = np.float32(VARNISH_MIRROR * painting.gloss)
     seen = np.float32(transparency(wavelengths) @ response / 255)
     maps = _Maps(painting.amounts, painting.underdrawing, lit.shade, lit.gold, lit.varnish)
-    values = _compose(maps, _BandFactors(paint, metal, gilt, seen, mirror))
+    values = np.empty(lit.shade.shape, np.float32)
+    factors = _BandFactors(paint, metal, gilt, seen, mirror)
+    in_threads(_compose, len(values), maps, factors, values)
     return Texture(values, painting.px_per_mm)
 
 
@@ -226,13 +229,13 @@ class _BandFactors(NamedTuple):
     mirror: np.float32
 
 
-@njit(cache=True, parallel=True)
-def _compose(maps, band):  # type: ignore[no-untyped-def]
-    """Return reflectance factors, (rows, columns), float32, of `_Maps` and `_BandFactors`."""
+@njit(cache=True, nogil=True)
+def _compose(start, stop, maps, band, out):  # type: ignore[no-untyped-def]
+    """Fill reflectance factors, (rows, columns), float32, of `_Maps` and `_BandFactors`."""
     amounts, under, shade, gold, varnish = maps
     paint, metal, gilt, seen, mirror = band
-    one, out = np.float32(1.0), np.empty(shade.shape, np.float32)
-    for i in prange(out.shape[0]):
+    one = np.float32(1.0)
+    for i in range(start, stop):
         for j in range(out.shape[1]):
             diffuse, lobe, leaf = np.float32(0.0), np.float32(0.0), np.float32(0.0)
             for k in range(amounts.shape[2]):
@@ -242,10 +245,9 @@ def _compose(maps, band):  # type: ignore[no-untyped-def]
                 leaf += a * gilt[k]
             value = diffuse * shade[i, j] * (one - seen * np.float32(under[i, j]))
             out[i, j] = value + lobe * gold[i, j] + (one - leaf) * mirror * varnish[i, j]
-    return out
 
 
-@njit(cache=True)
+@njit
 def _lobe(cosine: float, alpha: float, toward_light: float, toward_eye: float) -> float:
     """Return π·D·G / (4 n·v) of GGX with Smith's shadowing, to be weighted by n-free irradiance."""
     spread = cosine * cosine * (alpha * alpha - 1.0) + 1.0
@@ -256,8 +258,10 @@ def _lobe(cosine: float, alpha: float, toward_light: float, toward_eye: float) -
     return np.pi * facets * shadow / (4.0 * toward_eye)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _light(
+    start: int,
+    stop: int,
     relief: np.ndarray,
     macro: np.ndarray,
     c: np.ndarray,
@@ -265,7 +269,7 @@ def _light(
     out: np.ndarray,
 ) -> None:
     rows, columns = relief.shape
-    for i in prange(rows):
+    for i in range(start, stop):
         up, down = max(i - 1, 0), min(i + 1, rows - 1)
         for j in range(columns):
             left, right = max(j - 1, 0), min(j + 1, columns - 1)

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from levkas.core.compiled import njit, prange
+from levkas.core.compiled import njit
+from levkas.core.threads import in_threads
 
 Triple = tuple[float, float, float]
 
 
-@njit(cache=True)
+@njit
 def _slope(x: float) -> float:
     if x <= 0.0:
         return 0.0
@@ -22,7 +23,7 @@ def _slope(x: float) -> float:
     return x * x * x * (x * (6.0 * x - 15.0) + 10.0)
 
 
-@njit(cache=True)
+@njit
 def _height_at(s: float, t: float, shape: np.ndarray) -> float:
     """Return the height above the cylinder at (s, t), mm; twice differentiable."""
     bevel = shape[5]
@@ -32,7 +33,7 @@ def _height_at(s: float, t: float, shape: np.ndarray) -> float:
     return twist - shape[3] * along * across
 
 
-@njit(cache=True)
+@njit
 def _surface_point(s: float, t: float, shape: np.ndarray) -> Triple:
     """Return the world point of (s, t), mm."""
     radius = shape[2]
@@ -40,7 +41,7 @@ def _surface_point(s: float, t: float, shape: np.ndarray) -> Triple:
     return s, outer * np.sin(t / radius), radius - outer * np.cos(t / radius)
 
 
-@njit(cache=True)
+@njit
 def _gap(tau: float, start: Triple, ray: Triple, shape: np.ndarray) -> Triple:
     """Return (distance above the surface, s, t) at `tau` along a ray."""
     radius = shape[2]
@@ -51,7 +52,7 @@ def _gap(tau: float, start: Triple, ray: Triple, shape: np.ndarray) -> Triple:
     return np.sqrt(y * y + z * z) - radius - _height_at(s, t, shape), s, t
 
 
-@njit(cache=True)
+@njit
 def _reach_level(start: Triple, ray: Triple, radius: float, lift: float) -> float:
     """Return where a ray first meets the cylinder `lift` above the panel's, or NaN."""
     axis = start[2] - radius
@@ -66,7 +67,7 @@ def _reach_level(start: Triple, ray: Triple, radius: float, lift: float) -> floa
     return c / (-b + np.sqrt(inside))
 
 
-@njit(cache=True)
+@njit
 def _first_hit(start: Triple, ray: Triple, shape: np.ndarray) -> tuple[float, float]:
     """Return the (s, t) where a ray first meets the surface, to 1e-9 mm; NaN where it misses.
 
@@ -102,7 +103,7 @@ def _first_hit(start: Triple, ray: Triple, shape: np.ndarray) -> tuple[float, fl
     return s, t
 
 
-@njit(cache=True)
+@njit
 def _lens(u: float, v: float, c: np.ndarray) -> tuple[float, float]:
     r2 = u * u + v * v
     gain = 1.0 + c[16] * r2 + c[17] * r2 * r2
@@ -112,7 +113,7 @@ def _lens(u: float, v: float, c: np.ndarray) -> tuple[float, float]:
     )
 
 
-@njit(cache=True)
+@njit
 def _unlens(a: float, b: float, c: np.ndarray) -> tuple[float, float]:
     """Invert the lens by Newton."""
     u, v = a, b
@@ -132,12 +133,12 @@ def _unlens(a: float, b: float, c: np.ndarray) -> tuple[float, float]:
     return u, v
 
 
-@njit(cache=True)
+@njit
 def _travel(q: float, c: np.ndarray) -> float:
     return q / c[24] + c[25] * np.sin(2.0 * np.pi * q / c[26] + c[27])
 
 
-@njit(cache=True)
+@njit
 def _project(px: float, py: float, pz: float, c: np.ndarray) -> tuple[float, float]:
     """Return the base pixel of a world point."""
     x = c[0] * px + c[1] * py + c[2] * pz + c[9]
@@ -152,7 +153,7 @@ def _project(px: float, py: float, pz: float, c: np.ndarray) -> tuple[float, flo
     return c[13] + c[15] * u, c[14] + _travel(q, c)
 
 
-@njit(cache=True)
+@njit
 def _turned_back(x: float, y: float, z: float, c: np.ndarray) -> Triple:
     return (
         c[0] * x + c[3] * y + c[6] * z,
@@ -161,7 +162,7 @@ def _turned_back(x: float, y: float, z: float, c: np.ndarray) -> Triple:
     )
 
 
-@njit(cache=True)
+@njit
 def _cast(bx: float, by: float, c: np.ndarray, shape: np.ndarray) -> tuple[float, float]:
     """Return the panel point that a base pixel sees."""
     if c[20] == 0.0:
@@ -189,29 +190,41 @@ def _cast(bx: float, by: float, c: np.ndarray, shape: np.ndarray) -> tuple[float
     return _first_hit(_turned_back(ox, oy, oz, c), _turned_back(dx, dy, 1.0, c), shape)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
+def _lift(start, stop, points, shape, out):  # type: ignore[no-untyped-def]
+    for i in range(start, stop):
+        out[i] = _height_at(points[i, 0], points[i, 1], shape)
+
+
+@njit(cache=True, nogil=True)
+def _project_points(start, stop, points, c, shape, out):  # type: ignore[no-untyped-def]
+    for i in range(start, stop):
+        px, py, pz = _surface_point(points[i, 0], points[i, 1], shape)
+        out[i, 0], out[i, 1] = _project(px, py, pz, c)
+
+
+@njit(cache=True, nogil=True)
+def _cast_points(start, stop, points, c, shape, out):  # type: ignore[no-untyped-def]
+    for i in range(start, stop):
+        out[i, 0], out[i, 1] = _cast(points[i, 0], points[i, 1], c, shape)
+
+
 def heights(points: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """Return the height above the cylinder of each panel point, (n,)."""
     out = np.empty(len(points))
-    for i in prange(len(points)):
-        out[i] = _height_at(points[i, 0], points[i, 1], shape)
+    in_threads(_lift, len(points), points, shape, out)
     return out
 
 
-@njit(cache=True, parallel=True)
 def project(points: np.ndarray, c: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """Return the base pixels of panel points, (n, 2)."""
     out = np.empty((len(points), 2))
-    for i in prange(len(points)):
-        px, py, pz = _surface_point(points[i, 0], points[i, 1], shape)
-        out[i, 0], out[i, 1] = _project(px, py, pz, c)
+    in_threads(_project_points, len(points), points, c, shape, out)
     return out
 
 
-@njit(cache=True, parallel=True)
 def cast(points: np.ndarray, c: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """Return the panel points that base pixels see, (n, 2)."""
     out = np.empty((len(points), 2))
-    for i in prange(len(points)):
-        out[i, 0], out[i, 1] = _cast(points[i, 0], points[i, 1], c, shape)
+    in_threads(_cast_points, len(points), points, c, shape, out)
     return out

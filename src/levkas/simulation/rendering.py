@@ -12,7 +12,8 @@ from math import ceil, erf, sqrt
 
 import numpy as np
 
-from levkas.core.compiled import njit, prange
+from levkas.core.compiled import njit
+from levkas.core.threads import in_threads
 from levkas.simulation.optics import Viewpoint, base_to_panel
 from levkas.simulation.painting import Panel
 
@@ -141,19 +142,20 @@ def render(
     )
     image = np.empty((view.height, view.width), np.float32)
     weights = footprint(supersampling, blur)
-    _render(
+    in_threads(
+        _render,
+        -(-view.height // ROWS),
         np.ascontiguousarray(texture.values, np.float32),
         lattice.points,
         numbers,
         np.float32(surroundings),
-        weights,
-        supersampling,
+        (weights, supersampling),
         image,
     )
     return image
 
 
-@njit(cache=True)
+@njit
 def _look_up(
     x: float,
     y: float,
@@ -187,22 +189,22 @@ def _look_up(
     return top + fv * (low - top)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _render(
+    start: int,
+    stop: int,
     texture: np.ndarray,
     lattice: np.ndarray,
     c: np.ndarray,
     surroundings: np.float32,
-    weights: np.ndarray,
-    n: int,
+    sampling: tuple[np.ndarray, int],
     image: np.ndarray,
 ) -> None:
+    weights, n = sampling
     height, width = image.shape
     taps = len(weights)
     margin = (taps - n) // 2
-    blocks = (height + ROWS - 1) // ROWS
-    for block in prange(blocks):
-        first = block * ROWS
+    for first in range(start * ROWS, stop * ROWS, ROWS):
         rows = min(ROWS, height - first)
         # Rows of sub-pixels are brought to the sampling of columns at once, so that a block stays
         # in the processor's cache whatever the size of the image.

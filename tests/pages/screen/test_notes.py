@@ -29,7 +29,7 @@ def take(opened, tmp_path, text, name="notes.json"):
     opened.evaluate("document.querySelector('#notes [role=status]').textContent = ''")
     opened.get_by_label("File of notes").set_input_files(path)
     opened.wait_for_function(
-        "() => /taken|refused/.test(document.querySelector('#notes [role=status]').textContent)"
+        "() => /imported|refused/.test(document.querySelector('#notes [role=status]').textContent)"
     )
     return opened.locator("#notes [role=status]").inner_text()
 
@@ -98,8 +98,8 @@ def test_notes_are_written_on_places_and_shapes_kept_and_exported_as_annotations
     opened.get_by_role("button", name="Put the note back").click()
     assert texts(opened)[-1] == "Overpaint"
     other = open_object(browser, address("file"))
-    assert "4 notes taken" in take(other, tmp_path, path.read_text("utf-8"))
-    assert "4 notes taken" in take(other, tmp_path, path.read_text("utf-8"))
+    assert "4 notes imported" in take(other, tmp_path, path.read_text("utf-8"))
+    assert "4 notes imported" in take(other, tmp_path, path.read_text("utf-8"))
     assert texts(other) == ["A loss, filled.\nSee 2019.", "Overpaint", "", ""]
     assert other.locator("#notes .region-words").nth(1).inner_text().startswith("Ada, 20")
 
@@ -124,7 +124,7 @@ def test_sixty_hostile_texts_typed_or_imported_are_text_or_refused(browser, addr
     kept = []
     for title in TITLES:
         said = take(opened, tmp_path, page(note(title)))
-        if "1 note taken" in said:
+        if "1 note imported" in said:
             kept.append(title)
         else:
             assert "markup" in said or "control" in said, title
@@ -146,7 +146,7 @@ def test_sixty_hostile_texts_typed_or_imported_are_text_or_refused(browser, addr
     found = read_annotations([path], SIZES)["icon1"]
     assert [one["body"]["value"] for one in found] == [*kept, *plain, ""]
     other = open_object(browser, address("file"))
-    assert "notes taken" in take(other, tmp_path, path.read_text("utf-8"))
+    assert "notes imported" in take(other, tmp_path, path.read_text("utf-8"))
     assert texts(other) == [*kept, *plain, ""]
     assert other.evaluate(EVIL) == {"evil": None, "tags": [], "attributes": []}
 
@@ -168,7 +168,7 @@ def test_where_nothing_may_be_stored_notes_work_and_the_page_says_so(browser, ad
         "Object.defineProperty(window, 'localStorage', {get() { throw new DOMException('no'); }})"
     )
     opened.goto(address("file"))
-    opened.wait_for_selector("text=This browser keeps nothing for this page")
+    opened.wait_for_selector("text=This browser stores nothing for this page")
     opened.keyboard.press("n")
     opened.keyboard.type("still here")
     with opened.expect_download() as download:

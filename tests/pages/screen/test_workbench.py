@@ -268,7 +268,7 @@ def test_a_place_is_measured_and_kept_as_check_point(bench):
     page.locator("#pair-accept").click()
     assert told(page, "session.value.summary.checks") == 1
     assert len(server.edits.checks) == 1
-    assert "check point is off by" in page.locator("#sum").inner_text()
+    assert "error of your check point is" in page.locator("#sum").inner_text()
 
 
 @pytest.mark.slow
@@ -400,9 +400,9 @@ def test_points_are_saved_and_come_back(bench, tmp_path):
     page.locator("#files").click()
     page.locator("#import").set_input_files(path)
     page.wait_for_function(
-        "() => document.querySelector('#files-status').textContent.includes('came in')"
+        "() => document.querySelector('#files-status').textContent.includes('imported')"
     )
-    assert page.locator("#files-status").inner_text().startswith("1 pairs came in; 241")
+    assert page.locator("#files-status").inner_text().startswith("1 pair was imported; 241")
     assert server.edits.added == (pytest.approx(added, abs=0.011),)
 
 

@@ -16,6 +16,7 @@ from levkas.campaign.guess.appearance import mosaic_behind_filters, mosaic_of, t
 from levkas.campaign.guess.groups import CameraGroup, FilePatterns, find_patterns, safe_name
 from levkas.campaign.guess.names import NamedFile
 from levkas.campaign.guess.pixels import CLIPPED, MOST_SAMPLED, Samples, bits_of
+from levkas.core.text import counted
 from levkas.readers.spectra import parse_spectra
 
 READ_BYTES, ROWS = 20_000, 8
@@ -156,12 +157,14 @@ def _kind(group: CameraGroup, files: FilePatterns, samples: Samples) -> Guess:
     first = group.objects[0]
     facts, channels, templates = first.facts, first.file.channels, group.of_role("dark", "white")
     if files.sensors:
-        return Guess("sensors", f"{len(files.sensors)} sensors: {', '.join(files.sensors)}")
+        return Guess(
+            "sensors", f"{counted(len(files.sensors), 'sensor')}: {', '.join(files.sensors)}"
+        )
     if files.wavelengths or files.bands:
         what = "a wavelength" if files.wavelengths else "a band"
         return Guess("bands", f"one file per band: the names contain {what}")
     if facts.kind == "envi":
-        return Guess("cube", f"ENVI, {facts.shape[2]} bands")
+        return Guess("cube", f"ENVI, {counted(facts.shape[2], 'band')}")
     if facts.kind == "raw" or facts.pattern:
         return Guess("mosaic", f"camera raw, {facts.pattern}" if facts.pattern else "camera raw")
     if facts.pages > 1 and channels == 1:
@@ -252,7 +255,9 @@ def _centres(group: CameraGroup, files: FilePatterns) -> tuple[float, ...]:
 
 def _band_keys(group: CameraGroup, files: FilePatterns) -> dict[str, Guess]:
     if files.wavelengths:
-        return {"wavelengths": Guess(_steps(files.wavelengths), f"{len(files.wavelengths)} bands")}
+        return {
+            "wavelengths": Guess(_steps(files.wavelengths), counted(len(files.wavelengths), "band"))
+        }
     if files.bands:
         return {"bands": Guess(files.bands, "from the file names; the wavelengths are unknown")}
     facts = group.frames[0].facts

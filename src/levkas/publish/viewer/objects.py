@@ -14,18 +14,19 @@ from levkas.campaign.schema.toml import read_toml
 from levkas.core.cube import Band
 from levkas.core.flags import describe_marks
 from levkas.core.problems import Refused
-from levkas.core.text import parse_bounded, read_text
+from levkas.core.text import counted, parse_bounded, read_text
 from levkas.database.catalogue import ESTIMATED
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.pixel_frames import Frame
 from levkas.database.registrations import describe_pairs, read_registration, unchecked_share
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.tiff_pages import open_pages
-from levkas.pages.page import DECISIONS, describe_decision
+from levkas.pages.page import describe_decision
 from levkas.publish.viewer.pages import address, worst
 from levkas.publish.viewer.pictures import Source, analyses_of, pictures_of
 from levkas.publish.viewer.pyramid import encode_thumbnail, fit_within, write_pyramid
 from levkas.publish.viewer.spectra import write_lattices, write_spectra
+from levkas.registration.record import DECISIONS
 
 if TYPE_CHECKING:
     from levkas.publish.viewer.pyramid import Write
@@ -147,7 +148,7 @@ def card_of(item: Item, layers: list[dict[str, Any]], thumbnail: Any) -> dict[st
     return {
         **{"title": item.title, "subtitle": item.subtitle, "decision": decision, "verdict": words},
         "href": address("viewer", "objects", item.name, "index.html"),
-        "layers": f"{count} layer{'' if count == 1 else 's'}, {bands} bands",
+        "layers": f"{counted(count, 'layer')}, {counted(bands, 'band')}",
         "cameras": sorted({layer["camera"] for layer in layers}),
         **{"thumbnail": source, "width": width, "height": height},
     }

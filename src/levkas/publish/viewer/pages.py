@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from levkas import __version__
-from levkas.pages.page import DECISIONS
 from levkas.publish.citation import cite
+from levkas.registration.record import DECISIONS
 
 if TYPE_CHECKING:
     from levkas.publish.metadata import PublicationFacts

@@ -211,7 +211,7 @@ def gather_lines(sensor: SensorStacks, frames: SensorFrames) -> None:
         sensor.levels = find_levels(_codes_of(frames.white))
     sensor.notes.append(
         "mirror scanner: neighbouring lines of the white stand in for shots, and texture of the board counts as "
-        "noise; drift and flicker of the lamp cannot be told from the unevenness of its light"
+        "noise; drift and flicker of the lamp cannot be separated from the unevenness of its light"
         if mirror
         else "line scanner: every line is a shot; texture of the white board counts as noise"
     )

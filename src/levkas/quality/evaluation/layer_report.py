@@ -25,6 +25,7 @@ from levkas.quality.evaluation.similarity import (
     read_truth,
     summarise_errors,
 )
+from levkas.registration.record import DECISIONS
 
 if TYPE_CHECKING:
     from levkas.registration.control_points.points import Size
@@ -57,9 +58,17 @@ class Assessment:
             count = sum(c["points"] for c in result["check_points"])
             check = sum(checks) / count if count else np.nan
             ssim = np.nan if result["ssim"] is None else result["ssim"]
+            verdict = DECISIONS.get(result["verdict"], result["verdict"]).partition(",")[0]
             lines.append(
-                f"{result['layer']:28} {result['verdict']:8} {len(result['bands']):5d} "
+                f"{result['layer']:28} {verdict:8} {len(result['bands']):5d} "
                 f"{_number(mean):>8} {_number(worst):>11} {_number(most):>8} {_number(check):>8} {_number(ssim):>6}"
+            )
+        if not any(
+            r["check_points"] or any(b["error_mean"] is not None for b in r["bands"])
+            for r in self.results
+        ):
+            lines.append(
+                "No truth and no check points: the table has no errors. The reports have held-out errors."
             )
         return "\n".join(lines)
 

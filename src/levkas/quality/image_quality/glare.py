@@ -148,7 +148,7 @@ def _noise(sigma: np.ndarray | None) -> np.ndarray:
     return np.zeros((0, 0, 0), np.float32) if sigma is None else sigma
 
 
-@njit(nogil=True, cache=True)
+@njit
 def _judge(value, flag, noise):  # type: ignore[no-untyped-def]
     """Return the signs of one value."""
     found = 0
