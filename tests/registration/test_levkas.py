@@ -121,6 +121,11 @@ def test_plain_arrays_are_registered_as_their_bands_are():
     assert found.verdict.decision == "accept"
     for transform in found.transforms.values():
         assert np.abs(transform(np.array([[100.0, 90.0]])) - [94.0, 86.0]).max() < 0.05
+    masked = np.ma.masked_array(reference, np.arange(220) < 40 + 0 * reference)
+    hidden = np.where(masked.mask, np.nan, reference)
+    again = [register(one, target[..., 0]).transforms["1"] for one in (masked, hidden)]
+    places = rng.uniform(50, 170, (20, 2))
+    np.testing.assert_array_equal(again[0](places), again[1](places))
     bands = [BandImage.of("a", target[..., 0]), BandImage.of("b", target[..., 1])]
     named = register([BandImage.of("c", reference)], bands, reference_band="c")
     points = rng.uniform(0, 180, (50, 2))
@@ -129,7 +134,7 @@ def test_plain_arrays_are_registered_as_their_bands_are():
 
 @pytest.mark.parametrize(
     "wrong", [np.zeros(40), np.zeros((2, 40, 40, 3)), np.zeros((40, 40), complex), "picture.png",
-              [np.zeros((40, 40))]]
+              [np.zeros((40, 40))], None, 5, np.full((40, 40), np.nan), np.zeros((40, 40), bool)]
 )  # fmt: skip
 def test_what_is_no_picture_is_refused_by_name(wrong):
     picture = np.random.default_rng(1).random((40, 40))
