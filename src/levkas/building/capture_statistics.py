@@ -117,7 +117,7 @@ def note_light(
     """Note how even the light is on the white, channel by channel, in `told`.
 
     A white that cannot say, because it saturates, is noted with its reason. One that is merged is in
-    counts a second: how many bits the corners keep cannot be told. Of a cube that is only
+    counts a second: the bits left in the corners are unknown. Of a cube that is only
     every so-many-th pixel a side, these are the `period`.
     """
     from levkas.quality.image_quality.light import LightRefused, light_field

@@ -144,7 +144,7 @@ class Scan:
 
     @cached_property
     def subspace(self) -> Subspace | None:
-        """The signal subspace of the whole scan where HySime is asked for; found in one pass."""
+        """The signal subspace of the whole scan if HySime is used; found in one pass."""
         if not self.context.camera.denoise:
             return None
         return find_subspace(block.flat.values for block in self._flat_blocks(0, self.shape[0]))

@@ -55,7 +55,7 @@ class HeldLines:
         self._last: tuple[int, int, Cube] | None = None
 
     def hold(self, start: int, stop: int) -> Cube:
-        """Return lines `start` to `stop`; in place of sigma stands its square."""
+        """Return lines `start` to `stop`; sigma is replaced by its square."""
         lines = _rows_of(self._room(stop - start), 0, stop - start)
         fresh = start
         if self._last is not None:

@@ -95,7 +95,7 @@ def write_spectral_tiff(
     ----------
     path : path
     planes : iterable of ndarray, (height, width)
-        One a wavelength, in order; each is done with before the next is asked for.
+        One a wavelength, in order; each is written before the next is requested.
     header : TiffHeader
     threads : int, optional
         For compression.

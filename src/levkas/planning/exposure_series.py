@@ -215,7 +215,7 @@ def plan_series(
     ------
     NoAdvice
         E_EXPOSURES where no exposure time is known, E_ONE_SHOT where nothing tells the noise, E_WHITE_DARK where the darkest paint cannot be
-        told from the dark, E_VALUE where no exposure of the sensor reaches the SNR.
+        distinguished from the dark, E_VALUE where no exposure of the sensor reaches the SNR.
     PlanRefused
         E_VALUE where the region lies outside the frame.
     """

@@ -36,7 +36,7 @@ def write_bag(published: str | Path, target: str | Path, facts: PublicationFacts
     Raises
     ------
     PublishRefused
-        Where a file is not what was published, or something else stands at `target`.
+        Where a file is not what was published, or `target` exists.
     WriteRefused
         Where the disk refuses.
     """
