@@ -351,9 +351,11 @@ class Middle:
 def _focus_of(
     values: np.ndarray, flags: np.ndarray, labels: Sequence[str], step: int
 ) -> list[dict[str, Any]]:
-    from levkas.quality.image_quality.sharpness import band_sharpness
+    from levkas.quality.image_quality.sharpness import band_sharpness, middle_of
 
-    found = band_sharpness(values, labels, step=step, left_out=(flags & LOST) != 0)
+    middle = middle_of((values.shape[0], values.shape[1]))
+    values, flags = values[middle][..., ::step], flags[middle][..., ::step]
+    found = band_sharpness(values, labels[::step], left_out=(flags & LOST) != 0)
     return [
         {"band": one.band, "blur_px": as_number(one.blur_px), "edges": one.edges} for one in found
     ]

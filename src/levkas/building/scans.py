@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
 
-STREAMED_SAMPLES = 400_000_000
+STREAMED_SAMPLES = 100_000_000
 """A scan of more samples, of a mirror scanner of a third as many, is not held in memory. Layers, maps and
 records end in the same bytes either way but for the last bits of resampled values; the range on the report's
 page is then that of every sixteenth pixel. A constant, so that results do not hang on the machine's memory."""
