@@ -88,7 +88,7 @@ def test_a_session_is_planned(tmp_path):
 @pytest.mark.slow
 def test_five_cameras_are_built_and_compared_with_the_truth(tmp_path):
     printed = follow("five_cameras.md", tmp_path)
-    assert printed[1].count(" accept ") == 5
+    assert printed[1].count(" accepted ") == 5
 
 
 @pytest.mark.slow

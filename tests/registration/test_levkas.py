@@ -112,6 +112,30 @@ def test_blank_target_is_refused_by_name(pair):
     assert refused.value.problems[0].code == "E_MATCHES"
 
 
+@pytest.mark.parametrize("jump", [0.0, 1.0])
+def test_of_many_bands_some_are_measured_and_all_where_neighbours_do_not_tell_of_one_another(jump):
+    rng = np.random.default_rng(11)
+    scene, wavelengths = paint(rng), np.arange(400.0, 850, 5)
+    reference = [
+        BandImage.of(f"{w} nm", look(scene, rng.random(3), grid(SIZE), rng), w)
+        for w in (450, 500, 550, 600)
+    ]
+    truths, target = {}, []
+    for k, nm in enumerate(wavelengths):
+        shift = np.array([0.8 * (nm - 550) / 300, jump * (k // 2 % 2)])
+        matrix = np.array([[1.0, 0.01, 3.0 + shift[0]], [-0.01, 1.0, 5.0 + shift[1]], [0, 0, 1.0]])
+        truths[f"L{k}"] = Homography(matrix)
+        points = truths[f"L{k}"].inverse(grid((210, 270)).reshape(-1, 2)).reshape(210, 270, 2)
+        target.append(BandImage.of(f"L{k}", look(scene, rng.random(3), points, rng), nm))
+    found = register(reference, target, reference_band="550 nm")
+    measured = [label for label, band in found.errors["bands"].items() if band["windows"]]
+    assert len(measured) == (90 if jump else 45)
+    assert found.errors["bands"].keys() == found.sigma.keys() == truths.keys()
+    for label, error in errors(found, truths).items():
+        assert error.mean() < 0.03, label
+    assert found.verdict.decision == "accept"
+
+
 def test_plain_arrays_are_registered_as_their_bands_are():
     rng = np.random.default_rng(5)
     scene = ndimage.gaussian_filter(rng.random((200, 240)), 2)

@@ -39,10 +39,10 @@ def calibrate(
     raw : ndarray, (h, w) or (h, w, bands), or sequence of them
         Counts of the object as the sensor recorded them; a sequence holds several shots of one exposure.
     dark : ndarray or sequence of ndarray like `raw`, or float, optional
-        Frames without light; one line high stands for all lines (push-broom). A number is the black level,
+        Frames without light; one line applies to all lines (push-broom). A number is the black level,
         counts, the same in every pixel. None: nothing is subtracted.
     white : ndarray or sequence of ndarray like `raw`, optional
-        Frames of the white board; one line high stands for all lines. None: the result stays in counts.
+        Frames of the white board; one line applies to all lines. None: the result stays in counts.
     reflectance : float or sequence of float, > 0
         Of the white board, relative to the perfect diffuser: one number, or one for each band (each channel of
         `pattern`).

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 WORTH_NAMING = 0.1
-"""Share of an object that was not checked which stands beside the decision."""
+"""Share of an object that was not checked, from which on it is named beside the decision."""
 
 
 def describe_decision(decision: str, unchecked: float = 0.0, area: str = "") -> str:
@@ -132,7 +132,7 @@ def render_page(template: str, **values: Any) -> str:
 
 
 def mark_code(text: str) -> Any:
-    """Return text as HTML in which what stands between backticks is code; everything else is escaped.
+    """Return text as HTML in which text between backticks is code; everything else is escaped.
 
     >>> str(mark_code("run `a <b>` & c"))
     'run <code>a &lt;b&gt;</code> &amp; c'

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
 
 SOFT = 1.5
-"""A band's blur over that of the sharpest one, from which it is told."""
+"""A band's blur over that of the sharpest one, from which on it is named."""
 LOW_SNR = 10.0
 
 

@@ -80,7 +80,7 @@ def register(
         Pairs given by hand: added and pinned ones are never removed, deleted ones never used, check
         points are measured into ``errors["check_points"]``, each by the band that it was placed in.
     **options
-        Of the method, as campaign.toml names them; None stands for a default. Further fields of the
+        Of the method, as campaign.toml names them; None is the default. Further fields of the
         `Request` are taken too, e.g. `reference_transforms`.
 
     Returns
