@@ -52,6 +52,7 @@ bench: $(READY)
 	$(BIN)/python benchmarks/run.py
 
 docs: $(READY)
+	rm -rf docs/_generated
 	$(BIN)/python -m sphinx -W -b html docs docs/_build/html
 
 # uv installs the same pinned, hashed packages several times faster where it is to be had.

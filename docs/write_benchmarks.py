@@ -1,7 +1,7 @@
 """Write docs/benchmarks.md, the tables of README.md and the figures of paper/paper.md from benchmarks/results.json.
 
 Tests hold the files to the results. In the paper a figure has its name in a comment behind it,
-``0.016<!-- comparison | Levkas | d80 -->``, and a table stands between two comments.
+``0.016<!-- comparison | Levkas | d80 -->`` (table, row, column if there are several), and a table the name of its own before it.
 """
 
 import re
@@ -15,8 +15,8 @@ from results import Figure, Results, load  # noqa: E402
 
 HEADLINE = ("comparison", "build")
 UNKNOWN = "not recorded"
-NAMED = re.compile(r"[^\s<(]+<!-- ([^|>]+) \| ([^|]+?) \|(?: ([^|]*?))? -->")
-TABLE = re.compile(r"(<!-- table: (\S+) -->\n).*?(<!-- end of table -->)", re.DOTALL)
+NAMED = re.compile(r"[^\s<(]+<!-- ([^|>]+) \| ([^|>]+?)(?: \| ([^|>]+))? -->")
+TABLE = re.compile(r"(<!-- table: (\S+) -->\n\n)(?:\|.*\n)+")
 BEGIN, END = "<!-- headline: docs/write_benchmarks.py -->\n", "<!-- end of headline -->\n"
 
 
@@ -63,7 +63,7 @@ def with_figures(paper: str, results: Results) -> str:
         return value + match[0][match[0].index("<!--") :]
 
     def laid_out(match: re.Match[str]) -> str:
-        return match[1] + "\n".join(table(results.of(match[2]))) + "\n" + match[3]
+        return match[1] + "\n".join(table(results.of(match[2]))) + "\n"
 
     return TABLE.sub(laid_out, NAMED.sub(named, paper))
 

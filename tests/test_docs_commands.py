@@ -111,6 +111,15 @@ def test_paths_and_make_targets_of_a_page_exist(page):
     assert {*re.findall(r"`make ([a-z][a-z-]*)", text)} <= {*targets}
 
 
+def test_pages_that_the_program_names_exist():
+    named = set()
+    for path in (ROOT / "src").rglob("*"):
+        if path.suffix in {".py", ".html"}:
+            named |= {*re.findall(r"docs/[\w/]+\.md", path.read_text(encoding="utf-8"))}
+    assert len(named) > 4
+    assert [name for name in named if not (ROOT / name).is_file()] == []
+
+
 @each_page
 def test_examples_of_a_page_are_well_formed_and_do_what_they_show(page, tmp_path, monkeypatch):
     text = page.read_text(encoding="utf-8")

@@ -124,12 +124,20 @@ def test_lines_that_two_strips_share_are_calibrated_once(scan_and_cube, monkeypa
     assert asked == [(0, 9), (9, 12), (12, 30), (3, 8), (40, 44)]
 
 
-def test_a_scan_that_lies_askew_is_refused(scan_and_cube, monkeypatch, tmp_path):
+def test_of_a_scan_that_lies_askew_many_lines_are_held_and_a_very_large_one_is_refused(
+    scan_and_cube, monkeypatch, tmp_path
+):
     scan, cube = scan_and_cube
-    askew = Affine(np.array([[0.7, -0.7, 0], [0.7, 0.7, 0]]))
+    maps = [Affine(np.array([[0.7, -0.7, 20], [0.7, 0.7, 0]]))] * len(cube.bands)
     monkeypatch.setattr(streaming, "HELD_BYTES", 9 * len(cube.bands) * cube.values.shape[1] * 30)
-    with pytest.raises(streaming.ScanRefused, match="askew"):
-        next(streaming.resample_scan(scan, [askew] * len(cube.bands), (80, 80), spool=tmp_path))
+    blocks = list(streaming.resample_scan(scan, maps, (40, 40), spool=tmp_path))
+    whole = warp(cube.values, maps, (40, 40), flags=cube.flags)
+    values = np.concatenate([block.values for block in blocks])
+    assert np.isfinite(values).any()
+    np.testing.assert_allclose(values, whole.values, atol=1e-4)
+    monkeypatch.setattr(streaming, "ASKEW_BYTES", streaming.HELD_BYTES)
+    with pytest.raises(streaming.ScanRefused, match="tilted relative to the grid"):
+        next(streaming.resample_scan(scan, maps, (40, 40), spool=tmp_path))
 
 
 @pytest.mark.parametrize("step", [1, 7, 64, 1000])

@@ -107,6 +107,13 @@ def test_defects_movement_saturation_and_gaps_are_flagged():
     assert lost.flags[5, 5, 0] & levkas.Flag.DEFECT and np.isfinite(lost.values[5, 5, 0])
 
 
+def test_arrays_of_a_database_are_taken_as_arrays():
+    xarray = pytest.importorskip("xarray")
+    raw, white = GREY, 2 * GREY
+    cube = levkas.calibrate(xarray.DataArray(raw), 0, [xarray.DataArray(white)])
+    np.testing.assert_array_equal(cube.values[..., 0], 0.5)
+
+
 def test_no_input_is_changed():
     given = shots(0.5, 2, 3), shots(0, 2, 1), shots(1.0, 2, 2)
     before = [[frame.copy() for frame in part] for part in given]
@@ -136,6 +143,22 @@ GREY = np.full((8, 8), 500, np.uint16)
         ((GREY, 64, GREY), {"wavelengths": [450, 550]}, "E_BAND_COUNT", "wavelengths"),
         ((GREY, 64, GREY), {"pattern": [["R", "G"], ["B"]]}, "E_VALUE", "pattern"),
         ((np.dstack([GREY] * 2),), {"pattern": "RGGB"}, "E_SIZE", "raw"),
+        ((GREY, 64, GREY), {"pattern": 5}, "E_VALUE", "pattern"),
+        ((GREY[:2, :2],), {"pattern": ["abc", "def", "ghi"]}, "E_SIZE", "raw"),
+        ((None,), {}, "E_VALUE", "raw"),
+        ((GREY.tolist(),), {}, "E_VALUE", "raw"),
+        ((np.ma.masked_equal(GREY, 1),), {}, "E_VALUE", "raw"),
+        ((GREY > 1,), {}, "E_VALUE", "raw"),
+        ((GREY * np.nan,), {}, "E_VALUE", "raw"),
+        ((GREY, "64"), {}, "E_VALUE", "dark"),
+        ((GREY, float("nan")), {}, "E_VALUE", "dark"),
+        ((GREY, True), {}, "E_VALUE", "dark"),
+        ((GREY, 64, 1000), {}, "E_VALUE", "white"),
+        ((GREY, 64, GREY), {"reflectance": "high"}, "E_VALUE", "reflectance"),
+        ((GREY, 64, GREY), {"reflectance": float("nan")}, "E_VALUE", "reflectance"),
+        ((GREY, 64, GREY), {"saturation": "full"}, "E_VALUE", "saturation"),
+        ((GREY, 64, GREY), {"exposure_s": "long"}, "E_EXPOSURES", "exposure_s"),
+        ((GREY, 64, GREY), {"wavelengths": ["red"]}, "E_VALUE", "wavelengths"),
     ],
 )  # fmt: skip
 def test_frames_and_arguments_that_do_not_fit_are_refused_by_name(arguments, options, code, field):

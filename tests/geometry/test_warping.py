@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+import xarray
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -442,6 +443,21 @@ def test_wrong_numbers_of_maps_and_types_are_said():
         warp(np.ones((8, 8)), Affine.identity(), (8, 8))
     with pytest.raises(ValueError, match="laid on a grid"):
         warp(np.ones((8, 8), np.float32), lay(Affine.identity(), (9, 9)), (8, 8))
+    for maps in (None, [Affine.identity(), "identity"]):
+        with pytest.raises(ValueError, match=r"not a map of points: (NoneType|str)"):
+            warp(np.ones((8, 8, 2), np.float32), maps, (8, 8))
+    for shape in ((8, 8, 3), (0, 8), (8, -1)):
+        with pytest.raises(ValueError, match="a grid of shape"):
+            warp(np.ones((8, 8), np.float32), Affine.identity(), shape)
+    with pytest.raises(ValueError, match="masked source"):
+        warp(np.ma.masked_less(np.ones((8, 8), np.float32), 0), Affine.identity(), (8, 8))
+
+
+def test_maps_by_band_and_labelled_arrays_are_taken():
+    source = np.random.default_rng(0).random((20, 30, 2), np.float32)
+    maps = {"a": shift(0.3, 0.6), "b": shift(1.2, 0.1)}
+    found = warp(xarray.DataArray(source), maps, (20, 30))
+    assert same(found, warp(source, list(maps.values()), (20, 30)))
 
 
 def test_polynomials_as_registration_fits_them(cube):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from levkas.geometry.transforms import Affine
+from levkas.quality.evaluation.layer_report import Assessment
 from levkas.quality.evaluation.similarity import (
     TruthRefused,
     position_errors,
@@ -73,3 +74,20 @@ def test_truth_of_the_foreign_campaign_reads(two_paintings):
     truth = read_truth(two_paintings / "truth", "icon1", "msbs")
     assert list(truth.bands) == ["R1", "G1", "B1", "R2", "G2", "B2", "IR"]
     assert truth.reference.shape == truth.bands["IR"].shape
+
+
+@pytest.mark.parametrize(
+    ("decision", "word"), [("accept", "accepted"), ("warn", "doubtful"), ("refuse", "refused")]
+)
+def test_the_table_has_the_words_of_the_screens_and_json_the_keys(decision, word):
+    layer = {
+        "layer": "icon/vis",
+        "verdict": decision,
+        "bands": [],
+        "check_points": [],
+        "ssim": None,
+    }
+    assessed = Assessment([layer])
+    assert assessed.text.splitlines()[1].split()[:2] == ["icon/vis", word]
+    assert "held-out errors" in assessed.text.splitlines()[-1]
+    assert assessed.results[0]["verdict"] == decision

@@ -192,9 +192,7 @@ def test_common_variance_is_found_and_outliers_lose_their_weight():
 def windows_of(field, points, rng, noise):
     shift = field(points) + noise * rng.standard_normal(points.shape)
     information = np.broadcast_to(np.eye(2) / noise**2, (len(points), 2, 2)).copy()
-    return WindowShifts(
-        points, shift, information, np.ones(len(points)), np.zeros((len(points), 1, 1))
-    )
+    return WindowShifts(points, shift, information, np.ones(len(points)), np.zeros((1, 1)))
 
 
 def test_magnifications_of_bands_are_recovered_smoothly_and_a_blind_band_is_interpolated():

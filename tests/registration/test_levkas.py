@@ -112,6 +112,30 @@ def test_blank_target_is_refused_by_name(pair):
     assert refused.value.problems[0].code == "E_MATCHES"
 
 
+@pytest.mark.parametrize("jump", [0.0, 1.0])
+def test_of_many_bands_some_are_measured_and_all_where_neighbours_do_not_tell_of_one_another(jump):
+    rng = np.random.default_rng(11)
+    scene, wavelengths = paint(rng), np.arange(400.0, 850, 5)
+    reference = [
+        BandImage.of(f"{w} nm", look(scene, rng.random(3), grid(SIZE), rng), w)
+        for w in (450, 500, 550, 600)
+    ]
+    truths, target = {}, []
+    for k, nm in enumerate(wavelengths):
+        shift = np.array([0.8 * (nm - 550) / 300, jump * (k // 2 % 2)])
+        matrix = np.array([[1.0, 0.01, 3.0 + shift[0]], [-0.01, 1.0, 5.0 + shift[1]], [0, 0, 1.0]])
+        truths[f"L{k}"] = Homography(matrix)
+        points = truths[f"L{k}"].inverse(grid((210, 270)).reshape(-1, 2)).reshape(210, 270, 2)
+        target.append(BandImage.of(f"L{k}", look(scene, rng.random(3), points, rng), nm))
+    found = register(reference, target, reference_band="550 nm")
+    measured = [label for label, band in found.errors["bands"].items() if band["windows"]]
+    assert len(measured) == (90 if jump else 45)
+    assert found.errors["bands"].keys() == found.sigma.keys() == truths.keys()
+    for label, error in errors(found, truths).items():
+        assert error.mean() < 0.03, label
+    assert found.verdict.decision == "accept"
+
+
 def test_plain_arrays_are_registered_as_their_bands_are():
     rng = np.random.default_rng(5)
     scene = ndimage.gaussian_filter(rng.random((200, 240)), 2)
@@ -121,6 +145,11 @@ def test_plain_arrays_are_registered_as_their_bands_are():
     assert found.verdict.decision == "accept"
     for transform in found.transforms.values():
         assert np.abs(transform(np.array([[100.0, 90.0]])) - [94.0, 86.0]).max() < 0.05
+    masked = np.ma.masked_array(reference, np.arange(220) < 40 + 0 * reference)
+    hidden = np.where(masked.mask, np.nan, reference)
+    again = [register(one, target[..., 0]).transforms["1"] for one in (masked, hidden)]
+    places = rng.uniform(50, 170, (20, 2))
+    np.testing.assert_array_equal(again[0](places), again[1](places))
     bands = [BandImage.of("a", target[..., 0]), BandImage.of("b", target[..., 1])]
     named = register([BandImage.of("c", reference)], bands, reference_band="c")
     points = rng.uniform(0, 180, (50, 2))
@@ -129,7 +158,7 @@ def test_plain_arrays_are_registered_as_their_bands_are():
 
 @pytest.mark.parametrize(
     "wrong", [np.zeros(40), np.zeros((2, 40, 40, 3)), np.zeros((40, 40), complex), "picture.png",
-              [np.zeros((40, 40))]]
+              [np.zeros((40, 40))], None, 5, np.full((40, 40), np.nan), np.zeros((40, 40), bool)]
 )  # fmt: skip
 def test_what_is_no_picture_is_refused_by_name(wrong):
     picture = np.random.default_rng(1).random((40, 40))

@@ -15,7 +15,7 @@ def seen(shift, sigma=SIGMA, said=SIGMA, columns=40, rows=30, seed=0):
     noisy = shift(centres) + sigma * rng.standard_normal(centres.shape)
     information = np.broadcast_to(np.eye(2) / said**2, (len(centres), 2, 2))
     n = len(centres)
-    return [WindowShifts(centres, noisy, information, np.full(n, 0.9), np.zeros((n, 1, 1)))]
+    return [WindowShifts(centres, noisy, information, np.full(n, 0.9), np.zeros((1, 1)))]
 
 
 def still(points):

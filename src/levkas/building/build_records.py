@@ -88,7 +88,7 @@ class Written(NamedTuple):
 class BuildRecords:
     """Fingerprints and products of finished stages, one small file a stage.
 
-    A record is read once: what this build was told, or has noted itself, stays true for it, whatever
+    A record is read once: what this build has read or written stays valid for it, whatever
     another build that runs beside it takes away or writes. Of more than `MOST_KNOWN` the first are read again.
 
     Parameters
@@ -142,7 +142,7 @@ class BuildRecords:
         return _check(record) if record else ""
 
     def reread(self, key: Key) -> None:
-        """Read a record anew when it is asked for: another process may have written it since."""
+        """Read a record again when it is needed: another process may have written it since."""
         self._known.pop(str(self.path_of(key)), None)
 
     def fingerprint(self, key: Key) -> dict[str, Any]:
@@ -154,7 +154,7 @@ class BuildRecords:
         return dict(self._record(key).get("products", {}))
 
     def products_that_stand(self) -> Iterator[tuple[str, str]]:
-        """Yield name and SHA-256 of every product of every finished stage that still stands."""
+        """Yield name and SHA-256 of every existing product of every finished stage."""
         root = str(self.output)
         for place, folders, names in os.walk(self.folder):
             folders.sort()
@@ -301,7 +301,7 @@ class BuildRecords:
         return self._known[path]
 
     def path_of(self, key: Key, suffix: str = ".json") -> Path:
-        """Return where the record of a stage is kept, or what stands beside it."""
+        """Return the path of the record of a stage, or of a file beside it."""
         parts = [part for part in (key.object, key.layer, key.stage) if part]
         return self.folder.joinpath(*parts[:-1], f"{parts[-1]}{suffix}")
 

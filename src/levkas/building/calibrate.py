@@ -24,8 +24,6 @@ from levkas.building.exposures import (
     white_of,
 )
 from levkas.building.native_cubes import (
-    GROUP,
-    ROWS,
     Native,
     least_bytes,
     read_native,
@@ -305,6 +303,10 @@ def develop_image(context: SensorContext) -> Noted:
         variance = mean_variance(shot, step=context.step).reshape(values.shape)
     values = np.ascontiguousarray(values, np.float32)
     return cube_of(context, values, flags, variance, "counts"), notes
+
+
+GROUP, ROWS = 8, 16
+"""Bands that are laid into a cube in one passage over some rows, in which they lie innermost."""
 
 
 def develop_bands(context: SensorContext) -> Noted:

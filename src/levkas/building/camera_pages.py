@@ -1,4 +1,4 @@
-"""The report page of every camera: what its captures told of sensor and light, and its charts."""
+"""The report page of every camera: sensor and light as measured in its captures, and its charts."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def prints_of_page(page: CameraPage, campaign: Campaign, records: BuildRecords) 
 
 
 def learnt_of(page: CameraPage, records: BuildRecords) -> dict[str, dict[str, Any]]:
-    """Return what the first capture of each setup told of sensor and light, by setup."""
+    """Return the measurements of sensor and light by the first capture of each setup, by setup."""
     found: dict[str, dict[str, Any]] = {}
     for capture in page.captures:
         if capture.setup not in found:

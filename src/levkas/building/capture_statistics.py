@@ -117,7 +117,7 @@ def note_light(
     """Note how even the light is on the white, channel by channel, in `told`.
 
     A white that cannot say, because it saturates, is noted with its reason. One that is merged is in
-    counts a second: how many bits the corners keep cannot be told. Of a cube that is only
+    counts a second: the bits left in the corners are unknown. Of a cube that is only
     every so-many-th pixel a side, these are the `period`.
     """
     from levkas.quality.image_quality.light import LightRefused, light_field
@@ -351,9 +351,11 @@ class Middle:
 def _focus_of(
     values: np.ndarray, flags: np.ndarray, labels: Sequence[str], step: int
 ) -> list[dict[str, Any]]:
-    from levkas.quality.image_quality.sharpness import band_sharpness
+    from levkas.quality.image_quality.sharpness import band_sharpness, middle_of
 
-    found = band_sharpness(values, labels, step=step, left_out=(flags & LOST) != 0)
+    middle = middle_of((values.shape[0], values.shape[1]))
+    values, flags = values[middle][..., ::step], flags[middle][..., ::step]
+    found = band_sharpness(values, labels[::step], left_out=(flags & LOST) != 0)
     return [
         {"band": one.band, "blur_px": as_number(one.blur_px), "edges": one.edges} for one in found
     ]

@@ -64,7 +64,7 @@ def subjects_of(
     objects: Sequence[str] = (),
     corners: bool = False,
 ) -> Iterator[Subject]:
-    """Yield the charts that a database keeps in charts/, and the layers of objects that are asked for.
+    """Yield the charts that a database keeps in charts/, and the layers of the requested objects.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def _check(database: Path, option: str, wanted: Sequence[str], known: set[str]) 
 
 
 class CubeFile(NamedTuple):
-    """A cube from a file, what is to be said of it, and the greatest code where it is a finished photograph."""
+    """A cube from a file, its notes, and the greatest code where it is a finished photograph."""
 
     cube: Cube
     notes: tuple[str, ...]

@@ -50,7 +50,7 @@ def claim(
     CampaignInvalid
         Where the folder holds, or lies among, what the campaign is made of.
     WriteRefused
-        Where something stands there that no build wrote, or the disk refuses.
+        Where something exists there that no build wrote, or the disk refuses.
     """
     from levkas.core.files import make_folder, write_changed, write_text
 

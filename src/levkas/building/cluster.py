@@ -47,7 +47,7 @@ LIMITS = (
 CERTIFICATES = [
     f"DASK_DISTRIBUTED__COMM__TLS__{part}" for part in ("CA_FILE", "CLIENT__CERT", "CLIENT__KEY")
 ]
-"""Variables by which dask's own configuration is told the files of a client."""
+"""Variables of dask's configuration for the files of a client."""
 
 
 class ClusterRefused(Refused):
@@ -156,7 +156,7 @@ def _load() -> None:
 
 @dataclass
 class Cluster:
-    """A scheduler, and what its workers have said of themselves.
+    """A scheduler and the facts of its workers.
 
     Parameters
     ----------

@@ -71,7 +71,7 @@ class Endings:
         return Due(task, prints, self.records.why_stale(task.key, prints))
 
     def begin(self, task: Task) -> None:
-        """Take note of what stands there before a task is done."""
+        """Record the existing files before a task is done."""
         if task.key.stage == "resample":
             self.records.forget(CATALOGUE)  # a layer that is written drops the index of its store
         self._before.setdefault(task.key, self.records.products(task.key))
@@ -115,7 +115,7 @@ class Endings:
     def end(self, task: Task, step: Step) -> Step:
         """Withdraw a layer whose task was refused, or say that the older one stays.
 
-        It stays where only the disk refused, and where nothing of this build stands beside it yet.
+        It stays where only the disk refused, and where this build has written nothing beside it yet.
         """
         if step.state != "refused":
             return step

@@ -14,6 +14,7 @@ from levkas.building.build_records import Key
 from levkas.building.endings import Due, Endings
 from levkas.building.graph import Step, Task, captures_of
 from levkas.building.stages import Stages
+from levkas.core.machine import keep_memory
 from levkas.core.problems import Refused
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ class Executor:
 
     def run(self, tasks: Sequence[Task]) -> Iterator[Step]:
         """Yield each task of captures as it begins and as it ends, in the order of `tasks`."""
+        keep_memory()
         note = self._endings.note
         with (
             ThreadPoolExecutor(1, thread_name_prefix="writing") as self._writer,

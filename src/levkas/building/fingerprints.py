@@ -309,7 +309,7 @@ def relative(campaign: Campaign, path: Any) -> str:
 
 
 def written(campaign: Campaign, problem: Problem) -> str:
-    """Return a problem as a database holds it: wherever the campaign stands, its text is the same."""
+    """Return a problem as a database holds it: its text is the same for any folder of the campaign."""
     file = problem.file
     if file and Path(file).is_absolute():
         file = relative(campaign, Path(file))

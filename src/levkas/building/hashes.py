@@ -132,7 +132,7 @@ class Hashes:
 
 
 class Unread(Hashes):
-    """Stands for the hashes of files that need not be read: what is made of them was never made."""
+    """Placeholder for the hashes of files that need not be read, because their products were never made."""
 
     def __init__(self) -> None:
         super().__init__(Path(), verify=True)

@@ -20,15 +20,12 @@ from levkas.registration.bands import BandImage, share_of_most
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from concurrent.futures import Executor
     from pathlib import Path
 
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.credits import Credits
     from levkas.database.layout import Places
 
-GROUP, ROWS = 8, 16
-"""Bands that are gathered in one passage over some rows, in which they lie innermost."""
 PACKED_ROWS = 64
 
 
@@ -72,13 +69,12 @@ class Native:
         return 1
 
     def images(self) -> list[BandImage]:
-        """Return every band as registration sees it, in memory of its own."""
-        with ThreadPoolExecutor(count_threads()) as pool:
-            return [
-                BandImage(band.label, band.wavelength, values, valid, sensor)
-                for sensor, cube in self.cubes.items()
-                for band, (values, valid) in zip(cube.bands, _pictures(cube, pool), strict=True)
-            ]
+        """Return every band as registration sees it; reflectance in the memory of the cubes."""
+        return [
+            BandImage(band.label, band.wavelength, values, valid, sensor)
+            for sensor, cube in self.cubes.items()
+            for band, (values, valid) in zip(cube.bands, _pictures(cube), strict=True)
+        ]
 
     def without_sigma(self) -> Native:
         """Return the cubes without sigma: it is on the disk, and only resampling asks for it."""
@@ -93,25 +89,13 @@ class Native:
         raise KeyError(label)
 
 
-def _pictures(cube: Cube, pool: Executor) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _pictures(cube: Cube) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield the values of every band and where they can be relied on, both (height, width)."""
-    height, width, count = cube.values.shape
-
-    def work(start: int) -> tuple[np.ndarray, np.ndarray]:
-        values = np.empty((min(GROUP, count - start), height, width), np.float32)
-        valid = np.empty(values.shape, bool)
-        for y in range(0, height, ROWS):
-            part = cube.values[y : y + ROWS, :, start : start + GROUP]
-            flags = cube.flags[y : y + ROWS, :, start : start + GROUP]
-            values[:, y : y + ROWS] = np.moveaxis(part, 2, 0)
-            known = np.isfinite(part) & ((flags & UNRELIABLE) == 0)
-            valid[:, y : y + ROWS] = np.moveaxis(known, 2, 0)
-        return values, valid
-
-    scale = share_of_most if cube.quantity == "counts" else np.asarray
-    for values, valid in pool.map(work, range(0, count, GROUP)):
-        for one, known in zip(values, valid, strict=True):
-            yield scale(one), known
+    for values, flags in zip(
+        np.moveaxis(cube.values, 2, 0), np.moveaxis(cube.flags, 2, 0), strict=True
+    ):
+        known = np.isfinite(values) & ((flags & UNRELIABLE) == 0)
+        yield share_of_most(values) if cube.quantity == "counts" else values, known
 
 
 class PackedSigma:

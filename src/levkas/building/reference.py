@@ -145,7 +145,7 @@ def record_of(places: Places, capture: Capture) -> dict[str, Any]:
 
 
 def sigmas_of(record: dict[str, Any]) -> dict[str, Sigma]:
-    """Return how well the maps of a record's bands are known, by label, where that is told."""
+    """Return the uncertainty of the maps of a record's bands, by label, where it is recorded."""
     bands = record["bands"].items()
     return {label: Sigma.from_dict(band["sigma"]) for label, band in bands if "sigma" in band}
 

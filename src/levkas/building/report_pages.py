@@ -127,7 +127,9 @@ def report_of(
         page=ObjectReport(
             title=(facts.title if facts else "") or name,
             facts=[text for text in dict.fromkeys(told) if text],
-            reference=f"{reference.camera}:{reference.band or 'middle band'}",
+            reference=f"{reference.camera}:{reference.band}"
+            if reference.band
+            else f"the middle band of {reference.camera}",
             layers=layers,
             problems=problems,
             mm_per_px=sampling,

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
 
-STREAMED_SAMPLES = 400_000_000
+STREAMED_SAMPLES = 100_000_000
 """A scan of more samples, of a mirror scanner of a third as many, is not held in memory. Layers, maps and
 records end in the same bytes either way but for the last bits of resampled values; the range on the report's
 page is then that of every sixteenth pixel. A constant, so that results do not hang on the machine's memory."""
@@ -144,7 +144,7 @@ class Scan:
 
     @cached_property
     def subspace(self) -> Subspace | None:
-        """The signal subspace of the whole scan where HySime is asked for; found in one pass."""
+        """The signal subspace of the whole scan if HySime is used; found in one pass."""
         if not self.context.camera.denoise:
             return None
         return find_subspace(block.flat.values for block in self._flat_blocks(0, self.shape[0]))

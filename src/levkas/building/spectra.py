@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def reference_channel(
     campaign: Campaign, camera: str, bands: Sequence[Band], wavelength: float
 ) -> str:
-    """Return the label that `CAMERA` without a band stands for.
+    """Return the band meant by `CAMERA` without a band.
 
     The declared `reference_band`, else the band whose wavelength (or sensitivity's centroid) is
     nearest to the reference band's, else the middle one as declared.
@@ -82,7 +82,7 @@ def read_sensitivity(path: Path, labels: Sequence[str]) -> tuple[np.ndarray, np.
     Raises
     ------
     Refused
-        Where it cannot be read, a wavelength stands twice, or it has not as many columns as there
+        Where it cannot be read, a wavelength occurs twice, or it has not as many columns as there
         are channels.
     """
     expected = "a CSV with wavelength in nm and one column per channel"

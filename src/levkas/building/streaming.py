@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from levkas.building.scans import Scan
     from levkas.geometry.transforms import Transform
 
-HELD_BYTES = 300_000_000
-"""Of calibrated lines and of grid rows, together; the next ones are read meanwhile."""
+HELD_BYTES, ASKEW_BYTES = 300_000_000, 3_600_000_000
+"""Of calibrated lines and of grid rows, together, the next ones being read meanwhile; and of a scan that lies askew."""
 SAMPLE_BYTES = 9
 THINNED = 16
 """Of a large scan every sixteenth pixel a side is kept in mind for its range and noise."""
@@ -55,7 +55,7 @@ class HeldLines:
         self._last: tuple[int, int, Cube] | None = None
 
     def hold(self, start: int, stop: int) -> Cube:
-        """Return lines `start` to `stop`; in place of sigma stands its square."""
+        """Return lines `start` to `stop`; sigma is replaced by its square."""
         lines = _rows_of(self._room(stop - start), 0, stop - start)
         fresh = start
         if self._last is not None:
@@ -187,14 +187,16 @@ def resample_scan(
     ScanRefused
         ``E_SIZE`` where a few rows, or columns, need more lines than may be held.
     """
-    rows = _rows_at_once(scan, maps, size)
-    if rows:
-        yield from _in_rows(scan, maps, size, rows)
-        return
     swap = Affine(np.array([[0.0, 1, 0], [1, 0, 0]]))
     turned = {id(one): Composed(swap, one) for one in maps}
     sideways, across = [turned[id(one)] for one in maps], (size[1], size[0])
-    columns = _rows_at_once(scan, sideways, across)
+    rows = _rows_at_once(scan, maps, size, HELD_BYTES)
+    columns = 0 if rows else _rows_at_once(scan, sideways, across, HELD_BYTES)
+    if not rows and not columns:
+        rows = _rows_at_once(scan, maps, size, ASKEW_BYTES)
+    if rows:
+        yield from _in_rows(scan, maps, size, rows)
+        return
     if not columns:
         raise ScanRefused(
             Problem(
@@ -298,8 +300,8 @@ def _resampled(scan: Scan, lines: Cube, tile: _Tile, width: int) -> Cube:
     return Cube(round_values(values, out=values), flags, sigma, scan.bands, scan.quantity)
 
 
-def _rows_at_once(scan: Scan, maps: Sequence[Transform], size: tuple[int, int]) -> int:
-    """Return how many grid rows make a strip; 0 where even a few need too many lines."""
+def _rows_at_once(scan: Scan, maps: Sequence[Transform], size: tuple[int, int], most: int) -> int:
+    """Return how many grid rows make a strip; 0 where even a few need lines of more than `most` bytes."""
     width, height = size
     _, samples, bands = scan.shape
     rows = min(MOST_ROWS, height)
@@ -308,7 +310,7 @@ def _rows_at_once(scan: Scan, maps: Sequence[Transform], size: tuple[int, int]) 
         laid = [_lay(maps[:1], (rows, width), top) for top in tops]
         spans = [source_rows(one, (rows, width), (0, rows), scan.shape[0]) for one in laid]
         held = max(high - low for low, high in spans) * samples + rows * width
-        if held * bands * SAMPLE_BYTES <= HELD_BYTES:
+        if held * bands * SAMPLE_BYTES <= most:
             return rows
         if rows <= LEAST_ROWS:
             return 0

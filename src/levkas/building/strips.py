@@ -220,7 +220,7 @@ class Seam:
 
 @dataclass(frozen=True, eq=False)
 class JoinedStrips:
-    """Strips of one scan, joined line by line as they are asked for.
+    """Strips of one scan, joined line by line on request.
 
     Parameters
     ----------

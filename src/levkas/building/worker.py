@@ -337,7 +337,7 @@ def read_receipt(path: Path) -> dict[str, Any]:
 
 
 def is_whole(receipt: Mapping[str, Any], made_of: str, places: Places) -> bool:
-    """Tell whether a receipt is of what was asked for, and its files are what was written."""
+    """Return whether a receipt belongs to the task, and its files are as written."""
     if receipt.get("made of") != made_of or is_refused(receipt):
         return False
     try:

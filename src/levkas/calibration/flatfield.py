@@ -38,7 +38,7 @@ class Calibrated:
     Parameters
     ----------
     values : ndarray, (h, w) or (h, w, b), float32
-        NaN where nothing could be said; DEFECT is set there.
+        NaN where no value could be computed; DEFECT is set there.
     flags : ndarray like `values`, uint8
         Bits of `cube.Flag`.
     variance : ndarray like `values`, float32, or None
@@ -179,7 +179,7 @@ def _join_bands(
 class Side(NamedTuple):
     """A mean, the variance of one shot, its degrees of freedom (0: not measured), and the mean's share of it.
 
-    Arrays are (h, w) views; one of height or width 1 stands for all rows or columns.
+    Arrays are (h, w) views; one of height or width 1 applies to all rows or columns.
     """
 
     mean: np.ndarray
@@ -211,7 +211,7 @@ class Side(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether its variance can be told."""
+        """Whether its variance is known."""
         return self.freedom > 0 or self.share == 0
 
     def as_wide_as(self, width: int) -> Side:

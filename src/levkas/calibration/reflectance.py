@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     Frames = np.ndarray | Sequence[np.ndarray]
     Pattern = str | Sequence[Sequence[str]]
 
-NAMES = ("raw", "dark", "white")
-
 
 def calibrate(
     raw: Frames,
@@ -41,10 +39,10 @@ def calibrate(
     raw : ndarray, (h, w) or (h, w, bands), or sequence of them
         Counts of the object as the sensor recorded them; a sequence holds several shots of one exposure.
     dark : ndarray or sequence of ndarray like `raw`, or float, optional
-        Frames without light; one line high stands for all lines (push-broom). A number is the black level,
+        Frames without light; one line applies to all lines (push-broom). A number is the black level,
         counts, the same in every pixel. None: nothing is subtracted.
     white : ndarray or sequence of ndarray like `raw`, optional
-        Frames of the white board; one line high stands for all lines. None: the result stays in counts.
+        Frames of the white board; one line applies to all lines. None: the result stays in counts.
     reflectance : float or sequence of float, > 0
         Of the white board, relative to the perfect diffuser: one number, or one for each band (each channel of
         `pattern`).
@@ -95,10 +93,13 @@ def calibrate(
     from levkas.calibration.whites import WhiteBoard
 
     times = _times(exposure_s)
+    if saturation is not None:
+        saturation = float(_numbers(saturation, "saturation", "counts, a number")[0])
+    board = WhiteBoard(_numbers(reflectance, "reflectance", "numbers above 0"), pattern)
     shot, codes = _template(raw, "raw", saturation, times[0])
     under, black = None, None
-    if isinstance(dark, (int, float, np.integer, np.floating)):
-        black = float(dark)
+    if isinstance(dark, (int, float, np.number)):
+        black = float(_numbers(dark, "dark", "a finite black level, counts")[0])
     elif dark is not None:
         under = _as_high(_template(dark, "dark", saturation, times[1])[0], shot)
     lit = None
@@ -112,7 +113,7 @@ def calibrate(
     if under is not None or lit is not None:
         found = find_defects(under, lit, pattern)
         defects = found if defects is None else found | defects
-    board = WhiteBoard(reflectance, pattern, [band.label for band in bands])
+    board = replace(board, labels=[band.label for band in bands])
     flat = flat_field(shot, under, lit, board=board, black=black, noise=noise, defects=defects)
     flags = _with_moved(flat, shot, under, black or 0.0, noise, pattern)
     values, flags, variance = replace_defects(flat.values, flags, flat.variance, pattern=pattern)
@@ -127,7 +128,15 @@ def _template(
     frames: Frames, name: str, saturation: float | None, exposure_s: float | None
 ) -> tuple[Template, list[np.ndarray]]:
     """Average the shots of `name`; return them too. Raises CalibrationRefused with the argument's name."""
-    shots = [frames] if isinstance(frames, np.ndarray) else [np.asarray(one) for one in frames]
+    given = frames if isinstance(frames, (list, tuple)) else [frames]
+    shots = [np.asarray(one) for one in given if hasattr(one, "__array__")]
+    masked = any(isinstance(one, np.ma.MaskedArray) for one in given)
+    if len(shots) < len(given) or masked:
+        kinds = ", ".join(dict.fromkeys(type(one).__name__ for one in given))
+        fix = "Fill masked values with NaN, as floats." if masked else None
+        raise _refused(
+            "E_VALUE", name, f"{name} holds no arrays", kinds, "an array, or a list of arrays", fix
+        )
     if saturation is None and shots and shots[0].dtype.kind in "ui":
         saturation = float(np.iinfo(shots[0].dtype).max)
     try:
@@ -154,48 +163,56 @@ def _as_high(template: Template, shot: Template) -> Template:
 def _times(exposure_s: tuple[float, float, float] | None) -> tuple[float | None, ...]:
     if exposure_s is None:
         return (None, None, None)
-    times = np.atleast_1d(np.asarray(exposure_s, float))
-    if times.shape != (3,) or not np.all(np.isfinite(times) & (times > 0)):
-        raise CalibrationRefused(
-            Problem(
-                "E_EXPOSURES",
-                "the exposures cannot be used",
-                field="exposure_s",
-                found=exposure_s,
-                expected="three positive numbers, s: of raw, dark and white",
-            )
+    expected = "three positive numbers, s: of raw, dark and white"
+    times = _numbers(exposure_s, "exposure_s", expected, "E_EXPOSURES")
+    if times.shape != (3,) or not np.all(times > 0):
+        raise _refused(
+            "E_EXPOSURES", "exposure_s", "the exposures cannot be used", exposure_s, expected
         )
     return tuple(times.tolist())
+
+
+def _numbers(given: object, name: str, expected: str, code: str = "E_VALUE") -> np.ndarray:
+    """Return what was given as finite floats, (n,); raises CalibrationRefused where it is something else."""
+    try:
+        numbers = np.atleast_1d(np.asarray(given, float)).ravel()
+    except (TypeError, ValueError):
+        numbers = np.array([np.nan])
+    if isinstance(given, bool) or not np.isfinite(numbers).all():
+        raise _refused(code, name, f"`{name}` cannot be used", given, expected)
+    return numbers
+
+
+def _refused(
+    code: str, field: str, message: str, found: object, expected: str, fix: str | None = None
+) -> CalibrationRefused:
+    return CalibrationRefused(Problem(code, message, None, field, str(found), expected, fix))
 
 
 def _bands(
     shot: Template, pattern: Pattern | None, wavelengths: Sequence[float] | None
 ) -> tuple[Band, ...]:
     """Return the bands of a sensor, labelled by channel, by wavelength, or by their number from 1."""
-    from levkas.calibration.patterns import channel_names
+    from levkas.calibration.patterns import channel_names, channel_table
 
     if pattern is not None:
-        if shot.mean.ndim != 2:
-            found = str(shot.mean.shape)
-            raise CalibrationRefused(
-                Problem("E_SIZE", "a mosaic has frames (h, w)", field="raw", found=found)
+        if not isinstance(pattern, Sequence):
+            expected = "four letters, or rows of channel names"
+            raise _refused("E_VALUE", "pattern", "`pattern` cannot be used", pattern, expected)
+        labels, size = list(channel_names(pattern)), channel_table(pattern).shape
+        if shot.mean.ndim != 2 or any(np.less(shot.mean.shape, size)):
+            expected = f"(height, width), at least {size}"
+            raise _refused(
+                "E_SIZE", "raw", "the frame does not fit its pattern", shot.mean.shape, expected
             )
-        labels = list(channel_names(pattern))
     else:
         labels = [str(i + 1) for i in range(1 if shot.mean.ndim == 2 else shot.mean.shape[2])]
     if wavelengths is None:
         return tuple(Band(label) for label in labels)
-    centres = [float(nm) for nm in wavelengths]
+    centres = _numbers(wavelengths, "wavelengths", "numbers, nm").tolist()
     if len(centres) != len(labels):
-        raise CalibrationRefused(
-            Problem(
-                "E_BAND_COUNT",
-                "the wavelengths do not fit the bands",
-                field="wavelengths",
-                found=len(centres),
-                expected=len(labels),
-            )
-        )
+        message, expected = "the wavelengths do not fit the bands", str(len(labels))
+        raise _refused("E_BAND_COUNT", "wavelengths", message, len(centres), expected)
     labels = labels if pattern is not None else band_labels(centres)
     return tuple(Band(label, nm, nan) for label, nm in zip(labels, centres, strict=True))
 

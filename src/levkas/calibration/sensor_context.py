@@ -209,7 +209,7 @@ def check_codes(values: np.ndarray, path: Path, camera: str, bits: int, full: fl
     Raises
     ------
     CodesRefused
-        ``E_BITS`` for 8-bit frames where more are said, and for codes beyond both full scales.
+        ``E_BITS`` for 8-bit frames where more bits are declared, and for codes beyond both full scales.
     """
     if values.dtype.kind not in "ui":
         return

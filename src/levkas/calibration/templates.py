@@ -251,7 +251,7 @@ def read_only(array: np.ndarray) -> np.ndarray:
 def close_gaps(template: Template) -> Template:
     """Return a template without NaN and infinities, and with `lost` where they were.
 
-    The median of the band stands there meanwhile, so that no statistic and no neighbour is poisoned;
+    The median of the band is used there meanwhile, so that no statistic and no neighbour is poisoned;
     whoever uses the values has to flag `lost`.
 
     Parameters

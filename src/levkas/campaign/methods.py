@@ -23,7 +23,7 @@ DEFAULT_METHOD = "levkas"
 
 
 class MethodOptions(BaseModel):
-    """Options of a method, keys of [registration]; None stands for the method's own default."""
+    """Options of a method, keys of [registration]; None is the method's own default."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 

@@ -231,7 +231,7 @@ def requirements() -> tuple[list[Requirement], list[tuple[Requirement, str]]]:
 
 
 def version_of(name: str) -> str:
-    """Return the installed version of a distribution, or of one that stands for it; "" for none."""
+    """Return the installed version of a distribution, or of an equivalent one; "" for none."""
     from importlib import metadata
 
     for one in (name, *OTHER_NAMES.get(name, ())):

@@ -77,7 +77,7 @@ def print_report(
 
 
 _shown: set[Problem] = set()
-"""Problems that this command has printed; each is said once."""
+"""Problems that this command has printed; each is printed once."""
 
 
 def print_problems(problems: Iterable[Problem]) -> None:
@@ -138,7 +138,7 @@ def _out_of_memory() -> Problem:
 def draw_steps(steps: Iterable[Any], quiet: bool) -> list[Any]:
     """Consume the steps of long work and return them; draw a bar on a terminal, print lines elsewhere.
 
-    A step has `label`, `done`, `total`, `finished` and `line`. What was refused is said as soon as it is.
+    A step has `label`, `done`, `total`, `finished` and `line`. Refusals are printed at once.
     """
     if not quiet and sys.stderr.isatty():
         from rich.console import Console

@@ -23,7 +23,7 @@ DISK_CODES = frozenset({"E_DISK_FULL", "E_IO", "E_UNWRITABLE"})
 
 
 class WriteRefused(Refused):
-    """Something could not be written; nothing half-written stands under its name."""
+    """Something could not be written; no half-written file has its name."""
 
 
 def require_space(folder: str | Path, bytes_needed: int, *, path: str | Path | None = None) -> None:

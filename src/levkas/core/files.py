@@ -51,7 +51,7 @@ def _no_fault(step: str, path: Path) -> None:
 
 
 fault: Callable[[str, Path], None] = _no_fault
-"""Told (step, path) before each step on the disk; a test puts a function here that raises or kills.
+"""Called with (step, path) before each step on the disk; a test puts a function here that raises or kills.
 
 The steps: ``open``, ``write``, ``fsync``, ``rename``, ``folder`` (make one), ``sync`` (a folder's
 entries, or a whole file system), ``remove``.
@@ -111,7 +111,7 @@ def replacing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[
     path : path
         Its folder is made where it is missing.
     bytes_needed : int, optional
-        Checked against the free space before anything is written, and told when the disk is full.
+        Checked against the free space before anything is written.
 
     Yields
     ------
@@ -234,7 +234,7 @@ def _partial(path: Path) -> Path:
 class Folder:
     """A folder being built under a partial name.
 
-    `path` is where it stands meanwhile. What is written here is not synced file by file: the
+    `path` is its temporary place. What is written here is not synced file by file: the
     whole folder is, once, before it takes its name.
     """
 
@@ -291,7 +291,7 @@ def publishing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator
     Raises
     ------
     WriteRefused
-        As `replacing` does. The old folder stands until the new one is whole.
+        As `replacing` does. The old folder is kept until the new one is whole.
     """
     path = Path(path)
     make_folder(path.parent)

@@ -28,8 +28,10 @@ def give_back_memory() -> None:
 
 
 def keep_memory() -> None:
-    """Have the C library keep freed memory until `give_back_memory`, as it does by itself (glibc).
+    """Have the C library keep freed memory for all threads in one place until `give_back_memory` (glibc).
 
+    By itself glibc keeps it thread by thread: what one has freed another cannot use, and asks the system
+    for more, which has to be zeroed. One arena makes the peak of a full-size build 2.2 instead of 2.7 GB.
     dask's nannies set MALLOC_TRIM_THRESHOLD_ to 64 kB for their workers, which then give every array back
     and have it zeroed anew: a third more processor time.
     """
@@ -37,11 +39,13 @@ def keep_memory() -> None:
 
     tune = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
     if tune is not None:
-        for option, size in ((M_TRIM_THRESHOLD, 64 << 20), (M_MMAP_THRESHOLD, 32 << 20)):
-            tune(option, size)
+        for option, value in (
+            (M_TRIM_THRESHOLD, 64 << 20), (M_MMAP_THRESHOLD, 32 << 20), (M_ARENA_MAX, 1)
+        ):  # fmt: skip
+            tune(option, value)
 
 
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8
 """Options of mallopt(3); the sizes are the most that glibc chooses by itself."""
 
 

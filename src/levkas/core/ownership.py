@@ -23,7 +23,7 @@ from levkas.core.text import read_json, what_stands_at
 Kind = Literal["database", "publication", "bag"]
 
 IMPRINT = "database.toml"
-"""What is said of a database as a whole; its first line is `MARK`."""
+"""Facts of a database as a whole; its first line is `MARK`."""
 MARK = "# Written by Levkas. A build goes on only in a folder that bears this line.\n"
 RECORD = "levkas-files.json"
 """Beside files that were written one by one: name → SHA-256, null while it is being written."""
@@ -45,7 +45,7 @@ def made(folder: str | Path) -> Kind | None:
 
 
 def stands_in(folder: Path) -> str:
-    """Return in words what stands at a folder's name; ``""`` for nothing, and for an empty folder.
+    """Return in words what exists at a folder's name; ``""`` for nothing, and for an empty folder.
 
     What a killed run of ours left in it counts for nothing, nor does what file browsers leave.
     """
@@ -60,12 +60,12 @@ def stands_in(folder: Path) -> str:
 
 
 def require_free(path: str | Path, *, overwrite: bool = False) -> Path:
-    """Refuse to write a file where anything stands already, unless that is asked for.
+    """Refuse to replace an existing file, unless `overwrite` is set.
 
     Raises
     ------
     WriteRefused
-        ``E_UNWRITABLE``; with `overwrite`, only where no file stands there, or in a database.
+        ``E_UNWRITABLE``; with `overwrite`, only where the name is not a file's, or in a database.
     """
     path = Path(path)
     require_outside(path, fix="Give another name: a database holds only what a build writes.")
@@ -87,7 +87,7 @@ def require_outside(path: Path, *, fix: str) -> None:
 
 
 class OwnFiles:
-    """Files that are written into a folder one by one, beside whatever else stands there.
+    """Files that are written into a folder one by one, beside other files.
 
     Parameters
     ----------

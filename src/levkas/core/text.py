@@ -38,7 +38,7 @@ def check_file(path: Path, expected: str) -> None:
     Raises
     ------
     TextRefused
-        ``E_UNREADABLE`` with what stands there instead.
+        ``E_UNREADABLE`` with what was found instead.
     """
     found = what_stands_at(path)
     if found != "a file":

@@ -1,4 +1,4 @@
-"""Whether one file is whole, told from its own bytes: every strip, chunk, checksum and line of it."""
+"""Whether one file is whole, by its own bytes: every strip, chunk, checksum and line of it."""
 
 from __future__ import annotations
 

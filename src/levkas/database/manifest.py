@@ -1,7 +1,7 @@
 """manifest-sha256.txt: the hash and the size of every published file, in lines that others read too.
 
 A line is ``HASH  relative/path``, as in BagIt and as ``sha256sum -c`` and ``shasum -a 256 -c`` take
-it; what only Levkas reads (sizes, and a hash of the manifest itself) stands in comment lines.
+it; what only Levkas reads (sizes, and a hash of the manifest itself) is in comment lines.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def write_manifest(
 
 
 def read_manifest(path: str | Path) -> Manifest:
-    """Read a manifest, ours or any in BagIt's format; what is damaged in it is told, never raised.
+    """Read a manifest, ours or any in BagIt's format; damage in it is returned, never raised.
 
     It is read line by line; its files, and no second copy of its text, are in memory.
     """

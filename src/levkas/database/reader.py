@@ -1,4 +1,4 @@
-"""A database opened: objects, their layers as lazy labelled arrays, and what stands beside them."""
+"""A database opened: objects, their layers as lazy labelled arrays, and the files beside them."""
 
 from __future__ import annotations
 
@@ -198,7 +198,7 @@ class Origin:
 
 
 class LayerArray(xarray.DataArray):
-    """A `xarray.DataArray` (y, x, band), read when asked for, that knows what stands beside it.
+    """A `xarray.DataArray` (y, x, band), read on request, with access to the files beside it.
 
     `flags`, `sigma` and `transform` follow selections (`isel`, `sel`, ``[…]``); the result of
     arithmetic is an array like any other and has them no more.
@@ -327,7 +327,7 @@ class Described:
 
     @property
     def quantity(self) -> str:
-        """``"reflectance"``, ``"counts"``, ``"flags"`` …; ``"values"`` where it is not said."""
+        """``"reflectance"``, ``"counts"``, ``"flags"`` …; ``"values"`` where it is not stated."""
         return str(self.facts.get("quantity", "values"))
 
 

@@ -1,7 +1,7 @@
 """Databases on web servers and S3-like stores, read by ranges of bytes.
 
 A file is met with one request, which brings its size and its first or last bytes; more of it comes
-in blocks, which are kept. Every answer has the length that was asked for, or is asked for again.
+in blocks, which are kept. Every answer has the requested length, or is requested again.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ T = TypeVar("T")
 
 
 class RemoteRefused(Refused):
-    """A server or a store cannot be reached, or does not give what was asked for."""
+    """A server or a store cannot be reached, or does not answer the request."""
 
 
 def place(path: str | Path) -> Path:

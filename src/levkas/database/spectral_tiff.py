@@ -95,7 +95,7 @@ def write_spectral_tiff(
     ----------
     path : path
     planes : iterable of ndarray, (height, width)
-        One a wavelength, in order; each is done with before the next is asked for.
+        One a wavelength, in order; each is written before the next is requested.
     header : TiffHeader
     threads : int, optional
         For compression.
@@ -368,7 +368,7 @@ def read_stiff(
     if wavelengths is not None:
         centres = np.atleast_1d(np.asarray(wavelengths, np.float32))
         if len(centres) != len(pages):
-            message = "pages and wavelengths do not fit: pages are missing, or one is no band"
+            message = "pages and wavelengths do not fit: pages are missing, or one is not a band"
             _refuse("E_BAND_COUNT", pages.path, message, len(pages), len(centres), WAVELENGTHS)
     cube = None if rgb_only else pages.read()
     if centres[0] > centres[-1]:

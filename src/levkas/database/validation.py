@@ -87,7 +87,7 @@ class ValidationReport:
         """Two lines for people."""
         how = "hashes compared" if self.manifest else "no manifest: structure only"
         files = len({p.file for p in self.problems})
-        end = "all whole" if self.ok else f"{files} damaged, missing or not of the database"
+        end = "all intact" if self.ok else f"{files} damaged, missing or foreign"
         return f"{self.root}: {self.checked} files checked ({how}), {end}"
 
     def to_dict(self) -> dict[str, Any]:

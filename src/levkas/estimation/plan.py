@@ -172,7 +172,7 @@ def questions_of(
 def splits_of(
     database: Database, plan: ExperimentPlan, target: str, groups: list[tuple[str, ...]]
 ) -> tuple[EstimationSplit, EstimationSplit]:
-    """Return the split that was asked for and the one of random pixels that stands beside it."""
+    """Return the requested split and the one of random pixels for comparison."""
     if plan.split not in SPLITS:
         raise EstimationRefused(
             Problem(

@@ -40,7 +40,7 @@ class SourceReport:
     problems : tuple of Problem
         Methods that refused.
     models : tuple of StoredModel
-        Fitted on all paintings, where they were asked for.
+        Fitted on all paintings, if requested.
     """
 
     sources: tuple[str, ...]

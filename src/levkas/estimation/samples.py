@@ -35,7 +35,7 @@ BLOCKS = 4
 
 
 class EstimationRefused(Refused):
-    """Spectra cannot be estimated, or not be scored honestly, as it was asked for."""
+    """Spectra cannot be estimated, or not be scored honestly, as requested."""
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ class Part:
     sources : tuple of str
         Layers whose channels are the responses.
     group : int, optional
-        Group of pixels that is held out; None stands for all pixels.
+        Group of pixels that is held out; None means all pixels.
     held : bool
         The pixels of the group, else all others.
     chart : bool

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import ceil
@@ -56,7 +56,7 @@ class Warped:
 
 def warp(
     source: np.ndarray,
-    transforms: Maps,
+    transforms: Maps | Mapping[str, Transform],
     shape: tuple[int, int],
     *,
     flags: np.ndarray | None = None,
@@ -71,8 +71,8 @@ def warp(
     ----------
     source : ndarray, (h, w) or (h, w, bands), float32, uint16 or uint8
         Values in any unit. Pixels that are not finite are taken as not there.
-    transforms : Transform, sequence of Transform, or PixelMap
-        Grid px → source px: one for all bands, or one for each. Where the same maps are used again, for
+    transforms : Transform, sequence or mapping of Transform, or PixelMap
+        Grid px → source px: one for all bands, or one for each, as `Registration.transforms` has them. Where the same maps are used again, for
         tiles, `levkas.geometry.pixel_maps.lay` them once.
     shape : (height, width) of the grid, px
     flags : ndarray like `source`, uint8, optional
@@ -123,15 +123,14 @@ def warp(
     >>> warp(ramp, half, (1, 8)).values[0]
     array([0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5], dtype=float32)
     """
+    if isinstance(source, np.ma.MaskedArray):
+        raise ValueError("a masked source; give source.filled(np.nan), float32")
+    source, shape = np.asarray(source), _checked_shape(shape)
     flat = source.ndim == 2
     held_from = _check(source, flags, variance, held)
     values, marks, noise = _cube(source), _cube(flags), _cube(variance)
     bands = 1 if flat else source.shape[2]
-    given = transforms.bands if isinstance(transforms, PixelMap) else None
-    if not isinstance(transforms, PixelMap) and isinstance(transforms, Sequence):
-        given = len(transforms)
-    if given not in (None, bands):
-        raise ValueError(f"{given} transforms for a source of {bands} bands")
+    maps = _checked_maps(transforms, bands)
     start, stop = _checked_rows(rows, shape[0])
     warped = _result((stop - start, shape[1], bands), variance is not None, out)
     shared = [a for a in (source, flags, variance) if a is not None]
@@ -139,13 +138,11 @@ def warp(
         if target is not None and any(np.may_share_memory(target, a) for a in shared):
             raise ValueError("`out` is in the memory of what is read")
     kernel = _Kernel.of((values, marks, noise), held_from, warped, start)
-    absent = sum(
-        kernel.run(lattice, shape, (start, stop)) for lattice in _lattices(transforms, shape)
-    )
+    absent = sum(kernel.run(lattice, shape, (start, stop)) for lattice in _lattices(maps, shape))
     if absent:
         raise ValueError(
             f"rows {start} to {stop} of the grid need more than the source rows held, {held_from[0]} "
-            f"to {held_from[0] + len(source)}; `source_rows` says which"
+            f"to {held_from[0] + len(source)}; see `source_rows`"
         )
     return _squeezed(warped) if flat and out is None else warped
 
@@ -196,6 +193,28 @@ def source_rows(
         found.append(tap_rows(least, most, REACH * scale, height))
     found = [(low, high) for low, high in found if low < high]
     return (min(f[0] for f in found), max(f[1] for f in found)) if found else (0, 0)
+
+
+def _checked_maps(transforms: Maps | Mapping[str, Transform], bands: int) -> Maps:
+    """Return the map of all bands, or a list with one for each; those of a mapping in its order."""
+    maps: Any = list(transforms.values()) if isinstance(transforms, Mapping) else transforms
+    if isinstance(maps, PixelMap):
+        given = maps.bands
+    else:
+        given = len(maps) if isinstance(maps, Sequence) else None
+        for one in [maps] if given is None else maps:
+            if not callable(one):
+                raise ValueError(f"a transform is not a map of points: {type(one).__name__}")
+    if given not in (None, bands):
+        raise ValueError(f"{given} transforms for a source of {bands} bands")
+    found: Maps = maps
+    return found
+
+
+def _checked_shape(shape: tuple[int, int]) -> tuple[int, int]:
+    if len(shape) != 2 or min(shape) < 1:
+        raise ValueError(f"a grid of shape {shape}; (height, width) above 0 is wanted")
+    return int(shape[0]), int(shape[1])
 
 
 def _checked_rows(rows: tuple[int, int] | None, height: int) -> tuple[int, int]:

@@ -26,7 +26,7 @@ def write_page(comparison: Comparison, folder: Path, *, overwrite: bool = False)
     Raises
     ------
     WriteRefused
-        Where a file of somebody else's stands in the way.
+        Where a file that Levkas did not write has the name.
     """
     from levkas.core.files import write_json, write_text
     from levkas.core.ownership import OwnFiles

@@ -31,7 +31,7 @@ DIGITS = {"rmse": 4, "gfc": 4, "angle_deg": 2, "delta_e_d65": 2, "delta_e_a": 2,
 COLOUR_MAP, STOPS = "inferno", 9
 UNSCORED = (128, 128, 128)
 MOST_SHOWN = 99.0
-"""Percentile of the errors that the brightest colour stands for."""
+"""Percentile of the errors with the brightest colour."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def write_page(report: EstimationReport, folder: Path, *, overwrite: bool = Fals
     Raises
     ------
     WriteRefused
-        Where a file of somebody else's stands in the way.
+        Where a file that Levkas did not write has the name.
     """
     from levkas.core.files import write_bytes, write_json, write_text
     from levkas.core.ownership import OwnFiles

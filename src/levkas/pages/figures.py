@@ -55,22 +55,21 @@ def _basis_caption(sensor: Mapping[str, Any], sound: bool) -> str:
     some = f" ({shown} of them drawn)" if shown < count else ""
     whose = "all bands together" if sensor["source"] == "fused" else sensor["source"]
     caption = (
-        f"What the map{' of sensor ' + sensor['sensor'] if sensor['sensor'] else ''} rests on, in reference "
-        f"pixels. Left: {count} windows{some} of {whose} that it was fitted to, the fainter the less they weigh; lines lead "
-        f"from where the map puts each to where it is seen, {_enlargement(sensor):g} times as long, the longest cut."
+        f"Evidence for the map{' of sensor ' + sensor['sensor'] if sensor['sensor'] else ''}, in reference pixels. "
+        f"Left: the {count} windows{some} of {whose} to which the map was fitted; faint ones have a low weight. Each line "
+        f"is the residual of a window, drawn {_enlargement(sensor):g} times as long; the longest are cut."
     )
     sigma, held = (_median(windows[name]) for name in ("sigma", "held_out"))
     if sound and sigma is not None and held is not None:
         caption += (
-            f" In the median their shifts are known to {sigma:.2g} px (sigma), and a map that is fitted without "
-            f"them misses them by {held:.2g} px."
+            f" The median uncertainty of their shifts is {sigma:.2g} px (one sigma); the median held-out error is "
+            f"{held:.2g} px."
         )
     if sensor["checks"] is None:
         return caption
     return (
-        f"{caption} Right: windows of {sensor['band']} that were free to be found 12 px around: blue ones lie where "
-        "the map puts them, red ones elsewhere, hollow ones were not recognised. Where there are no blue ones "
-        "nothing confirms the map."
+        f"{caption} Right: check windows of {sensor['band']}, searched up to 12 px around. Blue: they agree with the "
+        "map. Red: they lie elsewhere. Hollow: they were not found. Parts without blue windows are not confirmed."
     )
 
 
@@ -122,7 +121,7 @@ def _basis(sensor: Mapping[str, Any], size: Sequence[int]) -> str:
     )
     if sensor["checks"] is not None:
         _draw_checks(axes[1], CheckWindows.from_dict(sensor["checks"]), size)
-    return to_svg(figure, "what the map rests on")
+    return to_svg(figure, "evidence for the map")
 
 
 def _draw_checks(axes: Axes, checks: CheckWindows, size: Sequence[int]) -> None:
@@ -144,7 +143,7 @@ _COURSE = (
     "the reference, blue mapped from the target, gray lines the errors."
 )
 _LARGEST = (
-    "The largest error at each round as the worst pair leaves (the paper's Figure 10); the first "
+    "The largest error at each round of the removal of the worst pair (the paper's Figure 10); the first "
     "point is the cut under scale alone at `reject`, the dashed line is `stop`."
 )
 

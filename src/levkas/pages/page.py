@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 WORTH_NAMING = 0.1
-"""Share of an object that was not checked which stands beside the decision."""
+"""Share of an object that was not checked, from which on it is named beside the decision."""
 
 
 def describe_decision(decision: str, unchecked: float = 0.0, area: str = "") -> str:
@@ -132,7 +132,7 @@ def render_page(template: str, **values: Any) -> str:
 
 
 def mark_code(text: str) -> Any:
-    """Return text as HTML in which what stands between backticks is code; everything else is escaped.
+    """Return text as HTML in which text between backticks is code; everything else is escaped.
 
     >>> str(mark_code("run `a <b>` & c"))
     'run <code>a &lt;b&gt;</code> &amp; c'
@@ -161,7 +161,7 @@ def describe_model(model: dict[str, Any]) -> str:
     """Say the model of a registration in words.
 
     >>> describe_model({"kind": "levkas", "sensors": [{"base": "cubic", "chromatic": "affine"}]})
-    'cubic, bands apart by affine'
+    'cubic; shift between bands: affine'
     """
     told = []
     for sensor in model.get("sensors", []):
@@ -171,7 +171,7 @@ def describe_model(model: dict[str, Any]) -> str:
         if isinstance(base, str) and base.startswith("rig"):
             base = base.replace("rig", "one map with other captures", 1)
         name = f"{sensor['sensor']}: " if sensor.get("sensor") else ""
-        told.append(name + (f"{base}, " if base else "") + f"bands apart by {apart}")
+        told.append(name + (f"{base}; " if base else "") + f"shift between bands: {apart}")
     mask = model.get("mask") or {}
     if mask.get("automatic"):
         told.append(

@@ -36,7 +36,7 @@ MOST_MARKS = 60
 """Points of a line that are marked; more would be a band."""
 MOST_NAMES = 8
 FEW_NAMES, MOST_LETTERS = 4, 56
-"""Of a legend that stands above the axes rather than beside them."""
+"""Of a legend above the axes instead of beside them."""
 HUES = (
     *((400, 275), (450, 240), (490, 190), (520, 130), (560, 85), (580, 58)),
     *((600, 35), (620, 15), (640, 0), (1000, 0)),

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
 
 SOFT = 1.5
-"""A band's blur over that of the sharpest one, from which it is told."""
+"""A band's blur over that of the sharpest one, from which on it is named."""
 LOW_SNR = 10.0
 
 
@@ -107,7 +107,7 @@ def _snr(ranges: Sequence[Mapping[str, Any]]) -> str:
 def _glare(glare: Mapping[str, int], quantity: str) -> str:
     part = _glare_share(glare, quantity)
     if part is None:
-        return "not looked for"
+        return "not measured"
     share = 100 * part
     signs = {
         "saturated": "saturated",

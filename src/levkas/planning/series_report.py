@@ -37,7 +37,7 @@ def series_record(
     -------
     plans : list of ExposureSeries
     refused : list of str
-        Why a band has none: advice on its single exposure stands nevertheless.
+        Why a band has none: advice on its single exposure is given nevertheless.
 
     Raises
     ------

@@ -36,7 +36,7 @@ class Analysis:
     bands : tuple of str
         Of a ratio, as they were written.
     required : bool
-        Whether it was named; what ``all`` stands for may be impossible.
+        Whether it was named; members of ``all`` may be impossible.
     """
 
     kind: str

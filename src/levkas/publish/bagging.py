@@ -36,7 +36,7 @@ def write_bag(published: str | Path, target: str | Path, facts: PublicationFacts
     Raises
     ------
     PublishRefused
-        Where a file is not what was published, or something else stands at `target`.
+        Where a file is not what was published, or `target` exists.
     WriteRefused
         Where the disk refuses.
     """
@@ -106,7 +106,7 @@ def check_target(root: Path, target: Path) -> None:
         raise PublishRefused(
             Problem(
                 "E_UNWRITABLE",
-                "the bag cannot be written to this folder: it holds what is bagged, or lies in it",
+                "the bag cannot be written to this folder: it contains the bagged files, or is inside them",
                 file=str(target),
                 expected="a new folder, or an earlier bag",
                 fix=fix,

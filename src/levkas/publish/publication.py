@@ -155,7 +155,7 @@ def describe_catalogue(entries: Sequence[Entry]) -> str:
 
 
 def require_ours(folder: Path, kind: Kind, *, fix: str) -> None:
-    """Refuse to write a folder where anything stands but what Levkas made of that kind, all of it.
+    """Refuse to replace a folder unless Levkas wrote all of it, as this kind of folder.
 
     Parameters
     ----------

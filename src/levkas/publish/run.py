@@ -271,12 +271,12 @@ def publish(
     ------
     PublishRefused
         Where facts are missing, the database is not whole, or `output` holds it, or lies in it; where
-        something stands at `to` that Levkas did not send.
+        `to` has something that Levkas did not send.
     RemoteRefused
         Where the store does not answer; the next call goes on.
     WriteRefused
-        Where anything but an earlier publication stands at `output`, or the disk refuses; an earlier
-        publication still stands then.
+        Where `output` is anything but an earlier publication, or the disk refuses; an earlier
+        publication is kept then.
     """
     from levkas.core.files import publishing
     from levkas.core.sweeping import sweep_beside

@@ -40,7 +40,7 @@ class UploadTarget:
     RemoteRefused
         Where the store does not answer, or does not allow it.
     PublishRefused
-        Where something stands there that Levkas did not send.
+        Where the store has something that Levkas did not send.
     """
 
     def __init__(self, address: str, objects: Iterable[str] = ()) -> None:

@@ -43,7 +43,7 @@ SHIFTED = 1 << 16
 
 @dataclass(frozen=True)
 class EnviFile:
-    """One opened cube: its facts, and its lines when they are asked for.
+    """One opened cube: its facts, and its lines on request.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class EnviFile:
     header : dict
         Every field of the header: keys in lower case, text or lists of text.
     scale : float or None
-        What reflectance 1.0 stands for in the file (`reflectance scale factor`).
+        Value of reflectance 1.0 in the file (`reflectance scale factor`).
     ignore : float or None
         Value of samples that hold nothing (`data ignore value`); NaN where the header says so.
     """

@@ -152,7 +152,7 @@ def read_jpeg_facts(path: Path) -> Facts:
 def read_jpeg(path: Path) -> np.ndarray:
     """Decode a JPEG, (h, w) or (h, w, 3) red, green, blue, uint8.
 
-    Damage inside the coded data cannot be told from an image: JPEG has no checksum. What is cut
+    Damage inside the coded data cannot be distinguished from an image: JPEG has no checksum. What is cut
     short is refused.
     """
     import imagecodecs

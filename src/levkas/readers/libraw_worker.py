@@ -68,7 +68,7 @@ def describe(raw: Any) -> dict[str, Any]:
 
 
 def read(path: str, pixels: bool) -> tuple[dict[str, Any], bytes]:
-    """Return the facts and, where asked for, the bytes of the visible mosaic."""
+    """Return the facts and, if requested, the bytes of the visible mosaic."""
     import numpy as np
     import rawpy
 

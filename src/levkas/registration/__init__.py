@@ -80,7 +80,7 @@ def register(
         Pairs given by hand: added and pinned ones are never removed, deleted ones never used, check
         points are measured into ``errors["check_points"]``, each by the band that it was placed in.
     **options
-        Of the method, as campaign.toml names them; None stands for a default. Further fields of the
+        Of the method, as campaign.toml names them; None is the default. Further fields of the
         `Request` are taken too, e.g. `reference_transforms`.
 
     Returns
@@ -135,18 +135,21 @@ def register(
 
 def _bands_of(pixels: np.ndarray | Sequence[BandImage], name: str) -> Sequence[BandImage]:
     """Return the bands of an array, labelled by their number from 1; other sequences as they are."""
-    if not isinstance(pixels, np.ndarray):
+    found, fix = type(pixels).__name__, None
+    if hasattr(pixels, "__array__"):
+        array = np.asarray(pixels)
+        if isinstance(pixels, np.ma.MaskedArray):
+            array = np.where(np.ma.getmaskarray(pixels), np.float32(np.nan), array)
+        if array.ndim in (2, 3) and array.dtype.kind in "uif" and np.isfinite(array).any():
+            planes = np.moveaxis(np.atleast_3d(array), -1, 0)
+            return [BandImage.of(str(i), plane) for i, plane in enumerate(planes, 1)]
+        finite = array.dtype.kind not in "f" or np.isfinite(array).any()
+        found = f"{array.dtype} {array.shape}{'' if finite else ', no finite value'}"
+    elif isinstance(pixels, Sequence) and not isinstance(pixels, str):
         if all(isinstance(band, BandImage) for band in pixels):
             return pixels
-        found, fix = (
-            type(pixels[0]).__name__,
-            "Give one array; np.stack(pictures, axis=-1) makes it.",
-        )
-    elif pixels.ndim in (2, 3) and pixels.size and pixels.dtype.kind in "uif":
-        planes = np.moveaxis(np.atleast_3d(pixels), -1, 0)
-        return [BandImage.of(str(i), plane) for i, plane in enumerate(planes, 1)]
-    else:
-        found, fix = f"{pixels.dtype} {pixels.shape}", None
+        found = f"{found} of {type(pixels[0]).__name__}"
+        fix = "Give one array; np.stack(pictures, axis=-1) makes it."
     expected = "an array (height, width) or (height, width, bands) of integers or floats"
     raise RegistrationRefused(
         Problem("E_VALUE", f"the {name} is no picture", None, name, found, expected, fix)

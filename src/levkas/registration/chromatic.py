@@ -176,6 +176,60 @@ def fit_chromatic(
     return ChromaticShifts(names[-1], before.centre, before.spread, amounts, doubts)
 
 
+def interpolate_chromatic(
+    shifts: ChromaticShifts, measured: Sequence[float], wanted: Sequence[float]
+) -> ChromaticShifts:
+    """Return the displacements of bands at other wavelengths, by the same Gaussian process over wavelength.
+
+    Parameters
+    ----------
+    shifts : ChromaticShifts
+        Of the bands that were measured.
+    measured, wanted : sequence of float, nm
+        Their wavelengths, and those at which displacements are wanted.
+
+    Examples
+    --------
+    >>> nm = np.arange(400.0, 701.0, 20.0)
+    >>> one = ChromaticShifts("shift", np.zeros(2), 1.0, np.stack([nm / 1000, nm / 500], 1), np.full((16, 2), 1e-6))
+    >>> interpolate_chromatic(one, nm, [450.0]).amounts.round(3)
+    array([[0.45, 0.9 ]])
+    """
+    places = np.concatenate([np.asarray(measured, float), np.asarray(wanted, float)])
+    seen = np.eye(len(measured), len(places))
+    count = shifts.amounts.shape[1]
+    amounts, doubts = np.zeros((2, len(wanted), count))
+    for column in range(count):
+        y = shifts.amounts[:, column]
+        noise = np.full(len(y), SETTINGS.least_variance)
+        if shifts.variances is not None:
+            noise = noise + shifts.variances[:, column]
+        mean, variance = _posterior(y, noise, seen, places, 0.0)
+        amounts[:, column], doubts[:, column] = mean[len(y) :], variance[len(y) :]
+    return replace(shifts, amounts=amounts, variances=doubts)
+
+
+def error_between_bands(shifts: ChromaticShifts, wavelengths: Sequence[float]) -> float:
+    """Return how far a band lies, px, from where its neighbours put it when every other one is left out.
+
+    The root mean square over the frame, of the band that lies farthest. What remains is twice as coarse as what
+    was measured: bands between measured ones are known better than that.
+    """
+    nm = np.asarray(wavelengths, float)
+    kept, left = np.arange(len(nm)) % 2 == 0, np.arange(len(nm)) % 2 == 1
+    left[-1], kept[-1] = False, True
+    variances = None if shifts.variances is None else shifts.variances[kept]
+    half = replace(shifts, amounts=shifts.amounts[kept], variances=variances)
+    between = interpolate_chromatic(half, nm[kept], nm[left])
+    x, y = np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 5))
+    points = shifts.centre + shifts.spread * np.stack([x, y], -1).reshape(-1, 2)
+    apart = [
+        shifts.transform(band)(points) - between.transform(i)(points)
+        for i, band in enumerate(np.flatnonzero(left).tolist())
+    ]
+    return max(float(np.sqrt((one**2).sum(1).mean())) for one in apart)
+
+
 def _size(kind: str) -> int:
     return sum(len(fields) for _, fields in _FIELDS[: KINDS.index(kind) + 1])
 

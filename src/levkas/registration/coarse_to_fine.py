@@ -18,8 +18,14 @@ import numpy as np
 from levkas.core.problems import Problem
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Composed, Transform
-from levkas.registration.bands import by_wavelength
-from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
+from levkas.registration.bands import by_wavelength, measured_bands, sqrt_images
+from levkas.registration.chromatic import (
+    ChromaticShifts,
+    error_between_bands,
+    fit_chromatic,
+    interpolate_chromatic,
+    zero_displacement,
+)
 from levkas.registration.initial import (
     InitialTransform,
     find_initial_transform,
@@ -90,6 +96,8 @@ class RefinementSettings:
         Share of cells that windows confirm; below, blocks are compared by their outlines too.
     grey_correlation : float
         Correlation of the detail of two channels that are one grey picture.
+    smooth : float, reference px
+        Bands between measured ones are not measured where their neighbours put each so near.
     """
 
     coarse_bands: int = 4
@@ -106,6 +114,7 @@ class RefinementSettings:
     least_colour_bands: int = 3
     sure_coverage: float = 0.5
     grey_correlation: float = 0.98
+    smooth: float = 0.02
 
 
 Light = Literal["same", "other", "unknown"]
@@ -286,7 +295,7 @@ def register_sensor(
     bands : sequence of BandImage
         Of the sensor.
     images : mapping of label to ndarray
-        Square roots of the bands, as `sqrt_images` gives them.
+        Square roots of those that `measured_bands` names, as `sqrt_images` gives them.
     reference : ReferenceStack
     ours, theirs : CameraFeatures
         Key points of the reference and of the sensor.
@@ -315,24 +324,47 @@ def register_sensor(
         )
     bands = by_wavelength(bands)
     labels = [band.label for band in bands]
+    shown = [bands[i] for i in measured_bands(bands)]
     mask = np.ones(reference.shape, bool) if ours.within is None else ours.within
-    found = refine_map(SensorTask(bands, images, reference, mask, initial, by_hand))
+    found = refine_map(SensorTask(shown, images, reference, mask, initial, by_hand))
+    if not tell_others(found.chromatic, shown, bands):
+        images = {**images, **sqrt_images([band for band in bands if band.label not in images])}
+        shown = bands
+        found = refine_map(SensorTask(shown, images, reference, mask, initial, by_hand))
+    chromatic = chromatic_of_all(found.chromatic, shown, bands)
     unsure, coarse = found.verification["coverage"] < SETTINGS.sure_coverage, None
     if unsure or np.isinf(found.selected.held_out_error):
         blocks = match_blocks(ours.greys[:], theirs.greys[:], found.base, ours.within)
         found.verification["outlines"] = blocks.to_dict()
         coarse = blocks.tolerance
     transforms: dict[str, Transform] = {
-        label: Composed(found.chromatic.transform(i), found.base) for i, label in enumerate(labels)
+        label: Composed(chromatic.transform(i), found.base) for i, label in enumerate(labels)
     }
     sigma = measure_sigma(
-        reference.shape, labels, found.chromatic, found.selected, reference_sigma,
+        reference.shape, labels, chromatic, found.selected, reference_sigma,
         checks=found.checks, coarse=coarse,
     )  # fmt: skip
-    windows = dict(zip(labels, found.windows, strict=True))
-    return RegisteredSensor(
-        bands[0].sensor, transforms, found.chromatic, windows, sigma, initial, found
-    )
+    windows = dict(zip([band.label for band in shown], found.windows, strict=True))
+    return RegisteredSensor(bands[0].sensor, transforms, chromatic, windows, sigma, initial, found)
+
+
+def tell_others(
+    chromatic: ChromaticShifts, shown: Sequence[BandImage], bands: Sequence[BandImage]
+) -> bool:
+    """Return whether measured bands tell where those between them lie: each lies where its neighbours put it."""
+    if len(shown) == len(bands):
+        return True
+    return error_between_bands(chromatic, [band.wavelength for band in shown]) <= SETTINGS.smooth
+
+
+def chromatic_of_all(
+    chromatic: ChromaticShifts, shown: Sequence[BandImage], bands: Sequence[BandImage]
+) -> ChromaticShifts:
+    """Return the displacements of all bands from those of the measured ones."""
+    if len(shown) == len(bands):
+        return chromatic
+    measured, wanted = ([band.wavelength for band in some] for some in (shown, bands))
+    return interpolate_chromatic(chromatic, measured, wanted)
 
 
 def refine_map(task: SensorTask) -> RefinedMap:

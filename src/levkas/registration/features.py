@@ -340,13 +340,14 @@ class CameraFeatures:
 
     def __init__(self, greys: Sequence[np.ndarray], within: np.ndarray | None = None) -> None:
         self.greys, self.within = greys, within
-        self._sides: dict[int, ScaledFeatures] = {}
+        self._scaled: dict[int, ScaledFeatures] = {}
 
     def at(self, side: int) -> ScaledFeatures:
         """Return the key points of pictures reduced until their longer side is `side` px."""
-        if side not in self._sides:
-            self._sides[side] = ScaledFeatures(self.greys, side, self.within)
-        return self._sides[side]
+        factor = max(1, -(-max(self.greys[0].shape) // side))
+        if factor not in self._scaled:
+            self._scaled[factor] = ScaledFeatures(self.greys, factor, self.within)
+        return self._scaled[factor]
 
 
 class ScaledFeatures:
@@ -355,8 +356,8 @@ class ScaledFeatures:
     #: In place of a number: key points of the gradient's magnitude in the first grey.
     EDGES = -1
 
-    def __init__(self, greys: Sequence[np.ndarray], side: int, within: np.ndarray | None) -> None:
-        self.greys, self.side, self.within = greys, side, within
+    def __init__(self, greys: Sequence[np.ndarray], factor: int, within: np.ndarray | None) -> None:
+        self.greys, self.factor, self.within = greys, factor, within
         self._found: dict[int, KeyPoints] = {}
 
     @property
@@ -367,7 +368,7 @@ class ScaledFeatures:
     def __getitem__(self, i: int) -> KeyPoints:
         if i not in self._found:
             edges = i == self.EDGES
-            found = _find(self.greys[0 if edges else i], self.side, edges=edges)
+            found = _find(self.greys[0 if edges else i], self.factor, edges=edges)
             if self.within is not None and len(found):
                 column, row = np.round(found.points).astype(int).T
                 h, w = self.within.shape
@@ -376,9 +377,8 @@ class ScaledFeatures:
         return self._found[i]
 
 
-def _find(image: np.ndarray, side: int, *, edges: bool) -> KeyPoints:
-    """Return the strongest key points of an image reduced to `side` px, in px of the image; RootSIFT of unit length."""
-    n = max(1, -(-max(image.shape) // side))
+def _find(image: np.ndarray, n: int, *, edges: bool) -> KeyPoints:
+    """Return the strongest key points of an image reduced `n` times, in px of the image; RootSIFT of unit length."""
     h, w = (image.shape[0] // n) * n, (image.shape[1] // n) * n
     small = image[:h, :w].reshape(h // n, n, w // n, n).mean((1, 3)) if n > 1 else image
     if edges:

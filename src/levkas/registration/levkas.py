@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.geometry.transforms import Transform, solve_2x2
-from levkas.registration.bands import sqrt_images
+from levkas.registration.bands import by_wavelength, measured_bands, sqrt_images
 from levkas.registration.coarse_to_fine import RegisteredSensor, register_sensor
 from levkas.registration.features import CameraFeatures, GreyImages
 from levkas.registration.joint import SensorObservations
@@ -59,10 +59,11 @@ def register_levkas(request: Request, _options: LevkasOptions) -> Registration:
     names = dict.fromkeys(i.sensor for i in target if not own or i.sensor != anchor.sensor)
     if names:
         stack = base.stack(transforms)
-        pictures = base.images if own else sqrt_images(target)
         for name in names:
-            bands = [image for image in target if image.sensor == name]
-            theirs = CameraFeatures(GreyImages([pictures[band.label] for band in bands]))
+            bands = by_wavelength([image for image in target if image.sensor == name])
+            shown = [bands[i] for i in measured_bands(bands)]
+            pictures = {b.label: base.images[b.label] for b in shown} if own else sqrt_images(shown)
+            theirs = CameraFeatures(GreyImages(list(pictures.values())))
             by_hand = request.given.get(name)
             sensors.append(
                 register_sensor(bands, pictures, stack, base.keys, theirs, by_hand, sigma)
@@ -156,8 +157,9 @@ def _basis(sensor: RegisteredSensor) -> dict[str, Any]:
     return describe_windows(sensor.name, source, found.course["band"], found.selected, found.checks)
 
 
-def _band_errors(sensors: Sequence[RegisteredSensor]) -> dict[str, dict[str, float]]:
-    result = {}
+def _band_errors(sensors: Sequence[RegisteredSensor]) -> dict[str, dict[str, float | None]]:
+    """Return windows and explained share of every band; none of a band that others in wavelength tell of."""
+    result: dict[str, dict[str, float | None]] = {}
     for sensor in sensors:
         for label, windows in sensor.windows.items():
             used = np.trace(windows.information, axis1=1, axis2=2) > 0
@@ -165,6 +167,9 @@ def _band_errors(sensors: Sequence[RegisteredSensor]) -> dict[str, dict[str, flo
                 "windows": int(used.sum()),
                 "explained": float(np.median(windows.r2[used])) if used.any() else 0.0,
             }
+        if sensor.windows:
+            for label in sensor.transforms.keys() - sensor.windows.keys():
+                result[label] = {"windows": 0, "explained": None}
     return result
 
 

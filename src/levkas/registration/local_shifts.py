@@ -46,8 +46,9 @@ class WindowShifts:
         Inverse covariance of `shift` under white residuals; zero where a window is unusable.
     r2 : ndarray, (n,), 0..1
         Share of the window's variance (after bias and ramp) that the prediction explains.
-    position_sensitivity : ndarray, (n, k, k)
-        g_i <∇R_j, ∇P> / <∇P, ∇P>: how the prediction's position hangs on those of its predictors.
+    position_sensitivity : ndarray, (k, k)
+        g_i <∇R_j, ∇P> / <∇P, ∇P>: how the prediction's position hangs on those of its predictors, the mean
+        over the windows by their information; zeros where none has any.
     """
 
     centres: np.ndarray
@@ -125,12 +126,13 @@ class Predictor:
         )
         x, y = np.meshgrid(np.arange(cols), np.arange(rows))
         centres = (np.stack([x, y], -1).reshape(-1, 2) + 0.5) * (cell * self.step) - 0.5
+        information = info.reshape(-1, 2, 2) / self.step**2
+        weights = np.trace(information, axis1=1, axis2=2)
+        if weights.any():
+            weights = weights / weights.sum()
+        mean = np.einsum("n,nij->ij", weights, sensitivity.reshape(-1, k, k))
         return WindowShifts(
-            centres,
-            shift.reshape(-1, 2) * self.step,
-            info.reshape(-1, 2, 2) / self.step**2,
-            r2.reshape(-1),
-            sensitivity.reshape(-1, k, k),
+            centres, shift.reshape(-1, 2) * self.step, information, r2.reshape(-1), mean
         )
 
     def _products(

@@ -59,7 +59,7 @@ def match(
     Returns
     -------
     rows, columns : ndarray of int, (k,)
-        Pairs, ascending by row; no place in either picture stands in two of them.
+        Pairs, ascending by row; no place in either picture is in two of them.
     distance : ndarray, (k,)
         Of the descriptors.
 

@@ -388,7 +388,7 @@ class ModelComparison:
         self.scores: dict[str, float] = {}
 
     def add(self, spec: ModelSpec, least: int, *fits: Fit) -> Candidate:
-        """Try one more model, richer than those before; of several ways to fit it the best stands for it."""
+        """Try one more model, richer than those before; of several ways to fit it the best is used."""
         tried = [Candidate(spec, least, fit, self._held_out_error(least, fit)) for fit in fits]
         found = min(tried, key=lambda one: one.score)
         if not self.candidates or found.score < self.best.score * (1 - SETTINGS.gain):

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Composed, Inverse
 from levkas.registration.bands import area_average, pull
 
@@ -305,20 +306,22 @@ def find_pose(
     """
     longest = 2 * max(*ours.shape, *theirs.shape)
     correlator = _Correlator(ours.directions(sigma), longest)
-    found = []
-    for pose in poses:
+
+    def placed(pose: CoarsePose) -> CoarsePose | None:
         linear = _linear(pose, ours, theirs)
         corners = np.array(list(product((0, theirs.shape[1] - 1), (0, theirs.shape[0] - 1))), float)
         laid = corners @ np.linalg.inv(linear).T
         low = laid.min(0)
         size = np.ceil(np.ptp(laid, 0)).astype(int) + 1
         if size.max() > longest:
-            continue
+            return None
         # px of the grid → px of theirs
         matrix = np.column_stack([linear, linear @ low])
         score, shift = correlator.best_shift(theirs.warped(matrix, tuple(size[::-1]), sigma))
         whole = np.column_stack([linear, linear @ (low + shift)])
-        found.append(pose._replace(score=score, matrix=whole))
+        return pose._replace(score=score, matrix=whole)
+
+    found = [pose for pose in each(placed, poses) if pose is not None]
     return sorted(found, key=lambda pose: -pose.score)
 
 

@@ -18,6 +18,7 @@ from levkas.core.compiled import njit
 MOST_MATCHES, MOST_PROPOSING, MOST_PROPOSALS = 8000, 500, 6000
 #: Factor of size, and angle, by which a key point may differ from a similarity.
 GROWTH, TURN = 1.5, np.deg2rad(20)
+LEAST_SIZE, MOST_SIZE, SLOPE = GROWTH**-2, GROWTH**2, float(np.tan(TURN))
 #: Shares of the reference's longer side: least distance of a pair, and how far a vote may lie off.
 LEAST_APART, REACH = 0.05, 0.025
 #: Places that have to agree.
@@ -85,21 +86,21 @@ def find_pose_cluster(
 def _alike(ratio):  # type: ignore[no-untyped-def]
     """Tell whether two similarities differ by less than 1.5 times and 20 degrees, modulo 180."""
     size = ratio.real * ratio.real + ratio.imag * ratio.imag
-    steady = GROWTH**-2 < size < GROWTH**2
-    return steady and abs(ratio.imag) < np.tan(TURN) * abs(ratio.real)
+    return LEAST_SIZE < size < MOST_SIZE and abs(ratio.imag) < SLOPE * abs(ratio.real)
 
 
 @njit(cache=True)
 def _count_compatible(p, q, own, apart):  # type: ignore[no-untyped-def]
     """Return with how many others each match makes a similarity that fits both."""
-    compatible = np.zeros(len(p), np.int64)
+    compatible, inverse = np.zeros(len(p), np.int64), 1 / own
     for i in range(len(p)):
         for j in range(i):
             span = p[j] - p[i]
-            if span.real * span.real + span.imag * span.imag < apart * apart:
+            length = span.real * span.real + span.imag * span.imag
+            if length < apart * apart:
                 continue
-            factor = (q[j] - q[i]) / span
-            if _alike(factor / own[i]) and _alike(factor / own[j]):
+            factor = (q[j] - q[i]) * span.conjugate() * (1 / length)
+            if _alike(factor * inverse[i]) and _alike(factor * inverse[j]):
                 compatible[i] += 1
                 compatible[j] += 1
     return compatible
@@ -135,7 +136,7 @@ def _pair_up(p, q, own, among, apart):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def _count_votes(p, q, own, first, second, here, there, reach):  # type: ignore[no-untyped-def]
     """Return how many places of either picture agree with the similarity of each pair."""
-    votes = np.zeros(len(first), np.int64)
+    votes, inverse = np.zeros(len(first), np.int64), 1 / own
     ours, theirs = np.full(len(p), -1), np.full(len(p), -1)
     for k in range(len(first)):
         factor = (q[second[k]] - q[first[k]]) / (p[second[k]] - p[first[k]])
@@ -144,7 +145,7 @@ def _count_votes(p, q, own, first, second, here, there, reach):  # type: ignore[
         m = n = 0
         for i in range(len(p)):
             off = factor * p[i] + start - q[i]
-            if abs(off.real) > limit or abs(off.imag) > limit or not _alike(factor / own[i]):
+            if abs(off.real) > limit or abs(off.imag) > limit or not _alike(factor * inverse[i]):
                 continue
             m += ours[here[i]] != k
             n += theirs[there[i]] != k

@@ -80,11 +80,8 @@ class PredictorBasis:
 
     def position_sensitivity(self, seen: WindowShifts) -> np.ndarray:
         """Return the derivative of a prediction's position by that of each band, (bands,); sums to one."""
-        weights = np.trace(seen.information, axis1=1, axis2=2)
-        if not weights.any():
-            return np.zeros(self.loadings.shape[1])
-        mean = np.einsum("n,nij->ij", weights / weights.sum(), seen.position_sensitivity)
-        mean = np.where(self.groups[:, None] == self.groups, mean, 0.0)
+        same = self.groups[:, None] == self.groups
+        mean = np.where(same, seen.position_sensitivity, 0.0)
         shares = np.einsum("ij,ib,jb->b", mean, self.loadings, self.loadings)
         return shares / shares.sum() if abs(shares.sum()) > 0.1 else np.zeros(len(shares))
 

@@ -16,14 +16,16 @@ import numpy as np
 
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform
-from levkas.registration.bands import by_wavelength
+from levkas.registration.bands import by_wavelength, measured_bands
 from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
 from levkas.registration.coarse_to_fine import SETTINGS as REFINEMENT
 from levkas.registration.coarse_to_fine import (
     RegisteredSensor,
+    chromatic_of_all,
     evenly_spread,
     frame_centre,
     pyramid_steps,
+    tell_others,
 )
 from levkas.registration.local_shifts import Predictor, WindowShifts
 from levkas.registration.model_selection import SelectionTerms, select_model
@@ -85,18 +87,31 @@ def register_own_bands(
     bands = by_wavelength(bands)
     labels = [band.label for band in bands]
     fixed = labels.index(anchor.label)
-    stack = _Bands([images[label] for label in labels], [band.wavelength for band in bands], fixed)
-    model = zero_displacement(len(bands), *frame_centre(anchor.values.shape))
-    seen: list[WindowShifts] = []
-    if len(bands) > 1:
-        model, seen = stack.align(model)
+    shown = [bands[i] for i in measured_bands(bands, also=fixed)]
+    model, seen = _align(shown, images, anchor)
+    if not tell_others(model, shown, bands):
+        shown = bands
+        model, seen = _align(shown, images, anchor)
+    model = chromatic_of_all(model, shown, bands)
     identity = Affine.identity()
     transforms: dict[str, Transform] = {
         label: identity if i == fixed else model.transform(i) for i, label in enumerate(labels)
     }
     sigma = measure_sigma(anchor.values.shape, labels, model)
-    windows = dict(zip(labels, seen, strict=False))
+    windows = dict(zip([band.label for band in shown], seen, strict=False))
     return RegisteredSensor(anchor.sensor, transforms, model, windows, sigma)
+
+
+def _align(
+    bands: Sequence[BandImage], images: Mapping[str, np.ndarray], anchor: BandImage
+) -> tuple[ChromaticShifts, list[WindowShifts]]:
+    """Return the shifts of the bands against `anchor`, one of them, and the windows of the last round."""
+    model = zero_displacement(len(bands), *frame_centre(anchor.values.shape))
+    if len(bands) == 1:
+        return model, []
+    fixed = [band.label for band in bands].index(anchor.label)
+    pictures = [images[band.label] for band in bands]
+    return _Bands(pictures, [band.wavelength for band in bands], fixed).align(model)
 
 
 class _Bands:

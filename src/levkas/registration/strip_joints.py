@@ -129,7 +129,7 @@ def find_joint(left: Greys, right: Greys) -> StripJoint:
     Raises
     ------
     RegistrationRefused
-        E_STRIPS where no offset is believed: nothing looks alike, two places do, or the overlap shows too little.
+        E_STRIPS where the offset is not certain: no place matches, two places match, or the overlap has too little detail.
 
     Notes
     -----

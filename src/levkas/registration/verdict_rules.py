@@ -67,7 +67,7 @@ class VerdictSettings:
         Held-out error over the sigma of single windows up to which their own noise explains it: 0.6 to 1.05
         of right maps of infrared pictures, 0.8 to 11 of maps that are wrong somewhere.
     least_cover, least_checked : float
-        Share of the reference below which it is said how little could be compared; share of what both show
+        Share of the reference below which the compared share is stated; share of what both show
         below which a map only reaches over too much, and is doubtful.
     most_sigmas : float
         By so many of its sigmas others may move a band: three of a normal error are one in three hundred.

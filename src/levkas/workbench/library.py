@@ -86,7 +86,7 @@ class Library:
 
     @cached_property
     def places(self) -> Places:
-        """Where the database stands."""
+        """Paths of the database."""
         return Places(self.output.resolve() if self.output else self.campaign.output)
 
     @property
@@ -155,7 +155,7 @@ class Library:
         return listed
 
     def open(self, key: str) -> RegistrationView:
-        """Open a camera, or return it as it stands.
+        """Open a camera, or return it if it is open.
 
         Raises
         ------

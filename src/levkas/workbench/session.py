@@ -182,7 +182,7 @@ CUT = "farther than `reject` at the start"
 
 @dataclass(frozen=True)
 class RecordedPairs:
-    """What stands before any correction.
+    """State before any correction.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
 """The site of the documentation: it builds without a warning, and its search works from a disk."""
 
 import importlib.util
+import re
 import shutil
 import subprocess
 import sys
@@ -38,6 +39,12 @@ def test_the_site_builds_without_a_warning_and_has_every_page(site):
     assert len(written) > 50
     for page in written:
         assert (site / page.with_suffix(".html")).is_file(), page
+
+
+def test_the_site_loads_nothing_from_another_host(site):
+    loaded = re.compile(r'<(?:script|img|iframe|link)\b[^>]*?(?:src|href)="(?:https?:)?//([^"]*)"')
+    for page in site.rglob("*.html"):
+        assert loaded.findall(page.read_text(encoding="utf-8")) == [], page
 
 
 @pytest.mark.parametrize(

@@ -85,7 +85,7 @@ class NamedFile:
         return next((t.text for s in self.segments for t in s if t.names_sensor), "")
 
     def number(self, kind: str) -> str | None:
-        """Return the number of the wavelength or exposure, as it stands in the path."""
+        """Return the number of the wavelength or exposure, as in the path."""
         tokens = self._of_kind(kind)
         return tokens[0].number if tokens else None
 
@@ -113,7 +113,7 @@ def name_targets(captures: Sequence[CaptureFile], *, same_scene: SameScene) -> l
     ----------
     captures : sequence of CaptureFile
     same_scene : callable
-        Whether two captures show the same; asked where running numbers may be shots or objects.
+        Whether two captures show the same; used where running numbers may be shots or objects.
     """
     tokens = {c.path: tokens_of(c.path.stem) for c in captures}
     places = _places(captures, tokens, same_scene)

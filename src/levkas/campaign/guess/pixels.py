@@ -336,7 +336,7 @@ def spread(things: Sequence[T], count: int) -> list[T]:
 
 
 class Samples:
-    """Statistics of frames by path, decoded when they are first asked for."""
+    """Statistics of frames by path, decoded on first use."""
 
     def __init__(self) -> None:
         self._known: dict[Path, Statistics | None] = {}

@@ -120,7 +120,7 @@ def plain(text: str) -> str:
 
 
 def chart_in(text: str) -> str:
-    """Return the reference of the chart that a name stands for: ``ColorChecker24``, …; "" for none.
+    """Return the reference of the chart with this name: ``ColorChecker24``, …; "" for none.
 
     A long word may go on: ``ColorCheckerClassicMini``.
 
@@ -195,7 +195,7 @@ def _with_pairs(tokens: Sequence[Token]) -> list[Token]:
 
 
 def joined(tokens: Sequence[Token]) -> str:
-    """Return the text of some tokens as it stood, without the separators before the first."""
+    """Return the original text of some tokens, without the separators before the first."""
     text = "".join(t.gap + t.text for t in tokens)
     return text[len(tokens[0].gap) :] if tokens else ""
 

@@ -2,7 +2,7 @@
 
     ŷ = ȳ + (x − x̄) (Cxx + λ/n I)⁻¹ Cxy
 
-With the covariances of the training samples it is ridge regression on centred data; λ stands for noise of the
+With the covariances of the training samples it is ridge regression on centred data; λ represents noise of the
 responses beyond that of the samples. [murakami2008]_, 10.1364/OE.16.004106.
 """
 

@@ -18,7 +18,7 @@ KINDS = {"values": "", "flags": ".flags", "sigma": ".sigma"}
 
 
 class ExportRefused(Refused):
-    """A layer cannot be handed on in the format that was asked for."""
+    """A layer cannot be written in the requested format."""
 
 
 def missing_library(name: str) -> ExportRefused:

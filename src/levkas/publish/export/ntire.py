@@ -17,7 +17,7 @@ from levkas.publish.export.layer import ExportLayer, missing_library
 
 QUALITY = 95
 USER_BLOCK = 512
-"""MATLAB's own header stands before the HDF5 file."""
+"""MATLAB's own header precedes the HDF5 file."""
 MATLAB = b"MATLAB 7.3 MAT-file, written by levkas"
 LISTS = {"train": "train_list.txt", "validation": "valid_list.txt", "test": "test_list.txt"}
 

@@ -75,7 +75,7 @@ def export(
     ExportRefused
         Where nothing of that name is in the database, or a layer does not fit the format.
     WriteRefused
-        Where such a file stands in the way, or the disk refuses.
+        Where such a file exists, or the disk refuses.
     """
     from levkas.core.ownership import OwnFiles
     from levkas.database.reader import Database

@@ -103,7 +103,7 @@ def write_viewer(
     database : Path
         Its files are read, and linked to from the pages as ``objects/…``.
     write : callable
-        ``write(name, data)`` writes a file of the folder in which the database stands.
+        ``write(name, data)`` writes a file of the folder of the database.
     about : About
     beside : sequence of (words, name), optional
         Files of the folder that pages lead to; ``{object}`` in a name is the object's.

@@ -1,7 +1,7 @@
 """Darks of a sensor over exposures: level, dark current, fixed pattern; also where the camera clipped them at 0.
 
 With the true black at 0, the mean of a clipped dark is 0.399 σ and its spread 0.584 σ: subtracting it
-biases every lit pixel.  A code k stands for (k − ½, k + ½), the code 0 for everything below ½; black,
+biases every lit pixel.  A code k means (k − ½, k + ½), the code 0 for everything below ½; black,
 noise in time and spread between sensels are those that make pairs of shots likeliest, a sensel's own
 offset being integrated out.
 """

@@ -63,6 +63,13 @@ class Assessment:
                 f"{result['layer']:28} {verdict:8} {len(result['bands']):5d} "
                 f"{_number(mean):>8} {_number(worst):>11} {_number(most):>8} {_number(check):>8} {_number(ssim):>6}"
             )
+        if not any(
+            r["check_points"] or any(b["error_mean"] is not None for b in r["bands"])
+            for r in self.results
+        ):
+            lines.append(
+                "No truth and no check points: the table has no errors. The reports have held-out errors."
+            )
         return "\n".join(lines)
 
 
@@ -156,7 +163,7 @@ def locate(path: Path) -> tuple[Path, Path]:
     raise EvaluationRefused(
         Problem(
             "E_UNREADABLE",
-            "there is no database here",
+            "no database was found here",
             file=str(path),
             expected="a folder with catalogue.csv",
             fix="Build the campaign first: levkas build CAMPAIGN.",

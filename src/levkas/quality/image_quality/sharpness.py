@@ -49,7 +49,7 @@ class Sharpness(NamedTuple):
 
 
 def band_sharpness(
-    values: np.ndarray, labels: Sequence[str], *, step: int = 1, left_out: np.ndarray | None = None
+    values: np.ndarray, labels: Sequence[str], *, left_out: np.ndarray | None = None
 ) -> list[Sharpness]:
     """Measure the focus of every band on the picture's own edges.
 
@@ -58,8 +58,6 @@ def band_sharpness(
     values : ndarray, (h, w, bands)
         Native px, not resampled. The middle 768 x 768 px are looked at.
     labels : sequence of str
-    step : int
-        Every which band is measured.
     left_out : ndarray of bool like `values`, optional
         Where edges are none of the picture's: glare, saturation.
 
@@ -72,8 +70,8 @@ def band_sharpness(
     """
     middle = middle_of((values.shape[0], values.shape[1]))
     return [
-        Sharpness(labels[i], *edge_blur(values[middle][..., i], _of(left_out, middle, i)))
-        for i in range(0, len(labels), step)
+        Sharpness(label, *edge_blur(values[middle][..., i], _of(left_out, middle, i)))
+        for i, label in enumerate(labels)
     ]
 
 

@@ -151,7 +151,7 @@ def parse_reference(text: str, chart: Chart, *, file: str = "") -> ChartReferenc
     Parameters
     ----------
     text : str
-        The header names patches by column and row: ``A:1`` or ``A1``. A name that stands twice
+        The header names patches by column and row: ``A:1`` or ``A1``. A name that occurs twice
         where another is missing is taken by its place, with a note. Per cent are recognised by their size.
     chart : Chart
     file : str

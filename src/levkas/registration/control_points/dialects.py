@@ -285,7 +285,7 @@ def write_points(
     ------
     PointsRefused
     WriteRefused
-        Where a file of that name stands already, unless `overwrite`, or the disk refuses.
+        Where a file of that name exists, unless `overwrite`, or the disk refuses.
     """
     contents = format_points(points, dialect)
     path = Path(path)
