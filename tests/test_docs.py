@@ -32,6 +32,12 @@ def test_every_public_name_loads_and_is_in_the_documentation():
         assert name in text, name
 
 
+def test_the_reference_of_python_has_every_public_name_whole():
+    text = (DOCS / "reference/public_names.md").read_text(encoding="utf-8")
+    shown = re.findall(r"^\.\. auto(?:function|class):: levkas\.(\w+)$", text, re.MULTILINE)
+    assert sorted(shown) == sorted({*levkas.__all__} - {"__version__"})
+
+
 def test_every_page_of_the_documentation_is_in_one_list_of_pages():
     listed = []
     for index in pages():

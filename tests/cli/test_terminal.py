@@ -223,6 +223,27 @@ def test_the_bar_shows_the_frames_that_a_stage_reads(tmp_path):
     assert "0:00, 3 frames; " in drawn(steps())
 
 
+def test_the_bar_says_while_loops_are_compiled():
+    from numba.core import event
+
+    from levkas.core.compiled import njit
+
+    shown = []
+
+    class Bar(event.Listener):
+        def on_start(self, event):
+            shown.append(drawn(steps))
+
+        def on_end(self, event):
+            pass
+
+    steps = [Step(Key("a", "c", stage="register"), "running", done=0, total=1)]
+    with event.install_listener("numba:compile", Bar()):
+        njit(lambda number: number + 1).compile("int64(int64)")
+    assert ["compiling, once; 0:00 in all" in one for one in shown] == [True]
+    assert "compiling" not in drawn(steps)
+
+
 def test_a_refusal_above_the_bar_is_three_lines():
     problem = Problem("E_X", "it is broken", "a.tif", found=[1, 2], fix="Mend it.")
     step = Step(Key("a", "c", stage="register"), "refused", done=1, total=1, problems=(problem,))

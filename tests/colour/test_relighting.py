@@ -67,5 +67,5 @@ def test_adaptation_takes_one_white_to_the_other_and_back():
     ["F99", "20 K", (np.array([400.0, 700]), np.zeros(2)), (np.array([1.0, 2]), -np.ones(2))],
 )
 def test_what_is_no_light_is_refused(light):
-    with pytest.raises(ValueError, match=r"light|power"):
+    with pytest.raises(ValueError, match=r"outside the range|light|power"):
         light_on_grid(light)

@@ -444,7 +444,7 @@ def test_wrong_numbers_of_maps_and_types_are_said():
     with pytest.raises(ValueError, match="laid on a grid"):
         warp(np.ones((8, 8), np.float32), lay(Affine.identity(), (9, 9)), (8, 8))
     for maps in (None, [Affine.identity(), "identity"]):
-        with pytest.raises(ValueError, match=r"no map of points: (NoneType|str)"):
+        with pytest.raises(ValueError, match=r"not a map of points: (NoneType|str)"):
             warp(np.ones((8, 8, 2), np.float32), maps, (8, 8))
     for shape in ((8, 8, 3), (0, 8), (8, -1)):
         with pytest.raises(ValueError, match="a grid of shape"):

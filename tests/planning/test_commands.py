@@ -245,5 +245,5 @@ def test_sensors_of_a_beam_splitter_are_read_by_their_campaign(bench, tmp_path):
         )
     )
     assert white.levels == pytest.approx(wanted, rel=0.005)  # each sensor's own dark is taken off
-    assert "taken to be the same" in white.notes[0]
+    assert "assumed to be equal" in white.notes[0]
     assert regulating_filter(bench, "msbs", levels=white.levels).after.min() > 0.9

@@ -230,7 +230,7 @@ def test_frames_that_show_no_white_are_refused_where_one_is_asked_for(tmp_path):
     scene = white(20_000, 0.1, rng)
     scene[:, : scene.shape[1] // 2] = 80  # half of the field is black
     write(tmp_path / "scene", "550nm_100ms.tif", scene)
-    with pytest.raises(NoAdvice, match="no evenly lit white") as refused:
+    with pytest.raises(NoAdvice, match="not an evenly lit white") as refused:
         advise_frames([tmp_path / "scene"], black=64.0, saturation=4095)
     assert refused.value.problems[0].code == "E_WHITE_UNEVEN"
     (found,) = advise_frames([tmp_path / "scene"], black=64.0, saturation=4095, is_white=False)

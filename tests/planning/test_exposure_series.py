@@ -158,7 +158,7 @@ def test_the_noise_is_told_by_stacks_or_by_exposures_and_never_by_texture(asked,
     for found in (planned(asked, None), planned(frames, None)):
         assert found.sensor.gain == pytest.approx(GAIN, rel=0.08)
         assert found.sensor.read_variance == pytest.approx(READ**2 + 1 / 12, rel=0.12)
-    with pytest.raises(NoAdvice, match="one shot of an object does not tell"):
+    with pytest.raises(NoAdvice, match="one shot of an object cannot separate"):
         planned(frames[:1], None)
 
 

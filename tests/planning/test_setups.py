@@ -77,7 +77,7 @@ def test_a_lamp_in_the_view_of_a_camera_is_refused(rewritten):
 @pytest.mark.parametrize(
     ("new", "word"),
     [
-        ("distance_mm = 1900\naim_mm = [900, 0]", "looks past it"),
+        ("distance_mm = 1900\naim_mm = [900, 0]", "does not point at the object"),
         ("place_mm = [0, 0, -1900]", "is behind the object"),
         ("distance_mm = 30\nsure = true", "focal length"),
     ],

@@ -184,7 +184,7 @@ RINGS = 4
 ENOUGH = 3  # sound neighbours for a median; fewer only where no larger ring has more
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _mend(start, stop, values, flags, where, period, out):  # type: ignore[no-untyped-def]
     """Fill median, variance of prediction and extra flags for each (y, x, band) of `where`."""
     height, width, _ = values.shape

@@ -278,7 +278,7 @@ def _spectra(block: np.ndarray) -> np.ndarray:
 TILE = 8  # bands whose sums stay in the first cache while the spectra pass by
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def add_products(start, stop, spectra, products):  # type: ignore[no-untyped-def]
     """Add Σ yᵢyⱼ to rows of `products`, (b, b); only what lies on and above the diagonal is whole."""
     pixels, bands = spectra.shape
@@ -291,7 +291,7 @@ def add_products(start, stop, spectra, products):  # type: ignore[no-untyped-def
                     products[i, j] += value * np.float64(spectra[n, j])
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def project(start, stop, spectra, across, kept, removed):  # type: ignore[no-untyped-def]
     """Fill the spectra's projection on the rows of `across`, (k, b), and what it removed."""
     bands = spectra.shape[1]
@@ -309,7 +309,7 @@ def project(start, stop, spectra, across, kept, removed):  # type: ignore[no-unt
             removed[n, i] = spectra[n, i] - line[i]
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def project_variance(  # type: ignore[no-untyped-def]
     start, stop, variance, removed, projector, weights, most, found
 ):

@@ -104,7 +104,7 @@ def interpolation_variance(
     return found
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _follow(start, stop, rough, table, curves, found):  # type: ignore[no-untyped-def]
     """Fill `found`, (h, w, c), with each channel's curve, (c, 2, groups), at `rough`; 0 where measured."""
     channels, _, groups = curves.shape

@@ -478,7 +478,7 @@ class _Sums(NamedTuple):
     clipped: np.ndarray
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _add_exposure(start, stop, frame, sums, numbers):  # type: ignore[no-untyped-def]
     """Add w·(mean − dark − offset)/time to `total` and w to `weights`, where not saturated.
 

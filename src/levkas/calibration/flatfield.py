@@ -316,7 +316,7 @@ class _Marks(NamedTuple):
     bad: np.ndarray
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(cache=True)
 def _flatten(start, stop, inputs, values, flags, variance):  # type: ignore[no-untyped-def]
     """Fill rows `start` to `stop` of values (shot − dark)/(white − white_dark) · table, flags and variance.
 
@@ -341,13 +341,13 @@ def _flatten(start, stop, inputs, values, flags, variance):  # type: ignore[no-u
             propagate_line(y, sides, table, model, shared, shares if alike else own, variance[y])
 
 
-@njit(error_model="numpy")
+@njit
 def row_of(array, y):  # type: ignore[no-untyped-def]
     """Return a row of an array whose rows are repeated."""
     return array[y % array.shape[0]]
 
 
-@njit(error_model="numpy")
+@njit
 def flatten_line(y, sides, marks, table, values, flags):  # type: ignore[no-untyped-def]
     """Fill values and flags of row `y`."""
     shot, dark, white, white_dark = sides
@@ -411,7 +411,7 @@ def _shares_of_line(sides: tuple[Side, ...], model: tuple[float, ...]) -> np.nda
     return shares
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True)
 def fill_shares(y, sides, model, shares):  # type: ignore[no-untyped-def]
     """Fill the variances of the means of white, dark and the white's dark in row `y`, (3, w)."""
     _, dark, white, white_dark = sides
@@ -438,7 +438,7 @@ def fill_shares(y, sides, model, shares):  # type: ignore[no-untyped-def]
         )
 
 
-@njit(error_model="numpy")
+@njit
 def propagate_line(y, sides, table, model, shared, shares, variance):  # type: ignore[no-untyped-def]
     """Fill the variance of the values of row `y`."""
     shot, dark, white, white_dark = sides

@@ -279,7 +279,7 @@ def _classes(length: int, period: int) -> tuple[np.ndarray, np.ndarray]:
 NEAR = np.uint8(Flag.NEAR.value)
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _weigh(first_row, stop, planes, plan, out):  # type: ignore[no-untyped-def]
     """Fill rows with Σwv, flags and, where there is room for it, Σw²u², all (h, w, channels).
 

@@ -174,7 +174,7 @@ def _limit(freedom: int, pixels: int = 9, chance: float = BY_CHANCE) -> float:
     return MISFIT * 2 * float(gammainccinv(pixels * freedom / 2, chance)) / freedom
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _compare(start, stop, mean, variance, saturated, dark, model, ratio):  # type: ignore[no-untyped-def]
     """Fill the variance over what noise explains, 0 where saturated.
 
@@ -189,7 +189,7 @@ def _compare(start, stop, mean, variance, saturated, dark, model, ratio):  # typ
             ratio[y, x] = still * variance[y, x] / (read + gain * light)
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _mark(start, stop, ratio, period, limit, marked):  # type: ignore[no-untyped-def]
     """Fill where a pixel and its neighbours, those beyond the border left out, pass the limit."""
     rows, columns = period

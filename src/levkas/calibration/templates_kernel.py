@@ -12,7 +12,7 @@ from levkas.core.compiled import njit
 ROWS = 64
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def add_codes(start, stop, frame, totals, marks, limits):  # type: ignore[no-untyped-def]
     """Add whole codes to Σx (uint32) and Σx² (uint64), both exact; mark those beyond (high, low)."""
     (total, squares), (saturated, black), (high, low) = totals, marks, limits
@@ -25,7 +25,7 @@ def add_codes(start, stop, frame, totals, marks, limits):  # type: ignore[no-unt
             black[y, x] |= np.float32(frame[y, x]) <= low
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def add_reals(start, stop, frame, before, totals, marks, limits):  # type: ignore[no-untyped-def]
     """Update mean and Σ(x − mean)² by Welford's step; mark values beyond (high, low)."""
     (mean, spread), (saturated, black), (high, low) = totals, marks, limits

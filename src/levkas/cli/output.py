@@ -15,7 +15,7 @@ import typer
 from levkas import __version__
 from levkas.core.json_safe import plain
 from levkas.core.problems import Problem, Refused
-from levkas.core.progress import FRAMES
+from levkas.core.progress import COMPILING, FRAMES
 from levkas.core.text import counted
 
 if TYPE_CHECKING:
@@ -187,6 +187,7 @@ def draw_bar(steps: Iterable[Any], console: Console) -> list[Any]:
             since = task.fields["since"]
             within = [] if since is None else [_clock(time.monotonic() - since)]
             within += [counted(frames, "frame")] if frames else []
+            within += ["compiling, once"] if COMPILING.count else []
             so_far = f"{_clock(task.elapsed or 0)} in all"
             return Text("; ".join([part for part in (", ".join(within), so_far) if part]))
 

@@ -163,5 +163,5 @@ def _table(light: Light) -> np.ndarray:
 
 def _black_body(wavelengths: np.ndarray, kelvin: float) -> np.ndarray:
     if not 500 <= kelvin <= 100_000:
-        raise ValueError(f"a black body of {kelvin:g} K is no light; 500 to 100000 K is")
+        raise ValueError(f"a black body of {kelvin:g} K is outside the range of 500 to 100000 K")
     return np.asarray(planck(wavelengths, kelvin))

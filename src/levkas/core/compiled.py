@@ -13,8 +13,27 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core import event
+
+from levkas.core.progress import COMPILING
+
+OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+"""Of every kernel alike: what numba itself compiles for one then serves the next."""
 
 _newest = 0.0
+
+
+class _Compiling(event.Listener):
+    """Keeps `COMPILING`: events of numba for what is compiled, none for what is loaded."""
+
+    def on_start(self, event: event.Event) -> None:
+        COMPILING.add(1)
+
+    def on_end(self, event: event.Event) -> None:
+        COMPILING.add(-1)
+
+
+event.register("numba:compile", _Compiling())
 
 
 def njit(*args: Any, **options: Any) -> Any:
@@ -30,7 +49,7 @@ def njit(*args: Any, **options: Any) -> Any:
     **options
         Those of `numba.njit`.
     """
-    options |= {"no_cfunc_wrapper": True, "no_cpython_wrapper": not options.get("cache")}
+    options = {**OPTIONS, "no_cpython_wrapper": not options.get("cache"), **options}
     decorate: Callable[[Any], Any] = (
         numba.njit(**options) if args and callable(args[0]) else numba.njit(*args, **options)
     )

@@ -1,4 +1,4 @@
-"""Frames that this process and its workers have decoded, for whoever draws how far a stage has come."""
+"""Frames decoded and loops being compiled, for whoever draws how far a stage has come."""
 
 from __future__ import annotations
 
@@ -32,3 +32,5 @@ class Tally:
 
 FRAMES = Tally()
 """Frames decoded by `levkas.readers.frames.read_frame`, here or by a worker."""
+COMPILING = Tally()
+"""Functions that `levkas.core.compiled` is compiling now."""

@@ -69,7 +69,7 @@ def _rounded(values: np.ndarray, drop: int, out: np.ndarray | None, root: bool) 
     return result
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _round(numbers, half, keep, root):  # type: ignore[no-untyped-def]
     # In its own place: with two arrays that may be one, no eight numbers are done at once.
     # Adding a half in the integers carries into the exponent where it has to.
@@ -85,7 +85,7 @@ def _round(numbers, half, keep, root):  # type: ignore[no-untyped-def]
         bits[i] = ((whole + half) & keep) if finite else whole
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _all_round(bits, rest):  # type: ignore[no-untyped-def]
     infinite = np.uint32(0x7F800000)
     loose = 0

@@ -24,7 +24,7 @@ def read_grey(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return grey_of(read_tiff_pages(path), flags)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _mean_inside(values, flags, outside):
     height, width, bands = values.shape
     mean, inside = np.zeros((height, width)), np.ones((height, width), np.bool_)

@@ -368,7 +368,7 @@ def read_stiff(
     if wavelengths is not None:
         centres = np.atleast_1d(np.asarray(wavelengths, np.float32))
         if len(centres) != len(pages):
-            message = "pages and wavelengths do not fit: pages are missing, or one is no band"
+            message = "pages and wavelengths do not fit: pages are missing, or one is not a band"
             _refuse("E_BAND_COUNT", pages.path, message, len(pages), len(centres), WAVELENGTHS)
     cube = None if rgb_only else pages.read()
     if centres[0] > centres[-1]:

@@ -292,9 +292,7 @@ def _table(nodes: np.ndarray, shape: tuple[int, int], segment: int) -> np.ndarra
     count = ceil(width / segment)
     places = np.arange(3 * count + 1) * (segment / 3) * ((columns - 1) / (width - 1))
     first, weights = lagrange(places, columns)
-    table = np.empty((rows, count, 10))
-    segments(np.ascontiguousarray(nodes), first, weights, segment, (height - 1) / (rows - 1), table)
-    return table
+    return segments(nodes, first, weights, segment, (height - 1) / (rows - 1))
 
 
 def _evaluate(

@@ -42,7 +42,7 @@ def _sums(knots, i, j, axis, bx, by, dx, dy):
     return shift, along, down, both
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def displace(points, origin, spacing, coefficients):
     """Return displaced points, (n, 2); beyond the knots the displacement goes on in a straight line."""
     rows, columns = coefficients.shape[:2]
@@ -60,7 +60,7 @@ def displace(points, origin, spacing, coefficients):
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def polynomial(points, order, centre, spread, coefficients):
     """Return Σ c u^i v^j at points, (n, 2); terms by total degree, those of u first."""
     out = np.empty((len(points), 2))
@@ -82,7 +82,7 @@ def polynomial(points, order, centre, spread, coefficients):
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def displace_slopes(points, origin, spacing, coefficients):
     """Return the derivatives of `displace`, (n, 2, 2)."""
     rows, columns = coefficients.shape[:2]
@@ -102,7 +102,7 @@ def displace_slopes(points, origin, spacing, coefficients):
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def polynomial_slopes(points, order, centre, spread, coefficients):
     """Return the derivatives of `polynomial`, (n, 2, 2)."""
     out = np.zeros((len(points), 2, 2))
@@ -131,7 +131,7 @@ def _rise(x):
     return x**3 * (x * (6 * x - 15) + 10)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def step_inside(points, lines, width, centre, spread, shift):
     """Return displaced points, (n, 2): by 1, u, v times `shift` inside of four lines, by less on the slope."""
     out = np.empty_like(points)
@@ -149,7 +149,7 @@ def step_inside(points, lines, width, centre, spread, shift):
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def share_inside(points, edges, centre, offsets, weights):
     """Return the share of windows, (n,), that lies inside of a turned rectangle, its slope included."""
     out = np.empty(len(points))
@@ -169,7 +169,7 @@ def share_inside(points, edges, centre, offsets, weights):
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def spline_sums(first, across, down, weight, goal, columns, normal, right):
     """Add up the normal equations of a cubic spline lattice: each point touches four by four knots.
 
@@ -192,46 +192,36 @@ def spline_sums(first, across, down, weight, goal, columns, normal, right):
                         normal[a, one, b, other] += both * weight[n, a, b]
 
 
-@njit(cache=True, nogil=True)
-def segments(nodes, first, weights, length, step_y, table):
-    """Fill (rows, segments, 10): a cubic along each segment of each row of nodes, and the scales.
+def segments(
+    nodes: np.ndarray, first: np.ndarray, weights: np.ndarray, length: int, step_y: float
+) -> np.ndarray:
+    """Return (rows, segments, 10): a cubic along each segment of each row of nodes, and the scales.
 
     `first` and `weights`, (3 segments + 1) and (…, taps), interpolate the nodes of a row at thirds
     of the segments, `length` px long; rows are `step_y` px apart.
     """
-    rows, count, taps = nodes.shape[0], table.shape[1], weights.shape[1]
-    middle = np.empty((rows, count, 2))
-    along = np.empty((3 * count + 1, 2))
-    for r in range(rows):
-        for k in range(3 * count + 1):
-            for a in range(2):
-                total = 0.0
-                for t in range(taps):
-                    total += weights[k, t] * nodes[r, first[k] + t, a]
-                along[k, a] = total
-        for s in range(count):
-            for a in range(2):
-                p, q = along[3 * s, a], along[3 * s + 1, a]
-                u, v = along[3 * s + 2, a], along[3 * s + 3, a]
-                one = (18 * q - 11 * p - 9 * u + 2 * v) / (2 * length)
-                two = 4.5 * (2 * p - 5 * q + 4 * u - v) / length**2
-                three = 4.5 * (3 * q - p - 3 * u + v) / length**3
-                # What is left of rounding would make a copy of whole pixels an interpolation.
-                table[r, s, 4 * a] = p
-                table[r, s, 4 * a + 1] = one if abs(one) * length >= 1e-9 else 0.0
-                table[r, s, 4 * a + 2] = two if abs(two) * length**2 >= 1e-9 else 0.0
-                table[r, s, 4 * a + 3] = three if abs(three) * length**3 >= 1e-9 else 0.0
-                table[r, s, 8 + a] = (v - p) / length
-                middle[r, s, a] = (q + u) / 2
-    for r in range(rows):
-        above, below = max(r - 1, 0), min(r + 1, rows - 1)
-        for s in range(count):
-            for a in range(2):
-                down = (middle[below, s, a] - middle[above, s, a]) / ((below - above) * step_y)
-                table[r, s, 8 + a] = np.hypot(table[r, s, 8 + a], down)
+    along = np.zeros((len(nodes), len(first), 2))
+    for t in range(weights.shape[1]):
+        along += weights[:, t, None] * nodes[:, first + t]
+    p, q, u, v = along[:, :-1:3], along[:, 1::3], along[:, 2::3], along[:, 3::3]
+    table = np.empty((*p.shape[:2], 10))
+    table[..., 0:8:4] = p
+    slopes = (
+        (18 * q - 11 * p - 9 * u + 2 * v) / (2 * length),
+        4.5 * (2 * p - 5 * q + 4 * u - v) / length**2,
+        4.5 * (3 * q - p - 3 * u + v) / length**3,
+    )
+    for k, slope in enumerate(slopes, 1):
+        # What is left of rounding would make a copy of whole pixels an interpolation.
+        table[..., k:8:4] = np.where(np.abs(slope) * length**k >= 1e-9, slope, 0.0)
+    row, middle = np.arange(len(nodes)), (q + u) / 2
+    above, below = np.maximum(row - 1, 0), np.minimum(row + 1, len(nodes) - 1)
+    down = (middle[below] - middle[above]) / ((below - above) * step_y)[:, None, None]
+    table[..., 8:] = np.hypot((v - p) / length, down)
+    return table
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def follow(table, first, weights, which, along, found):
     """Fill (rows, columns, 2): the cubics of a table, between its rows by `weights` from `first` on."""
     taps, part = weights.shape[1], np.empty(8)

@@ -142,7 +142,7 @@ def warp(
     if absent:
         raise ValueError(
             f"rows {start} to {stop} of the grid need more than the source rows held, {held_from[0]} "
-            f"to {held_from[0] + len(source)}; `source_rows` says which"
+            f"to {held_from[0] + len(source)}; see `source_rows`"
         )
     return _squeezed(warped) if flat and out is None else warped
 
@@ -204,7 +204,7 @@ def _checked_maps(transforms: Maps | Mapping[str, Transform], bands: int) -> Map
         given = len(maps) if isinstance(maps, Sequence) else None
         for one in [maps] if given is None else maps:
             if not callable(one):
-                raise ValueError(f"a transform is no map of points: {type(one).__name__}")
+                raise ValueError(f"a transform is not a map of points: {type(one).__name__}")
     if given not in (None, bands):
         raise ValueError(f"{given} transforms for a source of {bands} bands")
     found: Maps = maps

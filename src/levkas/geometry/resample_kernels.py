@@ -76,7 +76,7 @@ class Nodes(NamedTuple):
     widest: float
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def find_suspects(start, stop, flags, suspect):
     """Join the flags of all bands, rows `start` to `stop`."""
     for y in range(start, stop):
@@ -87,7 +87,7 @@ def find_suspects(start, stop, flags, suspect):
             suspect[y, x] = found
 
 
-@njit(error_model="numpy")
+@njit
 def _mix(nodes, y, segment, part):
     """Interpolate the cubics of a segment between the rows of nodes, (channels, maps)."""
     table = nodes.table
@@ -111,11 +111,11 @@ def _mix(nodes, y, segment, part):
 
 
 @njit
-def _follow(part, axis, m, t):
-    """Return where map `m` is on an axis at `t` px along its segment."""
-    c = 4 * axis
-    place = part[c, m] + t * (part[c + 1, m] + t * (part[c + 2, m] + t * part[c + 3, m]))
-    return np.floor(place * SNAP + 0.5) / SNAP
+def _follow(part, m, t):
+    """Return where map `m` is at `t` px along its segment, (x, y)."""
+    x = part[0, m] + t * (part[1, m] + t * (part[2, m] + t * part[3, m]))
+    y = part[4, m] + t * (part[5, m] + t * (part[6, m] + t * part[7, m]))
+    return np.floor(x * SNAP + 0.5) / SNAP, np.floor(y * SNAP + 0.5) / SNAP
 
 
 @njit
@@ -161,7 +161,7 @@ def _reach(place, scale, size):
     return first, min(floor(place + 2.0 * scale), size - 1) + 1
 
 
-@njit(error_model="numpy")
+@njit
 def _weigh(place, scale, first, count, u):
     """Write the weights of the taps of one axis to `u`; the kernel is `scale` times as wide.
 
@@ -209,9 +209,8 @@ def _largest(u, count):
 
 
 @njit
-def _any_suspect(suspect, box):
+def _any_suspect(suspect, x, columns, y, rows):
     """Return the flags that pixels of a box have in any band."""
-    x, columns, y, rows = box
     found = np.uint8(0)
     for r in range(y, y + rows):
         for c in range(x, x + columns):
@@ -288,7 +287,7 @@ def _gather(source, result, at, spot, b, always, weights):
             if (x0 + k, y0 + r) == near:
                 own = flag
                 if gone:
-                    _leave_out(result, row, x, b, own | OUTSIDE)
+                    _leave_out(result, row, x, b, np.uint8(own | OUTSIDE))
                     return 0
             elif (flag or gone) and abs(weight) >= least:
                 others |= (flag & ~OUTSIDE) | NEAR
@@ -309,7 +308,7 @@ def _gather(source, result, at, spot, b, always, weights):
     return 0
 
 
-@njit(error_model="numpy")
+@njit
 def _linear(source, box, at, b):
     """Return value and variance by linear interpolation from the taps that are there."""
     (x0, columns, y0, rows), (px, py, wide_x, wide_y) = box, at
@@ -361,15 +360,15 @@ def _sum_cubic(plane, x, y, weights, out, spot):
 
 
 @njit
-def _sum_box(plane, box, weights, power, out, spot):
-    """Sum the taps of a box of any size, all bands of a pixel; squared weights where `power` is 2."""
+def _sum_box(plane, box, weights, squared, out, spot):
+    """Sum the taps of a box of any size, all bands of a pixel, by weights or `squared` ones."""
     (x0, columns, y0, rows), (row, x) = box, spot
     u, v, sums = weights
     sums[:] = 0.0
     for r in range(rows):
         for k in range(columns):
             weight = v[r] * u[k]
-            weight = weight * weight if power == 2 else weight
+            weight = weight * weight if squared else weight
             for b in range(plane.shape[2]):
                 sums[b] += weight * plane[y0 + r, x0 + k, b]
     for b in range(plane.shape[2]):
@@ -394,12 +393,12 @@ def _shared_pixel(source, result, at, spot, done, weights):
         return 1
     box, out = (x0, columns, y0, rows), result.values
     if not done:
-        _sum_box(source.values, box, weights, 1, out, spot)
+        _sum_box(source.values, box, weights, False, out, spot)
         if result.variance.size:
-            _sum_box(source.variance, box, weights, 2, result.variance, spot)
+            _sum_box(source.variance, box, weights, True, result.variance, spot)
     suspect = np.uint8(0)
     if source.suspect.size:
-        suspect = _any_suspect(source.suspect, box)
+        suspect = _any_suspect(source.suspect, *box)
         if suspect and not suspect & OUTSIDE:
             near = _nearest(at[0], at[1], source)
             _pass_flags(source.flags, result.flags, box, near, spot, weights)
@@ -410,7 +409,7 @@ def _shared_pixel(source, result, at, spot, done, weights):
     return 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True)
 def shared_rows(start, stop, nodes, source, result):
     """Resample grid rows `start` to `stop` of all bands through one map.
 
@@ -426,7 +425,7 @@ def shared_rows(start, stop, nodes, source, result):
             _mix(nodes, y, x0 // nodes.segment, part)
             wide_x, wide_y = _widths(part, 0, nodes.widest)
             for x in range(x0, min(x0 + nodes.segment, nodes.width)):
-                px, py = _follow(part, 0, 0, float(x - x0)), _follow(part, 1, 0, float(x - x0))
+                px, py = _follow(part, 0, float(x - x0))
                 fx, fy, spot = int(px), int(py) - top, (y - result.first, x)
                 fast = wide_x == wide_y == 1.0 and _is_inner(fx, fy, inner)
                 care = not fast
@@ -441,7 +440,7 @@ def shared_rows(start, stop, nodes, source, result):
                         strange += out[spot[0], x, b] - out[spot[0], x, b] != 0
                     care = strange > 0
                     if suspect.size:
-                        care |= _any_suspect(suspect, (fx - 1, 4, fy - 1, 4)) != 0
+                        care |= _any_suspect(suspect, fx - 1, 4, fy - 1, 4) != 0
                 if care:
                     at = px, py, wide_x, wide_y
                     absent += _shared_pixel(source, result, at, spot, fast, weights)
@@ -506,16 +505,17 @@ def _sum_patch(flat, begin, step, wide, u, v, sums):
 @njit
 def _gather_block(source, result, maps_of_block, spot, first, done, weights):
     """Resample each band of a block with care; values that are finite stay if `done`."""
-    (part, t, widest), absent = maps_of_block, 0
-    for m in range(part.shape[1]):
-        wide_x, wide_y = _widths(part, m, widest)
-        at = _follow(part, 0, m, t), _follow(part, 1, m, t), wide_x, wide_y
+    (part, s, count, t, widest), absent = maps_of_block, 0
+    for m in range(count):
+        wide_x, wide_y = _widths(part, s + m, widest)
+        px, py = _follow(part, s + m, t)
         always = not done or not np.isfinite(result.values[spot[0], spot[1], first + m])
+        at = px, py, wide_x, wide_y
         absent += _gather(source, result, at, spot, first + m, always, weights)
     return absent
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True)
 def own_rows(start, stop, nodes, source, result, first, count):
     """Resample grid rows `start` to `stop` of `count` bands from `first` on, each through its own map.
 
@@ -563,10 +563,10 @@ def own_rows(start, stop, nodes, source, result, first, count):
                             _sum_patch(noises, corner, step, wide, u, v, sums)
                             for m in range(n):
                                 noise[spot[0], x, b + m] = sums[m]
-                        if suspect.size and _any_suspect(suspect, (fx - 1, 5, fy - 1, 5)):
+                        if suspect.size and _any_suspect(suspect, fx - 1, 5, fy - 1, 5):
                             strange = n
                     if strange:
-                        maps_of_block = part[:, s : s + n], t, nodes.widest
+                        maps_of_block = part, s, n, t, nodes.widest
                         absent += _gather_block(
                             source, result, maps_of_block, spot, b, fast, weights
                         )

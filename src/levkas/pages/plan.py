@@ -147,7 +147,7 @@ def _light_facts(setup: StudioSetup, plan: LightPlan, white: WhiteLevels | None)
                 for name, factor in zip(found.channels, found.factors, strict=True)
             )
             words += (
-                f" It is computed from a captured white, which has {told} times what sensitivities and light say; "
+                f" It is computed from a captured white, which has {told} times the signal predicted from sensitivities and light; "
                 f"the filter from the model alone (dashed) would bring all to {100 * found.model_alone:.0f} %."
             )
         facts["filter_words"] = words

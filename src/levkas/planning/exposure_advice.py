@@ -270,7 +270,7 @@ def white_levels(bands: Sequence[BandAdvice], camera: str) -> WhiteLevels:
         for found, time in zip(bands, times, strict=True)
         for advice in found.advices
     }
-    same = "the times of the whites are not known, and taken to be the same"
+    same = "the times of the whites are unknown and assumed to be equal"
     return WhiteLevels(camera, levels, (same,) if None in times and len(bands) > 1 else ())
 
 
@@ -285,8 +285,8 @@ def _check_bits(shot: Shot, scale: FullScale, file: str) -> None:
                 "bits",
                 f"{top:.0f}",
                 f"at most {scale.counts:.0f} ({scale.source})",
-                "Give the code at which the camera saturates, --saturation 65520 where 12 bits stand at the "
-                "upper end of 16.",
+                "Give the code at which the camera saturates: --saturation 65520 if 12 bits are stored in the "
+                "upper bits of 16.",
             )
         )
 
@@ -415,7 +415,7 @@ def _noise(
         return assumed, [
             "the noise could not be measured: 20,000 electrons are assumed at the peak"
         ]
-    note = "one shot only: the SNR is a lower bound, for texture counts as noise; two shots tell it"
+    note = "one shot only: the SNR is a lower bound, because texture counts as noise; two shots measure it"
     return single, [note]
 
 
@@ -447,7 +447,7 @@ def _no_white(shot: Shot, channels: list[Reading]) -> Problem:
     least = min(c.unevenness for c in channels)
     return Problem(
         "E_WHITE_UNEVEN",
-        f"{shot.name}: this is no evenly lit white",
+        f"{shot.name}: this is not an evenly lit white",
         found=f"it varies by {least:.0%} over the field",
         expected=f"at most {NO_WHITE:.0%}",
         fix="Add --object where the frames show the object, --pattern where the sensor is a mosaic; "

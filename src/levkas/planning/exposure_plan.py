@@ -209,7 +209,7 @@ def _notes(
             "in every band" if camera.keys.wavelengths else "from 400 to 720 nm, one grey channel"
         )
         notes.append(
-            f"No sensitivity is given: {100 * camera.keys.peak_qe:g} % of the photons are taken to count {seen}."
+            f"No sensitivity is given: {100 * camera.keys.peak_qe:g} % of the photons are assumed to count {seen}."
         )
     target = setup.bench.target
     full = [c for c in channels if c.share_of_full >= 1]
@@ -226,7 +226,7 @@ def _notes(
         )
     if weakest.snr < target.least_snr:
         notes.append(
-            f"SNR {weakest.snr:.0f} is below the {target.least_snr:g} that is asked: average "
+            f"SNR {weakest.snr:.0f} is below the {target.least_snr:g} that is required: average "
             f"{int(np.ceil((target.least_snr / weakest.snr) ** 2))} frames, or give more light there."
         )
     long = [c.name for c in channels if c.too_long]
@@ -244,8 +244,8 @@ def _notes(
             even = max(1, round(shortest * lamp.flicker_hz)) / lamp.flicker_hz
             notes.append(
                 f"Flicker of {lamp.name} may change a frame of {1000 * shortest:.3g} ms by up to "
-                f"{100 * beat:.2g} %: take {1000 * even:.4g} ms, whole periods of "
-                f"{lamp.flicker_hz:g} Hz, and it is gone."
+                f"{100 * beat:.2g} %. Use {1000 * even:.4g} ms, a whole number of periods of "
+                f"{lamp.flicker_hz:g} Hz, to avoid it."
             )
             break
     return notes

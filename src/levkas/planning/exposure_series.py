@@ -275,7 +275,7 @@ def _scene(found: BandAdvice, wish: SeriesWish, lowest: SensorAt, shown: float) 
                 field="quantile",
                 found=f"{dark * time:.2f} counts above the dark at quantile {wish.quantile:g}, noise {noise * time:.2f}",
                 expected=f"{SEEN:g} times the noise of {CELL} x {CELL} sensels",
-                fix="Name a longer exposure of the object besides, whatever it saturates, or a larger --quantile.",
+                fix="Add a longer exposure of the object, even a saturated one, or give a larger --quantile.",
             )
         )
     room, peak = found.full - _level(found), max(a.reading.peak for a in found.advices)
@@ -411,7 +411,7 @@ def _noise_between(found: BandAdvice) -> tuple[float, float] | None:
 def _one_shot(found: BandAdvice) -> Problem:
     return Problem(
         "E_ONE_SHOT",
-        f"{found.shot.name}: one shot of an object does not tell the sensor's noise from the object's texture",
+        f"{found.shot.name}: one shot of an object cannot separate the sensor's noise from the object's texture",
         found=f"{len(found.shots)} exposure{'s' * (len(found.shots) > 1)}, one shot each",
         expected="two shots, exposures that overlap, or sensor data",
         fix="Name a second shot or a longer exposure besides, or a setup file with the camera: --setup FILE --camera NAME.",

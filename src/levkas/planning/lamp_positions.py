@@ -220,12 +220,12 @@ def _notes(plan: Lighting, fitted: FittedLamps) -> list[str]:
         turned = abs(lamp.angle_deg - planned.angle_deg)
         if turned > 2.5 * SPREAD["angle"]:
             notes.append(
-                f"{lamp.name} would stand {turned:.0f}° from its plan, which is hardly so: measure the angle. "
-                "The lens, or a white that is not flat, may be taken for light."
+                f"{lamp.name} would stand {turned:.0f}° from its plan, which is implausible: measure the angle. "
+                "The lens, or a white that is not flat, may imitate uneven light."
             )
     if len(lamps) > 1:
         notes.append(
-            "One white cannot tell a strong far lamp from a weak near one: where it is silent, the plan is kept. "
+            "One white cannot separate a strong far lamp from a weak near one: what it does not determine is kept from the plan. "
             "A white under each lamp alone (--lamp 1, --lamp 2) tells each one's place two or three times better."
         )
     return notes

@@ -212,7 +212,7 @@ def read_lobe(name: str, keys: LampKeys, root: Path, *, file: str) -> Lobe:
         return Lobe(lobe_exponent(keys.beam_deg))
     if keys.beam_deg is not None:
         raise PlanRefused(
-            value_problem(file, f"lamps.{name}.beam_deg", "beam_deg and lobe say one thing twice",
+            value_problem(file, f"lamps.{name}.beam_deg", "beam_deg and lobe describe the same property",
                   keys.beam_deg, "one of them")
         )  # fmt: skip
     angles, values = _read_angles(root / keys.lobe, f"lamps.{name}.lobe", file)
@@ -397,7 +397,7 @@ def _blind(setup: StudioSetup, camera: StudioCamera, file: str) -> Iterator[Prob
     probes = [np.array([x, y, 0.0]) for x in (-w / 2, 0, w / 2) for y in (-h / 2, 0, h / 2)]
     if not any(in_field(camera, p, 0.0) for p in probes):
         yield value_problem(
-            file, f"{at}.aim_mm", "this camera cannot see the object: it looks past it",
+            file, f"{at}.aim_mm", "this camera does not point at the object",
             camera.aim[:2].tolist(), f"a point within {w:g} x {h:g} mm", code="E_CAMERA_BLIND",
         )  # fmt: skip
 
@@ -416,7 +416,7 @@ def _spectra(setup: StudioSetup, file: str) -> Iterator[Problem]:
                     )
                     yield value_problem(
                         file, f"setups.{name}.lamps.{i}.spectrum",
-                        f"the light is not known where camera {camera.name!r} sees", parts,
+                        f"the light is unknown over the wavelengths of camera {camera.name!r}", parts,
                         f"{low:g}–{high:g} nm",
                         "Give a table that covers it, or leave the camera out.", "E_SPD_COVER",
                     )  # fmt: skip

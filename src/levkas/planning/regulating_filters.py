@@ -224,8 +224,8 @@ def regulating_filter(
     modelled, _ = solve_filter(scaled, STEP_NM, steepest=STEEPEST, longest=LONGEST)
     behind = real @ modelled
     notes = tuple(
-        f"{label} records {factor:.2g} times what sensitivities and light say, against the others: check the "
-        "sensitivities, the spectrum of the light and what stood before the lens"
+        f"{label} records {factor:.2g} times the signal predicted from sensitivities and light, relative to the others: check the "
+        "sensitivities, the spectrum of the light and the filters before the lens"
         for label, factor in zip(seen.labels, factors, strict=True)
         if not 1 / FAR_OFF < factor < FAR_OFF
     )

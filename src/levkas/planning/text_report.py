@@ -206,7 +206,7 @@ def _measured_lines(sheet: dict[str, Any]) -> list[str]:
     factors = ", ".join(f"{name} {factor:.2f}" for name, factor in measured["factors"].items())
     alone = 100 * measured["smallest_with_modelled_filter"]
     return [
-        f"  From the captured white: channels over what sensitivities and light say, {factors}. The filter from the "
+        f"  From the captured white: channels over the prediction from sensitivities and light, {factors}. The filter from the "
         f"model alone would bring the smallest to {alone:.0f} %.",
         *(f"  {note}" for note in measured["notes"]),
     ]

@@ -223,7 +223,7 @@ def _write(publication: Publication, root: Path, work: LayerAnalysis) -> None:
 def _components(work: LayerAnalysis) -> tuple[dict[str, Any], list[str], Iterator[np.ndarray]]:
     (source,) = work.sources
     if work.analysis.kind == "mnf" and work.entry.kind == ESTIMATED:
-        why = Problem("E_VALUE", "the errors of estimated values are no noise", found="estimated")
+        why = Problem("E_VALUE", "the errors of estimated values are not noise", found="estimated")
         raise ComponentsRefused(why)
     layer, flags = open_pixels(source.tiff), open_pixels(source.beside("flags"))
     sigma = open_pixels(path) if (path := source.beside("sigma")).is_file() else None

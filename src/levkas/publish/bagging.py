@@ -106,7 +106,7 @@ def check_target(root: Path, target: Path) -> None:
         raise PublishRefused(
             Problem(
                 "E_UNWRITABLE",
-                "the bag cannot be written to this folder: it holds what is bagged, or lies in it",
+                "the bag cannot be written to this folder: it contains the bagged files, or is inside them",
                 file=str(target),
                 expected="a new folder, or an earlier bag",
                 fix=fix,

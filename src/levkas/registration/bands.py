@@ -334,41 +334,17 @@ def sqrt_transform(image: np.ndarray) -> np.ndarray:
     Counts below zero are the noise of the dark; an image that is negative for good is shifted.
     """
     image = np.ascontiguousarray(image, np.float32)
-    known = _some(image, SAMPLED_PX)
+    known = image[np.isfinite(image)]
+    known = known[:: max(len(known) // SAMPLED_PX, 1)]
     if not len(known):
         return image
     low, high = np.percentile(known, (2, 99))
     low = min(float(low), 0.0)
     scale = 1.0 / max(float(high) - low, 1e-12)
-    return np.asarray(_roots(image, np.float32(low), np.float32(scale)))
-
-
-@njit(nogil=True, cache=True)
-def _some(image, most):  # type: ignore[no-untyped-def]
-    """Return every n-th finite value, at least `most` of them where there are as many."""
-    count = 0
-    for value in image.flat:
-        count += np.isfinite(value)
-    every = max(count // most, 1)
-    picked = np.empty((count + every - 1) // every, np.float32)
-    place = 0
-    for value in image.flat:
-        if np.isfinite(value):
-            if place % every == 0:
-                picked[place // every] = value
-            place += 1
-    return picked
-
-
-@njit(nogil=True, cache=True)
-def _roots(image, low, scale):  # type: ignore[no-untyped-def]
-    out = np.empty(image.shape, np.float32)
-    toe, least = np.float32(TOE), np.float32(-0.5 * TOE)
-    flat, into = image.reshape(-1), out.reshape(-1)
-    for i in range(len(flat)):
-        scaled = (flat[i] - low) * scale
-        into[i] = np.sqrt((least if scaled < least else scaled) + toe)
-    return out
+    roots = (image - np.float32(low)) * np.float32(scale)
+    np.maximum(roots, np.float32(-0.5 * TOE), out=roots)
+    roots += np.float32(TOE)
+    return np.asarray(np.sqrt(roots, out=roots))
 
 
 def _inpaint(image: np.ndarray) -> np.ndarray:
@@ -394,7 +370,7 @@ def _inpaint(image: np.ndarray) -> np.ndarray:
     return mended
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _means_around(image, places, taps):  # type: ignore[no-untyped-def]
     """Weighted mean of what is valid about each place, counted row by row; NaN where nothing is."""
     height, width = image.shape

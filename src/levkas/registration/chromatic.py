@@ -259,9 +259,12 @@ def _system(
     shift = windows.shift if common is None else windows.shift - common
     goal = (design @ earlier).T - shift[used]
     information, residual = _reweighted(design, goal, windows.information[used])
+    design = np.ascontiguousarray(design)
     matrix, right = _normal(design, information, goal, count)
     size = min(count, _size("similarity"))
-    summed = _gradients(design, information, residual, _blocks(windows.centres[used]), size)
+    blocks = _blocks(windows.centres[used])
+    summed = np.zeros((int(blocks.max()) + 1, size))
+    _add_gradients(design, information, residual, blocks, summed)
     scatter = np.trace(np.linalg.pinv(matrix[:size, :size]) @ (summed.T @ summed))
     deflate = max(float(scatter) / size, 1.0)
     return matrix / deflate, right / deflate
@@ -280,7 +283,7 @@ def _reweighted(
     return current, residual
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _normal(design, information, goal, count):  # type: ignore[no-untyped-def]
     """Return normal matrix and right side of `design`, (2, n, count), under weights of 2 x 2."""
     matrix, right = np.zeros((count, count)), np.zeros(count)
@@ -295,13 +298,12 @@ def _normal(design, information, goal, count):  # type: ignore[no-untyped-def]
     return matrix, right
 
 
-@njit(nogil=True, cache=True)
-def _gradients(design, information, residual, blocks, size):  # type: ignore[no-untyped-def]
-    """Return the gradients of the first `size` amounts, summed over each block, (blocks, size)."""
-    summed = np.zeros((blocks.max() + 1, size))
+@njit(cache=True)
+def _add_gradients(design, information, residual, blocks, summed):  # type: ignore[no-untyped-def]
+    """Add the gradients of the first amounts to the sums of each block, (blocks, amounts)."""
     for n in range(design.shape[1]):
         a, b, c = information[n, 0, 0], information[n, 0, 1], information[n, 1, 1]
-        for i in range(size):
+        for i in range(summed.shape[1]):
             x = a * design[0, n, i] + b * design[1, n, i]
             y = b * design[0, n, i] + c * design[1, n, i]
             summed[blocks[n], i] += x * residual[n, 0] + y * residual[n, 1]

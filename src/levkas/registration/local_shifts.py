@@ -181,7 +181,7 @@ def smoothing_warp(
     return out
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _warp(start, stop, image, lattice, out):  # type: ignore[no-untyped-def]
     h, w = image.shape
     flat, width = image.reshape(-1), out.shape[1]
@@ -234,7 +234,7 @@ def reduce(image: np.ndarray, n: int) -> np.ndarray:
     return out
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _reduce(start, stop, image, n, out):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         for j in range(out.shape[1]):
@@ -260,7 +260,7 @@ def highpass(image: np.ndarray) -> np.ndarray:
     return out
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _average_rows(start, stop, image, taps, across, share):  # type: ignore[no-untyped-def]
     w = image.shape[1]
     reach = len(taps) // 2
@@ -277,7 +277,7 @@ def _average_rows(start, stop, image, taps, across, share):  # type: ignore[no-u
                 share[i, j] += taps[k] * mask[j + k]
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _average_columns(start, stop, image, taps, across, share, out):  # type: ignore[no-untyped-def]
     h, w = image.shape
     reach = len(taps) // 2

@@ -40,7 +40,7 @@ def _mirror(g, d):  # type: ignore[no-untyped-def]
             g[b, a] = g[a, b]
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def find_known(start, stop, images, known):  # type: ignore[no-untyped-def]
     """Tell where all predictors and their derivatives are finite; the frame's rim never is."""
     k, h, w = images.shape
@@ -56,7 +56,7 @@ def find_known(start, stop, images, known):  # type: ignore[no-untyped-def]
             known[i, j] = np.isfinite(total[j])
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def sum_squares(start, stop, images, known, cell, grams, counts):  # type: ignore[no-untyped-def]
     """Sum the products of what `_see` gives over each cell, where all of it is known."""
     k = images.shape[0]
@@ -103,7 +103,7 @@ def _tabulate(images, known, cell, r, c, table):  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def count_cover(start, stop, target, known, cell, number):  # type: ignore[no-untyped-def]
     """Count the pixels of each cell that predictors and target both know."""
     for r in range(start, stop):
@@ -115,7 +115,7 @@ def count_cover(start, stop, target, known, cell, number):  # type: ignore[no-un
             number[r, c] = n
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def sum_products(start, stop, target, images, known, cell, cover, out):  # type: ignore[no-untyped-def]
     """Sum the target's products, its square last, and all products anew in partial cells.
 
@@ -273,7 +273,7 @@ def _free(g, d, r, c, n, gram, mixed, ramp):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def sum_windows(start, stop, cells, counts, cell, cover, out):  # type: ignore[no-untyped-def]
     """Sum every 3 x 3 window of cells under tent weights, without bias and ramp.
 
@@ -461,7 +461,7 @@ def _free_target(r, c, line, factor, mix, t):  # type: ignore[no-untyped-def]
     return line[d] - (line[0] * slope[0] + line[1] * slope[1] + line[2] * slope[2])
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def solve_windows(start, stop, cells, band, windows, limits, out):  # type: ignore[no-untyped-def]
     """Fit every window whose cells the target covers enough.
 

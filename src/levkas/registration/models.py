@@ -84,7 +84,7 @@ def inflate_covariance(
     return floored, 1 / (1 + (a * x * x + 2 * b * x * y + c * y * y) / 8) ** 2
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _common_variance(a, b, c, x, y, most):  # type: ignore[no-untyped-def]
     """Return what variance, at most `most`, leaves half of all distances above those of chance."""
     low, high, middle = 0.0, most, 0.0
@@ -302,7 +302,7 @@ def fit_parameters(
     return best
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True)
 def weight_roots(information, jacobian, unit):  # type: ignore[no-untyped-def]
     """Return roots, (n, 2, 2), that weigh residuals in the target, in `unit`, by information in the reference."""
     out = np.empty_like(information)
@@ -320,7 +320,7 @@ def weight_roots(information, jacobian, unit):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True)
 def _linearise(places, goals, roots, p, residual, slopes):  # type: ignore[no-untyped-def]
     """Fill the weighted residuals, and their derivatives by the parameters."""
     lens = len(p) > 8

@@ -348,7 +348,7 @@ def _undetermined(found: int, order: int) -> RegistrationRefused:
 # --- compiled loops
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def orthonormalise(columns):  # type: ignore[no-untyped-def]
     """Factor the transposed design, (terms, n), into orthonormal rows q and triangular r.
 
@@ -388,7 +388,7 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
     return (s0 + s1) + (s2 + s3)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def fit_rows(q, values):  # type: ignore[no-untyped-def]
     """Return (solved, residual), (terms, 2) and (2, n), of `values`, (2, n), on orthonormal q."""
     terms, n = q.shape
@@ -402,7 +402,7 @@ def fit_rows(q, values):  # type: ignore[no-untyped-def]
     return solved, residual
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def solve_triangular(r, history):  # type: ignore[no-untyped-def]
     """Return x, (rounds, terms, 2), of r x = each of `history`; r is upper triangular."""
     solved = np.empty_like(history)
@@ -417,7 +417,7 @@ def solve_triangular(r, history):  # type: ignore[no-untyped-def]
     return solved
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def remove_worst(q, residual, solved, rank, stop, pinned):  # type: ignore[no-untyped-def]
     """Remove the worst pair until `stop`, or until the factorisation should be made anew.
 

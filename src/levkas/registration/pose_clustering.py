@@ -89,7 +89,7 @@ def _alike(ratio):  # type: ignore[no-untyped-def]
     return LEAST_SIZE < size < MOST_SIZE and abs(ratio.imag) < SLOPE * abs(ratio.real)
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _count_compatible(p, q, own, apart):  # type: ignore[no-untyped-def]
     """Return with how many others each match makes a similarity that fits both."""
     compatible, inverse = np.zeros(len(p), np.int64), 1 / own
@@ -106,7 +106,7 @@ def _count_compatible(p, q, own, apart):  # type: ignore[no-untyped-def]
     return compatible
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _pair_up(p, q, own, among, apart):  # type: ignore[no-untyped-def]
     """Return pairs of matches, evenly drawn, that make a similarity that fits the size and direction of both."""
     every = 1
@@ -133,7 +133,7 @@ def _pair_up(p, q, own, among, apart):  # type: ignore[no-untyped-def]
     return first[:n], second[:n]
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _count_votes(p, q, own, first, second, here, there, reach):  # type: ignore[no-untyped-def]
     """Return how many places of either picture agree with the similarity of each pair."""
     votes, inverse = np.zeros(len(first), np.int64), 1 / own

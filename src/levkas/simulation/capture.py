@@ -352,7 +352,7 @@ def _poisson(mean: float, normal: float, uniform: float) -> float:
     return k
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _expose(
     first: int,
     stop: int,

@@ -229,7 +229,7 @@ class _BandFactors(NamedTuple):
     mirror: np.float32
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _compose(start, stop, maps, band, out):  # type: ignore[no-untyped-def]
     """Fill reflectance factors, (rows, columns), float32, of `_Maps` and `_BandFactors`."""
     amounts, under, shade, gold, varnish = maps
@@ -258,7 +258,7 @@ def _lobe(cosine: float, alpha: float, toward_light: float, toward_eye: float) -
     return np.pi * facets * shadow / (4.0 * toward_eye)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _light(
     start: int,
     stop: int,

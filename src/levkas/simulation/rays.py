@@ -190,20 +190,20 @@ def _cast(bx: float, by: float, c: np.ndarray, shape: np.ndarray) -> tuple[float
     return _first_hit(_turned_back(ox, oy, oz, c), _turned_back(dx, dy, 1.0, c), shape)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _lift(start, stop, points, shape, out):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         out[i] = _height_at(points[i, 0], points[i, 1], shape)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _project_points(start, stop, points, c, shape, out):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         px, py, pz = _surface_point(points[i, 0], points[i, 1], shape)
         out[i, 0], out[i, 1] = _project(px, py, pz, c)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _cast_points(start, stop, points, c, shape, out):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         out[i, 0], out[i, 1] = _cast(points[i, 0], points[i, 1], c, shape)

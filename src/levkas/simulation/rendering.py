@@ -189,7 +189,7 @@ def _look_up(
     return top + fv * (low - top)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _render(
     start: int,
     stop: int,

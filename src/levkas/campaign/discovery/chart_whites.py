@@ -83,12 +83,12 @@ def no_chart_frames(index: FileIndex, camera: Camera, setup: str) -> Problem:
 def other_chart_bands(
     index: FileIndex, camera: Camera, bands: Sequence[Band], seen: Sequence[Band]
 ) -> Problem:
-    """Return the refusal of a chart that was not taken in the bands of the object."""
+    """Return the refusal of a chart that was not captured in the bands of the object."""
     assert camera.white_chart is not None
     lacking = [b.label for b in bands if b.label not in {other.label for other in seen}]
     return Problem(
         "E_TEMPLATE_MISSING",
-        f"{camera.name}: the chart {camera.white_chart.chart!r} was not taken in the bands of the object",
+        f"{camera.name}: the chart {camera.white_chart.chart!r} was not captured in the bands of the object",
         str(index.campaign.path),
         f"cameras.{camera.name}.white.chart",
         f"none in {', '.join(lacking[:6])}" if lacking else ", ".join(b.label for b in seen[:6]),

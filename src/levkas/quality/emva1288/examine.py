@@ -172,7 +172,7 @@ def _white_level(sensor: SensorStacks) -> tuple[float | None, bool]:
     if declared or not top or top > (bench.saturation or 0) / 4:
         return bench.saturation, True
     sensor.notes.append(
-        "neither `bits` nor `saturation` of the camera is in campaign.toml, and the frames do not tell: full well, "
+        "neither `bits` nor `saturation` of the camera is in campaign.toml, and the frames do not show it: full well, "
         "SNR at saturation and dynamic range are left out"
     )
     return float(2 ** max(8, top.bit_length()) - 1), False

@@ -289,7 +289,7 @@ def _check_light(darks: Sequence[Dark], repeated: Sequence[Blocks], saturation: 
     if np.nanmedian(means) <= dark:
         raise _refusal(
             "E_WHITE_DARK",
-            "the white is no brighter than the dark",
+            "the white is not brighter than the dark",
             f"median {np.nanmedian(means):.1f} counts lit, {dark:.1f} dark",
             "more light than none",
             "Look whether dark and white are swapped, or the lamp was off.",
@@ -298,7 +298,7 @@ def _check_light(darks: Sequence[Dark], repeated: Sequence[Blocks], saturation: 
     if below < FEWEST_BLOCKS:
         raise _refusal(
             "E_WHITE_SATURATED",
-            "everything lit lies above 70 % of saturation",
+            "all lit frames are above 70 % of saturation",
             f"{below} usable blocks",
             f"{FEWEST_BLOCKS} or more",
             "Capture the white at half the exposure too.",

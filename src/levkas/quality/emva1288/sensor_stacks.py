@@ -158,7 +158,7 @@ def put_darks(sensor: SensorStacks, levels: dict[Key, dict[str, Dark]]) -> None:
 
 def put_black(sensor: SensorStacks, black: float) -> None:
     """Take a declared black for darks: the noise without light is then the intercept of the lit stacks."""
-    sensor.notes.append(f"no dark can be used: black is taken for {black:g} DN")
+    sensor.notes.append(f"no dark can be used: the black level is assumed to be {black:g} DN")
     for channel in dict.fromkeys([*sensor.whites, *sensor.scenes]):
         sensor.darks[channel] = [Dark(black, float("nan"), float("nan"))]
 

@@ -362,7 +362,7 @@ def pair_single_shots(
     if used:
         sensor.notes.append(
             f"one shot of everything: {', '.join(used)} stand in for repeats; the sensor's fixed pattern is "
-            "taken for the same in both. Drift and flicker of the lamp need two shots or more of one scene"
+            "assumed to be the same in both. Drift and flicker of the lamp need two shots or more of one scene"
         )
 
 

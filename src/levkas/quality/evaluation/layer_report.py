@@ -163,7 +163,7 @@ def locate(path: Path) -> tuple[Path, Path]:
     raise EvaluationRefused(
         Problem(
             "E_UNREADABLE",
-            "there is no database here",
+            "no database was found here",
             file=str(path),
             expected="a folder with catalogue.csv",
             fix="Build the campaign first: levkas build CAMPAIGN.",

@@ -161,7 +161,7 @@ def _judge(value, flag, noise):  # type: ignore[no-untyped-def]
     return found
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _judge_pixels(start, stop, values, flags, sigma, signs):  # type: ignore[no-untyped-def]
     """Set the signs that any band of a pixel shows, of what every band saw."""
     for y in range(start, stop):
@@ -176,7 +176,7 @@ def _judge_pixels(start, stop, values, flags, sigma, signs):  # type: ignore[no-
             signs[y, x] = found
 
 
-@njit(nogil=True, cache=True)
+@njit(cache=True)
 def _mark_bands(start, stop, values, flags, sigma):  # type: ignore[no-untyped-def]
     """Set GLARE where a band by itself shows a sign."""
     least = np.float32(WHITE_PAINT)

@@ -145,12 +145,14 @@ def _largest_rectangle(levels, least):  # type: ignore[no-untyped-def]
     """
     rows, columns = levels.shape
     best, found = 0, (0, 0, 0, 0)
+    low, high = np.empty(columns), np.empty(columns)
     for top in range(rows):
         if (rows - top) * columns <= best:
             break
-        low, high = levels[top].copy(), levels[top].copy()
+        low[:], high[:] = np.inf, -np.inf
         for bottom in range(top, rows):
-            low, high = np.minimum(low, levels[bottom]), np.maximum(high, levels[bottom])
+            for x in range(columns):
+                low[x], high[x] = min(low[x], levels[bottom, x]), max(high[x], levels[bottom, x])
             tall = bottom - top + 1
             if tall * columns <= best:
                 continue
@@ -160,12 +162,17 @@ def _largest_rectangle(levels, least):  # type: ignore[no-untyped-def]
     return found
 
 
-@njit(cache=True)
+@njit
 def _longest_run(low, high, least):  # type: ignore[no-untyped-def]
     """Return (start, length) of the longest run of columns with min(low) >= least · max(high)."""
     best, where, start = 0, 0, 0
     for end in range(len(low)):
-        while start <= end and low[start : end + 1].min() < least * high[start : end + 1].max():
+        while start <= end:
+            dark, bright = low[start], high[start]
+            for x in range(start + 1, end + 1):
+                dark, bright = min(dark, low[x]), max(bright, high[x])
+            if dark >= least * bright:
+                break
             start += 1
         if end - start + 1 > best:
             best, where = end - start + 1, start

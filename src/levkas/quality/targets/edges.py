@@ -270,7 +270,7 @@ def _tabulate(cube: Cube, place: EdgePlace, period: int) -> EdgeTable:
         raise EdgeRefused(
             Problem("E_REGION", "the rectangle of the edge does not lie in the frame", None, "edges",
                     f"{x},{y},{width},{height}", f"x,y,width,height within {columns} x {rows} px",
-                    "Give native pixels of the camera that saw it.")
+                    "Give native pixels of the camera that recorded it.")
         )  # fmt: skip
     cut = np.s_[y : y + height, x : x + width]
     full = (cube.flags[cut] & Flag.SATURATED) != 0

@@ -360,7 +360,7 @@ def _warnings(table: PatchTable, bands: Sequence[Band], seen: Sequence[Sighting]
         )
     glared = np.concatenate([(s.cube.flags & Flag.GLARE).max((0, 1)) for s in seen]).max()
     if glared:
-        doubts.append("glare lies on the picture of the chart")
+        doubts.append("there is glare on the chart")
     if not table.temporal:
         doubts.append("one shot: the noise holds the chart's own texture; two shots would not")
     if int(table.pixels.min()) < 100:
