@@ -39,7 +39,7 @@ class Size:
 
 #: What grows → sizes, the largest 16 times the smallest.
 SERIES = {
-    "bands": [Size(bands=n) for n in (8, 32, 128)],
+    "bands": [Size(side=512, bands=n) for n in (8, 32, 128)],
     "pixels": [Size(side=n) for n in (192, 384, 768)],
     "objects": [Size(objects=n) for n in (1, 4, 16)],
     "cameras": [Size(cameras=n) for n in (1, 4, 16)],
