@@ -138,7 +138,7 @@ def test_a_build_makes_reflectance_by_the_chart_and_says_how_well(campaign):
         assert 0.93 < np.mean(np.abs(off[part]) < 1.96 * sigma[part]) <= 1
     assert any("850 nm: no reference in the infrared" in w for w in report.warnings)
     assert any("reflectance by the chart macbeth" in w for w in report.warnings)
-    assert any("lie beyond the chart" in w for w in report.warnings)
+    assert any("is beyond the chart" in w for w in report.warnings)
     provenance = json.loads((folder / "provenance.json").read_text())
     (step,) = [s for s in provenance["steps"] if s["stage"] == "calibrate"]
     told = step[KEY][""]

@@ -124,7 +124,7 @@ def test_flicker_is_bounded_and_gone_after_whole_periods(rewritten):
     assert np.abs(mean - 1).max() <= flicker_bound(0.05, 100.0, 0.0431) + 1e-6
     path = rewritten(("pitch_um = 6.05", "pitch_um = 6.05\ntime_s = 0.0131"))
     notes = " ".join(by_camera(load_setup(path))["d80"].notes)
-    assert "take 10 ms, whole periods of 100 Hz" in notes
+    assert "Use 10 ms, a whole number of periods of 100 Hz" in notes
 
 
 def test_a_camera_without_a_sensitivity_is_said_to_be_taken_for_an_even_one(rewritten, bench):

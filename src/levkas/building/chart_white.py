@@ -450,8 +450,8 @@ def _notes(fitted: SensorLight, record: Mapping[str, Any], reference: ChartRefer
     worst = max(bands, key=lambda label: bands[label]["held_out"])
     held, even = bands[worst]["held_out"], bands[worst]["held_out_even_light"]
     notes = [
-        f"reflectance by the chart {record['target']} ({record['chart']}, {reference.source}): a patch that is held "
-        f"out is {held:.2g} off, rms, in {worst}, the worst band; {even:.2g} if the light is taken as even"
+        f"reflectance by the chart {record['target']} ({record['chart']}, {reference.source}): the held-out "
+        f"error of a patch is {held:.2g} rms in {worst}, the worst band; {even:.2g} for uniform light"
     ]
     if held > DOUBTFUL:
         notes.append(
@@ -467,13 +467,13 @@ def _notes(fitted: SensorLight, record: Mapping[str, Any], reference: ChartRefer
         most = max(band["sigma_most"] for band in bands.values())
         told = "unknown in some places" if most >= 1 else f"known to {100 * most:.2g} % or better"
         notes.append(
-            f"{100 * record['beyond_the_chart']:.0f} % of the frame lie beyond the chart: the light is extrapolated "
-            f"there, and {told}, which sigma holds"
+            f"{100 * record['beyond_the_chart']:.0f} % of the frame is beyond the chart: the light is extrapolated "
+            f"there, and {told}; sigma includes this"
         )
     if left_out := record["left_out"]:
         first, last = reference.wavelengths[0], reference.wavelengths[-1]
         notes.append(
-            f"{', '.join(left_out)}: no reference in the infrared or ultraviolet, for the chart's spectra are known "
-            f"from {first:g} to {last:g} nm: left out; give `reference`, a CSV that reaches so far"
+            f"{', '.join(left_out)}: no reference in the infrared or ultraviolet. The chart's spectra cover "
+            f"{first:g} to {last:g} nm, so these bands are left out; give `reference`, a CSV that covers them"
         )
     return notes

@@ -116,8 +116,8 @@ def split_paintings(
         return _given(names, sources, train, test)
     if len(names) == 1:
         note = (
-            f"{names[0]} is the only painting: spatial blocks of it are held out, a quarter at a time; "
-            "the paints on both sides are the same, so that a score on another painting will be worse"
+            f"{names[0]} is the only painting: spatial blocks of it are held out, a quarter at a time. "
+            "Training and test have the same paints; the score on another painting will be worse"
         )
         return EstimationSplit("painting", _groups(names, sources, BLOCKS), "blocks", note)
     folds = [

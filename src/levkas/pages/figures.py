@@ -138,13 +138,13 @@ def _draw_checks(axes: Axes, checks: CheckWindows, size: Sequence[int]) -> None:
 
 
 _COURSE = (
-    "The course of the registration in reference pixels (the paper's Figure 9): black the reference "
-    "frame, red the target's frame under scale alone, magenta under the fit; dots are pairs, red in "
-    "the reference, blue mapped from the target, gray lines the errors."
+    "The course of the registration in reference pixels (the paper's Figure 9). Black: the frame of the reference. "
+    "Red: the frame of the target under scale alone. Magenta: the same under the fit. Dots are pairs: red in "
+    "the reference, blue mapped from the target. Grey lines are their errors."
 )
 _LARGEST = (
-    "The largest error at each round of the removal of the worst pair (the paper's Figure 10); the first "
-    "point is the cut under scale alone at `reject`, the dashed line is `stop`."
+    "The largest error at each round of the removal of the worst pair (the paper's Figure 10). The first "
+    "point is the cut under scale alone at `reject`; the dashed line is `stop`."
 )
 
 

@@ -244,8 +244,8 @@ def _notes(
             even = max(1, round(shortest * lamp.flicker_hz)) / lamp.flicker_hz
             notes.append(
                 f"Flicker of {lamp.name} may change a frame of {1000 * shortest:.3g} ms by up to "
-                f"{100 * beat:.2g} %: take {1000 * even:.4g} ms, whole periods of "
-                f"{lamp.flicker_hz:g} Hz, and it is gone."
+                f"{100 * beat:.2g} %. Use {1000 * even:.4g} ms, a whole number of periods of "
+                f"{lamp.flicker_hz:g} Hz, to avoid it."
             )
             break
     return notes
