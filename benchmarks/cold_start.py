@@ -75,12 +75,11 @@ def main() -> None:
     print(f"second {second['processor']:6.1f} s, {len(second['names'])} compilations")
     record(
         results,
-        "cold-start",
+        "speed",
         {
-            "compiling": first["compiling"],
-            "functions compiled": float(len(first["names"])),
-            "first `levkas demo`": first["processor"],
-            "second `levkas demo`": second["processor"],
+            "first demo, compiling": first["compiling"],
+            "first demo, CPU": first["processor"],
+            "second demo, CPU": second["processor"],
         },
     )
 
