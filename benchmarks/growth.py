@@ -147,7 +147,9 @@ def main() -> None:
         print(
             f"{what:8} slope of time {slopes[what, 'time']:.2f}, of memory {slopes[what, 'memory']:.2f}"
         )
-    record(options.results, "growth", slopes)
+    for name, unit in (("growth, slope of time", "time"), ("growth, of memory", "memory")):
+        found = [slope for (_, of), slope in slopes.items() if of == unit]
+        record(options.results, "speed", {name: (min(found), max(found))})
 
 
 def value_of(size: Size, what: str) -> float:
