@@ -447,7 +447,7 @@ def shared_rows(start, stop, nodes, source, result):
     return absent
 
 
-@njit
+@njit(inline="always")
 def _lane_weights(curves, begin, maps, t, u):
     """Write the weights of five taps on an axis for a block of bands from `s` on; return the second tap.
 
@@ -488,7 +488,7 @@ def _lane_weights(curves, begin, maps, t, u):
     return int(pixel) - (1 if low else 0)
 
 
-@njit
+@njit(inline="always")
 def _sum_patch(flat, begin, step, wide, u, v, sums):
     """Sum the 5 x 5 taps from flat index `begin` on for a block of bands."""
     for m in range(BLOCK):
