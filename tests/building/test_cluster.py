@@ -266,7 +266,9 @@ def test_unlike_workers_are_said_to_be_so_and_another_levkas_is_refused():
     assert len(found.warnings) == 1 and "1 of mkl 2026.0" in found.warnings[0]
     free = cluster.Cluster("tcp://127.0.0.1:9")
     free.learn({**one, "instruction set": "native: numpy X86_V2 X86_V3"})
-    assert "here x86-64-v2" in free.warnings[0], "all workers alike, but not like this process"
+    assert "this machine has x86-64-v2" in free.warnings[0], (
+        "all workers alike, but not like this process"
+    )
     with pytest.raises(Refused) as refused:
         found.learn({**one, "worker": "tcp://c:1", "code": "0", "levkas": "0.0.9"})
     (problem,) = refused.value.problems

@@ -18,7 +18,8 @@ import numpy as np
 
 from levkas.core.machine import count_threads
 
-MOST_THREADS = 4
+MOST_THREADS, MOST_OF_ROWS = 4, 16
+"""Threads that work on a picture each, which all take memory, and on rows of one."""
 WORTH_THREADS = 200_000
 
 Made = TypeVar("Made")
@@ -34,7 +35,7 @@ def in_threads(
     `worth` is the number of values, where they are not in one of the arrays. Within `each` there is
     one thread for all of them: the others have bands of their own.
     """
-    workers = count_threads(MOST_THREADS)
+    workers = count_threads(MOST_OF_ROWS)
     if worth is None:
         worth = max(a.size for a in arguments if isinstance(a, np.ndarray))
     if rows < 4 * workers or workers == 1 or worth < WORTH_THREADS or _is_one_of_several():
