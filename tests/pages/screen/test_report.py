@@ -213,7 +213,7 @@ def test_details_open_where_something_is_to_be_checked_and_where_a_link_leads(br
     opened = "names => names.map(n => document.getElementById('layer-' + n).open)"
     assert page.evaluate(opened, ["vis", "rgb", "xray", "nir"]) == [False, False, True, True]
     page.locator("nav.contents a", has_text="rgb").click()
-    assert page.evaluate(opened, ["rgb"]) == [True]
+    page.wait_for_function("document.getElementById('layer-rgb').open")
     assert page.locator("#layer-rgb a").first.get_attribute("href") == "o%20rgb.tif"
     assert "aligned with 4 pairs by hand" in page.locator("#evidence").inner_text()
 
