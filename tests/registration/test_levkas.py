@@ -131,6 +131,7 @@ def test_of_many_bands_some_are_measured_and_all_where_neighbours_do_not_tell_of
     measured = [label for label, band in found.errors["bands"].items() if band["windows"]]
     assert len(measured) == (90 if jump else 45)
     assert found.errors["bands"].keys() == found.sigma.keys() == truths.keys()
+    assert list(found.errors["bands"]) == list(truths)
     for label, error in errors(found, truths).items():
         assert error.mean() < 0.03, label
     assert found.verdict.decision == "accept"

@@ -105,7 +105,7 @@ def by_wavelength(bands: Sequence[BandImage]) -> list[BandImage]:
 def measured_bands(bands: Sequence[BandImage], also: int | None = None) -> list[int]:
     """Return the numbers of bands, in the order of wavelength, whose shifts are measured.
 
-    Lateral colour is smooth in wavelength: of many bands every n-th tells where the others lie. All
+    Lateral colour is smooth in wavelength, so that every n-th of many bands predicts the others. All
     are measured where wavelengths are not known, or there are fewer than twice `MEASURED_BANDS` (40).
 
     Parameters

@@ -210,7 +210,7 @@ def interpolate_chromatic(
 
 
 def error_between_bands(shifts: ChromaticShifts, wavelengths: Sequence[float]) -> float:
-    """Return how far a band lies, px, from where its neighbours put it when every other one is left out.
+    """Return the error, px, of predicting every other band from its neighbours.
 
     The root mean square over the frame, of the band that lies farthest. What remains is twice as coarse as what
     was measured: bands between measured ones are known better than that.

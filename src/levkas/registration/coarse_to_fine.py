@@ -97,7 +97,7 @@ class RefinementSettings:
     grey_correlation : float
         Correlation of the detail of two channels that are one grey picture.
     smooth : float, reference px
-        Bands between measured ones are not measured where their neighbours put each so near.
+        Largest error at which neighbours predict a band; up to it only some bands are measured.
     """
 
     coarse_bands: int = 4
@@ -327,7 +327,7 @@ def register_sensor(
     shown = [bands[i] for i in measured_bands(bands)]
     mask = np.ones(reference.shape, bool) if ours.within is None else ours.within
     found = refine_map(SensorTask(shown, images, reference, mask, initial, by_hand))
-    if not tell_others(found.chromatic, shown, bands):
+    if not is_smooth_in_wavelength(found.chromatic, shown, bands):
         images = {**images, **sqrt_images([band for band in bands if band.label not in images])}
         shown = bands
         found = refine_map(SensorTask(shown, images, reference, mask, initial, by_hand))
@@ -348,10 +348,10 @@ def register_sensor(
     return RegisteredSensor(bands[0].sensor, transforms, chromatic, windows, sigma, initial, found)
 
 
-def tell_others(
+def is_smooth_in_wavelength(
     chromatic: ChromaticShifts, shown: Sequence[BandImage], bands: Sequence[BandImage]
 ) -> bool:
-    """Return whether measured bands tell where those between them lie: each lies where its neighbours put it."""
+    """Tell whether measured bands predict those between them: each lies where its neighbours predict it."""
     if len(shown) == len(bands):
         return True
     return error_between_bands(chromatic, [band.wavelength for band in shown]) <= SETTINGS.smooth

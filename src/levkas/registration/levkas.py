@@ -158,18 +158,19 @@ def _basis(sensor: RegisteredSensor) -> dict[str, Any]:
 
 
 def _band_errors(sensors: Sequence[RegisteredSensor]) -> dict[str, dict[str, float | None]]:
-    """Return windows and explained share of every band; none of a band that others in wavelength tell of."""
+    """Return windows and explained share of every band, in the order of the maps; 0 and None of one not measured."""
     result: dict[str, dict[str, float | None]] = {}
     for sensor in sensors:
-        for label, windows in sensor.windows.items():
+        for label in sensor.transforms if sensor.windows else ():
+            if label not in sensor.windows:
+                result[label] = {"windows": 0, "explained": None}
+                continue
+            windows = sensor.windows[label]
             used = np.trace(windows.information, axis1=1, axis2=2) > 0
             result[label] = {
                 "windows": int(used.sum()),
                 "explained": float(np.median(windows.r2[used])) if used.any() else 0.0,
             }
-        if sensor.windows:
-            for label in sensor.transforms.keys() - sensor.windows.keys():
-                result[label] = {"windows": 0, "explained": None}
     return result
 
 

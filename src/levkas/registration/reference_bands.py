@@ -24,8 +24,8 @@ from levkas.registration.coarse_to_fine import (
     chromatic_of_all,
     evenly_spread,
     frame_centre,
+    is_smooth_in_wavelength,
     pyramid_steps,
-    tell_others,
 )
 from levkas.registration.local_shifts import Predictor, WindowShifts
 from levkas.registration.model_selection import SelectionTerms, select_model
@@ -89,7 +89,7 @@ def register_own_bands(
     fixed = labels.index(anchor.label)
     shown = [bands[i] for i in measured_bands(bands, also=fixed)]
     model, seen = _align(shown, images, anchor)
-    if not tell_others(model, shown, bands):
+    if not is_smooth_in_wavelength(model, shown, bands):
         shown = bands
         model, seen = _align(shown, images, anchor)
     model = chromatic_of_all(model, shown, bands)
