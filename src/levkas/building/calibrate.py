@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -55,6 +56,7 @@ from levkas.core.disk import require_space
 from levkas.core.files import remove, together
 from levkas.core.problems import Problem, Refused
 from levkas.core.rounding import round_root
+from levkas.core.threads import each
 from levkas.database.credits import credits_of
 from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
 
@@ -307,6 +309,8 @@ def develop_image(context: SensorContext) -> Noted:
 
 GROUP, ROWS = 8, 16
 """Bands that are laid into a cube in one passage over some rows, in which they lie innermost."""
+OF_BANDS = {"light", "exposures_s", "rounding"}
+"""What is learnt band by band."""
 
 
 def develop_bands(context: SensorContext) -> Noted:
@@ -320,13 +324,13 @@ def develop_bands(context: SensorContext) -> Noted:
     notes: list[str] = []
     quantity = "reflectance"
     for start in range(0, len(bands), GROUP):
-        group = []
-        for i, band in enumerate(bands[start : start + GROUP], start):
-            flat = _band(context, band.label, float(reflectances[i]), noise)
+        some = slice(start, start + GROUP)
+        labels = [band.label for band in bands[some]]
+        group = each(partial(_band, context, noise), labels, reflectances[some].tolist())
+        for label, flat in zip(labels, group, strict=True):
             notes.extend(flat.notes)
             quantity = flat.quantity
-            _check_shape(context, band.label, flat.values.shape, shape[:2])
-            group.append(flat)
+            _check_shape(context, label, flat.values.shape, shape[:2])
         _interleave([flat.values for flat in group], values, start)
         _interleave([flat.flags for flat in group], flags, start)
         variances = [flat.variance for flat in group if flat.variance is not None]
@@ -334,7 +338,14 @@ def develop_bands(context: SensorContext) -> Noted:
             _interleave(variances, variance, start)
         else:
             variance = None
+    _put_in_order(context.told, [band.label for band in bands])
     return cube_of(context, values, flags, variance, quantity), notes
+
+
+def _put_in_order(told: dict[str, Any], labels: Sequence[str]) -> None:
+    """Put what was learnt of bands in their order, whichever was done first."""
+    for name in OF_BANDS & told.keys():
+        told[name] = {label: told[name][label] for label in labels if label in told[name]}
 
 
 def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, start: int) -> None:
@@ -345,7 +356,7 @@ def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, start: int) -> N
 
 
 def _band(
-    context: SensorContext, label: str, reflectance: float, noise: NoiseModel | None
+    context: SensorContext, noise: NoiseModel | None, label: str, reflectance: float
 ) -> Calibrated:
     """One band of one file, or of one file an exposure."""
     sensor = context.sensor

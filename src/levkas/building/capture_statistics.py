@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.core.cube import Flag
+from levkas.core.cube import Flag, is_flagged
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -199,10 +199,9 @@ def flag_and_count(
     `other` are values and flags of the same pixels of the same camera under its default setup. Pixels are
     judged one by one: rows give what the whole layer gives, for the same `gains` of the setups.
     """
-    from levkas.core.cube import Flag
     from levkas.quality.image_quality.glare import find_glare, flag_glare
 
-    seen = int(np.count_nonzero(((cube.flags & Flag.OUTSIDE) == 0).all(-1)))
+    seen = int(np.count_nonzero(~is_flagged(cube.flags, Flag.OUTSIDE).any(-1)))
     if cube.quantity != "reflectance":
         return {"seen": seen}
     glare = find_glare(cube.values, cube.flags, cube.sigma, other=other, gains=gains)
@@ -218,9 +217,12 @@ def add_counts(total: dict[str, int], more: Mapping[str, int]) -> None:
 
 def count_flags(flags: np.ndarray) -> np.ndarray:
     """Return how often each of the 256 codes occurs."""
+    import cv2
+
     counts = np.zeros(256, np.int64)
-    for row in flags:  # bincount turns what it counts into 64-bit numbers
-        counts += np.bincount(row.reshape(-1), minlength=256)
+    for row in flags:  # of a row even a float32 counts every one
+        found = cv2.calcHist([row.reshape(-1)], [0], None, [256], [0, 256])
+        counts += found.ravel().astype(np.int64)
     return counts
 
 
@@ -355,7 +357,7 @@ def _focus_of(
 
     middle = middle_of((values.shape[0], values.shape[1]))
     values, flags = values[middle][..., ::step], flags[middle][..., ::step]
-    found = band_sharpness(values, labels[::step], left_out=(flags & LOST) != 0)
+    found = band_sharpness(values, labels[::step], left_out=is_flagged(flags, LOST))
     return [
         {"band": one.band, "blur_px": as_number(one.blur_px), "edges": one.edges} for one in found
     ]

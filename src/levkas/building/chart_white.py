@@ -19,7 +19,7 @@ from levkas.calibration.chart_light import (
 )
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.sensor_context import placed
-from levkas.core.cube import UNRELIABLE, Band, Cube, Flag
+from levkas.core.cube import UNRELIABLE, Band, Cube, Flag, is_flagged
 from levkas.core.problems import Problem
 from levkas.core.text import read_text
 from levkas.quality.targets.charts import (
@@ -144,7 +144,7 @@ def _named(problem: Problem, camera: str) -> Problem:
 
 def _overexposed(cube: Cube, camera: str) -> Problem | None:
     """Return the refusal of frames in which a chart cannot be seen because so much of them is saturated."""
-    shares = ((cube.flags & Flag.SATURATED) != 0).mean((0, 1))
+    shares = is_flagged(cube.flags, Flag.SATURATED).mean((0, 1))
     i = int(np.argmax(shares))
     if shares[i] < HIDDEN:
         return None
@@ -378,7 +378,7 @@ def _unevenness(
         if table is not None:
             own = table[rows % table.shape[0], columns % table.shape[1]] == i
             rows, columns = rows[own], columns[own]
-        good = (cube.flags[rows, columns, i] & (UNRELIABLE | Flag.DEFECT)) == 0
+        good = ~is_flagged(cube.flags[rows, columns, i], UNRELIABLE | Flag.DEFECT)
         noise = float(np.mean(cube.sigma[rows, columns, i][good].astype(float) ** 2))
         ratios.append((patches.noise[n, i] ** 2 - noise) / patches.mean[n, i] ** 2)
     return float(np.sqrt(max(np.median(ratios), 0.0))) if ratios else 0.0

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.core.cube import UNRELIABLE, Band, Cube
+from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
 from levkas.core.files import make_folder
 from levkas.core.machine import count_threads, free_memory, memory_bound
 from levkas.core.problems import Problem, Refused
@@ -94,7 +94,7 @@ def _pictures(cube: Cube) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     for values, flags in zip(
         np.moveaxis(cube.values, 2, 0), np.moveaxis(cube.flags, 2, 0), strict=True
     ):
-        known = np.isfinite(values) & ((flags & UNRELIABLE) == 0)
+        known = np.isfinite(values) & ~is_flagged(flags, UNRELIABLE)
         yield share_of_most(values) if cube.quantity == "counts" else values, known
 
 

@@ -25,7 +25,7 @@ from levkas.building.spectra import broad_centroids
 from levkas.building.streaming import Passing, resample_scan, white_of
 from levkas.calibration.chart_light import LightNodes, light_variance
 from levkas.calibration.mosaic import interpolate, method_of
-from levkas.core.cube import Cube, Flag
+from levkas.core.cube import Cube, Flag, is_flagged
 from levkas.core.disk import require_space
 from levkas.core.rounding import round_root, round_values
 from levkas.database.credits import credits_of
@@ -372,7 +372,7 @@ def _means(
     for row in down:
         part, marks = layer.rows(row * side, (row + 1) * side)
         shape = (side, wide // side, side, part.shape[2])
-        lost = ((marks[:, :wide] & UNKNOWN) != 0).reshape(shape).any((0, 2))
+        lost = is_flagged(marks[:, :wide], UNKNOWN).reshape(shape).any((0, 2))
         values.append(np.nan_to_num(part[:, :wide]).reshape(shape).mean((0, 2))[across])
         flags.append(np.where(lost, np.uint8(Flag.OUTSIDE), np.uint8(0))[across])
     return np.stack(values), np.stack(flags)

@@ -17,7 +17,7 @@ from levkas.building.strips import JoinedStrips, lines_of_scan
 from levkas.calibration.denoising import Projecting, Subspace, describe_removed, find_subspace
 from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.sensor_context import SensorContext, doubts_of, require_exposures
-from levkas.core.cube import UNRELIABLE, Band, Cube
+from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
 from levkas.core.files import replacing
 from levkas.core.rounding import round_root
 from levkas.readers.frames import read_facts
@@ -346,7 +346,7 @@ class Pictures:
             self._line += 1
             if row >= self._sums.shape[1]:
                 return
-            good = (flags[: width * factor] & UNRELIABLE) == 0
+            good = ~is_flagged(flags[: width * factor], UNRELIABLE)
             seen = np.where(good, values[: width * factor], np.float32(0)).reshape(shape)
             # Line by line and sample by sample: the sums do not depend on how lines come in.
             for k in range(factor):

@@ -29,7 +29,7 @@ from levkas.calibration.sensor_context import (
 from levkas.calibration.templates import (
     CalibrationRefused,
 )
-from levkas.core.cube import UNRELIABLE, Flag
+from levkas.core.cube import UNRELIABLE, Flag, is_flagged
 from levkas.core.problems import Problem
 from levkas.geometry.pixel_maps import PixelMap, lay
 from levkas.geometry.resample import source_rows, warp
@@ -51,7 +51,7 @@ MOST_RATIO = 1.5
 """Of the difference of two strips to what their sigmas predict; beyond it there is a warning. Noise alone is 1.0."""
 TAPER = 4
 """In the outer fourths of an overlap the strip that ends there fades out, so that no difference makes a step."""
-UNTRUSTED = np.uint8(UNRELIABLE | Flag.DEFECT)
+UNTRUSTED = UNRELIABLE | Flag.DEFECT
 
 
 def lines_of_scan(context: SensorContext) -> Strip | JoinedStrips:
@@ -298,8 +298,8 @@ def _put(into: Calibrated, columns: slice, flat: Calibrated) -> None:
 def _averaged(left: Calibrated, right: Calibrated, weights: np.ndarray) -> Calibrated:
     """Average what two strips saw; where one is saturated, a defect or not there, the other counts alone."""
     pair = left, right
-    there = [np.isfinite(one.values) & (one.flags & Flag.OUTSIDE == 0) for one in pair]
-    sound = [there[n] & (pair[n].flags & UNTRUSTED == 0) for n in range(2)]
+    there = [np.isfinite(one.values) & ~is_flagged(one.flags, Flag.OUTSIDE) for one in pair]
+    sound = [there[n] & ~is_flagged(pair[n].flags, UNTRUSTED) for n in range(2)]
     used = [sound[n] | (there[n] & ~sound[1 - n]) for n in range(2)]
     shares = [np.where(use, w, np.float32(0)) for use, w in zip(used, weights, strict=True)]
     total = shares[0] + shares[1]
@@ -346,7 +346,7 @@ def _greys(strip: Strip, weights: np.ndarray) -> tuple[Greys, np.ndarray]:
     for start in range(0, lines, step):
         block = strip.flat(start, min(start + step, lines))
         lost += block.lost
-        sound = np.isfinite(block.flat.values) & (block.flat.flags & UNTRUSTED == 0)
+        sound = np.isfinite(block.flat.values) & ~is_flagged(block.flat.flags, UNTRUSTED)
         values = np.where(sound, block.flat.values, np.float32(0))
         for grey, half in zip(made, halves, strict=True):
             count = (sound[..., half] * weights[half]).sum(-1)

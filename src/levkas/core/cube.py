@@ -48,6 +48,19 @@ UNRELIABLE = Flag.OUTSIDE | Flag.SATURATED
 """Pixels that registration must not lean on; single defects were replaced well enough for it."""
 
 
+def is_flagged(flags: np.ndarray, flag: Flag) -> np.ndarray:
+    """Return where at least one of some flags is set, of bool, the shape of `flags`.
+
+    NumPy takes a `Flag` for a number of 64 bits, and would make eight bytes of every one.
+
+    Examples
+    --------
+    >>> is_flagged(np.array([0, 2, 66, 1], np.uint8), Flag.SATURATED | Flag.NEAR).tolist()
+    [False, True, True, False]
+    """
+    return np.asarray((flags & np.uint8(flag)) != 0)
+
+
 @dataclass(frozen=True, slots=True)
 class Band:
     """One channel of a cube.

@@ -100,6 +100,11 @@ class TiffPages:
             list(pool.map(fetch, range(len(chosen))))
         return cube
 
+    def planes(self, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
+        """Yield some rows of each band in turn, (rows, width): for sums over bands, which need no cube."""
+        with ThreadPoolExecutor(count_threads(2)) as pool:
+            yield from pool.map(lambda band: self.read_page(band, start, stop), range(len(self)))
+
 
 def open_pages(path: str | Path, *, uniform: bool = True) -> TiffPages:
     """Read the directory of a TIFF and check it against the file's size.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.core.cube import Flag
+from levkas.core.cube import Flag, is_flagged
 from levkas.core.problems import Problem, Refused, closest_match
 from levkas.database.layout import LayerId
 from levkas.estimation.training import Training, select_training
@@ -178,7 +178,7 @@ class SampleSource:
         found = []
         for camera, setup in painting.layers:
             flags = thinned(painting.flags(camera, setup), step)
-            found.append(np.asarray((flags & Flag.GLARE).any(2)))
+            found.append(np.asarray(is_flagged(flags, Flag.GLARE).any(2)))
             if setup and (camera, "") in painting.layers:
                 lit, default = (
                     thinned(painting[camera, s], step).mean(2, dtype=float) for s in (setup, "")
@@ -243,7 +243,7 @@ def cubic_weights(part: float) -> tuple[float, float, float, float]:
 def read_lattice(layer: LayerArray, step: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return values, usable pixels and sigma of every `step`-th row and column of a layer."""
     sigma = layer.sigma
-    left_out = np.asarray((thinned(layer.flags, step) & LEFT_OUT).any(2))
+    left_out = np.asarray(is_flagged(thinned(layer.flags, step), LEFT_OUT).any(2))
     return thinned(layer, step), ~left_out, None if sigma is None else thinned(sigma, step)
 
 

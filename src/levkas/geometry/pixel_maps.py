@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
 
 TOLERANCE_PX = 1e-4
-LEDGE_SHARE = 1 / 400
-"""Where a ledge lies is known to pixels: what it displaces need not be laid out more exactly."""
+LEDGE_SHARE = 1 / 50
+"""Where a ledge lies is known to pixels: what it displaces need not be laid out more exactly. Along a slope
+of 30 px so much is a third of a pixel of its place."""
 LADDER = ((128, 32), (32, 16), (8, 8), (4, 4), (2, 2))
 """Distance of nodes and length of segments, grid px."""
 NODES = 6
@@ -145,11 +146,15 @@ def lay_runs(
     if all(t is transforms[0] for t in transforms):
         yield _lay_band(transforms[0], shape, 0)
         return
-    run: list[Lattice] = []
+    run = [_lay_band(transforms[0], shape, 0)]
+    # Bands of a capture are bent alike: a lattice too coarse for the first is not tried for others.
+    ladder = [rung for rung in LADDER if rung[1] <= run[0].segment] or LADDER
     with ThreadPoolExecutor(count_threads()) as pool:
         for first in range(0, len(transforms), LANES):
-            some = range(first, min(first + LANES, len(transforms)))
-            run.extend(pool.map(lambda band: _lay_band(transforms[band], shape, band), some))
+            some = range(max(first, 1), min(first + LANES, len(transforms)))
+            run.extend(
+                pool.map(lambda band: _lay_band(transforms[band], shape, band, ladder), some)
+            )
             held = sum(one.table.nbytes for one in run if one.table is not None)
             if held > most_bytes:
                 yield from _joined(run, pool)
@@ -166,10 +171,15 @@ def _joined(bands: list[Lattice], pool: Executor) -> Iterator[Lattice]:
         yield _join(runs.pop(0), pool)
 
 
-def _lay_band(transform: Transform, shape: tuple[int, int], band: int) -> Lattice:
+def _lay_band(
+    transform: Transform,
+    shape: tuple[int, int],
+    band: int,
+    ladder: Sequence[tuple[int, int]] = LADDER,
+) -> Lattice:
     height, width = shape
     coarsest = 1.0
-    for step, segment in LADDER:
+    for step, segment in ladder:
         counts = [max(NODES, ceil((n - 1) / step) + 1) for n in shape]
         y, x = (np.linspace(0, n - 1, count) for n, count in zip(shape, counts, strict=True))
         nodes = _asked(transform, x, y).reshape(*counts, 2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -80,7 +81,7 @@ def flag_map(path: Path) -> tuple[np.ndarray, np.ndarray, Legend]:
     height, width, _ = pages.shape
     image = np.zeros((height, width), np.uint8)
     for rows in blocks_of(pages):
-        either = np.bitwise_or.reduce(pages.read(rows.start, rows.stop), axis=2)
+        either = reduce(np.bitwise_or, pages.planes(rows.start, rows.stop))
         for number, flag in enumerate(MARKS, start=1):
             image[rows][(either & flag.value) != 0] = number
     palette = np.array([CLEAR, *(mark.colour for mark in MARKS.values())], np.uint8)
@@ -94,11 +95,14 @@ def sigma_map(path: Path) -> tuple[np.ndarray, Legend]:
     pages = open_pages(path)
     mean = np.empty(pages.shape[:2], np.float32)
     for rows in blocks_of(pages):
-        some = pages.read(rows.start, rows.stop)
-        known = np.isfinite(some)
-        total = np.where(known, some, 0).sum(2, dtype=np.float64)
+        shape = (rows.stop - rows.start, pages.shape[1])
+        total, count = np.zeros(shape), np.zeros(shape, np.int32)
+        for plane in pages.planes(rows.start, rows.stop):
+            known = np.isfinite(plane)
+            np.add(total, plane, out=total, where=known)
+            count += known
         with np.errstate(invalid="ignore", divide="ignore"):
-            mean[rows] = total / known.sum(2)
+            mean[rows] = total / count
     finite = mean[np.isfinite(mean)]
     low, high = np.percentile(finite, PERCENTILES) if finite.size else (0.0, 1.0)
     return colour_scale(mean, low, high), Legend(least=f"{low:.2g}", most=f"{high:.2g}")

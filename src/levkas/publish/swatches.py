@@ -12,7 +12,7 @@ import numpy as np
 
 from levkas.colour.gamut import VIEWS, gamut_cells, lab_colours, lab_of, munsell_lab
 from levkas.colour.srgb import LEAST_COVERAGE, visible_coverage
-from levkas.core.cube import Flag
+from levkas.core.cube import Flag, is_flagged
 from levkas.database.preview import encode_png
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 ROWS = 128
 """Of a layer, looked at together."""
-UNTRUE = int(Flag.OUTSIDE | Flag.SATURATED | Flag.GLARE)
+UNTRUE = Flag.OUTSIDE | Flag.SATURATED | Flag.GLARE
 """Pixels with one of these in any band show no colour of the painting."""
 SCALE, MARGIN, TICK = 3, 46, 20
 """Px a ΔE unit, px around a view, units between ticks."""
@@ -162,7 +162,7 @@ def _cells_of(publication: Publication, entry: Entry) -> np.ndarray:
         stop = min(start + ROWS, entry.height)
         lab = lab_of(values.read(start, stop, bands), wavelengths)
         if marks is not None:
-            lab[(marks.read(start, stop, bands) & UNTRUE).any(-1)] = np.nan
+            lab[is_flagged(marks.read(start, stop, bands), UNTRUE).any(-1)] = np.nan
         cells = _joined(cells, gamut_cells(lab))
     return cells
 

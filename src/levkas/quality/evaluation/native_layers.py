@@ -32,7 +32,7 @@ class NativeLayer:
 
     def images(self) -> list[BandImage]:
         """Return every band as registration sees it; saturated pixels are not valid."""
-        from levkas.core.cube import UNRELIABLE
+        from levkas.core.cube import UNRELIABLE, is_flagged
         from levkas.registration import BandImage
 
         return [
@@ -40,7 +40,7 @@ class NativeLayer:
                 label,
                 wavelength,
                 np.ascontiguousarray(values[..., i], np.float32),
-                np.isfinite(values[..., i]) & ((flags[..., i] & UNRELIABLE) == 0),
+                np.isfinite(values[..., i]) & ~is_flagged(flags[..., i], UNRELIABLE),
                 sensor,
             )
             for sensor, (values, flags, labels, waves) in self.sensors.items()

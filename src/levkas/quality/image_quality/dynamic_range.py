@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from levkas.core.cube import Flag
+from levkas.core.cube import Flag, is_flagged
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,7 +20,7 @@ DARKEST, BRIGHTEST = 0.1, 99.9
 LOOKED_AT = 100_000
 ROUNDING = 12**-0.5
 """Counts: the noise of whole codes, however dark the scene."""
-LOST = int(Flag.OUTSIDE | Flag.DEFECT)
+LOST = Flag.OUTSIDE | Flag.DEFECT
 
 
 class BandRange(NamedTuple):
@@ -87,7 +87,7 @@ def scene_ranges(
     found = []
     for i, label in enumerate(labels):
         bits = codes[i]
-        good = ((bits & LOST) == 0) & np.isfinite(planes[i])
+        good = ~is_flagged(bits, LOST) & np.isfinite(planes[i])
         noise = None if noises is None else noises[i][good].astype(float)
         least = ROUNDING if counts else 0.0
         found.append(_one(label, planes[i][good].astype(float), bits[good], noise, least))
@@ -121,7 +121,7 @@ def sensel_noise(
     (0.02, 25.0)
     """
     rows, columns = (np.arange(n) % p for n, p in zip(values.shape, table.shape, strict=True))
-    good = ((flags & LOST) == 0) & np.isfinite(values) & np.isfinite(variance)
+    good = ~is_flagged(flags, LOST) & np.isfinite(values) & np.isfinite(variance)
     found = []
     for channel in range(int(table.max()) + 1):
         mine = good & (table == channel)[np.ix_(rows, columns)]
@@ -149,7 +149,7 @@ def _one(
         spread = float(np.median(noise))
         ratio = float(np.median(values / np.maximum(noise, 1e-12)))
     stops = float(np.log2(high / low)) if low > 0 and high > 0 else nan
-    clipped = float(np.mean((bits & Flag.SATURATED) != 0))
+    clipped = float(np.mean(is_flagged(bits, Flag.SATURATED)))
     return BandRange(label, stops, float(low), float(high), clipped, spread, ratio)
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from levkas.core.compiled import njit
-from levkas.core.cube import Flag
+from levkas.core.cube import Flag, is_flagged
 from levkas.core.machine import over_rows
 
 WHITE_PAINT = 0.9
@@ -208,9 +208,9 @@ def _find_lifted(
     lifted = np.zeros(values.shape[:2], bool)
     for top in range(0, len(values), ROWS):
         rows = slice(top, top + ROWS)
-        seen = (((flags[rows] | known[rows]) & Flag.OUTSIDE) == 0).all(-1)
+        seen = ~is_flagged(flags[rows] | known[rows], Flag.OUTSIDE).any(-1)
         margin = 0.0 if sigma is None else SIGMAS * np.nan_to_num(sigma[rows])
-        full = (flags[rows] & Flag.SATURATED) != 0
+        full = is_flagged(flags[rows], Flag.SATURATED)
         lifted[rows] = _lifted(values[rows], full, paint[rows] * gains, margin) & seen
     return lifted
 
@@ -237,7 +237,7 @@ def setup_gains(
     >>> setup_gains(1.13 * paint, none, paint, none)
     array([1.13], dtype=float32)
     """
-    good = (((flags | known) & (Flag.OUTSIDE | Flag.SATURATED)) == 0) & (paint > 0.01)
+    good = ~is_flagged(flags | known, Flag.OUTSIDE | Flag.SATURATED) & (paint > 0.01)
     gains = np.ones(values.shape[2], np.float32)
     for band in range(values.shape[2]):
         use = good[..., band]

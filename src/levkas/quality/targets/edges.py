@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from levkas.core.cube import Flag
+from levkas.core.cube import Flag, is_flagged
 from levkas.core.problems import Problem
 from levkas.geometry.transforms import Homography
 from levkas.quality.image_quality.slanted_edge import (
@@ -273,7 +273,7 @@ def _tabulate(cube: Cube, place: EdgePlace, period: int) -> EdgeTable:
                     "Give native pixels of the camera that recorded it.")
         )  # fmt: skip
     cut = np.s_[y : y + height, x : x + width]
-    full = (cube.flags[cut] & Flag.SATURATED) != 0
+    full = is_flagged(cube.flags[cut], Flag.SATURATED)
     found: dict[int, EdgeResponse] = {}
     refusals: dict[int, EdgeRefused] = {}
     for band in range(len(cube.bands)):

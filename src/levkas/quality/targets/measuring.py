@@ -12,7 +12,7 @@ import numpy as np
 
 from levkas.colour.gamut import xyz_to_lab
 from levkas.colour.srgb import SRGB_TO_XYZ, observer_under_d65, visible_coverage, xyz_weights
-from levkas.core.cube import Band, Cube, Flag
+from levkas.core.cube import Band, Cube, Flag, is_flagged
 from levkas.quality.targets.charts import (
     Chart,
     ChartReference,
@@ -358,7 +358,7 @@ def _warnings(table: PatchTable, bands: Sequence[Band], seen: Sequence[Sighting]
             "the signal-to-noise is limited by quantisation, the rounding to codes, in patches of "
             f"{', '.join(where[:6])}{more}: expose longer, or save more bits"
         )
-    glared = np.concatenate([(s.cube.flags & Flag.GLARE).max((0, 1)) for s in seen]).max()
+    glared = any(is_flagged(s.cube.flags, Flag.GLARE).any() for s in seen)
     if glared:
         doubts.append("there is glare on the chart")
     if not table.temporal:
@@ -512,7 +512,7 @@ def noise_of_lightness(
         first += bands
         for i, patch in enumerate(patches):
             rows, columns = pixels_of(one.located.areas[patch])
-            full = (one.cube.flags[rows, columns] & Flag.SATURATED) != 0
+            full = is_flagged(one.cube.flags[rows, columns], Flag.SATURATED)
             light = one.cube.values[rows, columns].astype(float) @ part
             if full.mean(0).max() > SATURATED or not np.isfinite(light).all():
                 variance[i] = np.nan

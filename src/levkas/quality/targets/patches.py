@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from levkas.core.cube import Flag
+from levkas.core.cube import Flag, is_flagged
 from levkas.quality.targets.charts import pixels_of
 
 if TYPE_CHECKING:
@@ -122,8 +122,8 @@ def measure_patches(
         pixels[i] = len(rows)
         part, bits = values[rows, columns].astype(float), flags[rows, columns]
         noisy = part if shots is None else (shots[0] - shots[1])[rows, columns].astype(float) / 2
-        good = ((bits & (Flag.DEFECT | Flag.OUTSIDE)) == 0) & np.isfinite(part)
-        saturated[i] = ((bits & Flag.SATURATED) != 0).mean(0)
+        good = ~is_flagged(bits, Flag.DEFECT | Flag.OUTSIDE) & np.isfinite(part)
+        saturated[i] = is_flagged(bits, Flag.SATURATED).mean(0)
         for band in range(bands):
             use = good[:, band]
             if np.count_nonzero(use) < LEAST_PIXELS:
