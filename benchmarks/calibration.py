@@ -79,8 +79,13 @@ def main() -> None:
     height = int(np.sqrt(told.megapixels * 1e6 / 1.5)) // 2 * 2
     shape = (height, height * 3 // 2 // 2 * 2)
     if told.alone:
+        sys.argv.remove("--alone")  # not part of the command that repeats it
         whites_alone(told.whites, shape, told.results)
         return
+    # First, for a process begins with the peak of memory of the one that started it.
+    command = [sys.executable, __file__, "--alone", "--whites", str(told.whites)]
+    command += ["--results", str(told.results)] if told.results else []
+    subprocess.run([*command, "--megapixels", str(told.megapixels)], check=True)
     with tempfile.TemporaryDirectory() as folder, steady_libraries():
         size = write(Path(folder), shape)
         calibrate(Path(folder))
@@ -99,9 +104,6 @@ def main() -> None:
             took = time.perf_counter() - start
             print(f"demosaicing {method}, values, flags and variance: {took:.2f} s, ", end="")
             print(f"{made[0].size / 1e6 / took:.0f} Mpx/s")
-    command = [sys.executable, __file__, "--alone", "--whites", str(told.whites)]
-    command += ["--results", str(told.results)] if told.results else []
-    subprocess.run([*command, "--megapixels", str(told.megapixels)], check=True)
 
 
 if __name__ == "__main__":

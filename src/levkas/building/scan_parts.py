@@ -19,6 +19,7 @@ from levkas.building.scans import LinesSeen
 from levkas.building.strips import JoinedStrips
 from levkas.core.disk import require_space
 from levkas.core.files import make_folder, together
+from levkas.core.threads import made_ahead
 from levkas.database.layers import Layer
 from levkas.database.spectral_tiff import strip_rows
 from levkas.database.streaming_writer import RowsPart, SpooledTiffs
@@ -77,7 +78,7 @@ def write_part(
     require_space(places.kept, max(least, 2 * least - there))
     seen = LinesSeen(scan, lines)
     with together(before):
-        part.write(seen.blocks(), scan.shape, sigma=noisy, more=seen.arrays)
+        part.write(made_ahead(seen.blocks()), scan.shape, sigma=noisy, more=seen.arrays)
     return Written((), {}, aside=part.files(sigma=noisy))
 
 
@@ -114,7 +115,7 @@ def write_scan(
             parts = [part_of(places, capture, lines) for lines in pairwise(cuts)]
             scan.joined(_taken(parts, tiffs))
         else:
-            for cube in scan.passed():
+            for cube in made_ahead(scan.passed()):
                 tiffs.write_rows(cube)
         return tiffs.finish(layer, scan.bands, scan.quantity)
 

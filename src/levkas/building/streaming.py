@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from math import ceil
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -16,6 +15,7 @@ from levkas.core.files import spooling
 from levkas.core.machine import tile_rows
 from levkas.core.problems import Problem, Refused
 from levkas.core.rounding import round_root, round_values
+from levkas.core.threads import made_ahead
 from levkas.database.grey import grey_of
 from levkas.geometry.pixel_maps import PixelMap, lay
 from levkas.geometry.resample import Warped, source_rows, warp
@@ -238,17 +238,12 @@ def _in_rows(
         return tile, held.hold(tile.low, tile.high) if tile.low < tile.high else None
 
     # The lines of the next rows are calibrated while these are written.
-    with ThreadPoolExecutor(1, thread_name_prefix="ahead") as ahead:
-        coming = ahead.submit(read, 0)
-        for top in tops:
-            tile, lines = coming.result()
-            if top + step < height:
-                coming = ahead.submit(read, top + step)
-            if lines is None:
-                yield _nothing(scan, tile.stop - tile.top, width)
-            else:
-                yield _resampled(scan, lines, tile, width)
-            del lines
+    for tile, lines in made_ahead(map(read, tops)):
+        if lines is None:
+            yield _nothing(scan, tile.stop - tile.top, width)
+        else:
+            yield _resampled(scan, lines, tile, width)
+        del lines
 
 
 def _tile(

@@ -7,8 +7,8 @@ as long to compile, and the first run on a fresh machine is one that people wait
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextvars import copy_context
 from functools import cache
 from itertools import pairwise
@@ -75,6 +75,23 @@ def each(work: Callable[..., Made], *items: Iterable[Any]) -> list[Made]:
         for job in jobs:
             job.cancel()
         wait(jobs)
+
+
+def made_ahead(items: Iterable[Made]) -> Iterator[Made]:
+    """Yield items in their order, each made by a thread while the one before is used.
+
+    Examples
+    --------
+    >>> list(made_ahead(n * n for n in range(3)))
+    [0, 1, 4]
+    """
+    making, end = iter(items), object()
+    with ThreadPoolExecutor(1, thread_name_prefix="ahead") as ahead:
+        coming: Future[Any] = ahead.submit(next, making, end)
+        while (item := coming.result()) is not end:
+            coming = ahead.submit(next, making, end)
+            yield item
+            del item  # its memory may be wanted for the next
 
 
 def _is_one_of_several() -> bool:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from threading import RLock
 from typing import Any
 
 import numpy as np
@@ -341,13 +342,15 @@ class CameraFeatures:
     def __init__(self, greys: Sequence[np.ndarray], within: np.ndarray | None = None) -> None:
         self.greys, self.within = greys, within
         self._scaled: dict[int, ScaledFeatures] = {}
+        self._lock = RLock()
 
     def at(self, side: int) -> ScaledFeatures:
         """Return the key points of pictures reduced until their longer side is `side` px."""
         factor = max(1, -(-max(self.greys[0].shape) // side))
-        if factor not in self._scaled:
-            self._scaled[factor] = ScaledFeatures(self.greys, factor, self.within)
-        return self._scaled[factor]
+        with self._lock:
+            if factor not in self._scaled:
+                self._scaled[factor] = ScaledFeatures(self.greys, factor, self.within)
+            return self._scaled[factor]
 
 
 class ScaledFeatures:
@@ -359,6 +362,7 @@ class ScaledFeatures:
     def __init__(self, greys: Sequence[np.ndarray], factor: int, within: np.ndarray | None) -> None:
         self.greys, self.factor, self.within = greys, factor, within
         self._found: dict[int, KeyPoints] = {}
+        self._lock = RLock()  # several sensors ask for those of the reference
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -366,15 +370,19 @@ class ScaledFeatures:
         return self.greys[0].shape
 
     def __getitem__(self, i: int) -> KeyPoints:
-        if i not in self._found:
-            edges = i == self.EDGES
-            found = _find(self.greys[0 if edges else i], self.factor, edges=edges)
-            if self.within is not None and len(found):
-                column, row = np.round(found.points).astype(int).T
-                h, w = self.within.shape
-                found = found[self.within[np.clip(row, 0, h - 1), np.clip(column, 0, w - 1)]]
-            self._found[i] = found
-        return self._found[i]
+        with self._lock:
+            if i not in self._found:
+                self._found[i] = self._find(i)
+            return self._found[i]
+
+    def _find(self, i: int) -> KeyPoints:
+        edges = i == self.EDGES
+        found = _find(self.greys[0 if edges else i], self.factor, edges=edges)
+        if self.within is None or not len(found):
+            return found
+        column, row = np.round(found.points).astype(int).T
+        h, w = self.within.shape
+        return found[self.within[np.clip(row, 0, h - 1), np.clip(column, 0, w - 1)]]
 
 
 def _find(image: np.ndarray, n: int, *, edges: bool) -> KeyPoints:

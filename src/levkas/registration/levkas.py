@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.core.threads import each
 from levkas.geometry.transforms import Transform, solve_2x2
 from levkas.registration.bands import by_wavelength, measured_bands, sqrt_images
 from levkas.registration.coarse_to_fine import RegisteredSensor, register_sensor
@@ -59,15 +60,16 @@ def register_levkas(request: Request, _options: LevkasOptions) -> Registration:
     names = dict.fromkeys(i.sensor for i in target if not own or i.sensor != anchor.sensor)
     if names:
         stack = base.stack(transforms)
-        for name in names:
+
+        def register_one(name: str) -> RegisteredSensor:
             bands = by_wavelength([image for image in target if image.sensor == name])
             shown = [bands[i] for i in measured_bands(bands)]
             pictures = {b.label: base.images[b.label] for b in shown} if own else sqrt_images(shown)
             theirs = CameraFeatures(GreyImages(list(pictures.values())))
             by_hand = request.given.get(name)
-            sensors.append(
-                register_sensor(bands, pictures, stack, base.keys, theirs, by_hand, sigma)
-            )
+            return register_sensor(bands, pictures, stack, base.keys, theirs, by_hand, sigma)
+
+        sensors += each(register_one, names)
     return _assemble(sensors, [image.label for image in target], base.mask)
 
 

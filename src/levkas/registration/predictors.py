@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from threading import RLock
 
 import numpy as np
 
@@ -220,6 +221,7 @@ class ReferenceStack:
         self.palette = principal_components(stack)
         self._wavelengths, self.count = tuple(wavelengths), len(stack)
         self._predictors: dict[int, Predictor] = {}
+        self._lock = RLock()  # sensors are registered side by side
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -239,16 +241,20 @@ class ReferenceStack:
 
     def predictor(self, step: int = 1) -> Predictor:
         """Return the predictor on a grid of `step` reference px."""
-        if step not in self._predictors:
-            palette = self.palette
-            if step > 1:
-                # The target's samples are averages seen through the spline; so are these.
-                small = np.stack([reduce(image, step) for image in palette.images])
-                small = _convolved(small, (1, 4, 1))
-                palette = PredictorBasis(small, palette.loadings, palette.groups)
-            images = palette.high_passed().images
-            self._predictors[step] = Predictor(images, step=step, cell=cell_px(images.shape[1:]))
-        return self._predictors[step]
+        with self._lock:
+            if step not in self._predictors:
+                self._predictors[step] = self._predictor(step)
+            return self._predictors[step]
+
+    def _predictor(self, step: int) -> Predictor:
+        palette = self.palette
+        if step > 1:
+            # The target's samples are averages seen through the spline; so are these.
+            small = np.stack([reduce(image, step) for image in palette.images])
+            small = _convolved(small, (1, 4, 1))
+            palette = PredictorBasis(small, palette.loadings, palette.groups)
+        images = palette.high_passed().images
+        return Predictor(images, step=step, cell=cell_px(images.shape[1:]))
 
 
 class PreparedReference:
