@@ -486,6 +486,22 @@ def test_the_step_of_a_ledge_is_laid_out_as_exactly_as_its_place_is_known():
     points = np.stack([x.ravel(), y.ravel()], -1).astype(float)
     laid = _evaluate(lattice.table, (1040, 1392), lattice.segment, x[0], y[:, 0])
     error = np.abs(laid - whole(points)).max()
-    # Half again as much as at the places that are checked, and a thousandth of a px at most.
+    # Half again as much as at the places that are checked.
     assert TOLERANCE_PX < lattice.error <= LEDGE_SHARE * ledge.most
     assert error < 1.5 * LEDGE_SHARE * ledge.most
+
+
+def test_bands_are_laid_out_no_more_coarsely_than_the_first_and_each_within_its_tolerance():
+    ledge = LedgeShift(
+        np.array([[1.0, 0, -60], [-1, 0, 540], [0, 1, -60], [0, -1, 340]]),
+        *(33.0, np.array([300.0, 200]), 300.0, np.array([[0.6, 0.2], [0, 0], [0, 0]])),
+    )
+    bent, plain = Composed(ledge, Affine.scaling(1.0)), Affine.scaling(0.9)
+    first = lay(bent, (400, 600)).lattices[0]
+    together = lay([bent, plain], (400, 600)).lattices
+    assert [one.segment for one in together] == [first.segment]
+    assert (
+        lay([plain, bent], (400, 600)).lattices[0].segment
+        == lay(plain, (400, 600)).lattices[0].segment
+    )
+    assert max(one.error for one in together) <= LEDGE_SHARE * ledge.most
