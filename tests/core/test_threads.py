@@ -1,5 +1,7 @@
 """Threads: items in their order, errors at their place, one item ahead and no more."""
 
+import threading
+
 import pytest
 
 from levkas.core.threads import made_ahead
@@ -36,6 +38,9 @@ def test_who_stops_early_ends_the_thread():
             yield number
             number += 1
 
+    before = threading.active_count()
     some = made_ahead(items())
     assert next(some) == 0
+    assert threading.active_count() == before + 1
     some.close()
+    assert threading.active_count() == before

@@ -309,8 +309,6 @@ def develop_image(context: SensorContext) -> Noted:
 
 GROUP, ROWS = 8, 16
 """Bands that are laid into a cube in one passage over some rows, in which they lie innermost."""
-OF_BANDS = {"light", "exposures_s", "rounding"}
-"""What is learnt band by band."""
 
 
 def develop_bands(context: SensorContext) -> Noted:
@@ -343,9 +341,10 @@ def develop_bands(context: SensorContext) -> Noted:
 
 
 def _put_in_order(told: dict[str, Any], labels: Sequence[str]) -> None:
-    """Put what was learnt of bands in their order, whichever was done first."""
-    for name in OF_BANDS & told.keys():
-        told[name] = {label: told[name][label] for label in labels if label in told[name]}
+    """Put what was learnt band by band in the order of the bands, whichever was done first."""
+    for name, learnt in told.items():
+        if isinstance(learnt, dict) and learnt.keys() <= set(labels):
+            told[name] = {label: learnt[label] for label in labels if label in learnt}
 
 
 def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, start: int) -> None:

@@ -342,7 +342,7 @@ class CameraFeatures:
     def __init__(self, greys: Sequence[np.ndarray], within: np.ndarray | None = None) -> None:
         self.greys, self.within = greys, within
         self._scaled: dict[int, ScaledFeatures] = {}
-        self._lock = RLock()
+        self._lock = RLock()  # several sensors ask for those of the reference
 
     def at(self, side: int) -> ScaledFeatures:
         """Return the key points of pictures reduced until their longer side is `side` px."""
@@ -362,7 +362,7 @@ class ScaledFeatures:
     def __init__(self, greys: Sequence[np.ndarray], factor: int, within: np.ndarray | None) -> None:
         self.greys, self.factor, self.within = greys, factor, within
         self._found: dict[int, KeyPoints] = {}
-        self._lock = RLock()  # several sensors ask for those of the reference
+        self._lock = RLock()  # as of `CameraFeatures`
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -372,10 +372,10 @@ class ScaledFeatures:
     def __getitem__(self, i: int) -> KeyPoints:
         with self._lock:
             if i not in self._found:
-                self._found[i] = self._find(i)
+                self._found[i] = self._key_points(i)
             return self._found[i]
 
-    def _find(self, i: int) -> KeyPoints:
+    def _key_points(self, i: int) -> KeyPoints:
         edges = i == self.EDGES
         found = _find(self.greys[0 if edges else i], self.factor, edges=edges)
         if self.within is None or not len(found):
