@@ -154,8 +154,6 @@ def find_levels(histogram: np.ndarray) -> Levels:
     >>> found.count, round(found.bend, 3), abs(found.knee - 215) < 10
     (683, 0.016, True)
     """
-    from scipy.stats import theilslopes
-
     seen = np.flatnonzero(histogram)
     if not len(seen):
         return Levels(0, 0, 0)
@@ -170,6 +168,8 @@ def find_levels(histogram: np.ndarray) -> Levels:
     wide = gap > STRETCHED * spacing
     if np.count_nonzero(wide) < 4 or gap[-4:].min() < STRETCHED * spacing:
         return even
+    from scipy.stats import theilslopes  # half a second to load, and few sensors have a curve
+
     # Robust, since a window may reach over a range that no frame fills.
     slope, start = theilslopes((gap[wide] / spacing) ** 2, at[wide])[:2]
     knee = (1 - start) / slope if slope > 0 else np.inf
