@@ -100,10 +100,13 @@ class TiffPages:
             list(pool.map(fetch, range(len(chosen))))
         return cube
 
-    def planes(self, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
-        """Yield some rows of each band in turn, (rows, width): for sums over bands, which need no cube."""
+    def planes(
+        self, start: int = 0, stop: int | None = None, bands: Sequence[int] | None = None
+    ) -> Iterator[np.ndarray]:
+        """Yield some rows of some bands in turn, (rows, width): for sums over bands, which need no cube."""
+        chosen = range(len(self)) if bands is None else bands
         with ThreadPoolExecutor(count_threads(2)) as pool:
-            yield from pool.map(lambda band: self.read_page(band, start, stop), range(len(self)))
+            yield from pool.map(lambda band: self.read_page(band, start, stop), chosen)
 
 
 def open_pages(path: str | Path, *, uniform: bool = True) -> TiffPages:

@@ -36,6 +36,10 @@ BLOCK_BYTES = 64_000_000
 """Read at once: so many rows of all bands, and at least one."""
 
 
+MOST_SHOWN = 24
+"""Bands over which sigma is averaged for a picture: it is smooth in wavelength, and to read all takes seconds."""
+
+
 MOST_PLACES = 2_000_000
 """Where a predicted error is computed; between them it is repeated."""
 
@@ -91,13 +95,15 @@ def flag_map(path: Path) -> tuple[np.ndarray, np.ndarray, Legend]:
 
 
 def sigma_map(path: Path) -> tuple[np.ndarray, Legend]:
-    """Return the mean sigma over the bands as a picture, and its legend; NaN is grey."""
+    """Return the mean sigma over the bands, over every n-th of more than `MOST_SHOWN`, and its legend; NaN is grey."""
     pages = open_pages(path)
+    every = math.ceil(len(pages) / MOST_SHOWN)
+    shown = range(every // 2, len(pages), every)
     mean = np.empty(pages.shape[:2], np.float32)
     for rows in blocks_of(pages):
         shape = (rows.stop - rows.start, pages.shape[1])
         total, count = np.zeros(shape), np.zeros(shape, np.int32)
-        for plane in pages.planes(rows.start, rows.stop):
+        for plane in pages.planes(rows.start, rows.stop, shown):
             known = np.isfinite(plane)
             np.add(total, plane, out=total, where=known)
             count += known

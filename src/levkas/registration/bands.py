@@ -34,8 +34,6 @@ LARGE_HOLE = 7
 MARGIN_PX, LEAST_RIM, LEAST_OBJECT = 4, 0.6, 0.1
 #: Tolerance of the outline's polygon, a share of the longer side.
 OUTLINE_SHARE = 0.01
-#: Bands of a sensor whose shifts are measured at the least, where there are more than twice as many.
-MEASURED_BANDS = 40
 
 
 @dataclass(frozen=True)
@@ -100,33 +98,6 @@ def by_wavelength(bands: Sequence[BandImage]) -> list[BandImage]:
     """Return the bands by wavelength where all are known, else as they come."""
     known = all(np.isfinite(band.wavelength) for band in bands)
     return sorted(bands, key=lambda band: band.wavelength) if known else list(bands)
-
-
-def measured_bands(bands: Sequence[BandImage], also: int | None = None) -> list[int]:
-    """Return the numbers of bands, in the order of wavelength, whose shifts are measured.
-
-    Lateral colour is smooth in wavelength, so that every n-th of many bands predicts the others. All
-    are measured where wavelengths are not known, or there are fewer than twice `MEASURED_BANDS` (40).
-
-    Parameters
-    ----------
-    bands : sequence of BandImage
-        Of one sensor, by wavelength.
-    also : int, optional
-        A band that is measured whatever its number.
-
-    Examples
-    --------
-    >>> scan = [BandImage.of(f"{nm} nm", np.ones((1, 1)), nm) for nm in range(400, 1001, 5)]
-    >>> len(scan), len(measured_bands(scan)), measured_bands(scan)[:3], measured_bands(scan)[-1]
-    (121, 41, [0, 3, 6], 120)
-    """
-    count = len(bands)
-    every = count // MEASURED_BANDS
-    if every < 2 or not all(np.isfinite(band.wavelength) for band in bands):
-        return list(range(count))
-    picks = np.linspace(0, count - 1, -(-count // every)).round().astype(int).tolist()
-    return sorted({*picks, *([] if also is None else [also])})
 
 
 def region_mask(region: Sequence[float] | None, shape: tuple[int, ...]) -> np.ndarray:

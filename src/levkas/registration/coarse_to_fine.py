@@ -18,14 +18,8 @@ import numpy as np
 from levkas.core.problems import Problem
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Composed, Transform
-from levkas.registration.bands import by_wavelength, measured_bands, sqrt_images
-from levkas.registration.chromatic import (
-    ChromaticShifts,
-    error_between_bands,
-    fit_chromatic,
-    interpolate_chromatic,
-    zero_displacement,
-)
+from levkas.registration.bands import by_wavelength, sqrt_images
+from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
 from levkas.registration.initial import (
     InitialTransform,
     find_initial_transform,
@@ -34,6 +28,7 @@ from levkas.registration.initial import (
 )
 from levkas.registration.local_shifts import WindowShifts, highpass
 from levkas.registration.manual_points import ManualPoints
+from levkas.registration.measured_bands import chromatic_of_all, is_smooth_in_wavelength
 from levkas.registration.model_selection import SelectedModel, SelectionTerms, select_model
 from levkas.registration.models import Observations
 from levkas.registration.orientation_correlation import match_blocks
@@ -96,8 +91,6 @@ class RefinementSettings:
         Share of cells that windows confirm; below, blocks are compared by their outlines too.
     grey_correlation : float
         Correlation of the detail of two channels that are one grey picture.
-    smooth : float, reference px
-        Largest error at which neighbours predict a band; up to it only some bands are measured.
     """
 
     coarse_bands: int = 4
@@ -114,7 +107,6 @@ class RefinementSettings:
     least_colour_bands: int = 3
     sure_coverage: float = 0.5
     grey_correlation: float = 0.98
-    smooth: float = 0.02
 
 
 Light = Literal["same", "other", "unknown"]
@@ -295,7 +287,7 @@ def register_sensor(
     bands : sequence of BandImage
         Of the sensor.
     images : mapping of label to ndarray
-        Square roots of those that `measured_bands` names, as `sqrt_images` gives them.
+        Square roots, as `sqrt_images` gives them, of the bands that are measured; others follow from them.
     reference : ReferenceStack
     ours, theirs : CameraFeatures
         Key points of the reference and of the sensor.
@@ -324,7 +316,7 @@ def register_sensor(
         )
     bands = by_wavelength(bands)
     labels = [band.label for band in bands]
-    shown = [bands[i] for i in measured_bands(bands)]
+    shown = [band for band in bands if band.label in images]
     mask = np.ones(reference.shape, bool) if ours.within is None else ours.within
     found = refine_map(SensorTask(shown, images, reference, mask, initial, by_hand))
     if not is_smooth_in_wavelength(found.chromatic, shown, bands):
@@ -346,25 +338,6 @@ def register_sensor(
     )  # fmt: skip
     windows = dict(zip([band.label for band in shown], found.windows, strict=True))
     return RegisteredSensor(bands[0].sensor, transforms, chromatic, windows, sigma, initial, found)
-
-
-def is_smooth_in_wavelength(
-    chromatic: ChromaticShifts, shown: Sequence[BandImage], bands: Sequence[BandImage]
-) -> bool:
-    """Tell whether measured bands predict those between them: each lies where its neighbours predict it."""
-    if len(shown) == len(bands):
-        return True
-    return error_between_bands(chromatic, [band.wavelength for band in shown]) <= SETTINGS.smooth
-
-
-def chromatic_of_all(
-    chromatic: ChromaticShifts, shown: Sequence[BandImage], bands: Sequence[BandImage]
-) -> ChromaticShifts:
-    """Return the displacements of all bands from those of the measured ones."""
-    if len(shown) == len(bands):
-        return chromatic
-    measured, wanted = ([band.wavelength for band in some] for some in (shown, bands))
-    return interpolate_chromatic(chromatic, measured, wanted)
 
 
 def refine_map(task: SensorTask) -> RefinedMap:

@@ -12,10 +12,11 @@ import numpy as np
 
 from levkas.core.threads import each
 from levkas.geometry.transforms import Transform, solve_2x2
-from levkas.registration.bands import by_wavelength, measured_bands, sqrt_images
+from levkas.registration.bands import by_wavelength, sqrt_images
 from levkas.registration.coarse_to_fine import RegisteredSensor, register_sensor
 from levkas.registration.features import CameraFeatures, GreyImages
 from levkas.registration.joint import SensorObservations
+from levkas.registration.measured_bands import measured_bands
 from levkas.registration.predictors import PreparedReference
 from levkas.registration.record import (
     Matches,

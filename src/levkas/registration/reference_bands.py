@@ -16,18 +16,21 @@ import numpy as np
 
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform
-from levkas.registration.bands import by_wavelength, measured_bands
+from levkas.registration.bands import by_wavelength
 from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
 from levkas.registration.coarse_to_fine import SETTINGS as REFINEMENT
 from levkas.registration.coarse_to_fine import (
     RegisteredSensor,
-    chromatic_of_all,
     evenly_spread,
     frame_centre,
-    is_smooth_in_wavelength,
     pyramid_steps,
 )
 from levkas.registration.local_shifts import Predictor, WindowShifts
+from levkas.registration.measured_bands import (
+    chromatic_of_all,
+    is_smooth_in_wavelength,
+    measured_bands,
+)
 from levkas.registration.model_selection import SelectionTerms, select_model
 from levkas.registration.models import Observations
 from levkas.registration.predictors import (

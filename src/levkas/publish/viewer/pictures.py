@@ -226,7 +226,7 @@ def _maps(source: Source, size: tuple[int, int]) -> Iterator[LayerPicture]:
         yield LayerPicture("flags", "Flags", "map", image, note, palette, legend)
     if source.sigma.is_file():
         image, legend = sigma_map(source.sigma)
-        note = f"one standard deviation of the random part, mean of the bands, {source.quantity}"
+        note = f"one standard deviation of the random part, mean of the bands, or of every n-th of more than 24, {source.quantity}"
         yield LayerPicture("sigma", "Sigma", "map", image, note, legend=legend)
     compared = source.reference is not None and source.reference != source.tiff
     if compared and shares_light(source.record, [band.wavelength for band in source.bands]):
