@@ -36,6 +36,7 @@ def look(
     """Propose a commented campaign.toml for a folder of captures; print it before writing."""
     from levkas.campaign.guess import look as look_at
     from levkas.campaign.guess import write_campaign
+    from levkas.core.text import counted
 
     proposal = look_at(folder)
     if not as_json:
@@ -43,8 +44,11 @@ def look(
     written = str(write_campaign(proposal)) if write else None
     print_report("look", as_json, True, [], written=written, **proposal.to_report())
     if not as_json:
-        more = f"Written: {written}" if written else "Nothing was written. Use --write to write it."
-        typer.echo(f"{more} {len(proposal.unknown)} things are unknown.", err=True)
+        outcome = (
+            f"Written: {written}" if written else "Nothing was written. Use --write to write it."
+        )
+        left = counted(len(proposal.unknown), "thing") if proposal.unknown else "nothing"
+        typer.echo(f"{outcome}\nLeft unknown: {left}.", err=True)
 
 
 @refusing("build")

@@ -356,6 +356,7 @@ def test_the_command_shows_and_writes_only_when_told(folder):
     assert run.exit_code == 0
     assert tomllib.loads(run.stdout)["cameras"]["a"]["kind"] == "bands"
     assert not (folder.root / "campaign.toml").exists()
+    assert run.stderr == ("Nothing was written. Use --write to write it.\nLeft unknown: 1 thing.\n")
     run = CliRunner().invoke(app, ["look", str(folder.root), "--write", "--json"])
     report = json.loads(run.stdout)
     assert (run.exit_code, report["ok"], report["command"]) == (0, True, "look")
