@@ -1,7 +1,7 @@
 import time
 
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from levkas.campaign.discovery.file_index import find_files
@@ -136,6 +136,7 @@ NAMES = st.text(alphabet="aAbB1_./", max_size=12)
     NAMES,
     st.sampled_from([{}, {"target": ("a", "a1", "ab")}]),
 )
+@example(["*", "{target}", "{target}"], "1A1A", {})
 @settings(max_examples=400)
 def test_a_pattern_of_many_wildcards_says_what_a_regular_expression_does(parts, name, known):
     text = "".join(parts)

@@ -122,6 +122,8 @@ def match_pieces(pieces: Sequence[Piece], text: str) -> dict[str, str] | None:
     """
     names = [name for _, name in pieces]
     twice = {name for name in names if name and names.count(name) > 1}
+    # Whether a span fails depends on its end alone, unless its value must occur again.
+    free = [isinstance(kind, TextPiece) and name not in twice for kind, name in pieces]
     failed: dict[tuple[object, ...], int] = {}
     places: list[int] = []
     known: list[dict[str, str]] = []
@@ -129,7 +131,7 @@ def match_pieces(pieces: Sequence[Piece], text: str) -> dict[str, str] | None:
 
     def enter(index: int, start: int, values: dict[str, str]) -> None:
         """Go on with a piece at a place, unless it failed there."""
-        tried = failed.get(_state(pieces, index, text, start, values))
+        tried = failed.get(_state(free[index], index, text, start, values))
         if tried is not None and tried <= start:
             return
         kind, name = pieces[index]
@@ -150,7 +152,7 @@ def match_pieces(pieces: Sequence[Piece], text: str) -> dict[str, str] | None:
         index, start, values = len(waiting) - 1, places[-1], known[-1]
         end = next(waiting[-1], None)
         if end is None:
-            failed[_state(pieces, index, text, start, values)] = start
+            failed[_state(free[index], index, text, start, values)] = start
             for stack in (waiting, places, known):
                 stack.pop()  # type: ignore[attr-defined]
         elif index + 1 < len(pieces):
@@ -173,10 +175,9 @@ def match_pieces(pieces: Sequence[Piece], text: str) -> dict[str, str] | None:
 
 
 def _state(
-    pieces: Sequence[Piece], index: int, text: str, start: int, values: dict[str, str]
+    free: bool, index: int, text: str, start: int, values: dict[str, str]
 ) -> tuple[object, ...]:
-    """Return what a failure depends on: of a span the name that it lies in, for a later start ends where it may."""
-    free = isinstance(pieces[index][0], TextPiece) and pieces[index][1] not in values
+    """Return what a failure depends on: of a free span the name that it lies in, for a later start ends where it may."""
     return index, end_of_name(text, start) if free else start, free, *values.items()
 
 
