@@ -5,7 +5,13 @@ import pytest
 
 from levkas.geometry.transforms import Affine
 from levkas.registration import BandImage, RegistrationRefused, register
-from levkas.registration.orientation_correlation import match_blocks, match_by_directions
+from levkas.registration.orientation_correlation import (
+    CoarsePose,
+    ReducedPictures,
+    find_poses,
+    match_blocks,
+    match_by_directions,
+)
 from levkas.registration.verdict_rules import WINDOWS, objections_to
 
 SIZE = (260, 200)
@@ -61,7 +67,7 @@ def worst(transform, truth):
     return float(np.linalg.norm(transform(points) - truth(points), axis=1).max())
 
 
-@pytest.mark.parametrize(("angle", "scale"), [(0.0, 1.0), (7.0, 1.15), (-94.0, 0.9)])
+@pytest.mark.parametrize(("angle", "scale"), [(0.0, 1.0), (7.0, 1.15), (-94.0, 0.9), (172.0, 1.1)])
 def test_the_pose_of_outlines_in_other_tones_is_found(angle, scale):
     visible, heat = scene(3)
     home, there = turned(0, 1), turned(angle, scale)
@@ -70,6 +76,20 @@ def test_the_pose_of_outlines_in_other_tones_is_found(angle, scale):
     truth = between(home, there)
     assert worst(found.transform, truth) < 2.5
     assert found.kept.sum() >= 20
+
+
+def test_a_pose_that_is_half_turned_is_found_beside_the_upright_one():
+    visible, heat = scene(3)
+    ours = ReducedPictures([seen(visible, turned(0, 1), 1)], 96)
+    theirs = ReducedPictures([seen(heat, turned(176, 1.1), 2)], 96)
+    upright = CoarsePose(0.0, np.deg2rad(-5.0), 1.12, False, np.eye(2, 3))
+    turned_round = upright._replace(angle=upright.angle + np.pi)
+    both = find_poses(ours, theirs, [upright], 1.2, half_turned=True)
+    each = find_poses(ours, theirs, [upright, turned_round], 1.2)
+    assert [pose.angle for pose in both] == [turned_round.angle, upright.angle]
+    assert [p.score for p in both] == pytest.approx([p.score for p in each], abs=0.02)
+    # The grid is laid from the other corner: by less than one of its px.
+    assert np.abs(both[0].matrix - each[0].matrix).max() < 1.2
 
 
 def test_a_mirrored_picture_is_found():

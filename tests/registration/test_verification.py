@@ -1,11 +1,13 @@
 """What the verdict of the default method rests on: what is covered, repeats itself or is absurd."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 from levkas.geometry.transforms import Affine
 from levkas.registration import BandImage, RegistrationRefused, register
-from levkas.registration.pose_clustering import find_pose_cluster
+from levkas.registration.pose_clustering import _count_compatible, find_pose_cluster
 from levkas.registration.verification import predict, verify
 
 STILL = Affine.identity()
@@ -137,3 +139,17 @@ def test_one_right_match_in_two_hundred_is_found():
     found = find_pose_cluster(p, q, growth, turn, rng.uniform(0, 1, count), 400)
     assert found[:right].mean() > 0.8
     assert found[right:].sum() < 20
+
+
+def test_matches_are_compatible_where_their_similarity_fits_the_key_points_of_both():
+    rng = np.random.default_rng(3)
+    p, q = (rng.uniform(0, 400, (90, 2)) @ (1, 1j) for _ in range(2))
+    own = np.exp(rng.normal(0, 0.4, 90) + 1j * rng.uniform(-3, 3, 90))
+    expected = np.zeros(90, int)
+    for i, j in itertools.permutations(range(90), 2):
+        ratios = (q[j] - q[i]) / (p[j] - p[i]) / own[[i, j]]
+        sized = np.abs(np.log(np.abs(ratios))) < np.log(1.5)
+        directed = np.abs(ratios.imag) < np.tan(np.deg2rad(20)) * np.abs(ratios.real)
+        expected[i] += (sized & directed).all() and abs(p[j] - p[i]) >= 20
+    assert expected.sum() > 50
+    assert _count_compatible(p, q, own, 20.0).tolist() == expected.tolist()

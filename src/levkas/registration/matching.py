@@ -234,9 +234,13 @@ def match_widely(a: KeyPoints, b: KeyPoints, *, mirror: bool) -> TentativeMatche
     if len(a) < 2 or len(b) < WIDELY:
         return _NONE
     alike = _likeness(a.descriptors, b.descriptors, mirror)
-    columns = np.argpartition(-alike, WIDELY - 1, axis=1)[:, :WIDELY].reshape(-1)
-    rows = np.repeat(np.arange(len(alike)), WIDELY)
-    return _compared(a[rows], b[columns], alike[rows, columns], mirror)
+    rows, best = np.arange(len(alike)), []
+    for _ in range(WIDELY):
+        columns = alike.argmax(1)
+        best.append((columns, alike[rows, columns]))
+        alike[rows, columns] = -np.inf
+    columns, likeness = (np.stack(of, 1).reshape(-1) for of in zip(*best, strict=True))
+    return _compared(a[np.repeat(rows, WIDELY)], b[columns], likeness, mirror)
 
 
 def _likeness(a: np.ndarray, b: np.ndarray, mirror: bool) -> np.ndarray:

@@ -38,7 +38,7 @@ class OrientationSettings:
     surround : float, px
         Sigma over which gradients are set in relation to their surroundings.
     quadrants, turns : tuple of float, degrees
-        Rotations: each quadrant with each turn about it.
+        Rotations: each quadrant with each turn about it, and the same half turned.
     scales : tuple of float
         Relative to frames that show the same.
     candidates : int
@@ -71,7 +71,7 @@ class OrientationSettings:
     smoothing: float = 1.2
     smoothing_of_blocks: float = 1.5
     surround: float = 6.0
-    quadrants: tuple[float, ...] = (0.0, 90.0, 180.0, 270.0)
+    quadrants: tuple[float, ...] = (0.0, 90.0)
     turns: tuple[float, ...] = (-10.0, -5.0, 0.0, 5.0, 10.0)
     scales: tuple[float, ...] = (0.64, 0.71, 0.8, 0.89, 1.0, 1.12, 1.25, 1.4, 1.57)
     candidates: int = 6
@@ -257,43 +257,64 @@ def _sum(fields: Sequence[EdgeField]) -> EdgeField:
 
 
 class _Correlator:
-    """One field, correlated with others at all shifts."""
+    """One field, correlated with others at all shifts.
 
-    def __init__(self, field: EdgeField, longest: int) -> None:
-        from scipy import fft
+    Only the real part of the correlation counts, so that real transforms of either part suffice; they are
+    as large as the two fields side by side, so that nothing wraps around.
+    """
 
-        self.energy = float(np.square(np.abs(field.values)).sum())
-        self.shape = [fft.next_fast_len(n + longest) for n in field.values.shape]
-        self._values = np.conj(fft.fft2(field.values, self.shape))
-        self._power = np.conj(fft.rfft2(np.square(np.abs(field.values)), self.shape))
-        self._valid = np.conj(fft.rfft2(field.valid.astype(np.float32), self.shape))
+    def __init__(self, field: EdgeField) -> None:
+        self._field = field
+        self._energy = float(np.square(np.abs(field.values)).sum())
+        self._transforms: dict[tuple[int, ...], list[np.ndarray]] = {}
 
-    def best_shift(self, field: EdgeField) -> tuple[float, np.ndarray]:
-        """Return (score, (x, y) shift) of the place where another field agrees best with this one.
+    def best_shifts(self, field: EdgeField, *, half_turned: bool) -> list[tuple[float, np.ndarray]]:
+        """Return (score, (x, y) shift) of the place where another field agrees best; then of it `half_turned`.
 
         The score is the correlation over what both show, times the root of the share that they share.
+        To correlate with a field that is turned by 180 degrees is to convolve with it as it is.
         """
         from scipy import fft
 
-        power = np.square(np.abs(field.values))
-        cross = fft.ifft2(self._values * fft.fft2(field.values, self.shape)).real
-        ours = fft.irfft2(
-            self._power * fft.rfft2(field.valid.astype(np.float32), self.shape), self.shape
-        )
-        theirs = fft.irfft2(self._valid * fft.rfft2(power, self.shape), self.shape)
-        shared = np.sqrt(np.maximum(ours, 0) * np.maximum(theirs, 0))
-        whole = max(min(self.energy, float(power.sum())), 1e-12)
-        share = np.minimum(shared / whole, 1)
-        enough = share > SETTINGS.least_overlap
-        scores = np.where(enough, cross * np.sqrt(share) / np.maximum(shared, 1e-9), -1.0)
-        k = int(scores.argmax())
-        place = np.array(np.unravel_index(k, scores.shape))
-        place = np.where(place > np.array(self.shape) // 2, place - self.shape, place)
-        return float(scores.flat[k]), place[::-1].astype(float)
+        sides = zip(self._field.values.shape, field.values.shape, strict=True)
+        shape = tuple(fft.next_fast_len(a + b, real=True) for a, b in sides)
+        if shape not in self._transforms:
+            self._transforms[shape] = _transforms(self._field, shape)
+        mine, theirs = self._transforms[shape], _transforms(field, shape)
+        whole = max(min(self._energy, float(np.square(np.abs(field.values)).sum())), 1e-12)
+        found, size = [], np.array(field.values.shape)
+        for turned in (False, True)[: 1 + half_turned]:
+            along, down, power, valid = mine if turned else [np.conj(part) for part in mine]
+            cross = fft.irfft2(along * theirs[0] + down * theirs[1], shape)
+            powers = [fft.irfft2(a, shape) for a in (power * theirs[3], valid * theirs[2])]
+            shared = np.sqrt(np.maximum(powers[0], 0) * np.maximum(powers[1], 0))
+            share = np.minimum(shared / whole, 1)
+            enough = share > SETTINGS.least_overlap
+            scores = np.where(enough, cross * np.sqrt(share) / np.maximum(shared, 1e-9), -1.0)
+            k = int(scores.argmax())
+            place = np.array(np.unravel_index(k, scores.shape))
+            # Of a correlation, negative shifts lie at the far end.
+            shift = size - 1 - place if turned else np.where(place < size, place, place - shape)
+            found.append((float(scores.flat[k]), shift[::-1].astype(float)))
+        return found
 
 
-def find_pose(
-    ours: ReducedPictures, theirs: ReducedPictures, poses: Sequence[CoarsePose], sigma: float
+def _transforms(field: EdgeField, shape: tuple[int, ...]) -> list[np.ndarray]:
+    """Return the transforms of both parts of a field, of its power and of where it is valid."""
+    from scipy import fft
+
+    values = field.values
+    parts = (values.real, values.imag, np.square(np.abs(values)), field.valid.astype(np.float32))
+    return [fft.rfft2(part, shape) for part in parts]
+
+
+def find_poses(
+    ours: ReducedPictures,
+    theirs: ReducedPictures,
+    poses: Sequence[CoarsePose],
+    sigma: float,
+    *,
+    half_turned: bool = False,
 ) -> list[CoarsePose]:
     """Return `poses` with the shift at which edges agree best, and their scores, the best first.
 
@@ -303,25 +324,32 @@ def find_pose(
     poses : sequence of CoarsePose
         Their shifts are found anew.
     sigma : float, px
+    half_turned : bool
+        Whether each pose is tried turned by 180 degrees too.
     """
     longest = 2 * max(*ours.shape, *theirs.shape)
-    correlator = _Correlator(ours.directions(sigma), longest)
+    correlator = _Correlator(ours.directions(sigma))
 
-    def placed(pose: CoarsePose) -> CoarsePose | None:
+    def placed(pose: CoarsePose) -> list[CoarsePose]:
         linear = _linear(pose, ours, theirs)
         corners = np.array(list(product((0, theirs.shape[1] - 1), (0, theirs.shape[0] - 1))), float)
         laid = corners @ np.linalg.inv(linear).T
         low = laid.min(0)
         size = np.ceil(np.ptp(laid, 0)).astype(int) + 1
         if size.max() > longest:
-            return None
+            return []
         # px of the grid → px of theirs
         matrix = np.column_stack([linear, linear @ low])
-        score, shift = correlator.best_shift(theirs.warped(matrix, tuple(size[::-1]), sigma))
+        field = theirs.warped(matrix, tuple(size[::-1]), sigma)
+        (score, shift), *turned = correlator.best_shifts(field, half_turned=half_turned)
         whole = np.column_stack([linear, linear @ (low + shift)])
-        return pose._replace(score=score, matrix=whole)
+        found = [pose._replace(score=score, matrix=whole)]
+        for score, shift in turned:
+            whole = np.column_stack([-linear, linear @ (low + size - 1 - shift)])
+            found.append(pose._replace(score=score, matrix=whole, angle=pose.angle + np.pi))
+        return found
 
-    found = [pose for pose in each(placed, poses) if pose is not None]
+    found = [pose for of_one in each(placed, poses) for pose in of_one]
     return sorted(found, key=lambda pose: -pose.score)
 
 
@@ -354,12 +382,8 @@ def match_by_directions(
         )
     ]
     side = SETTINGS.coarse_side
-    found = find_pose(
-        ReducedPictures(reference, side, within),
-        ReducedPictures(target, side),
-        begun,
-        SETTINGS.smoothing,
-    )
+    ours, theirs = ReducedPictures(reference, side, within), ReducedPictures(target, side)
+    found = find_poses(ours, theirs, begun, SETTINGS.smoothing, half_turned=True)
     best = _refined(found, reference, target, within)
     if best is None:
         return None
@@ -388,7 +412,7 @@ def _refined(
                 pose._replace(angle=pose.angle + np.deg2rad(turn * i), scale=pose.scale * growth**j)
                 for i, j in product((-1, 0, 1), (-1, 0, 1))
             ]
-            pose = next(iter(find_pose(ours, theirs, near, SETTINGS.smoothing)), pose)
+            pose = next(iter(find_poses(ours, theirs, near, SETTINGS.smoothing)), pose)
         refined.append(pose)
     refined.sort(key=lambda pose: -pose.score)
     best, others = refined[0], refined[1:]

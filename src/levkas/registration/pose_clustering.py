@@ -91,19 +91,35 @@ def _alike(ratio):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _count_compatible(p, q, own, apart):  # type: ignore[no-untyped-def]
-    """Return with how many others each match makes a similarity that fits both."""
-    compatible, inverse = np.zeros(len(p), np.int64), 1 / own
+    """Return with how many others each match makes a similarity that fits both.
+
+    In real numbers and without a branch, so that the compiler does several matches at a time.
+    """
+    px, py, qx, qy = p.real.copy(), p.imag.copy(), q.real.copy(), q.imag.copy()
+    gx, gy = (1 / own).real.copy(), (1 / own).imag.copy()
+    compatible = np.zeros(len(p), np.int64)
     for i in range(len(p)):
+        count = 0
         for j in range(i):
-            span = p[j] - p[i]
-            length = span.real * span.real + span.imag * span.imag
-            if length < apart * apart:
-                continue
-            factor = (q[j] - q[i]) * span.conjugate() * (1 / length)
-            if _alike(factor * inverse[i]) and _alike(factor * inverse[j]):
-                compatible[i] += 1
-                compatible[j] += 1
+            x, y, u, v = px[j] - px[i], py[j] - py[i], qx[j] - qx[i], qy[j] - qy[i]
+            square = x * x + y * y
+            along, across = u * x + v * y, v * x - u * y  # the similarity, times `square`
+            fits = square >= apart * apart
+            fits &= _is_alike(along, across, gx[i], gy[i], square * square)
+            fits &= _is_alike(along, across, gx[j], gy[j], square * square)
+            count += fits
+            compatible[j] += fits
+        compatible[i] += count
     return compatible
+
+
+@njit(inline="always")
+def _is_alike(along, across, gx, gy, unit):  # type: ignore[no-untyped-def]
+    """Do as `_alike` for the product of two complex numbers given by their parts, in units of √`unit`."""
+    real, imag = along * gx - across * gy, along * gy + across * gx
+    size = real * real + imag * imag
+    within = (size > LEAST_SIZE * unit) & (size < MOST_SIZE * unit)
+    return within & (abs(imag) < SLOPE * abs(real))
 
 
 @njit(cache=True)
