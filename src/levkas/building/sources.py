@@ -61,6 +61,8 @@ LIBRARIES = {
 CODE = "code.json"
 """Among what is kept: the hashes of each stage's code, so that it is not read at every start."""
 _NAME = re.compile(r"[a-z_]+\.(py|csv|html)")
+_TEXT = re.compile(r"""["']([a-z_0-9]+(?:\.[a-z_0-9]+)+)["']""")
+"""A text in the code that may name a module of the package, or a file beside the module."""
 
 
 @dataclass(frozen=True)
@@ -145,36 +147,38 @@ class Sources:
         return self._read[name]
 
     def _parsed(self, path: Path) -> _Module:
-        tree = ast.parse(path.read_bytes())
-        every = [
-            inner
-            for node in tree.body
-            if not isinstance(node, ast.If) or "TYPE_CHECKING" not in ast.dump(node.test)
-            for inner in ast.walk(node)
-        ]
-        texts = {n.value for n in every if isinstance(n, ast.Constant) and isinstance(n.value, str)}
+        source = path.read_bytes()
+        every = list(_statements(ast.parse(source).body))
+        texts = set(_TEXT.findall(source.decode()))
         beside = {path.with_name(text) for text in texts if _NAME.fullmatch(text)}
-        packages = [self.modules[t].parent for t in texts & {*self.modules} if self._is_package(t)]
+        named = texts & {*self.modules}
+        packages = [self.modules[t].parent for t in named if self._is_package(t)]
         data = {p for folder in packages for p in folder.iterdir() if p.suffix not in ("", ".py")}
         return _Module(
-            self._imports(every),
-            frozenset(root for n in every for root in _roots(n) if root in LIBRARIES),
+            _imports(every) | {(t, "") for t in named if not self._is_package(t)},
+            frozenset(root for node in every for root in _roots(node) if root in LIBRARIES),
             frozenset(file for file in beside | data if file.is_file()),
         )
 
-    def _imports(self, nodes: Iterable[ast.AST]) -> frozenset[tuple[str, str]]:
-        """Return (module, name) of all imports from levkas, and modules that are named in a text."""
-        found: set[tuple[str, str]] = set()
-        for node in nodes:
-            if isinstance(node, ast.ImportFrom) and _is_ours(node.module or ""):
-                found |= {(node.module or "", alias.name) for alias in node.names}
-            elif isinstance(node, ast.Import):
-                found |= {(alias.name, "") for alias in node.names if _is_ours(alias.name)}
-            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-                named = node.value if _is_ours(node.value) else ""
-                if named in self.modules and not self._is_package(named):
-                    found.add((named, ""))
-        return frozenset(found)
+
+def _statements(body: Iterable[ast.AST]) -> Iterator[ast.AST]:
+    """Yield statements and those within them, but for what only types need: there are imports nowhere else."""
+    for node in body:
+        if not (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)):
+            yield node
+            for part in ("body", "orelse", "handlers", "finalbody", "cases"):
+                yield from _statements(getattr(node, part, ()))
+
+
+def _imports(nodes: Iterable[ast.AST]) -> frozenset[tuple[str, str]]:
+    """Return (module, name) of all imports from levkas."""
+    found: set[tuple[str, str]] = set()
+    for node in nodes:
+        if isinstance(node, ast.ImportFrom) and _is_ours(node.module or ""):
+            found |= {(node.module or "", alias.name) for alias in node.names}
+        elif isinstance(node, ast.Import):
+            found |= {(alias.name, "") for alias in node.names if _is_ours(alias.name)}
+    return frozenset(found)
 
 
 def _is_ours(name: str) -> bool:
