@@ -1,8 +1,11 @@
+import itertools
+
 import cv2
 import numpy as np
 import pytest
 
 from levkas.registration.bands import BandImage
+from levkas.registration.chromatic import ChromaticShifts, interpolate_chromatic
 from levkas.registration.measured_bands import LEAST_MEASURED, measured_bands
 
 COUNT = 2 * LEAST_MEASURED
@@ -60,3 +63,31 @@ def test_a_band_beside_one_that_shows_nothing_is_measured():
     )
     between = set(range(picks[4], picks[6] + 1))
     assert set(measured_bands(bands)) == {*picks, *between}
+
+
+def test_amounts_of_all_bands_are_those_of_the_likeliest_process_over_wavelength():
+    rng = np.random.default_rng(2)
+    nm = np.linspace(400, 1000, 60)
+    measured = nm[::5]
+    y = np.sin(measured / 90) * 0.3 + rng.normal(0, 0.02, len(measured))
+    variances = np.full((len(measured), 1), 4e-4)
+    shifts = ChromaticShifts("shift", np.zeros(2), 1.0, y[:, None], variances)
+    found = interpolate_chromatic(shifts, measured, nm)
+
+    # The same, band by band and scale by scale, with inverse and determinant as they stand in the book.
+    places = np.concatenate([measured, nm])
+    noise, size = np.diag(variances[:, 0] + 1e-10), np.mean(y**2)
+    likeliest = (-np.inf, None, None)
+    for length, smooth, own in itertools.product(
+        (80.0, 200.0, 500.0), (0.0, 1.0, 10.0), (0.0, 0.01, 0.1, 1.0)
+    ):
+        bend = np.exp(-0.5 * ((places[:, None] - places) / length) ** 2)
+        prior = 100 * size + size * (smooth * bend + own * np.eye(len(places)))
+        seen, across = prior[: len(y), : len(y)] + noise, prior[len(y) :, : len(y)]
+        likelihood = -0.5 * (y @ np.linalg.inv(seen) @ y + np.linalg.slogdet(seen)[1])
+        if likelihood > likeliest[0] + 1e-6:
+            mean = across @ np.linalg.inv(seen) @ y
+            left = prior[len(y) :, len(y) :] - across @ np.linalg.inv(seen) @ across.T
+            likeliest = likelihood, mean, np.diag(left)
+    assert found.amounts[:, 0] == pytest.approx(likeliest[1], abs=1e-6)
+    assert found.variances[:, 0] == pytest.approx(likeliest[2], abs=1e-6)

@@ -41,7 +41,8 @@ class ChromaticSettings:
     lengths : tuple of float, nm
         Correlation lengths over wavelength that are tried.
     smooth, own : tuple of float
-        Variances of the smooth part and of each band's own, in units of the amounts' mean square.
+        Variances of the smooth part, beside none at all, and of each band's own, in units of the amounts' mean
+        square.
     least_bands : int
         Of different wavelengths from which amounts are smoothed.
     least_variance : float, px²
@@ -54,7 +55,7 @@ class ChromaticSettings:
     least_windows: int = 12
     rounds: int = 6
     lengths: tuple[float, ...] = (80.0, 200.0, 500.0)
-    smooth: tuple[float, ...] = (0.0, 1.0, 10.0)
+    smooth: tuple[float, ...] = (1.0, 10.0)
     own: tuple[float, ...] = (0.0, 0.01, 0.1, 1.0)
     least_bands: int = 4
     least_variance: float = 1e-10
@@ -197,14 +198,14 @@ def interpolate_chromatic(
     """
     places = np.concatenate([np.asarray(measured, float), np.asarray(wanted, float)])
     seen = np.eye(len(measured), len(places))
-    count = shifts.amounts.shape[1]
+    bends, count = _correlations(seen, places), shifts.amounts.shape[1]
     amounts, doubts = np.zeros((2, len(wanted), count))
     for column in range(count):
         y = shifts.amounts[:, column]
         noise = np.full(len(y), SETTINGS.least_variance)
         if shifts.variances is not None:
             noise = noise + shifts.variances[:, column]
-        mean, variance = _posterior(y, noise, seen, places, 0.0)
+        mean, variance = _posterior(y, noise, seen, bends, 0.0)
         amounts[:, column], doubts[:, column] = mean[len(y) :], variance[len(y) :]
     return replace(shifts, amounts=amounts, variances=doubts)
 
@@ -373,45 +374,58 @@ def _smooth(
             seen = np.vstack([seen, np.eye(len(apart))[fixed]])
             y, noise = np.append(y, 0.0), np.append(noise, 1e-10)
         if len(y):
-            result[:, column], doubts[:, column] = _posterior(
-                y, noise, seen, places if smooth else None, price[column]
-            )
+            bends = _correlations(seen, places) if smooth else []
+            result[:, column], doubts[:, column] = _posterior(y, noise, seen, bends, price[column])
     return result if fixed is None else result - result[fixed], doubts
 
 
+Correlations = list[tuple[np.ndarray, np.ndarray]]
+"""Of what was seen with all amounts, (seen, bands), and with itself, for each length over wavelength."""
+
+
+def _correlations(seen: np.ndarray, places: np.ndarray) -> Correlations:
+    apart = (places[:, None] - places) ** 2
+    across = [seen @ np.exp(-0.5 * apart / nm**2) for nm in SETTINGS.lengths]
+    return [(one, one @ seen.T) for one in across]
+
+
 def _posterior(
-    y: np.ndarray, noise: np.ndarray, seen: np.ndarray, places: np.ndarray | None, price: float
+    y: np.ndarray, noise: np.ndarray, seen: np.ndarray, bends: Correlations, price: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and variance of the amounts, (bands,), given ``y = seen @ amounts`` with variances `noise`.
 
     Algorithm 2.1 of [rasmussen2006]_ for each combination of scales; that of the highest marginal
-    likelihood is taken.
+    likelihood is taken. Scales are compared on what was seen alone, which is less than all that is wanted.
     """
-    bands = seen.shape[1]
+    from scipy.linalg import solve_triangular
+
     plain = np.linalg.lstsq(seen, y, rcond=1e-3)[0]
     size = max(float(np.mean(plain**2)), float(np.median(noise)), 1e-10)
     if price > 0:
         size = min(size, 1 / price)
-    common = (1 if price > 0 else 100) * size * np.ones((bands, bands))
-    bends = [np.zeros((bands, bands))]
-    if places is not None:
-        bends = [np.exp(-0.5 * ((places[:, None] - places) / nm) ** 2) for nm in SETTINGS.lengths]
-    smooths = SETTINGS.smooth if places is not None else (0.0,)
-    best, mean, variance = -np.inf, plain, np.full(bands, size)
-    for bend, smooth, own in product(bends, smooths, SETTINGS.own):
-        prior = common + size * (smooth * bend + own * np.eye(bands))
-        try:
-            factor = np.linalg.cholesky(seen @ prior @ seen.T + np.diag(noise))
-        except np.linalg.LinAlgError:
-            continue
-        white = np.linalg.solve(factor, y)
-        likelihood = -0.5 * (white @ white) - np.log(np.diag(factor)).sum()
-        if likelihood > best:
-            best = likelihood
-            mean = prior @ seen.T @ np.linalg.solve(factor.T, white)
-            known = np.linalg.solve(factor, seen @ prior)
-            variance = np.maximum(np.diag(prior) - (known**2).sum(0), 0.0)
-    return mean, variance
+    common = (1 if price > 0 else 100) * size
+    rows, single = seen.sum(1), seen @ seen.T
+    still = common * np.outer(rows, rows) + np.diag(noise)
+    none = (np.zeros(seen.shape), np.zeros(single.shape)), 0.0
+    best, chosen = -np.inf, None
+    for (across, within), share in [none, *product(bends, SETTINGS.smooth)]:
+        for own in SETTINGS.own:
+            try:
+                factor = np.linalg.cholesky(still + size * (share * within + own * single))
+            except np.linalg.LinAlgError:
+                continue
+            white = solve_triangular(factor, y, lower=True, check_finite=False)
+            likelihood = -0.5 * (white @ white) - np.log(np.diag(factor)).sum()
+            if likelihood > best:
+                best = likelihood
+                # Covariance of what was seen with the amounts, and the variance of these before it was.
+                shared = common * rows[:, None] + size * (share * across + own * seen)
+                chosen = factor, white, shared, common + size * (share + own)
+    if chosen is None:
+        return plain, np.full(seen.shape[1], size)
+    factor, white, shared, whole = chosen
+    known = solve_triangular(factor, shared, lower=True, check_finite=False)
+    return known.T @ white, np.maximum(whole - (known**2).sum(0), 0.0)
 
 
 # --- several captures
