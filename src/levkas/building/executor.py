@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
-from itertools import groupby, pairwise
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 from levkas.building import fingerprints
@@ -14,26 +14,21 @@ from levkas.building.build_records import Key
 from levkas.building.endings import Due, Endings
 from levkas.building.graph import Step, Task, captures_of
 from levkas.building.stages import Stages
-from levkas.core.machine import count_threads, keep_memory, memory_bound
+from levkas.core.machine import keep_memory
 from levkas.core.problems import Refused
 
 if TYPE_CHECKING:
     from levkas.building.stages import Write
     from levkas.building.template_cache import TemplateCache
-    from levkas.campaign.discovery.captures import Capture
 
     Layer = tuple[str, str]
-
-
-ROOM = 0.5
-"""Share of the memory that is free up to which a capture is calibrated while the one before is registered."""
 
 
 class Executor:
     """Runs the tasks of captures, and says how each ends.
 
     A capture ends with the first task that is refused; others go on. Files are hashed ahead and products
-    written in a thread each, and the next capture is calibrated while one is registered.
+    written in a thread each.
     """
 
     warnings: tuple[str, ...] = ()
@@ -50,7 +45,6 @@ class Executor:
         for key, task in endings.graph.items():
             if key.stage == "calibrate":
                 self._calibrations.setdefault(key.object, []).append(task)
-        self._coming: list[Task] = []
         self._hashing: set[str] = set()
         self._waiting: list[tuple[Task, Future[Step]]] = []
 
@@ -63,10 +57,8 @@ class Executor:
             ThreadPoolExecutor(1, thread_name_prefix="hashing") as self._hasher,
         ):
             try:
-                layers = groupby(tasks, lambda t: (t.key.object, t.key.layer))
-                groups = [(layer, list(group)) for layer, group in layers]
-                for (layer, mine), (_, self._coming) in pairwise([*groups, (("", ""), [])]):
-                    for step in self._capture(layer, mine):
+                for layer, group in groupby(tasks, lambda t: (t.key.object, t.key.layer)):
+                    for step in self._capture(layer, list(group)):
                         yield note(step)
                     self._held.let_go()
                 for step in self._written():
@@ -120,7 +112,7 @@ class Executor:
         for task, prints, why in plan:
             registers = task.key.stage in ("measure", "register")
             if registers:
-                # Two cubes at once are enough, this one and the next; that of the capture before goes first.
+                # Two cubes at once are enough; the one of the capture before goes first.
                 yield from self._written(but=layer)
             if not why:
                 yield from self._written(of=layer)
@@ -154,26 +146,10 @@ class Executor:
     def _compute(self, task: Task) -> Write | Step:
         """Do what a task computes; return what writes it, or the step of one that was refused."""
         self._endings.begin(task)
-        registers = task.key.stage in ("measure", "register")
         try:
-            return self._stages.compute(
-                task, following=self._following(task) if registers else None
-            )
+            return self._stages.compute(task)
         except (Refused, MemoryError) as error:
             return self._endings.refuse(task, error)
-
-    def _following(self, task: Task) -> Capture | None:
-        """Return the capture after that of a task, where it is to be calibrated and there is room for its cube."""
-        from levkas.building.native_cubes import CUBE_BYTES, count_values
-
-        coming = next((t for t in self._coming if t.key.stage == "calibrate"), None)
-        if coming is None or count_threads() == 1 or not self._endings.due(coming).why:
-            return None
-        capture = captures_of(coming)[0]
-        there = {id(c): c for c in (*captures_of(task), capture)}.values()
-        cameras = self._endings.campaign.cameras
-        values = sum(count_values(c, cameras[c.camera].kind) for c in there)
-        return capture if CUBE_BYTES * values <= ROOM * memory_bound() else None
 
     # --- what is being written ------------------------------------------------------------------
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING
 from zipfile import BadZipFile
@@ -14,12 +13,8 @@ from levkas.building.fingerprints import is_measured, measured_path
 from levkas.building.graph import Graph, Task, captures_of
 from levkas.core.machine import give_back_memory, steady_libraries
 from levkas.core.problems import Problem, Refused
-from levkas.core.threads import beside
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from concurrent.futures import Future
-
     from levkas.building.native_cubes import FiledSigma, Native, PackedSigma
     from levkas.building.reference import ReferenceFrame
     from levkas.building.register import Measured
@@ -52,7 +47,6 @@ class Held:
         self._native: Native | Scan | None = None
         self._sigmas: dict[str, PackedSigma] = {}
         self._scan: tuple[Capture, Scan] | None = None
-        self._ahead: tuple[Capture, Future[Native | Scan]] | None = None
         self._frame: ReferenceFrame | None = None
         self.streams = False
         """Whether the capture is a scan, which is calibrated as it is written and read."""
@@ -63,11 +57,7 @@ class Held:
         from levkas.building.native_cubes import Native, PackedSigma
 
         self.let_go()
-        ahead, self._ahead = self._ahead, None
-        if ahead is not None and ahead[0] is capture:
-            made = ahead[1].result()
-        else:
-            made = calibrate(capture, self.campaign, self.templates)
+        made = calibrate(capture, self.campaign, self.templates)
         self.streams = not isinstance(made, Native)
         self._capture, self._native = capture, made.without_sigma()
         if isinstance(made, Native):
@@ -77,18 +67,6 @@ class Held:
                 if cube.sigma is not None
             }
         return made
-
-    @contextmanager
-    def calibrating(self, capture: Capture | None) -> Iterator[None]:
-        """Calibrate a capture, where one is given, beside what the block does; `calibrate` then returns that."""
-        if capture is None:
-            yield
-            return
-        from levkas.building.calibrate import calibrate
-
-        with beside(partial(calibrate, capture, self.campaign, self.templates)) as made:
-            self._ahead = capture, made
-            yield
 
     def scan(self, capture: Capture) -> Scan:
         """Open a scan that is to be calibrated in parts; it stays open from one part to the next."""
@@ -189,18 +167,8 @@ class Stages:
             scan = self.held.scan(capture)
         return partial(write_part, scan, capture, self.places, rows)
 
-    def compute(
-        self, task: Task, cuts: Sequence[int] = (), following: Capture | None = None
-    ) -> Write:
-        """Do what a task computes, or join its parts; return what writes it.
-
-        The capture `following` is calibrated meanwhile, and kept until its own task comes.
-
-        Raises
-        ------
-        Refused, MemoryError
-            What the task itself comes to; what `following` does its own task raises.
-        """
+    def compute(self, task: Task, cuts: Sequence[int] = ()) -> Write:
+        """Do what a task computes, or join its parts; return what writes it. Raises Refused or MemoryError."""
         stages: Mapping[str, Callable[[Task], Write]] = {
             "calibrate": partial(self._calibrate, cuts=cuts),
             "measure": self._measure,
@@ -208,7 +176,7 @@ class Stages:
             "resample": self._resample,
         }
         give_back_memory()
-        with steady_libraries(), self.held.calibrating(following):
+        with steady_libraries():
             return stages[task.key.stage](task)
 
     def _calibrate(self, task: Task, cuts: Sequence[int]) -> Write:

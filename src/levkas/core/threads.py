@@ -9,7 +9,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
 from contextvars import copy_context
 from functools import cache
 from itertools import pairwise
@@ -93,26 +92,6 @@ def made_ahead(items: Iterable[Made]) -> Iterator[Made]:
             coming = ahead.submit(next, making, end)
             yield item
             del item  # its memory may be wanted for the next
-
-
-@contextmanager
-def beside(work: Callable[[], Made]) -> Iterator[Future[Made]]:
-    """Do `work` in one thread of its own while the block goes on; behind it both have ended.
-
-    Examples
-    --------
-    >>> with beside(lambda: 2 + 2) as other:
-    ...     here = 1 + 1
-    >>> here, other.result()
-    (2, 4)
-    """
-
-    def alone() -> Made:
-        _here.one_of_several = True
-        return work()
-
-    with ThreadPoolExecutor(1, thread_name_prefix="beside") as pool:
-        yield pool.submit(copy_context().run, alone)
 
 
 def _is_one_of_several() -> bool:
