@@ -47,7 +47,6 @@ PURPOSES = {
     "filelock": "locks of databases and edits",
     "iiif-prezi3": "publish: IIIF manifests",
     "imagecodecs": "compressed TIFFs",
-    "isal": "deflate of spectral TIFFs",
     "jinja2": "report pages",
     "markdown-it-py": "publish: README as a page",
     "markupsafe": "pages of the viewer",
