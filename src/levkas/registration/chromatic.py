@@ -384,6 +384,7 @@ Correlations = list[tuple[np.ndarray, np.ndarray]]
 
 
 def _correlations(seen: np.ndarray, places: np.ndarray) -> Correlations:
+    """Return the squared exponentials over `places`, (bands,) nm; `seen`, (seen, bands), is as of `_posterior`."""
     apart = (places[:, None] - places) ** 2
     across = [seen @ np.exp(-0.5 * apart / nm**2) for nm in SETTINGS.lengths]
     return [(one, one @ seen.T) for one in across]
