@@ -7,8 +7,13 @@ from typer.testing import CliRunner
 import levkas
 from levkas.cli import app
 from levkas.core.problems import Refused
-from levkas.estimation.experiment import run_experiment
+from levkas.database.reader import Database
+from levkas.estimation.budget import DRAWS
+from levkas.estimation.experiment import Paintings, run_experiment
 from levkas.estimation.plan import ExperimentPlan, choose_layers
+from levkas.estimation.samples import SampleSource, training_of
+from levkas.estimation.splits import split_at_random, split_paintings
+from levkas.estimation.training import mean_square, sample_weights
 
 METHODS = ("wiener", "pseudo-inverse")
 
@@ -60,6 +65,49 @@ def test_the_budget_grows_from_computed_to_real_and_with_the_shift(whole):
         assert row["computed"] < row["real"] * 1.05
         assert row["real"] < row["shift 0.5"] < row["shift 1"]
     assert whole.sources[0].budget.slope("wiener") > 0.02
+
+
+def test_differences_of_the_budget_have_intervals_over_the_same_draws(whole):
+    budget = whole.sources[0].budget
+    for method, row in budget.draws.items():
+        assert {len(values) for values in row.values()} == {DRAWS}
+        apart = np.mean(np.subtract(row["shift 1"], row["real"]))
+        half = budget.interval(method, "shift 1", "real")
+        assert 0 < half < apart  # a shift of a pixel costs more than chance
+        assert half < np.hypot(budget.interval(method, "shift 1"), budget.interval(method, "real"))
+
+
+def test_linear_methods_are_fitted_to_every_pixel_of_paint(paintings):
+    """The pseudo-inverse of all training pixels, worked out apart."""
+    report = report_of(paintings, sources=["rgb"], methods=["pseudo-inverse"], models=True)
+    source = SampleSource(Database(paintings), "vis", 10**9)
+    parts = [source.read(name, ("rgb",)) for name in Database(paintings)]
+    paint = training_of([part.take(~part.gold) for part in parts])
+    root = np.sqrt(sample_weights(paint))[:, None]
+    expected = np.linalg.lstsq(root * paint.responses, root * paint.spectra, rcond=None)[0]
+    (model,) = report.sources[0].models
+    np.testing.assert_allclose(model.model.coefficients, expected, atol=1e-6)
+
+
+def test_parameters_are_chosen_on_what_is_held_out_as_the_test_is(paintings):
+    held = Paintings(SampleSource(Database(paintings), "vis", 10**9), 1)
+    names = list(Database(paintings))
+    by_painting = split_paintings(names, ("rgb",))
+    at_random = split_at_random(names, ("rgb",))
+    one = held.training(by_painting.folds[0], by_painting.grouping, mean_square)
+    other = held.training(at_random.folds[0], at_random.grouping, mean_square)
+    assert len(np.unique(one.groups)) == len(names) - 1 and other.groups is None
+
+
+def test_parameters_chosen_by_colour_have_no_larger_colour_difference(paintings):
+    found = {}
+    for choice in ("rmse", "delta-e"):
+        report = report_of(
+            paintings, sources=["rgb"], methods=["matern", "wiener"], choose_by=choice
+        )
+        assert report.to_dict()["choose_by"] == choice
+        found[choice] = [s.summary()["delta_e_d65"]["mean"] for s in report.sources[0].scores]
+    assert all(b <= a * 1.02 for a, b in zip(found["rmse"], found["delta-e"], strict=True))
 
 
 def test_an_exposure_breaks_what_is_not_homogeneous(whole):
@@ -114,6 +162,7 @@ def test_one_painting_is_estimated_from_its_own_blocks_and_the_text_says_so(one_
         (["--split", "chart"], "E_CHART_MISSING"),
         (["--train", "icon1", "--test", "icon1"], "E_SPLIT_LEAK"),
         (["--test", "icon9"], "E_VALUE"),
+        (["--choose-by", "delta_e"], "E_VALUE"),
         (["--split", "camera", "--from", "rgb", "--from", "rgb,cam2"], "E_BAND_COUNT"),
     ],
 )
@@ -130,7 +179,7 @@ def test_suggestions_name_what_was_meant(paintings):
 
 
 def test_fewer_samples_than_coefficients_are_refused_by_the_method(paintings, monkeypatch):
-    monkeypatch.setattr("levkas.estimation.experiment.TRAINING_SAMPLES", 3)
+    monkeypatch.setattr("levkas.estimation.experiment.TRAINING_PIXELS", 4)
     with pytest.raises(Refused) as refused:
         report_of(paintings, sources=["rgb,cam2"], methods=["wiener"])
     assert refused.value.problems[0].code == "E_TOO_FEW_SAMPLES"

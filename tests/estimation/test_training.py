@@ -123,7 +123,7 @@ def test_held_out_residuals_are_those_of_refitting(grouped, rng):
     x, y = rng.normal(size=(24, 4)), rng.normal(size=(24, 3))
     groups = np.arange(24) // (4 if grouped else 1)
     left, scale, _ = np.linalg.svd(x, full_matrices=False)
-    found = held_out_residuals(left, scale**2, y, 0.3, groups if grouped else None)
+    (found,) = held_out_residuals(left, scale**2, y, [0.3], groups if grouped else None)
     for group in np.unique(groups):
         held = groups == group
         known = x[~held]

@@ -63,6 +63,12 @@ def estimate(
         ),
     ] = None,
     no_budget: Annotated[bool, typer.Option("--no-budget", help="Skip the error budget.")] = False,
+    choose_by: Annotated[
+        str,
+        typer.Option(
+            help="Error by which methods choose their parameters: rmse, or delta-e of colours under D65."
+        ),
+    ] = "rmse",
     seed: Annotated[int, typer.Option(help="Random seed.", min=0)] = 1,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -75,7 +81,7 @@ def estimate(
         return
     plan = ExperimentPlan(
         database, sources or (), target, methods or (), split, train or (), test or (),
-        budget=not no_budget, models=output is not None, seed=seed,
+        budget=not no_budget, models=output is not None, choose_by=choose_by, seed=seed,
     )  # fmt: skip
     if predictions is None:
         from levkas.estimation.experiment import run_experiment

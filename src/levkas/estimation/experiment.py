@@ -19,6 +19,7 @@ from levkas.estimation.plan import (
     ExperimentPlan,
     choose_layers,
     choose_methods,
+    criterion_of,
     questions_of,
     splits_of,
     title_of_database,
@@ -28,7 +29,7 @@ from levkas.estimation.report import EstimationReport, SourceReport
 from levkas.estimation.samples import (
     PaintSamples,
     SampleSource,
-    choose_training,
+    training_of,
 )
 from levkas.estimation.scores import (
     MethodScore,
@@ -44,14 +45,16 @@ from levkas.estimation.splits import (
     group_pixels,
 )
 from levkas.estimation.stored import StoredModel, bands_of
-from levkas.estimation.training import Training
+from levkas.estimation.training import Criterion, Training, mean_square, select_training
 
 MOST_PIXELS = 40_000
 """Of a painting that are scored and drawn."""
 FEW_PIXELS = 4_000
 """Of a painting in the comparison with random pixels, in the error budget and in the metamer floor."""
-TRAINING_SAMPLES = 1_000
-"""Farthest-point choice among the training pixels; RMSE changes by under 2 % from 1,000 to 3,000."""
+TRAINING_PIXELS = 60_000
+"""Of all training paintings together, evenly; methods whose cost grows faster choose among them."""
+NEIGHBOURS = 1_000
+"""Training samples, chosen by farthest points, from which the distance of a test pixel is taken."""
 
 
 @dataclass(frozen=True)
@@ -99,10 +102,17 @@ class Paintings:
     def _chart(self, part: Part) -> PaintSamples:
         return read_chart(self.source.database.path, part.object, part.sources, self.source.target)
 
-    def training(self, fold: EstimationFold, grouping: str, rng: np.random.Generator) -> Training:
-        """Return the training samples of a fold: paint without gold, chosen by farthest points."""
+    def training(self, fold: EstimationFold, grouping: str, criterion: Criterion) -> Training:
+        """Return the training samples of a fold: paint without gold.
+
+        Parameters are chosen on what is held out as the test is: paintings, blocks of one, or, where the
+        test has random pixels, single pixels.
+        """
         parts = [self.samples(part, grouping) for part in fold.train]
-        return choose_training([part.take(~part.gold) for part in parts], TRAINING_SAMPLES, rng)
+        paint = [part.take(~part.gold) for part in parts]
+        most = TRAINING_PIXELS // len(paint)
+        made = replace(training_of([part.at_most(most) for part in paint]), criterion=criterion)
+        return replace(made, groups=None) if grouping == "random" else made
 
 
 def named_seed(seed: int, *names: str) -> int:
@@ -128,6 +138,7 @@ def run_experiment(plan: ExperimentPlan) -> Iterator[EstimationStep]:
     database = Database(plan.database)
     methods = choose_methods(plan.methods)
     target, sources = choose_layers(database, plan)
+    criterion = criterion_of(plan.choose_by, wavelengths_of(database, target))
     splits = [splits_of(database, plan, target, group) for group in questions_of(plan, sources)]
     total = sum(len(split.folds) for pair in splits for split in pair) + plan.budget * len(splits)
     done, found = 0, []
@@ -138,7 +149,7 @@ def run_experiment(plan: ExperimentPlan) -> Iterator[EstimationStep]:
         seconds: dict[str, float] = {}
         for split in (main, random):
             for fold in split.folds:
-                results = score_fold(paintings, split, fold, methods, problems)
+                results = score_fold(paintings, split, fold, methods, problems, criterion)
                 for name, (errors, taken) in results.items():
                     scores.setdefault(split.kind, {}).setdefault(name, []).extend(errors)
                     seconds[name] = seconds.get(name, 0.0) + taken
@@ -149,14 +160,14 @@ def run_experiment(plan: ExperimentPlan) -> Iterator[EstimationStep]:
             raise Refused(*dict.fromkeys(problems))
         budget = None
         if plan.budget:
-            budget = budget_of(paintings, main, methods, plan.seed)
+            budget = budget_of(paintings, main, methods, plan.seed, criterion)
             done += 1
             yield EstimationStep(
                 f"{'+'.join(main.folds[0].test[0].sources)}: error budget", done, total
             )
         report = _report_source(paintings, (main, random), scores, budget, problems)
         if plan.models:
-            report = replace(report, models=tuple(_models_of(paintings, report)))
+            report = replace(report, models=tuple(_models_of(paintings, report, criterion)))
         found.append(report)
     whole = EstimationReport(
         title_of_database(database),
@@ -164,6 +175,7 @@ def run_experiment(plan: ExperimentPlan) -> Iterator[EstimationStep]:
         wavelengths_of(database, target),
         plan.split,
         tuple(found),
+        choose_by=plan.choose_by,
     )
     yield EstimationStep("report", total, total, report=whole)
 
@@ -174,17 +186,19 @@ def score_fold(
     fold: EstimationFold,
     methods: Sequence[EstimationMethod],
     problems: list[Problem],
+    criterion: Criterion = mean_square,
 ) -> dict[str, tuple[list[PixelErrors], float]]:
     """Fit every method on a fold and return its errors; methods that refuse are put into `problems`."""
     seed = named_seed(paintings.seed, split.kind, fold.name, *fold.test[0].sources)
     with steady_libraries():
-        training = paintings.training(fold, split.grouping, np.random.default_rng(seed))
+        training = paintings.training(fold, split.grouping, criterion)
+        near = select_training(training, NEIGHBOURS, np.random.default_rng(seed)).responses
         wavelengths = wavelengths_of(paintings.source.database, paintings.source.target)
         tests = []
         for part in fold.test:
             samples = paintings.samples(part, split.grouping)
             samples = samples.at_most(FEW_PIXELS) if split.optimistic else samples
-            tests.append((part.object, samples, distances(training.responses, samples.responses)))
+            tests.append((part.object, samples, distances(near, samples.responses)))
 
         scored = {}
         for method in methods:
@@ -207,6 +221,7 @@ def budget_of(
     split: EstimationSplit,
     methods: Sequence[EstimationMethod],
     seed: int,
+    criterion: Criterion,
 ) -> Budget:
     """Measure the error budget of one fold: that of the middle of the split."""
     fold = split.folds[len(split.folds) // 2]
@@ -221,11 +236,18 @@ def budget_of(
     names = [part.object for part in fold.test]
     position = paintings.source.position_sigma(names, fold.test[0].sources)
     with steady_libraries():
-        return measure_budget(paintings.source, train or test, test, methods, seed, position)
+        made = measure_budget(
+            paintings.source, train or test, test, methods, seed, criterion=criterion
+        )
+    return replace(made, position_sigma=position)
 
 
 def fit_models(
-    paintings: Paintings, part: Part, names: Sequence[str], scores: Sequence[MethodScore]
+    paintings: Paintings,
+    part: Part,
+    names: Sequence[str],
+    scores: Sequence[MethodScore],
+    criterion: Criterion = mean_square,
 ) -> Iterator[StoredModel]:
     """Fit the methods that were scored on all paintings, for estimating others."""
     source = paintings.source
@@ -233,7 +255,7 @@ def fit_models(
     seed = named_seed(paintings.seed, "all", *part.sources)
     bands = bands_of(source.layer(names[0], source.target))
     with steady_libraries():
-        training = paintings.training(fold, "", np.random.default_rng(seed))
+        training = paintings.training(fold, "", criterion)
         for score in scores:
             model = METHODS[score.method].fit(training, np.random.default_rng(seed))
             sigma = tuple(float(e) for e in score.by_band()[0])
@@ -242,12 +264,14 @@ def fit_models(
             )
 
 
-def _models_of(paintings: Paintings, report: SourceReport) -> Iterator[StoredModel]:
+def _models_of(
+    paintings: Paintings, report: SourceReport, criterion: Criterion
+) -> Iterator[StoredModel]:
     """Fit on every painting that took part, on whichever side."""
     parts = [p for fold in report.split.folds for p in (*fold.train, *fold.test) if not p.chart]
     part = report.split.folds[0].test[0]
     names = list(dict.fromkeys(p.object for p in parts))
-    return fit_models(paintings, part, names, report.ranked)
+    return fit_models(paintings, part, names, report.ranked, criterion)
 
 
 def _report_source(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,13 @@ from levkas.estimation.splits import (
     split_chart,
     split_paintings,
 )
+from levkas.estimation.training import Criterion, mean_square
 
+CRITERIA = {
+    "rmse": "the mean squared error of reflectance",
+    "delta-e": "the mean colour difference ΔE2000 under D65",
+}
+"""Name → what ridge, length and degree are chosen by, on samples that were held out."""
 LEAST_TARGET_BANDS = 8
 """Narrow bands of a layer whose spectra are worth estimating."""
 MOST_BROAD = 16
@@ -54,6 +61,8 @@ class ExperimentPlan:
         Whether the error budget is measured too.
     models : bool
         Whether models fitted on all paintings are part of the report.
+    choose_by : str
+        Key of `CRITERIA`: the error of held-out samples by which ridge, length and degree are chosen.
     seed : int
     """
 
@@ -66,6 +75,7 @@ class ExperimentPlan:
     test: Sequence[str] = ()
     budget: bool = True
     models: bool = False
+    choose_by: str = "rmse"
     seed: int = 1
 
 
@@ -86,6 +96,37 @@ def choose_methods(names: Sequence[str]) -> list[EstimationMethod]:
             )
         )
     return [METHODS[name] for name in dict.fromkeys(names)]
+
+
+def criterion_of(name: str, wavelengths: np.ndarray) -> Criterion:
+    """Return the error of a key of `CRITERIA`, for spectra at some wavelengths, nm; raises EstimationRefused."""
+    from levkas.estimation.metrics import delta_e, sees_colour
+
+    if name not in CRITERIA:
+        raise EstimationRefused(
+            Problem(
+                "E_VALUE",
+                f"parameters cannot be chosen by {name!r}",
+                field="--choose-by",
+                found=name,
+                expected=", ".join(CRITERIA),
+                fix=closest_match(name, CRITERIA),
+            )
+        )
+    if name == "rmse":
+        return mean_square
+    if not sees_colour(wavelengths):
+        raise EstimationRefused(
+            Problem(
+                "E_VALUE",
+                "the bands do not reach through the visible, and have no colour difference",
+                field="--choose-by",
+                found=f"{name}; {np.nanmin(wavelengths):g} to {np.nanmax(wavelengths):g} nm",
+                expected="bands through the visible",
+                fix="Leave --choose-by out.",
+            )
+        )
+    return partial(delta_e, wavelengths=wavelengths)
 
 
 def choose_layers(database: Database, plan: ExperimentPlan) -> tuple[str, list[tuple[str, ...]]]:

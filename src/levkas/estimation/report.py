@@ -13,6 +13,7 @@ import numpy as np
 from levkas.core.problems import Problem
 from levkas.estimation.budget import CONDITIONS, Budget
 from levkas.estimation.methods import METHODS
+from levkas.estimation.plan import CRITERIA
 from levkas.estimation.scores import MethodScore, noise_ceiling, rank, rounded
 from levkas.estimation.splits import SPLITS, EstimationSplit
 from levkas.estimation.stored import StoredModel
@@ -131,6 +132,8 @@ class EstimationReport:
         Key of `SPLITS`.
     sources : tuple of SourceReport
     notes : tuple of str
+    choose_by : str
+        Key of `plan.CRITERIA`: by what methods chose their parameters.
     """
 
     database: str
@@ -139,6 +142,7 @@ class EstimationReport:
     split: str
     sources: tuple[SourceReport, ...]
     notes: tuple[str, ...] = field(default=())
+    choose_by: str = "rmse"
 
     @property
     def ok(self) -> bool:
@@ -157,6 +161,7 @@ class EstimationReport:
                 "target": self.target,
                 "bands": len(self.wavelengths),
                 "split": self.split,
+                "choose_by": self.choose_by,
                 "notes": list(self.notes),
                 "results": [source.to_dict(self.wavelengths) for source in self.sources],
             }
@@ -165,7 +170,8 @@ class EstimationReport:
     @property
     def text(self) -> str:
         """A table for people, a line a method."""
-        return "\n\n".join(_text_of(source, self.target) for source in self.sources)
+        chosen = f"ridge, length and degree are chosen by {CRITERIA[self.choose_by]} of what was held out"
+        return "\n\n".join([*(_text_of(s, self.target) for s in self.sources), chosen])
 
     def tables(self) -> dict[str, str]:
         """Return every table as CSV, by the name of its file."""
@@ -174,7 +180,8 @@ class EstimationReport:
                                 "mean", "median", "p95", "max"), self._score_rows()),
             "bands.csv": _csv(("from", "split", "method", "wavelength_nm", "rmse", "r2"), self._band_rows()),
             "curves.csv": _csv(("from", "method", "over", "at", "rmse"), self._curve_rows()),
-            "budget.csv": _csv(("from", "tested", "method", "condition", "rmse"), self._budget_rows()),
+            "budget.csv": _csv(("from", "tested", "method", "condition", "rmse", "interval_95", "difference_95"),
+                               self._budget_rows()),
             "ranking.csv": _csv(("from", "method", "rmse", "rank", "random_rmse", "random_rank"),
                                 self._rank_rows()),
         }  # fmt: skip
@@ -205,9 +212,16 @@ class EstimationReport:
     def _budget_rows(self) -> Iterable[Sequence[Any]]:
         for source in self.sources:
             if source.budget:
-                for method, row in source.budget.rmse.items():
+                budget = source.budget
+                for method, row in budget.rmse.items():
                     for condition, value in row.items():
-                        yield source.name, source.budget.fold, method, condition, value
+                        apart = (
+                            ""
+                            if condition == "real"
+                            else budget.interval(method, condition, "real")
+                        )
+                        half = budget.interval(method, condition)
+                        yield source.name, budget.fold, method, condition, value, half, apart
 
     def _rank_rows(self) -> Iterable[Sequence[Any]]:
         for source in self.sources:
@@ -300,11 +314,20 @@ def _text_of(source: SourceReport, target: str) -> str:
     return "\n".join(lines)
 
 
+def with_interval(budget: Budget, method: str, condition: str) -> str:
+    """Return an RMSE and the half-width of its 95 % interval: of the difference from `real`, and of `real` itself."""
+    row = budget.rmse[method]
+    if condition not in row:
+        return "–"
+    half = budget.interval(method, condition, "" if condition == "real" else "real")
+    return f"{row[condition]:.4f} ± {half:.4f}"
+
+
 def _text_of_budget(budget: Budget) -> list[str]:
-    lines = [f"   error budget, RMSE on {budget.fold}",
-             "   " + f"{'method':36}" + "".join(f"{c.replace('exposure', 'exp.'):>11}" for c in CONDITIONS) + f"{'per px':>9}"]  # fmt: skip
-    for method, row in budget.rmse.items():
-        cells = "".join(f"{row[c]:11.4f}" if c in row else f"{'–':>11}" for c in CONDITIONS)
+    lines = [f"   error budget, RMSE on {budget.fold}; ± holds the difference from real in 95 % of draws",
+             "   " + f"{'method':36}" + "".join(f"{c.replace('exposure', 'exp.'):>16}" for c in CONDITIONS) + f"{'per px':>9}"]  # fmt: skip
+    for method in budget.rmse:
+        cells = "".join(f"{with_interval(budget, method, c):>16}" for c in CONDITIONS)
         slope = budget.slope(method)
         lines.append(
             f"   {title_of(method):36}{cells}" + (f"{slope:9.4f}" if slope is not None else "")

@@ -16,7 +16,7 @@ import numpy as np
 from levkas.core.cube import Flag, is_flagged
 from levkas.core.problems import Problem, Refused, closest_match
 from levkas.database.layout import LayerId
-from levkas.estimation.training import Training, select_training
+from levkas.estimation.training import Training
 
 if TYPE_CHECKING:
     from levkas.database.reader import Database, LayerArray
@@ -276,10 +276,8 @@ def _rises(spectra: np.ndarray, wavelengths: np.ndarray) -> np.ndarray:
     return np.asarray(spectra[:, red].mean(1) > GOLD_RISE * spectra[:, blue].mean(1))
 
 
-def choose_training(
-    parts: Sequence[PaintSamples], count: int, rng: np.random.Generator
-) -> Training:
-    """Return at most `count` samples of several paintings, a group each; of one, a group a spatial block."""
+def training_of(parts: Sequence[PaintSamples]) -> Training:
+    """Return the samples of several paintings, a group each; of one, a group a spatial block."""
     groups = [np.full(len(part), number) for number, part in enumerate(parts)]
     if len(parts) == 1:
         groups = [parts[0].blocks()]
@@ -293,7 +291,7 @@ def choose_training(
                 fix="Check the flags of the training paintings.",
             )
         )
-    return select_training(joined, count, rng)
+    return joined
 
 
 def join_training(parts: Sequence[Training]) -> Training:

@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
 
+MOST_JUDGED = 4_000
+"""Samples, evenly through the training, on which parameters are judged; all are fitted to."""
+Criterion = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Error of estimated and measured spectra, (n, bands) each, sample by sample, (n,)."""
 MOST_CANDIDATES = 20_000
 """Samples among which the farthest points are looked for; of more, so many are drawn at random."""
+
+
+def mean_square(estimated: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Return the mean square error over bands, (n,).
+
+    >>> mean_square(np.array([[0.5, 0.5]]), np.array([[0.3, 0.4]])).round(3).tolist()
+    [0.025]
+    """
+    return np.asarray(np.square(estimated - measured).mean(1))
 
 
 @dataclass(frozen=True)
@@ -28,6 +42,8 @@ class Training:
         Standard deviations of the spectra, >= 0.
     groups : ndarray, (n,), optional
         What is held out together when parameters are chosen: the painting or pigment of each sample.
+    criterion : callable
+        Error of held-out samples by which parameters are chosen; the mean square by default.
 
     Raises
     ------
@@ -40,6 +56,7 @@ class Training:
     response_sigma: np.ndarray | None = None
     spectrum_sigma: np.ndarray | None = None
     groups: np.ndarray | None = None
+    criterion: Criterion = mean_square
 
     def __post_init__(self) -> None:
         problems = [*self._wrong_shapes()] or [*self._wrong_values()]
@@ -55,13 +72,18 @@ class Training:
         def part(values: np.ndarray | None) -> np.ndarray | None:
             return None if values is None else values[chosen]
 
-        return Training(
-            self.responses[chosen],
-            self.spectra[chosen],
-            part(self.response_sigma),
-            part(self.spectrum_sigma),
-            part(self.groups),
+        return replace(
+            self,
+            responses=self.responses[chosen],
+            spectra=self.spectra[chosen],
+            response_sigma=part(self.response_sigma),
+            spectrum_sigma=part(self.spectrum_sigma),
+            groups=part(self.groups),
         )
+
+    def judged(self) -> np.ndarray:
+        """Return the indices of the samples, `MOST_JUDGED` at most, by whose errors parameters are chosen."""
+        return np.arange(0, len(self), -(-len(self) // MOST_JUDGED))
 
     def _wrong_shapes(self) -> list[Problem]:
         count = len(self.responses)
@@ -163,12 +185,17 @@ def select_training(training: Training, count: int, rng: np.random.Generator) ->
     >>> select_training(line, 3, np.random.default_rng(1)).responses[:, 0].tolist()
     [0.1, 1.0, 0.5]
     """
+    return training if len(training) <= count else training.take(covering(training, count, rng))
+
+
+def covering(training: Training, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Return the indices of the samples that `select_training` chooses, (count,) or fewer, int."""
     if len(training) <= count:
-        return training
+        return np.arange(len(training))
+    drawn = np.arange(len(training))
     if len(training) > MOST_CANDIDATES:
-        drawn = rng.choice(len(training), max(MOST_CANDIDATES, count), replace=False)
-        training = training.take(np.sort(drawn))
-    return training.take(farthest_points(training.responses, count, rng))
+        drawn = np.sort(rng.choice(len(training), max(MOST_CANDIDATES, count), replace=False))
+    return np.asarray(drawn[farthest_points(training.responses[drawn], count, rng)])
 
 
 def farthest_points(points: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -181,6 +208,28 @@ def farthest_points(points: np.ndarray, count: int, rng: np.random.Generator) ->
         distance = np.minimum(distance, np.square(points - points[index]).sum(1))
         index = int(distance.argmax())
     return chosen
+
+
+def held_out_errors(
+    training: Training,
+    vectors: np.ndarray,
+    values: np.ndarray,
+    targets: np.ndarray,
+    ridges: Sequence[float] | np.ndarray,
+) -> list[float]:
+    """Return the weighted mean of the training's criterion for each ridge, over samples held out.
+
+    Parameters
+    ----------
+    training : Training
+    vectors, values, targets, ridges
+        As of `held_out_residuals`; of the regression in which a sample counts by `sample_weights`.
+    """
+    at, weights = training.judged(), sample_weights(training)
+    root, measured = np.sqrt(weights)[at, None], training.spectra[at]
+    residuals = held_out_residuals(vectors, values, targets, ridges, training.groups, at)
+    found = (training.criterion(measured - missed / root, measured) for missed in residuals)
+    return [float(np.mean(weights[at] * errors)) for errors in found]
 
 
 def sample_weights(training: Training) -> np.ndarray:
@@ -222,38 +271,62 @@ def held_out_residuals(
     vectors: np.ndarray,
     values: np.ndarray,
     targets: np.ndarray,
-    ridge: float,
+    ridges: Sequence[float] | np.ndarray,
     groups: np.ndarray | None = None,
-) -> np.ndarray:
-    """Return what a ridge regression misses of samples that it was not fitted to, in closed form.
+    at: np.ndarray | slice = slice(None),
+) -> Iterator[np.ndarray]:
+    """Yield what ridge regressions miss of samples that they were not fitted to, in closed form.
 
     Parameters
     ----------
     vectors, values : ndarray, (n, r) and (r,)
         Eigenvectors and eigenvalues of X Xᵀ, or of the kernel matrix; an infinite value is not shrunk.
     targets : ndarray, (n, bands)
-    ridge : float
+    ridges : sequence of float
         > 0 where values are 0.
     groups : ndarray, (n,), optional
         Samples of one group are held out together; each by itself without, or with one group only.
+    at : indices or slice
+        Samples whose residuals are wanted; all are fitted to.
 
-    Returns
-    -------
-    residuals : ndarray, (n, bands)
+    Yields
+    ------
+    residuals : ndarray, (samples of `at`, bands)
+        Of each ridge.
 
     Notes
     -----
     With the hat matrix H = U diag(s / (s + λ)) Uᵀ, e = (I − H) y / (1 − h) a sample and
-    e_G = (I − H_GG)⁻¹ (y − H y)_G a group; [hastie2009]_, Eq. (7.64).
+    e_G = (I − H_GG)⁻¹ (y − H y)_G a group; [hastie2009]_, Eq. (7.64). With H_GG = V Vᵀ of few columns,
+    (I − V Vᵀ)⁻¹ = I + V (I − Vᵀ V)⁻¹ Vᵀ ([woodbury1950]_), so that a group may have any number of samples.
     """
-    with np.errstate(over="ignore"):  # a value near 0 is shrunk to 0
-        shrunk = 1 / (1 + ridge / values)
-    residuals = targets - vectors @ (shrunk[:, None] * (vectors.T @ targets))
-    if groups is None or (groups == groups[0]).all():
-        leverage = np.square(vectors) @ shrunk
-        return np.asarray(residuals / np.maximum(1 - leverage, 1e-9)[:, None])
-    for group in np.unique(groups):
-        held = np.flatnonzero(groups == group)
-        rest = (1 + 1e-9) * np.eye(len(held)) - (vectors[held] * shrunk) @ vectors[held].T
-        residuals[held] = np.linalg.solve(rest, residuals[held])
-    return np.asarray(residuals)
+    shown, wanted = vectors[at], targets[at]
+    whole = vectors.T @ targets
+    single = groups is None or bool((groups == groups[0]).all())
+    names = np.zeros(0) if single or groups is None else np.unique(groups)
+    there = np.zeros(len(shown), int) if groups is None else np.asarray(groups)[at]
+    parts = [(there == g, *_sums_of(vectors[groups == g], targets[groups == g])) for g in names]
+    for ridge in ridges:
+        with np.errstate(over="ignore"):  # a value near 0 is shrunk to 0
+            shrunk = 1 / (1 + ridge / values)
+        fitted = shrunk[:, None] * whole
+        residuals = wanted - shown @ fitted
+        if single:
+            leverage = np.square(shown) @ shrunk
+            residuals /= np.maximum(1 - leverage, 1e-9)[:, None]
+        root = np.sqrt(shrunk)
+        for mine, factor, turned in parts:
+            # factorᵀ factor = U_Gᵀ U_G and factorᵀ turned = U_Gᵀ y_G, in as few rows as there can be
+            roots = factor * root
+            rest = (1 + 1e-9) * np.eye(len(roots)) - roots @ roots.T
+            missed = np.linalg.solve(rest, turned - factor @ fitted)
+            residuals[mine] += (shown[mine] * root) @ (roots.T @ missed)
+        yield residuals
+
+
+def _sums_of(rows: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a group's rows and targets, (m, r) and (m, bands), turned into r rows where there are more."""
+    if len(rows) <= rows.shape[1]:
+        return rows, targets
+    q, factor = np.linalg.qr(rows)
+    return factor, q.T @ targets

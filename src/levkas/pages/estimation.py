@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.core.text import counted
-from levkas.estimation.budget import CONDITIONS, SHIFTS_PX
-from levkas.estimation.report import title_of
+from levkas.estimation.budget import CONDITIONS, DRAWS, SHIFTS_PX
+from levkas.estimation.report import title_of, with_interval
 from levkas.estimation.scores import METRICS
 from levkas.estimation.splits import SPLITS
 from levkas.pages.page import Figure, render_page
@@ -321,12 +321,12 @@ def _beside_random(source: SourceReport) -> NumberTable:
 
 def _budget_table(budget: Budget) -> NumberTable:
     rows = []
-    for method, row in budget.rmse.items():
+    for method in budget.rmse:
         share = budget.registration_share(method)
         rows.append(
             [
                 title_of(method),
-                *(_cell(row.get(condition)) for condition in CONDITIONS),
+                *(with_interval(budget, method, condition) for condition in CONDITIONS),
                 _cell(budget.slope(method)),
                 "–" if share is None else f"{100 * share:.2g} %",
             ]
@@ -339,7 +339,8 @@ def _budget_table(budget: Budget) -> NumberTable:
     return NumberTable(
         "Error budget",
         f"RMSE on {budget.fold} of the same experiment under other conditions. {meanings}; then the reference "
-        f"shifted by parts of a pixel, and the test exposed half and twice.{registered}",
+        f"shifted by parts of a pixel, and the test exposed half and twice. ± is half of a 95 % interval over {DRAWS} draws of "
+        f"training and test blocks, of real itself, else of the difference from it.{registered}",
         ["method", *CONDITIONS, "per px of shift", "registration"],
         rows,
     )

@@ -22,10 +22,10 @@ import numpy as np
 from levkas.estimation.model import in_blocks
 from levkas.estimation.training import (
     Training,
-    farthest_points,
-    held_out_residuals,
+    held_out_errors,
     require_samples,
     sample_weights,
+    select_training,
 )
 
 MOST_ANCHORS = 1500
@@ -139,10 +139,10 @@ def fit_kernel_ridge(
         In units of the responses, and of the kernel; chosen by default.
     """
     require_samples(training, training.responses.shape[1] + 1, "kernel ridge regression")
-    training = keep_anchors(training, MOST_ANCHORS, rng)
+    training = select_training(training, MOST_ANCHORS, rng)
     centre = training.responses.mean(0)
     if length is None:
-        trial = keep_anchors(training, TRIAL_ANCHORS, rng)
+        trial = select_training(training, TRIAL_ANCHORS, rng)
         kernels = [Kernel(name, unit * spread(training), centre) for unit in LENGTHS]
         length = min((_best_ridge(trial, k)[1], k.length) for k in kernels)[1]
     kernel = Kernel(name, length, centre)
@@ -150,18 +150,6 @@ def fit_kernel_ridge(
         ridge = _best_ridge(training, kernel)[0]
     offset, coefficients = solve(training, kernel, ridge)
     return KernelModel(kernel, training.responses, coefficients, offset, ridge)
-
-
-def keep_anchors(training: Training, most: int, rng: np.random.Generator) -> Training:
-    """Return the samples, or of more than `most` the farthest points."""
-    return training.take(choose_anchors(training, most, rng))
-
-
-def choose_anchors(training: Training, most: int, rng: np.random.Generator) -> np.ndarray:
-    """Return the indices of all samples, or of more than `most` those of the farthest points."""
-    if len(training) <= most:
-        return np.arange(len(training))
-    return farthest_points(training.responses, most, rng)
 
 
 def spread(training: Training) -> float:
@@ -179,7 +167,7 @@ def solve(training: Training, kernel: Kernel, ridge: float) -> tuple[np.ndarray,
 
 
 def _best_ridge(training: Training, kernel: Kernel) -> tuple[float, float]:
-    """Return the ridge of the smallest held-out mean square, and that mean square."""
+    """Return the ridge of the smallest held-out error, and that error."""
     weights = sample_weights(training)
     root = np.sqrt(weights)[:, None]
     targets = root * (training.spectra - weights @ training.spectra / weights.sum())
@@ -187,9 +175,6 @@ def _best_ridge(training: Training, kernel: Kernel) -> tuple[float, float]:
     values, vectors = np.linalg.eigh(root * matrix * root.T)
     values = np.maximum(values, np.finfo(float).tiny)
     tried = RIDGES * np.diag(matrix).mean()
-    errors = [
-        np.square(held_out_residuals(vectors, values, targets, r, training.groups)).mean()
-        for r in tried
-    ]
+    errors = held_out_errors(training, vectors, values, targets, tried)
     best = int(np.argmin(errors))
-    return float(tried[best]), float(errors[best])
+    return float(tried[best]), errors[best]

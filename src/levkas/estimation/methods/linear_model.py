@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.estimation.model import in_blocks
-from levkas.estimation.training import Training, held_out_residuals, sample_weights
+from levkas.estimation.training import Training, held_out_errors, sample_weights
 
 RIDGES = np.logspace(-10, 1, 23)
 """Ridges that are tried, in units of the largest eigenvalue of X Xᵀ."""
@@ -89,7 +89,7 @@ def single_channels(channels: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class RidgeFit:
-    """A ridge regression: coefficients (terms, bands), offset (bands,), ridge, held-out mean square."""
+    """A ridge regression: coefficients (terms, bands), offset (bands,), ridge, held-out error."""
 
     coefficients: np.ndarray
     offset: np.ndarray
@@ -108,7 +108,7 @@ def fit_ridge(
     training : Training
         Its sigma weighs the samples.
     ridge : float, optional
-        Penalty λ; that of the smallest held-out error by default.
+        Penalty λ; that of the smallest held-out error by the training's criterion by default.
     centred : bool
         Whether an offset is fitted, which is not penalised.
 
@@ -130,10 +130,7 @@ def fit_ridge(
         vectors = np.column_stack([left, root / np.linalg.norm(root)])
         values = np.append(values, np.inf)
     tried = RIDGES * largest**2 if ridge is None else [ridge]
-    errors = [
-        float(np.square(held_out_residuals(vectors, values, targets, r, training.groups)).mean())
-        for r in tried
-    ]
+    errors = held_out_errors(training, vectors, values, targets, tried)
     best = int(np.argmin(errors))
     chosen = float(tried[best])
     coefficients = right.T @ ((scale / (scale**2 + chosen))[:, None] * (left.T @ targets))

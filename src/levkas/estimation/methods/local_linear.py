@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from levkas.estimation.methods.kernel_ridge import keep_anchors, spread
+from levkas.estimation.methods.kernel_ridge import spread
 from levkas.estimation.model import in_blocks
-from levkas.estimation.training import Training, require_samples, sample_weights
+from levkas.estimation.training import Training, require_samples, sample_weights, select_training
 
 MOST_ANCHORS = 1000
 NEIGHBOURS = 40
@@ -98,7 +98,7 @@ def fit_local_linear(training: Training, rng: np.random.Generator) -> LocalModel
     """Keep the samples that lines are fitted to; `rng` draws the first of the farthest points."""
     coefficients = training.responses.shape[1] + 1
     require_samples(training, coefficients, "locally weighted regression")
-    training = keep_anchors(training, MOST_ANCHORS, rng)
+    training = select_training(training, MOST_ANCHORS, rng)
     neighbours = min(max(NEIGHBOURS, 3 * coefficients), MOST_NEIGHBOURS, len(training))
     return LocalModel(
         training.responses,

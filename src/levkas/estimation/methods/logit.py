@@ -49,8 +49,13 @@ def fit_with_logit(
     highest = max(1.0, MARGIN * float(training.spectra.max()))
     u = np.clip(training.spectra / highest, SMALLEST, 1 - SMALLEST)
     sigma = training.spectrum_sigma
+
+    def read(z: np.ndarray) -> np.ndarray:
+        return np.asarray(highest / (1 + np.exp(-z)))
+
     linked = replace(
         training,
+        criterion=lambda estimated, measured: training.criterion(read(estimated), read(measured)),
         spectra=np.log(u / (1 - u)),
         spectrum_sigma=None if sigma is None else sigma / (highest * u * (1 - u)),
     )
