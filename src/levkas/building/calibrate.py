@@ -34,6 +34,7 @@ from levkas.building.native_cubes import (
 from levkas.building.scan_parts import PARTS, pictures_of, write_scan
 from levkas.building.scans import Scan, develop_scan, is_streamed, open_scan
 from levkas.building.spectra import broad_centroids, read_sensitivity, white_reflectance
+from levkas.calibration.agreement import compare_facts
 from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA, light_variance
 from levkas.calibration.defects import replace_defects
 from levkas.calibration.equalising import equalise_phases
@@ -160,6 +161,7 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
             captured = captured or facts.captured
             light = lights.get(sensor.name)
             context = SensorContext(campaign, camera, sensor, facts, templates, light=light)
+            notes += compare_facts(camera, sensor, context.alignments)
             if camera.kind != "image":
                 require_exposures(context)
             notes += doubts_of(context)

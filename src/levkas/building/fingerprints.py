@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from levkas.core.problems import Problem
 
 CALIBRATION_KEYS = (
-    "kind", "bits", "black", "saturation", "exposures", "scan", "denoise", "demosaic",
+    "kind", "bits", "black", "saturation", "exposures", "scan", "denoise", "demosaic", "overrule",
 )  # fmt: skip
 NOT_THERE = "not registered"
 ROLES = ("object", "dark", "white", "chart")

@@ -90,7 +90,8 @@ class ScanFile:
         """Return lines `start` to `stop`, (lines, samples, bands)."""
         if isinstance(self.content, np.ndarray):
             return self.content[start:stop]
-        return self.content.read_lines(start, stop)
+        lines, order = self.content.read_lines(start, stop), self.frame.order
+        return np.take(lines, order, axis=-1) if order else lines
 
     def blocks(self) -> Iterator[np.ndarray]:
         """Yield all lines, some at a time."""

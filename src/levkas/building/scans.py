@@ -14,6 +14,7 @@ from levkas.building.exposures import cube_of, mark_glare_in
 from levkas.building.scan_lines import FlatLines, Strip, describe_loss
 from levkas.building.scan_templates import block_lines
 from levkas.building.strips import JoinedStrips, lines_of_scan
+from levkas.calibration.agreement import compare_facts
 from levkas.calibration.denoising import Projecting, Subspace, describe_removed, find_subspace
 from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.sensor_context import SensorContext, doubts_of, require_exposures
@@ -98,6 +99,8 @@ class Scan:
         As of `Native`.
     pictures : Path, optional
         What `keep_pictures` has written of the scan.
+    stated : tuple of str
+        Notes on what its files state.
     """
 
     context: SensorContext
@@ -106,6 +109,7 @@ class Scan:
     captured: str | None = None
     aligns: Mapping[str, object] = field(default_factory=dict)
     pictures: Path | None = None
+    stated: tuple[str, ...] = ()
     _summary: ScanSummary | None = field(default=None, init=False)
 
     @property
@@ -116,7 +120,7 @@ class Scan:
 
     @cached_property
     def _doubts(self) -> tuple[str, ...]:
-        return (*doubts_of(self.context), *self.source.notes)
+        return (*self.stated, *doubts_of(self.context), *self.source.notes)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -380,9 +384,11 @@ def open_scan(capture: Capture, campaign: Campaign, templates: TemplateCache) ->
     facts = read_facts(sensor.object[0].path)
     camera = campaign.cameras[capture.camera]
     context = SensorContext(campaign, camera, sensor, facts, templates)
+    stated = tuple(compare_facts(camera, sensor, context.alignments))
     require_exposures(context)
     where, aligns = f"{capture.object}/{capture.layer}", {sensor.name: sensor.align}
-    return Scan(context, lines_of_scan(context), where, facts.captured, aligns)
+    lines = lines_of_scan(context)
+    return Scan(context, lines, where, facts.captured, aligns, stated=stated)
 
 
 def develop_scan(context: SensorContext) -> tuple[Cube, list[str]]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,9 @@ WINDOW = 24  # gaps whose mean is one point of the fit
 FILLED = 4  # pixels that a level must have: a rare one may stand beside one that was not met
 MISFIT = 0.05  # of the gaps, in four windows of five
 RECURS = 2  # times that the smallest gap must be met
+SHIFTED = 4  # spacing from which codes are taken to stand at the upper end of their words
+STRAY = 0.01  # share of codes that may stand between the others
+FEWEST_SHIFTED = 4  # different codes from which a spacing is more than chance
 STRETCHED = 1.4  # spacing of the widest part over the narrowest from which it is called a curve
 
 
@@ -125,6 +129,78 @@ def find_step(frames: Iterable[np.ndarray]) -> float:
     seen = np.flatnonzero(histogram)
     between = np.diff(seen, prepend=-MOST_CODES) < 0.9 * spacing
     return spacing if histogram[seen[between]].sum() <= 0.01 * histogram.sum() else 1.0
+
+
+class Alignment(NamedTuple):
+    """Where the codes of a frame stand in their words.
+
+    Parameters
+    ----------
+    spacing : int or None
+        Power of two of which the codes are multiples: 16 where 12 bits stand at the upper end of 16. None where
+        too few different codes occur to tell.
+    top, capacity : int
+        Largest code that occurs, and what a word can hold, plus 1.
+    """
+
+    spacing: int | None
+    top: int
+    capacity: int
+
+    def describe(self) -> str:
+        """Return it in words.
+
+        >>> Alignment(16, 60_000, 65_536).describe(), Alignment(1, 3_700, 65_536).describe()
+        ('multiples of 16 up to 60000', 'codes 1 apart up to 3700')
+        """
+        apart = self.spacing or 1
+        return (
+            f"multiples of {apart} up to {self.top}"
+            if apart > 1
+            else f"codes 1 apart up to {self.top}"
+        )
+
+    def contradicts(self, other: Alignment) -> bool:
+        """Whether one stands at the upper end of its words and the other at the lower.
+
+        Codes of every value that reach higher than the lower end are averages of codes at the upper end.
+
+        >>> left, right = Alignment(16, 60_000, 65_536), Alignment(1, 3_700, 65_536)
+        >>> left.contradicts(right), left.contradicts(Alignment(1, 58_123, 65_536))
+        (True, False)
+        """
+        if self.spacing is None or other.spacing is None:
+            return False
+        upper, lower = (self, other) if self.spacing > other.spacing else (other, self)
+        shift = upper.spacing or 1
+        return shift >= SHIFTED > (lower.spacing or 1) and lower.top * shift < lower.capacity
+
+
+def find_alignment(frames: Iterable[np.ndarray]) -> Alignment | None:
+    """Return where the codes of some frames stand; None where they are no whole numbers of 16 bits or more.
+
+    A hundredth of the codes may stand elsewhere: saturated ones, and defects that a camera replaced.
+
+    >>> find_alignment([np.arange(100, dtype=np.uint16) * 16])
+    Alignment(spacing=16, top=1584, capacity=65536)
+    """
+    whole = [values for values in frames if values.dtype.kind in "ui" and values.dtype.itemsize > 1]
+    if not whole:
+        return None
+    top = max(int(values.max(initial=0)) for values in whole)
+    capacity = int(np.iinfo(whole[0].dtype).max) + 1
+    count, spacing = sum(values.size for values in whole), 1
+    while spacing < capacity:
+        off = sum(int(np.count_nonzero(values & (2 * spacing - 1))) for values in whole)
+        if off > STRAY * count:
+            break
+        spacing *= 2
+    few = spacing > 1 and len(set().union(*map(set, map(_some_codes, whole)))) < FEWEST_SHIFTED
+    return Alignment(None if few else spacing, top, capacity)
+
+
+def _some_codes(values: np.ndarray) -> list[int]:
+    return [int(code) for code in np.unique(values)[:FEWEST_SHIFTED]]
 
 
 def find_levels(histogram: np.ndarray) -> Levels:

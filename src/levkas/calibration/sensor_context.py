@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from levkas.calibration.code_spacing import find_step
+from levkas.calibration.agreement import Aligned, check_alike, facts_of
+from levkas.calibration.code_spacing import find_alignment, find_step
 from levkas.calibration.darks import SAME_TIME
 from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps
 from levkas.core.problems import Problem
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import FrameRef, SensorFrames
 
 GLIMPSE_LINES = 64
+MOST_GLIMPSED = 2
+"""Frames of a role of which some rows are looked at."""
 
 
 class Averages(Protocol):
@@ -46,6 +49,7 @@ class SensorContext:
     """What is learnt of sensor and light on the way, for the reports."""
     light: ChartLight | None = None
     """By a chart, in place of a white."""
+    _glimpses: dict[str, list[np.ndarray]] = field(default_factory=dict, repr=False)
 
     @property
     def saturation(self) -> float | None:
@@ -71,9 +75,34 @@ class SensorContext:
     @cached_property
     def step(self) -> float:
         """Counts from one code of the files to the next: 16 where 12 bits stand at the upper end of 16."""
-        few = 1 if self.facts.kind == "raw" else 2
-        frames = [*spread(self.sensor.object, few), *spread(self.sensor.white, few)]
-        return find_step(thin_rows(_glimpse(frame)) for frame in frames)
+        return find_step([*self.glimpses("object"), *self.glimpses("white")])
+
+    def glimpses(self, role: str) -> list[np.ndarray]:
+        """Return rows of the first and the last frame of a role, of a camera raw of the first."""
+        if role not in self._glimpses:
+            most = 1 if self.facts.kind == "raw" else MOST_GLIMPSED
+            frames = spread(getattr(self.sensor, role), most)
+            self._glimpses[role] = [thin_rows(_glimpse(frame)).copy() for frame in frames]
+        return self._glimpses[role]
+
+    @cached_property
+    def alignments(self) -> list[Aligned]:
+        """Where the codes of some frames stand in their words.
+
+        Nothing of one frame, of 8 bits, of camera raws, which LibRaw aligns, and of codes that do not tell.
+        """
+        sensor, facts = self.sensor, self.facts
+        single = len((*sensor.object, *sensor.white, *sensor.chart, *sensor.dark)) < 2
+        if single or facts.kind == "raw" or np.dtype(facts.dtype).itemsize < 2:
+            return []
+        found = []
+        for role in ("object", "white", "chart", "dark"):
+            frames = spread(getattr(sensor, role), MOST_GLIMPSED)
+            for frame, values in zip(frames, self.glimpses(role), strict=True):
+                one = find_alignment([values])
+                if one is not None and one.spacing is not None:
+                    found.append(Aligned(role, frame.path, one))
+        return found
 
     def average(self, frames: Sequence[FrameRef], *, kept: bool = False) -> Template:
         """Average shots of one exposure; templates are kept for the other objects."""
@@ -85,6 +114,7 @@ class SensorContext:
             saturation=self.saturation,
             exposure=exposure_of(frames[0]),
             bits=self.camera.bits,
+            overrule=self.camera.overrule,
         )
         return self.whole(made, frames)
 
@@ -96,9 +126,13 @@ class SensorContext:
             raise type(refused)(*(placed(p, frames) for p in refused.problems)) from None
 
     def read(self, frames: Iterable[FrameRef]) -> Iterator[np.ndarray]:
-        """Read frame by frame, codes checked against the bits that are declared."""
+        """Read frame by frame, codes checked against the bits that are declared, and against the other frames."""
         for frame in frames:
-            yield self.checked(read_frame(frame.path, page=frame.page), frame)
+            values = self.checked(read_frame(frame.path, page=frame.page), frame)
+            first = self.facts, self.sensor.object[0].path.name
+            rows = thin_rows(values, FEW_CODES)
+            check_alike(self.camera, first, self.alignments, rows, frame.path)
+            yield values
 
     def checked(self, values: np.ndarray, frame: FrameRef) -> np.ndarray:
         """Return a frame's values; raises CalibrationRefused where `bits` does not hold."""
@@ -127,13 +161,15 @@ def exposure_of(frame: FrameRef) -> float | None:
 
 
 def read_cube(frame: FrameRef) -> np.ndarray:
-    """Read (lines, samples, bands): ENVI, or a TIFF whose pages are the bands."""
+    """Read (lines, samples, bands), bands in the object's order: ENVI, or a TIFF whose pages are the bands."""
     pages = read_facts(frame.path).pages
     if pages > 1:
-        planes = [read_frame(frame.path, page=page) for page in range(pages)]
+        order = frame.order or range(pages)
+        planes = [read_frame(frame.path, page=page) for page in order]
         return np.ascontiguousarray(np.stack(planes, axis=-1))
     values = read_frame(frame.path)
-    return values if values.ndim == 3 else values[..., None]
+    values = values if values.ndim == 3 else values[..., None]
+    return np.take(values, frame.order, axis=-1) if frame.order else values
 
 
 def placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
@@ -183,6 +219,8 @@ def _glimpse(frame: FrameRef) -> np.ndarray:
 
 
 SAMPLE = 1 << 20
+FEW_CODES = 1 << 16
+"""Values of every frame whose alignment is looked at."""
 LEAST_LEVELS = 16
 """Fewer different codes say nothing of their spacing: a dark frame has three."""
 EVEN = 0.9
@@ -280,9 +318,9 @@ def spread(items: Sequence, count: int) -> list:
     return [items[place] for place in sorted(places)]
 
 
-def thin_rows(values: np.ndarray) -> np.ndarray:
-    """Whole rows of a frame, about `SAMPLE` values."""
-    step = max(1, values.size // SAMPLE)
+def thin_rows(values: np.ndarray, most: int = SAMPLE) -> np.ndarray:
+    """Whole rows of a frame, about `most` values."""
+    step = max(1, values.size // most)
     return values[:: min(step, max(values.shape[0] // 8, 1))]
 
 
@@ -296,7 +334,9 @@ def times_of(frame: FrameRef) -> Times:
     """Return the exposure that the name or the manifest states, else EXIF or the header of the file."""
     if frame.exposure_s is not None:
         return frame.exposure_s
-    facts = read_facts(frame.path)
+    facts = facts_of(frame)
+    if facts.kind == "raw" and facts.exposure_s is None:
+        facts = read_facts(frame.path)
     return facts.band_times_s or facts.exposure_s
 
 

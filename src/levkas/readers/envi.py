@@ -21,6 +21,7 @@ from levkas.readers.envi_header import (
     find_header,
     parse_header,
     parse_number,
+    setting_facts,
 )
 from levkas.readers.facts import Facts, check_memory, check_size, unreadable
 
@@ -163,12 +164,12 @@ def open_envi(path: str | Path) -> EnviFile:
         bits=8 * layout.dtype.itemsize if layout.dtype.kind == "u" else None,
         saturation=header.number("data ceiling") or None,
         captured=_date(header),
-        model=header.text("sensor type") or None,
         wavelengths=_nanometres(header, "wavelength", centres),
         fwhm=_nanometres(header, "fwhm", centres),
         band_names=tuple(names) if isinstance(names, list) and len(names) == bands else None,
         interleave=layout.interleave,
         **exposure_facts(header, bands),
+        **setting_facts(header),
     )
     ignore = header.text("data ignore value")
     return EnviFile(

@@ -33,6 +33,27 @@ SECONDS = {
     "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "usec": 1e-6, "microsecond": 1e-6,
     "ns": 1e-9, "nanosecond": 1e-9,
 }  # fmt: skip
+SETTINGS = {
+    "gain": (
+        *("gain", "gain mode", "camera gain", "sensor gain", "analog gain", "analogue gain"),
+        *("digital gain", "data gain values", "data offset values"),
+    ),
+    "binning": (
+        *("binning", "sample binning", "line binning", "spatial binning", "spectral binning"),
+        *("horizontal binning", "vertical binning", "x binning", "y binning"),
+    ),
+    "region": ("x start", "y start", "himg", "vimg", "hroi", "vroi", "mroi", "roi", "aoi"),
+}
+"""Fields by which vendors state a setting of the sensor; `himg`, `vimg`, `hroi`, `vroi`, `mroi` are Specim's."""
+MODELS = ("sensor type", "imager type", "camera model")
+SERIALS = (
+    *("sensorid", "sensor id", "serial number", "serialnumber", "camera serial number"),
+    *("sensor serial number", "imager serial number", "camera id"),
+)
+LENSES = ("lens", "lens name", "objective", "objective lens")
+STOPS = ("f-number", "f number", "fnumber", "aperture")
+UNKNOWN = frozenset(["", "unknown", "none", "n/a", "undefined", "-", "0"])
+"""What stands in a field that its writer had nothing for: ENVI itself writes `sensor type = Unknown`."""
 SAME = 0.01
 """Relative: exposures that differ by less are the same."""
 _KEY = re.compile(r"(?P<name>[a-z ]+?) ?(?:[(\[] ?(?P<unit>[a-zµμ]+) ?[)\]])?")
@@ -287,6 +308,45 @@ def exposure_facts(header: EnviHeader, bands: int) -> dict[str, Any]:
         return {"exposure_s": times[0]} if len(set(times)) == 1 else {"band_times_s": tuple(times)}
     lines = "; ".join(f"{key} = {_short(header.fields[key])}" for key in unclear)
     return {"exposure_unclear": lines} if lines else {}
+
+
+def setting_facts(header: EnviHeader) -> dict[str, Any]:
+    """Return camera, lens and settings of the sensor, as fields of `Facts`.
+
+    Examples
+    --------
+    >>> text = {"sensor type": "Unknown", "imager type": "Pika L", "x start": "0", "aperture": "f/2.8"}
+    >>> found = setting_facts(EnviHeader(Path("a.hdr"), text))
+    >>> found["model"], found["region"], found["f_number"]
+    ('Pika L', (('x start', '1'),), 2.8)
+    """
+    found: dict[str, Any] = {
+        name: tuple((key, _setting(header, key)) for key in keys if header.text(key)) or None
+        for name, keys in SETTINGS.items()
+    }
+    found |= {"model": _named(header, MODELS), "serial": _named(header, SERIALS)}
+    stops = (header.text(key).lower().removeprefix("f/") for key in STOPS)
+    return {
+        **found,
+        "lens": _named(header, LENSES),
+        "f_number": next((v for text in stops if (v := parse_number(text)) and v > 0), None),
+        "iso": header.number("iso") or None,
+    }
+
+
+def _named(header: EnviHeader, keys: tuple[str, ...]) -> str | None:
+    texts = (" ".join(header.text(key).split()) for key in keys)
+    return next((text for text in texts if text.lower() not in UNKNOWN), None)
+
+
+def _setting(header: EnviHeader, key: str) -> str:
+    """Return the value of a setting, numbers in one form; a region begins at 1, as ENVI counts, or at 0."""
+    texts = [text.strip().lower() for text in header.text(key).split(",")]
+    numbers = [parse_number(text) for text in texts]
+    if key in ("x start", "y start"):
+        numbers = [None if n is None else max(n, 1.0) for n in numbers]
+    pairs = zip(texts, numbers, strict=True)
+    return ", ".join(text if n is None else f"{n:.9g}" for text, n in pairs)
 
 
 def check_list(header: EnviHeader, key: str, count: int, bands: int, *, one: bool = False) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,8 @@ LARGEST_EXPANSION = 50
 """Bytes of a larger frame from one stored byte; noise of one code compresses to a tenth, and PackBits goes to 64 to 1."""
 IN_WORK = 8
 """Bytes of a sample in work, beside the frame as it was read: a float64, or several smaller arrays."""
+Settings = tuple[tuple[str, str], ...]
+"""Fields of a header by which one setting of a camera is stated, and their values: ``(("binning", "1, 2"),)``."""
 COPY_AGAIN = "Copy the file again from the camera, or remove it from the campaign."
 
 
@@ -59,7 +61,14 @@ class Facts:
         The exposure of an ENVI header that states no unit.
     captured : str or None
         ISO 8601, local time of the camera unless the file states an offset.
-    model : str or None
+    model, serial : str or None
+        Of the camera; maker's placeholders such as ``"Unknown"`` are None.
+    f_number, focal_mm : float or None
+    lens : str or None
+    white_balance : str or None
+        EXIF's ``"auto"`` or ``"manual"``.
+    gain, binning, region : tuple of (field, value) or None
+        Amplification, binning and window of the sensor, as the fields of an ENVI header give them.
     wavelengths, fwhm : tuple of float or None, nm
     band_names : tuple of str or None
     interleave : str or None
@@ -81,10 +90,39 @@ class Facts:
     iso: float | None = None
     captured: str | None = None
     model: str | None = None
+    serial: str | None = None
+    f_number: float | None = None
+    focal_mm: float | None = None
+    lens: str | None = None
+    white_balance: str | None = None
+    gain: Settings | None = None
+    binning: Settings | None = None
+    region: Settings | None = None
     wavelengths: tuple[float, ...] | None = None
     fwhm: tuple[float, ...] | None = None
     band_names: tuple[str, ...] | None = None
     interleave: str | None = None
+
+
+def facts_of_bands(facts: Facts, places: Sequence[int]) -> Facts:
+    """Return facts whose lists are of some bands of the file, in the order of `places`, from 0.
+
+    A list of another length than the file has bands is of none of them.
+
+    >>> cube = Facts(Path("a.hdr"), "envi", (1, 1, 3), "uint16", wavelengths=(450.0, 550.0, 650.0))
+    >>> facts_of_bands(cube, (2, 0)).wavelengths
+    (650.0, 450.0)
+    """
+    count = facts.shape[2] if len(facts.shape) == 3 else facts.pages
+    lists = ("wavelengths", "fwhm", "band_names", "band_times_s")
+    found = {name: getattr(facts, name) for name in lists}
+    picked: dict[str, Any] = {
+        name: tuple(values[i] for i in places)
+        for name, values in found.items()
+        if values and len(values) == count
+    }
+    without = replace(facts, wavelengths=None, fwhm=None, band_names=None, band_times_s=None)
+    return replace(without, **picked)
 
 
 def unreadable(

@@ -18,6 +18,7 @@ from levkas.readers import images
 from levkas.readers.envi_header import DATA_SUFFIXES, find_header
 from levkas.readers.facts import Facts, UnreadableCapture, unreadable
 from levkas.readers.raw import SUFFIXES as RAW_SUFFIXES
+from levkas.readers.raw import read_raw_headers
 
 __all__ = [
     "Facts",
@@ -26,6 +27,7 @@ __all__ = [
     "kind_of",
     "read_facts",
     "read_frame",
+    "read_headers",
     "read_sample",
 ]
 
@@ -154,6 +156,21 @@ def read_facts(path: str | Path) -> Facts:
 def _facts_of(path: Path, _stamp: Stamp) -> Facts:
     facts: Facts = _reader(path, 1)(path)
     return facts
+
+
+def read_headers(path: str | Path) -> Facts:
+    """Return what `read_facts` returns, but of a camera raw its EXIF alone, without a size: nothing is decoded."""
+    path = Path(path)
+    try:
+        stamp = stamp_of(path) if path.suffix.lower() in RAW_SUFFIXES else None
+    except OSError:
+        stamp = None
+    return _headers_of(path, stamp) if stamp else read_facts(path)
+
+
+@lru_cache(maxsize=MOST_FACTS)
+def _headers_of(path: Path, _stamp: Stamp) -> Facts:
+    return read_raw_headers(path) if kind_of(path) == "raw" else read_facts(path)
 
 
 def read_frame(path: str | Path, *, page: int | None = None) -> np.ndarray:

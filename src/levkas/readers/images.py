@@ -47,6 +47,13 @@ MOST_READS = 50_000
 # A preference order: IFD names as exifread writes them. TIFF/EP raws keep exposure in the main IFD.
 EXPOSURE = ("EXIF ExposureTime", "Image ExposureTime")
 ISO = ("EXIF ISOSpeedRatings", "Image ISOSpeedRatings", "EXIF ISOSpeed")
+F_NUMBER = ("EXIF FNumber", "Image FNumber")
+FOCAL = ("EXIF FocalLength", "Image FocalLength")
+LENS = ("EXIF LensModel", "Image LensModel")
+SERIAL = ("EXIF BodySerialNumber", "Image BodySerialNumber", "Image Tag 0xC62F")
+BALANCE_TAGS = ("EXIF WhiteBalance", "Image WhiteBalance")
+BALANCE = {0: "auto", 1: "manual"}
+"""Values of the EXIF tag WhiteBalance."""
 DATE = ("EXIF DateTimeOriginal", "Image DateTimeOriginal", "Image DateTime")
 
 
@@ -296,7 +303,7 @@ def _jpeg_xl_size(data: bytes) -> int:
 
 
 def read_exif(stream: BinaryIO) -> dict[str, Any]:
-    """Return exposure_s, iso, captured and model; None where EXIF does not say.
+    """Return exposure, ISO, date, camera and lens as fields of `Facts`; None where EXIF does not say.
 
     Parameters
     ----------
@@ -321,8 +328,30 @@ def read_exif(stream: BinaryIO) -> dict[str, Any]:
         "exposure_s": number(EXPOSURE),
         "iso": number(ISO),
         "captured": iso_date(first(DATE), tags.get("EXIF OffsetTimeOriginal")),
-        "model": str(tags.get("Image Model", "")).strip(" \0") or None,
+        "model": exif_text(tags.get("Image Model")),
+        "serial": exif_text(first(SERIAL)),
+        "f_number": number(F_NUMBER),
+        "focal_mm": number(FOCAL),
+        "lens": exif_text(first(LENS)),
+        "white_balance": white_balance(getattr(first(BALANCE_TAGS), "values", None)),
     }
+
+
+def exif_text(value: Any) -> str | None:
+    """Return a text of EXIF without the blanks and zeros that cameras fill it up with; None for an empty one.
+
+    >>> exif_text("NIKON D80  \\0"), exif_text("   ")
+    ('NIKON D80', None)
+    """
+    if isinstance(value, bytes):
+        value = value.decode("ascii", "replace")
+    return " ".join(str(value if value is not None else "").replace("\0", " ").split()) or None
+
+
+def white_balance(value: Any) -> str | None:
+    """Return ``"auto"`` or ``"manual"`` of the EXIF tag WhiteBalance, which is a number or a list of one."""
+    first = value[0] if isinstance(value, list | tuple) and value else value
+    return BALANCE.get(first) if isinstance(first, int) else None
 
 
 class _BoundedReads:

@@ -9,6 +9,7 @@ import signal
 import struct
 import subprocess
 import sys
+from collections import OrderedDict
 from io import BytesIO
 from itertools import islice
 from math import ceil, prod
@@ -18,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from levkas.core.digests import Stamp, stamp_of
 from levkas.readers.facts import (
     Facts,
     UnreadableCapture,
@@ -44,6 +46,10 @@ FRAMES = (0xC0, 0xC1, 0xC3)
 """Markers of JPEG frames that LibRaw decodes in a mosaic."""
 MOST_DIRECTORIES, MOST_SEGMENTS, HEADER_BYTES = 16, 64, 1 << 16
 
+_read: OrderedDict[tuple[Path, Stamp], dict[str, Any]] = OrderedDict()
+"""What was found beside the pixels of the last files: their facts need no second decoding."""
+MOST_READ = 1 << 10
+
 _idle: list[subprocess.Popen[bytes]] = []
 """Decoders without work: one for every thread that has read camera raws at a time."""
 
@@ -54,7 +60,7 @@ def read_raw_facts(path: Path) -> Facts:
     LibRaw knows the levels of some cameras only when it has unpacked the pixels, so this takes
     nearly as long as `read_raw_mosaic`.
     """
-    found, _ = _decode(path, pixels=False)
+    found = _read.get((path, stamp_of(path))) or _decode(path, pixels=False)[0]
     with decoding(path, "camera raw"), path.open("rb") as handle:
         exif = read_exif(handle)
     blacks = tuple(float(b) for b in found["blacks"])
@@ -69,16 +75,28 @@ def read_raw_facts(path: Path) -> Facts:
         blacks=blacks if found["pattern"] and len(set(blacks)) > 1 else None,
         saturation=float(white) if white else None,
         pattern=found["pattern"],
-        exposure_s=exif["exposure_s"] or found["exposure_s"] or None,
-        iso=exif["iso"] or found["iso"] or None,
-        captured=exif["captured"] or iso_date(found["captured"]),
-        model=exif["model"],
+        **{
+            **exif,
+            "exposure_s": exif["exposure_s"] or found["exposure_s"] or None,
+            "iso": exif["iso"] or found["iso"] or None,
+            "captured": exif["captured"] or iso_date(found["captured"]),
+        },
     )
+
+
+def read_raw_headers(path: Path) -> Facts:
+    """Return what the EXIF of a camera raw states; its size, levels and pattern stay unknown, and nothing is decoded."""
+    with decoding(path, "camera raw"), path.open("rb") as handle:
+        return Facts(path=path, kind="raw", shape=(), dtype="uint16", **read_exif(handle))
 
 
 def read_raw_mosaic(path: Path) -> np.ndarray:
     """Return the visible mosaic, (h, w), uint16, curves of the camera's compression undone."""
+    stamp = stamp_of(path)
     found, data = _decode(path, pixels=True)
+    _read[path, stamp] = found
+    while len(_read) > MOST_READ:
+        _read.popitem(last=False)
     return np.frombuffer(data, np.uint16).reshape(found["shape"])
 
 

@@ -27,9 +27,11 @@ from levkas.readers.images import (
     JPEG_CODES,
     JPEG_XL,
     MOST_SCANS,
+    exif_text,
     frame_size,
     iso_date,
     positive_number,
+    white_balance,
 )
 
 LARGEST_RATIO = 2000
@@ -460,7 +462,7 @@ def _describe(page: Any) -> dict[str, Any]:
         return None
 
     blacks, whites = _levels(tags, "BlackLevel"), _levels(tags, "WhiteLevel")
-    model, make = _text(find("Model")), _text(find("Make"))
+    model, make = exif_text(find("Model")), exif_text(find("Make"))
     wavelength, fwhm, name = _camera_band(_value(tags, "XMP") or b"")
     saturation = min(whites) if whites else None
     if make == "MicaSense" and wavelength and saturation is None and page.bitspersample == 16:
@@ -474,6 +476,11 @@ def _describe(page: Any) -> dict[str, Any]:
         "iso": positive_number(find("ISOSpeedRatings", "PhotographicSensitivity", "ISOSpeed")),
         "captured": iso_date(find("DateTimeOriginal", "DateTime"), find("OffsetTimeOriginal")),
         "model": model,
+        "serial": exif_text(find("BodySerialNumber", "CameraSerialNumber")),
+        "f_number": positive_number(find("FNumber")),
+        "focal_mm": positive_number(find("FocalLength")),
+        "lens": exif_text(find("LensModel")),
+        "white_balance": white_balance(find("WhiteBalance")),
         "wavelengths": (wavelength,) if wavelength else None,
         "fwhm": (fwhm,) if fwhm else None,
         "band_names": (name,) if name else None,
@@ -518,12 +525,6 @@ def _levels(tags: Any, name: str) -> tuple[float, ...]:
         pairs = zip(numbers[::2], numbers[1::2], strict=False)
         numbers = [top / bottom for top, bottom in pairs if bottom]
     return tuple(n for n in numbers if isfinite(n))
-
-
-def _text(value: Any) -> str | None:
-    if isinstance(value, bytes):
-        value = value.decode("ascii", "replace")
-    return (str(value).strip(" \0") or None) if value else None
 
 
 def _bayer(pattern: Any, dims: Any) -> str | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import nan
@@ -13,6 +13,7 @@ from levkas.campaign.discovery.captures import CaptureRefused, FrameRef, Rows
 from levkas.campaign.discovery.patterns import natural
 from levkas.core.cube import Band, band_labels
 from levkas.core.problems import Problem
+from levkas.readers.compared_facts import NEAREST_NM
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera
@@ -22,8 +23,7 @@ if TYPE_CHECKING:
 Key = float | str
 SAME_DECIMALS = 6
 """Decimals of nm to which two wavelengths are one, as files and campaign.toml write them."""
-NEAREST_NM = 0.5
-"""Declared wavelengths may differ from a header's by this, or by half a step where that is more."""
+"""Declared wavelengths may differ from a header's by `NEAREST_NM`, or by half a step where that is more."""
 
 
 def bands_of_mosaic(
@@ -99,7 +99,7 @@ def bands_in_file(
         if declared and len(declared) != count:
             raise CaptureRefused(count_problem(camera, field, len(declared), count, unit, where))
     header = facts.wavelengths if facts.wavelengths and len(facts.wavelengths) == count else None
-    if centres and header:
+    if centres and header and "wavelengths" not in camera.overrule:
         _check_near(camera, centres, header, where)
     centres = centres or header
     widths = facts.fwhm if facts.fwhm and len(facts.fwhm) == count else (nan,) * count
@@ -143,9 +143,58 @@ def _check_near(
                     f"cameras.{camera.name}.wavelengths",
                     f"{theirs:g} nm in the header",
                     f"{ours:g} nm",
-                    "Correct `wavelengths`, or remove the key to use those of the header.",
+                    "Correct `wavelengths`, or remove the key to use those of the header; "
+                    '`overrule = ["wavelengths"]` takes those of campaign.toml.',
                 )
             )
+
+
+def in_order(
+    camera: Camera, frame: FrameRef, facts_of: Callable[[Path], Facts], first: Path
+) -> FrameRef:
+    """Return a frame with the order of its bands where another than that of the object's first file is stated."""
+    if {"wavelengths", "bands"} & set(camera.overrule):
+        return frame
+    return replace(frame, order=order_of(facts_of(frame.path), facts_of(first)))
+
+
+def page_of(frame: FrameRef, number: int, band: Band) -> FrameRef:
+    """Return a frame of several pages as that of one band, which is the object's `number`-th."""
+    page = frame.order[number] if frame.order else number
+    return replace(frame, band=band.label, page=page, order=None)
+
+
+def order_of(own: Facts, other: Facts) -> tuple[int, ...] | None:
+    """Return where a file has each of another's bands, by their wavelengths, else by their names.
+
+    None where they stand in the same order, or are not the same bands.
+
+    >>> from levkas.readers.facts import Facts
+    >>> first = Facts(Path("a.hdr"), "envi", (1, 1, 3), "uint16", wavelengths=(450, 550, 650))
+    >>> order_of(replace(first, wavelengths=(650, 550.2, 450)), first)
+    (2, 1, 0)
+    """
+    if own.wavelengths and other.wavelengths:
+        return _matched(own.wavelengths, other.wavelengths)
+    return _matched_names(own.band_names or (), other.band_names or ())
+
+
+def _matched(own: Sequence[float], other: Sequence[float]) -> tuple[int, ...] | None:
+    if (
+        len(own) != len(other)
+        or max(abs(a - b) for a, b in zip(own, other, strict=True)) <= NEAREST_NM
+    ):
+        return None
+    ours, theirs = (sorted(range(len(w)), key=w.__getitem__) for w in (own, other))
+    if any(abs(own[i] - other[j]) > NEAREST_NM for i, j in zip(ours, theirs, strict=True)):
+        return None
+    places = dict(zip(theirs, ours, strict=True))
+    return tuple(places[j] for j in range(len(other)))
+
+
+def _matched_names(own: Sequence[str], other: Sequence[str]) -> tuple[int, ...] | None:
+    same = list(own) == list(other) or sorted(own) != sorted(other) or len(set(own)) < len(own)
+    return None if same else tuple(own.index(name) for name in other)
 
 
 def with_declared_centres(camera: Camera, bands: Sequence[Band], path: Path) -> tuple[Band, ...]:

@@ -35,6 +35,8 @@ class FrameRef:
     shot, setup : str
     page : int, optional
         Of a multi-page TIFF, from 0. None: the whole file, for a `cube` all its pages.
+    order : tuple of int, optional
+        Of a `cube` whose bands stand in another order than those of the object's first file: where each of these is.
     """
 
     path: Path
@@ -46,6 +48,7 @@ class FrameRef:
     shot: str = ""
     setup: str = ""
     page: int | None = None
+    order: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True)

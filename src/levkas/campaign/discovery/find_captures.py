@@ -14,7 +14,9 @@ from levkas.campaign.discovery.bands import (
     bands_in_file,
     bands_of_mosaic,
     count_problem,
+    in_order,
     label_templates,
+    page_of,
     with_declared_centres,
 )
 from levkas.campaign.discovery.captures import (
@@ -411,12 +413,13 @@ def _frames_and_bands(
         bands = bands_in_file(camera, sensor, index.facts(first))
         if camera.kind == "cube":
             _check_counts(index, camera, frames[1:], len(bands))
+            frames = [in_order(camera, frame, index.facts, first) for frame in frames]
         return frames, None, bands
     if all(band_key(f) is None for f in frames):
         bands = bands_in_file(camera, None, index.facts(first), pages=True)
         _check_counts(index, camera, frames[1:], len(bands))
-        paged = [replace(f, band=b.label, page=i) for i, b in enumerate(bands) for f in frames]
-        return paged, pattern, bands
+        frames = [in_order(camera, frame, index.facts, first) for frame in frames]
+        return [page_of(f, i, b) for i, b in enumerate(bands) for f in frames], pattern, bands
     others = index.bands(camera, sensor.name if sensor else "", setup)
     frames, bands = bands_by_name(camera, frames, others, str(first.parent))
     return frames, pattern, bands
@@ -432,6 +435,7 @@ def _fitted(
     """Give templates the bands they belong to, by name or by page; without either they serve all."""
     if camera.kind == "cube":
         _check_counts(index, camera, templates, len(bands))
+        return [in_order(camera, template, index.facts, frames[0].path) for template in templates]
     if camera.kind != "bands":
         return templates
     paged: list[FrameRef] = []
@@ -443,7 +447,8 @@ def _fitted(
             paged.append(template)
             continue
         _check_counts(index, camera, [template], len(bands))
-        paged += [replace(template, band=b.label, page=i) for i, b in enumerate(bands)]
+        ordered = in_order(camera, template, index.facts, frames[0].path)
+        paged += [page_of(ordered, i, band) for i, band in enumerate(bands)]
     return label_templates(paged, frames, bands)
 
 

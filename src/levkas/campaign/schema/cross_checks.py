@@ -21,6 +21,7 @@ from levkas.campaign.schema.tables import (
     SensorKeys,
 )
 from levkas.core.problems import LONGEST_NAME, MOST_COMPARED, Problem, closest_match
+from levkas.readers.compared_facts import FACTS_BY_NAME
 
 MOST_LISTED = 20
 MOST_CAMERAS, MOST_LAYERS, MOST_PATTERNS = 1000, 20_000, 1000
@@ -419,6 +420,15 @@ def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
             camera.black,
             f"< {camera.saturation:g}",
         )
+    for name in camera.overrule:
+        if name not in FACTS_BY_NAME:
+            yield value_problem(
+                f"{where}.overrule",
+                "this is no fact that files are compared by",
+                name,
+                f"one of {listed(FACTS_BY_NAME)}",
+                closest_match(name, FACTS_BY_NAME),
+            )
     dark, white = set(camera.dark or ()), set(camera.white_names or ())
     if dark & white:
         yield value_problem(

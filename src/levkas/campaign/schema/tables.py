@@ -220,6 +220,7 @@ class CameraKeys(Table):
     manifest: Text | None = None
     sensors: tuple[SensorKeys, ...] = ()
     scan: Literal["push-broom", "mirror"] | None = None
+    overrule: Names = ()
     denoise: Literal["hysime"] | None = None
     demosaic: Literal["malvar", "bilinear", "normalised", "wiener"] | None = None
     dark: Names | None = None

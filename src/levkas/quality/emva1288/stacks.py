@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.calibration.agreement import compare_facts
 from levkas.calibration.code_spacing import MOST_CODES, count_codes, find_levels
 from levkas.calibration.linearity import RECIPROCAL, Linearity, check_linearity
 from levkas.calibration.sensor_context import SensorContext, exposure_of, read_cube
@@ -70,6 +71,8 @@ def gather(campaign: Campaign, captures: Sequence[Capture], camera: str) -> Iter
         # Nothing is kept from one reading to the next: there is no shelf.
         bench = SensorContext(campaign, campaign.cameras[camera], frames, facts, None)
         sensor = SensorStacks(camera, frames.name, bench)
+        together = replace(frames, object=tuple(frame for _, taken in objects for frame in taken))
+        sensor.notes += compare_facts(bench.camera, together, bench.alignments)
         if campaign.cameras[camera].kind == "cube":
             gather_lines(sensor, frames)
         else:

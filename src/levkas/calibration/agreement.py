@@ -1,0 +1,372 @@
+"""Whether the files of one sensor agree in what they state, with one another and with campaign.toml.
+
+What is compared, and how, is the table of `levkas.readers.compared_facts`; a fact is compared where both files state it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import isnan
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from levkas.calibration.code_spacing import Alignment, find_alignment
+from levkas.calibration.templates import CalibrationRefused
+from levkas.core.problems import Problem
+from levkas.readers.compared_facts import (
+    FACTS,
+    FACTS_BY_NAME,
+    NEAREST_NM,
+    ComparedFact,
+    Severity,
+    compare_black,
+    compare_ratio,
+    describe_value,
+    full_scale,
+    read_fact,
+)
+from levkas.readers.facts import facts_of_bands
+from levkas.readers.frames import read_facts, read_headers
+
+if TYPE_CHECKING:
+    from levkas.campaign.campaign import Camera
+    from levkas.campaign.discovery.captures import FrameRef, SensorFrames
+    from levkas.readers.facts import Facts
+
+ROLES = ("object", "white", "chart", "dark")
+LEVELS_OF_RAW = ("bits", "saturation", "black", "pattern")
+"""Of a camera raw they are known where it is decoded."""
+OF_ONE_NOISE = ("iso", "gain", "model", "serial")
+"""May differ from band to band, and then one model of the noise is not that of every band."""
+DECLARED, IN_NAME = "campaign.toml", "its name or the manifest"
+EXPOSURE = ComparedFact("exposure", "exposure, s", ("exposure_s",), ROLES, compare_ratio(1.1))
+"""Declared against stated alone: EXIF has the nominal 1/60 s for 1/64."""
+SAME_FULL = 0.01
+"""Relative: a declared full scale that differs by less from the file's is the same."""
+
+
+class Aligned(NamedTuple):
+    """Where the codes of a frame stand in their words, the frame's role and file."""
+
+    role: str
+    path: Path
+    alignment: Alignment
+
+
+class Stated(NamedTuple):
+    """A frame, its role, and what its file states."""
+
+    role: str
+    frame: FrameRef
+    facts: Facts
+
+
+Valued = tuple[Stated, Any]
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """What a file states, and what another file, campaign.toml or its name states instead.
+
+    Parameters
+    ----------
+    fact : ComparedFact
+    severity : {"noted", "refused"}
+    role : str
+        Of the file.
+    path : Path
+    found, expected : str
+        Its value, and the other's.
+    stated_by : str
+        Name of the other.
+    more : int
+        Files that contradict in the same fact and role.
+    """
+
+    fact: ComparedFact
+    severity: Severity
+    role: str
+    path: Path
+    found: str
+    expected: str
+    stated_by: str
+    more: int = 0
+
+    def describe(self) -> str:
+        """Return one line with both files and both values."""
+        others = f" and {self.more} more" if self.more else ""
+        return (
+            f"{self.fact.title}: {self.found} in {self.path.name}{others} ({self.role}), "
+            f"{self.expected} in {self.stated_by}"
+        )
+
+    def problem(self, camera: str) -> Problem:
+        """Return the refusal, with what to do."""
+        return Problem(
+            "E_FACTS",
+            f"{camera}: {self.role} and {self.stated_by} differ in {self.fact.title}",
+            str(self.path),
+            self.fact.title,
+            self.found + (f", and {self.more} more files differ" if self.more else ""),
+            f"{self.expected}, as {self.stated_by} states",
+            self.fact.advice(camera),
+        )
+
+
+def facts_of(frame: FrameRef) -> Facts:
+    """Return what the headers of a frame's file state of its bands, in their order; of a camera raw its EXIF alone."""
+    facts = read_headers(frame.path)
+    if frame.page is not None:
+        return facts_of_bands(facts, (frame.page,))
+    return facts_of_bands(facts, frame.order) if frame.order else facts
+
+
+def compare_facts(camera: Camera, sensor: SensorFrames, alignments: Sequence[Aligned]) -> list[str]:
+    """Compare what all frames of a sensor state; return notes.
+
+    Parameters
+    ----------
+    camera : Camera
+        Its `overrule` accepts contradictions by their names.
+    sensor : SensorFrames
+        The headers of its files are read.
+    alignments : sequence of Aligned
+        Of some frames.
+
+    Returns
+    -------
+    notes : list of str
+        What `overrule` accepts, what differs without making a value wrong, what campaign.toml declares otherwise.
+
+    Raises
+    ------
+    CalibrationRefused
+        E_FACTS, once for a fact and role, with both files, both values and what to do. A photograph, of which
+        nothing is calibrated, has notes instead.
+    """
+    every = _stated(sensor)
+    between = [*_between_files(camera, sensor, every), *_between_alignments(alignments)]
+    known = {(one.fact, one.path) for one in between}
+    declared = _with_declaration(camera, sensor, every)
+    found = _merged([*between, *(one for one in declared if (one.fact, one.path) not in known)])
+    notes = [one.describe() for one in found if not _is_fatal(camera, one)]
+    refused = [one for one in found if _is_fatal(camera, one)]
+    accepted = {one.fact.name for one in refused} & set(camera.overrule)
+    if fatal := [one for one in refused if one.fact.name not in accepted]:
+        raise CalibrationRefused(*(one.problem(camera.name) for one in fatal))
+    notes += [f"{one.describe()}; `overrule` accepts it, no value is corrected" for one in refused]
+    for one in every:
+        if one.frame.order:
+            name = one.frame.path.name
+            notes.append(
+                f"the bands of {name} stand in another order, matched by wavelength or name"
+            )
+    if idle := [name for name in camera.overrule if name not in accepted]:
+        notes.append(f"`overrule` of {', '.join(idle)} has no effect: these files agree")
+    return [f"{camera.name}: {note}" for note in notes]
+
+
+def _is_fatal(camera: Camera, one: Contradiction) -> bool:
+    return one.severity == "refused" and camera.kind != "image"
+
+
+def check_alike(
+    camera: Camera,
+    first: tuple[Facts, str],
+    alignments: Sequence[Aligned],
+    values: np.ndarray,
+    path: Path,
+) -> None:
+    """Refuse what shows only where a frame is decoded: codes aligned otherwise, other levels of a camera raw.
+
+    Parameters
+    ----------
+    camera : Camera
+    first : (Facts, str)
+        Of the object's first frame, and its file's name.
+    alignments : sequence of Aligned
+    values : ndarray
+        Rows of the frame.
+    path : Path
+        Of the frame.
+
+    Raises
+    ------
+    CalibrationRefused
+        E_FACTS.
+    """
+    facts, name = first
+    found = []
+    if facts.kind == "raw":
+        one = read_facts(path)
+        levels = (FACTS_BY_NAME[level] for level in LEVELS_OF_RAW)
+        pairs = ((fact, read_fact(fact, facts), read_fact(fact, one)) for fact in levels)
+        for fact, expected, value in pairs:
+            if None not in (expected, value) and fact.compare(expected, value) == "refused":
+                texts = describe_value(fact, value), describe_value(fact, expected)
+                found.append(Contradiction(fact, "refused", "a frame", path, *texts, name))
+    elif alignments and (alignment := find_alignment([values])):
+        found += _between_alignments([alignments[0], Aligned("a frame", path, alignment)])
+    fatal = [o for o in found if _is_fatal(camera, o) and o.fact.name not in camera.overrule]
+    if fatal:
+        raise CalibrationRefused(*(one.problem(camera.name) for one in fatal))
+
+
+def _merged(found: Iterable[Contradiction]) -> list[Contradiction]:
+    """Return one contradiction for a fact, role and severity, with the number of other files."""
+    firsts: dict[tuple[str, str, str, bool], Contradiction] = {}
+    paths: dict[tuple[str, str, str, bool], set[Path]] = {}
+    for one in found:
+        key = one.fact.name, one.severity, one.role, one.stated_by in (DECLARED, IN_NAME)
+        firsts.setdefault(key, one)
+        paths.setdefault(key, set()).add(one.path)
+    return [replace(one, more=len(paths[key]) - 1) for key, one in firsts.items()]
+
+
+# --- file with file ------------------------------------------------------------------------------
+
+
+def _stated(sensor: SensorFrames) -> list[Stated]:
+    """Return all frames of a sensor with their facts; of camera raws after a role's first the EXIF alone."""
+    found = []
+    for role in ROLES:
+        for i, frame in enumerate(getattr(sensor, role)):
+            facts = facts_of(frame)
+            if facts.kind == "raw" and i == 0:
+                facts = read_facts(frame.path)
+            found.append(Stated(role, frame, facts))
+    return found
+
+
+def _between_files(
+    camera: Camera, sensor: SensorFrames, every: list[Stated]
+) -> Iterator[Contradiction]:
+    """Yield the facts in which files contradict the first that states them; where bands may differ, that of each band."""
+    labels = list(dict.fromkeys(one.frame.band for one in every if one.frame.band is not None))
+    of_band = [[one for one in every if one.frame.band in (label, None)] for label in labels]
+    for fact in FACTS:
+        firsts: list[Valued] = []
+        for group in of_band if fact.per_band and of_band else [every]:
+            valued = _values(camera, sensor, fact, group)
+            yield from _compared(fact, valued)
+            firsts += valued[:1]
+        if fact.name in OF_ONE_NOISE:
+            for made in _compared(fact, firsts):
+                by = f"{made.stated_by}, and one noise model serves all bands"
+                yield replace(made, severity="noted", stated_by=by)
+
+
+def _values(
+    camera: Camera, sensor: SensorFrames, fact: ComparedFact, group: Iterable[Stated]
+) -> list[Valued]:
+    """Return the frames of a group that state a fact, with its value."""
+    able = (one for one in group if fact.fields and one.role in fact.roles)
+    pairs = ((one, _value(camera, sensor, fact, one)) for one in able)
+    return [(one, value) for one, value in pairs if value is not None]
+
+
+def _value(camera: Camera, sensor: SensorFrames, fact: ComparedFact, one: Stated) -> Any:
+    """Return what a frame states; None where the fact says nothing about this frame."""
+    value = read_fact(fact, one.facts)
+    if value is None:
+        return None
+    if fact.name in ("wavelengths", "bands") and one.role == "dark" and len(value) == 1:
+        return None  # no light came through the filter
+    if fact.name == "region" and camera.kind == "cube":
+        if one.role == "object" and one.frame != sensor.object[0]:
+            return None  # of a strip it may be its place in the scan
+        if camera.scan != "mirror":  # dark and white are other lines
+            value = tuple(pair for pair in value if pair[0] != "y start")
+    return value or None
+
+
+def _compared(fact: ComparedFact, valued: list[Valued]) -> Iterator[Contradiction]:
+    """Yield where frames contradict the first."""
+    for one, value in valued[1:]:
+        base, expected = valued[0]
+        severity = fact.compare(expected, value)
+        if severity != "same":
+            texts = describe_value(fact, value), describe_value(fact, expected)
+            by = base.frame.path.name
+            yield Contradiction(fact, severity, one.role, one.frame.path, *texts, by)
+
+
+def _between_alignments(alignments: Sequence[Aligned]) -> Iterator[Contradiction]:
+    """Yield frames whose codes stand at the upper end of their words and the first's at the lower, or the reverse."""
+    for role, path, one in alignments[1:]:
+        _, other, expected = alignments[0]
+        if one.contradicts(expected):
+            texts = one.describe(), expected.describe()
+            fact = FACTS_BY_NAME["code_spacing"]
+            yield Contradiction(fact, "refused", role, path, *texts, other.name)
+
+
+# --- file with campaign.toml ----------------------------------------------------------------------
+
+
+def _with_declaration(
+    camera: Camera, sensor: SensorFrames, every: list[Stated]
+) -> Iterator[Contradiction]:
+    """Yield where a file states otherwise than campaign.toml, or its name, declares; what is declared is taken."""
+    for one in every:
+        for name, (declared, stated) in _pairs(camera, sensor, one).items():
+            if declared is None or stated is None:
+                continue
+            severity = _severity(sensor, name, declared, stated)
+            if severity != "same":
+                fact = FACTS_BY_NAME.get(name, EXPOSURE)
+                texts = describe_value(fact, stated), describe_value(fact, declared)
+                by = IN_NAME if fact is EXPOSURE else DECLARED
+                yield Contradiction(fact, severity, one.role, one.frame.path, *texts, by)
+
+
+def _pairs(camera: Camera, sensor: SensorFrames, one: Stated) -> dict[str, tuple[Any, Any]]:
+    """Return by name of a fact what is declared of a frame, and what its file states."""
+    facts = one.facts
+    bits, black, centres = (FACTS_BY_NAME[name] for name in ("bits", "black", "wavelengths"))
+    stored = facts.kind != "raw" and facts.bits == 8 * np.dtype(facts.dtype).itemsize
+    declared_black = None if camera.black is None else (camera.black, full_scale(facts))
+    return {
+        "bits": (camera.bits, None if stored else read_fact(bits, facts)),
+        "saturation": (camera.saturation, facts.saturation),
+        "black": (declared_black, read_fact(black, facts)),
+        "pattern": (_letters(camera, sensor), facts.pattern),
+        "exposure": (one.frame.exposure_s, facts.exposure_s),
+        "wavelengths": (_centres(sensor, one), _value(camera, sensor, centres, one)),
+    }
+
+
+def _severity(sensor: SensorFrames, name: str, declared: Any, stated: Any) -> Severity:
+    if name == "wavelengths":
+        apart = max(abs(a - b) for a, b in zip(declared, stated, strict=True))
+        steps = sorted(abs(b - a) for a, b in pairwise(b.wavelength for b in sensor.bands))
+        allowed = max(NEAREST_NM, steps[len(steps) // 2] / 2 if steps else 0.0)
+        return "same" if apart <= NEAREST_NM else "noted" if apart <= allowed else "refused"
+    if name == "saturation":
+        return "same" if abs(declared / stated - 1) <= SAME_FULL else "noted"
+    if name == "black":
+        return "same" if compare_black(declared, stated) == "same" else "noted"
+    if name == "exposure":
+        return "same" if EXPOSURE.compare(declared, stated) == "same" else "noted"
+    return "same" if declared == stated else "noted"
+
+
+def _letters(camera: Camera, sensor: SensorFrames) -> str | None:
+    """Return a declared Bayer pattern as letters; None of others, whose names a file cannot contradict."""
+    rows = camera.pattern
+    if sensor.name:
+        rows = next(s.pattern for s in camera.sensors if s.name == sensor.name)
+    letters = "".join("".join(row) for row in rows or ())
+    return letters if len(letters) == 4 and set(letters) <= set("RGB") else None
+
+
+def _centres(sensor: SensorFrames, one: Stated) -> tuple[float, ...] | None:
+    """Return the wavelengths that the bands of a frame have by campaign.toml, their names or the object's header."""
+    bands = [band for band in sensor.bands if one.frame.band in (None, band.label)]
+    centres = tuple(band.wavelength for band in bands)
+    as_many = len(centres) == len(one.facts.wavelengths or ())
+    return centres if as_many and not any(map(isnan, centres)) else None

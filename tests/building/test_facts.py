@@ -1,0 +1,514 @@
+"""Files of one camera that contradict each other: the values are right, or the capture is refused, or it is said."""
+
+import itertools
+import struct
+import zlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+
+from levkas.building import build
+from levkas.building.calibrate import develop
+from levkas.building.template_cache import TemplateCache
+from levkas.calibration.agreement import compare_facts
+from levkas.campaign.campaign import CampaignInvalid, load_campaign
+from levkas.campaign.discovery.find_captures import find_captures
+from levkas.core.problems import Refused
+from levkas.readers.compared_facts import FACTS_BY_NAME
+
+SIZE, BLACK, LIGHT, NOISE, TRUTH = (40, 48), 64.0, 1500.0, 3.0, 0.5
+EXIF_IFD, ISO, STOP, FOCAL, LENS, SERIAL, BALANCE = (
+    *(0x8769, 34855, 33437, 37386, 42036, 42033, 41987),
+)
+MODEL, TIME, XMP, BLACK_LEVEL, WHITE_LEVEL, PATTERN = 272, 33434, 700, 50714, 50717, 33422
+RATIONAL = {STOP, FOCAL, TIME}
+
+
+# --- files that state facts -----------------------------------------------------------------------
+
+
+def tags_of(stated):
+    """Tags of a TIFF, as tifffile takes them; strings and rationals as cameras write them."""
+    for tag, value in stated.items():
+        if not isinstance(tag, int):
+            continue
+        if isinstance(value, str | bytes):
+            yield (tag, 1 if isinstance(value, bytes) else 2, len(value), value, True)
+        elif tag in RATIONAL:
+            yield (tag, 5, 1, (round(value * 1000), 1000), True)
+        else:
+            yield (tag, 3, np.size(value), value, True)
+
+
+def exif_of(stated):
+    exif = Image.Exif()
+    exif[MODEL] = stated.get(MODEL, "D80")
+    own = {tag: value for tag, value in stated.items() if isinstance(tag, int) and tag != MODEL}
+    exif[EXIF_IFD] = {
+        t: IFDRational(round(v * 1000), 1000) if t in RATIONAL else v for t, v in own.items()
+    }
+    return exif
+
+
+def write_tiff(path, codes, stated):
+    tifffile.imwrite(
+        path.with_suffix(".tif"), codes, photometric="minisblack", metadata=None,
+        extratags=list(tags_of(stated)),
+    )  # fmt: skip
+
+
+def write_dng(path, codes, stated):
+    own = {BLACK_LEVEL: int(BLACK), WHITE_LEVEL: 4095, PATTERN: b"\0\1\1\2", **stated}
+    tags = [
+        (50706, 1, 4, b"\1\4\0\0", True), (50707, 1, 4, b"\1\1\0\0", True),
+        (50708, 2, 0, "Case", True), (33421, 3, 2, (2, 2), True),
+        (50721, 10, 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),
+        (50778, 3, 1, 21, True), (50728, 5, 3, (1, 1, 1, 1, 1, 1), True), *tags_of(own),
+    ]  # fmt: skip
+    tifffile.imwrite(
+        path.with_suffix(".dng"), codes, photometric=32803, extratags=tags, metadata=None
+    )
+
+
+def write_png(path, codes, stated):
+    path = path.with_suffix(".png")
+    Image.fromarray(codes).save(path, exif=exif_of(stated))
+    if "sbit" in stated:
+        data = path.read_bytes()
+        chunk = b"sBIT" + bytes([stated["sbit"]])
+        chunk = struct.pack(">I", 1) + chunk + struct.pack(">I", zlib.crc32(chunk))
+        path.write_bytes(data[:33] + chunk + data[33:])
+
+
+def write_jpeg(path, codes, stated):
+    Image.fromarray(codes).save(path.with_suffix(".jpg"), quality=100, exif=exif_of(stated))
+
+
+def write_envi(path, codes, stated):
+    code = {"uint8": 1, "int16": 2, "uint16": 12, "float32": 4}[codes.dtype.name]
+    cube = np.stack([codes, codes, codes], -1) if codes.ndim == 2 else codes
+    path.with_suffix(".raw").write_bytes(np.ascontiguousarray(cube.transpose(0, 2, 1)).tobytes())
+    lines, samples, bands = cube.shape
+    rows = {"lines": lines, "samples": samples, "bands": bands, "data type": code}
+    rows |= {"interleave": "bil", "byte order": 0}
+    rows |= {key: value for key, value in stated.items() if key not in ("dtype", "shift", "effect")}
+    path.with_suffix(".hdr").write_text("ENVI\n" + "".join(f"{k} = {v}\n" for k, v in rows.items()))
+
+
+# --- campaigns of which one file states something else ---------------------------------------------
+
+FORMATS = {
+    "tiff": write_tiff,
+    "dng": write_dng,
+    "png": write_png,
+    "jpeg": write_jpeg,
+    "envi": write_envi,
+}
+KEYS = {
+    "tiff": 'kind = "bands"\nfiles = "{target}_{shot}_{wavelength}nm.tif"\nblack = 64',
+    "png": 'kind = "bands"\nfiles = "{target}_{shot}_{wavelength}nm.png"\nblack = 64',
+    "jpeg": 'kind = "bands"\nfiles = "{target}_{shot}_{wavelength}nm.jpg"\nblack = 4',
+    "dng": 'kind = "mosaic"\nfiles = "{target}_{shot}_*.dng"',
+    "envi": 'kind = "cube"\nfiles = "{target}_{shot}_*.hdr"',
+}
+CAMPAIGN = """
+[campaign]
+reference = "cam"
+[cameras.cam]
+{keys}
+{more}
+[targets]
+dark = "dark"
+white = {{ names = "white", reflectance = 1.0 }}
+objects = ["panel"]
+"""
+LEVELS = {"dark": 0.0, "white": 1.0, "panel": TRUTH}
+FRAMES = [("dark", 0), ("dark", 1), ("white", 0), ("white", 1), ("panel", 0), ("panel", 1)]
+
+
+def codes_of(form, target, shot, stated):
+    """Counts of a frame, changed as what it states does to them."""
+    rng = np.random.default_rng([shot, *target.encode()])
+    counts = LIGHT * LEVELS[target] + rng.normal(0, NOISE, SIZE)
+    codes = np.rint(stated.get("effect", 1.0) * counts + BLACK)
+    if form == "jpeg" or stated.get("dtype") == "uint8":
+        return np.rint(codes / 16).clip(0, 255).astype(np.uint8)
+    codes = codes.clip(0, 4095) * 2 ** stated.get("shift", 0)
+    return codes.astype(stated.get("dtype", "uint16"))
+
+
+def make(folder, form, statements, more=""):
+    """Write a campaign; `statements` by (target, shot) or target, else by ``"all"``."""
+    folder.mkdir()
+    for target, shot in FRAMES:
+        if form == "envi" and (target, shot) == ("panel", 1):
+            continue  # it would be a strip
+        own = statements.get((target, shot), statements.get(target, {}))
+        stated = {**statements.get("all", {}), **own}
+        path = folder / f"{target}_{shot}_550nm"
+        FORMATS[form](path, codes_of(form, target, shot, stated), stated)
+    keys = KEYS[form] if "black" not in more else KEYS[form].partition("\nblack")[0]
+    (folder / "campaign.toml").write_text(CAMPAIGN.format(keys=keys, more=more))
+    return folder
+
+
+def developed(folder):
+    campaign = load_campaign(folder)
+    (capture,), refused = find_captures(campaign)
+    assert not refused, refused
+    native = develop(capture, campaign, TemplateCache(folder, None, shared=False))
+    (cube,) = native.cubes.values()
+    return cube, native.warnings
+
+
+def outcome(folder):
+    """``"refused"`` with its problems, or ``"right"`` or ``"wrong"`` with its warnings."""
+    try:
+        cube, warnings = developed(folder)
+    except Refused as refused:
+        return "refused", refused.problems
+    miss = np.median(cube.values, (0, 1)) - TRUTH
+    return "right" if np.abs(miss).max() < 0.01 else "wrong", warnings
+
+
+STATED_BY_EXIF = {
+    "iso": ({ISO: 100}, {ISO: 200, "effect": 2.0}),
+    "f_number": ({STOP: 5.6}, {STOP: 8.0, "effect": 0.5}),
+    "focal_length": ({FOCAL: 35.0}, {FOCAL: 50.0, "effect": 0.9}),
+    "lens": ({LENS: "AF 35/2"}, {LENS: "AF 50/1.8", "effect": 0.9}),
+    "model": ({MODEL: "D80"}, {MODEL: "D90", "effect": 1.2}),
+    "serial": ({SERIAL: "1234"}, {SERIAL: "1235", "effect": 1.1}),
+}
+BALANCED = {"white_balance": ({BALANCE: 1}, {BALANCE: 0, "effect": 1.3})}
+EIGHT = {"sample_type": ({}, {"dtype": "uint8"})}
+XMP_OF_BAND = '<x Camera:CentralWavelength="{}" Camera:BandName="{}"/>'
+VARIANTS = {
+    "tiff": STATED_BY_EXIF | BALANCED | EIGHT | {
+        "black": ({BLACK_LEVEL: 64}, {BLACK_LEVEL: 256}),
+        "saturation": ({WHITE_LEVEL: 4095}, {WHITE_LEVEL: 16383, "effect": 2.0}),
+        "pattern": ({33421: (2, 2), PATTERN: b"\0\1\1\2"}, {33421: (2, 2), PATTERN: b"\2\1\1\0"}),
+        "code_spacing": ({}, {"shift": 4}),
+        "wavelengths": (
+            {XMP: XMP_OF_BAND.format(550, "G").encode()},
+            {XMP: XMP_OF_BAND.format(600, "G").encode(), "effect": 0.8},
+        ),
+    },
+    "dng": STATED_BY_EXIF | {
+        "black": ({BLACK_LEVEL: 64}, {BLACK_LEVEL: 256}),
+        "saturation": ({WHITE_LEVEL: 4095}, {WHITE_LEVEL: 16383, "effect": 2.0}),
+        "bits": ({WHITE_LEVEL: 4095}, {WHITE_LEVEL: 16383, "effect": 2.0}),
+        "pattern": ({PATTERN: b"\0\1\1\2"}, {PATTERN: b"\2\1\1\0"}),
+    },
+    "png": STATED_BY_EXIF | BALANCED | EIGHT | {
+        "bits": ({"sbit": 12}, {"sbit": 14, "effect": 2.0}),
+        "code_spacing": ({}, {"shift": 4}),
+    },
+    "jpeg": STATED_BY_EXIF | BALANCED,
+    "envi": EIGHT | {
+        "iso": ({"iso": 100}, {"iso": 200, "effect": 2.0}),
+        "gain": ({"gain": "0.0"}, {"gain": "6.0", "effect": 2.0}),
+        "f_number": ({"aperture": "f/2.8"}, {"aperture": "f/4", "effect": 0.5}),
+        "lens": ({"lens": "OLE 23"}, {"lens": "OLE 50", "effect": 0.9}),
+        "model": ({"sensor type": "FX10"}, {"sensor type": "FX17", "effect": 0.8}),
+        "serial": ({"sensorid": "420"}, {"sensorid": "421", "effect": 0.9}),
+        "binning": ({"binning": "{1, 2}"}, {"binning": "{1, 1}", "effect": 0.5}),
+        "region": ({"x start": "1"}, {"x start": "33"}),
+        "saturation": ({"data ceiling": 4095}, {"data ceiling": 16383, "effect": 2.0}),
+        "code_spacing": ({}, {"shift": 4}),
+        "wavelengths": (
+            {"wavelength": "{450, 550, 650}"},
+            {"wavelength": "{500, 600, 700}", "effect": 0.8},
+        ),
+        "bands": (
+            {"band names": "{R, G, B}"},
+            {"band names": "{R, G, NIR}", "effect": 0.8},
+        ),
+    },
+}  # fmt: skip
+PLACES = {"white": "white", "dark": "dark", "object": ("panel", 1), "second white": ("white", 1)}
+CASES = [
+    (form, name, place)
+    for form, facts in VARIANTS.items()
+    for name, place in itertools.product(facts, PLACES)
+    if not (form == "envi" and place == "object")
+]
+NO_MATTER = {("tiff", "wavelengths", "dark")}
+"""A filter before a dark is nothing to the sensor."""
+
+
+def contradicting(folder, form, name, place, more=""):
+    base, other = VARIANTS[form][name]
+    return make(folder, form, {"all": base, PLACES[place]: other}, more)
+
+
+@pytest.mark.parametrize(("form", "name", "place"), CASES)
+def test_files_that_contradict_each_other_are_refused_with_both_named(tmp_path, form, name, place):
+    found, said = outcome(contradicting(tmp_path / "c", form, name, place))
+    role = place.removeprefix("second ")
+    if role not in FACTS_BY_NAME[name].roles or (form, name, place) in NO_MATTER:
+        assert found == "right", (found, said)
+        return
+    assert found == "refused", (found, said)
+    problem = next(p for p in said if f'"{name}"' in p.fix)
+    target = {"object": "panel_1"}.get(role, f"{role}_{int(place != role)}")
+    assert problem.code == "E_FACTS" and target in problem.file
+    assert "as panel_0" in problem.expected and problem.found
+
+
+def test_every_fact_has_a_format_that_states_it():
+    stated = {name for facts in VARIANTS.values() for name in facts}
+    assert stated == FACTS_BY_NAME.keys()
+
+
+@pytest.mark.parametrize(("form", "name"), [(f, n) for f, facts in VARIANTS.items() for n in facts])
+def test_a_contradiction_is_accepted_by_name_and_said(tmp_path, form, name):
+    names = {name, "bits", "saturation"}  # a DNG's bits are those of its white level
+    more = f"overrule = {sorted(names)}"
+    _, said = outcome(contradicting(tmp_path / "c", form, name, "white", more))
+    title = FACTS_BY_NAME[name].title
+    assert any(f"{title}: " in w and "white_0" in w and "panel_0" in w for w in said), said
+
+
+def test_an_overrule_that_accepts_nothing_is_said(tmp_path):
+    folder = make(tmp_path / "c", "tiff", {"all": {ISO: 100}}, 'overrule = ["iso"]')
+    found, said = outcome(folder)
+    assert found == "right"
+    assert any("`overrule` of iso has no effect" in w for w in said)
+
+
+def test_an_unknown_name_in_overrule_is_refused_with_the_nearest(tmp_path):
+    folder = make(tmp_path / "c", "tiff", {}, 'overrule = ["f_numbr"]')
+    with pytest.raises(CampaignInvalid, match="Did you mean 'f_number'"):
+        load_campaign(folder)
+
+
+# --- what is no contradiction -----------------------------------------------------------------------
+
+ORDINARY = {
+    "a model filled up with blanks": ("tiff", {MODEL: "NIKON D80"}, {MODEL: "Nikon D80   \0"}),
+    "a white exported without EXIF": ("tiff", {ISO: 100, STOP: 8.0}, {ISO: 0, STOP: 0.0}),
+    "another form of one stop": ("tiff", {STOP: 5.6}, {STOP: 5.657}),
+    "lines of a push-broom camera": ("envi", {"y start": 1}, {"y start": 500}),
+    "a region counted from 0": ("envi", {"x start": 1}, {"x start": 0}),
+    "a camera that ENVI does not know": ("envi", {"sensor type": "FX10"}, {"sensor type": "Unknown"}),
+    "wavelengths rounded to nm": (
+        "envi", {"wavelength": "{397.3, 400.1, 402.9}"}, {"wavelength": "{397, 400, 403}"},
+    ),
+    "a field that one header lacks": (
+        "envi", {"gain": 2, "gain mode": "high"}, {"gain": "2.0", "gain mode": ""},
+    ),
+    "signed codes": ("envi", {}, {"dtype": "int16"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ORDINARY)
+@pytest.mark.parametrize("place", ["white", "dark"])
+def test_what_vendors_write_is_no_contradiction(tmp_path, name, place):
+    form, base, other = ORDINARY[name]
+    found, said = outcome(make(tmp_path / "c", form, {"all": base, place: other}))
+    assert found == "right", (found, said)
+    assert not [w for w in said if "_0_550nm" in w], said
+
+
+def test_a_white_averaged_to_floats_is_taken_and_said(tmp_path):
+    found, said = outcome(make(tmp_path / "c", "envi", {"white": {"dtype": "float32"}}))
+    assert found == "right"
+    assert any("sample type: float32 in white_0" in w for w in said)
+
+
+def test_the_average_of_codes_at_the_upper_end_is_no_contradiction(tmp_path):
+    folder = make(tmp_path / "c", "tiff", {"all": {"shift": 4}}, "black = 1024")
+    for shot in range(2):
+        path = folder / f"white_{shot}_550nm.tif"
+        codes = tifffile.imread(path) + np.random.default_rng(shot).integers(0, 16, SIZE)
+        write_tiff(path, codes.astype(np.uint16), {})
+    assert outcome(folder)[0] == "right"
+
+
+def test_levels_of_a_camera_raw_that_are_measured_anew_for_each_frame_are_no_contradiction(
+    tmp_path,
+):
+    found, said = outcome(make(tmp_path / "c", "dng", {"white": {BLACK_LEVEL: 65}}))
+    assert found == "right", said
+    assert any("black level: 65 in white_0" in w for w in said)
+
+
+def test_bands_may_have_their_own_iso_where_white_and_object_agree(tmp_path):
+    stated = {"all": {ISO: 100}}
+    folder = make(tmp_path / "c", "tiff", stated, "dark = []")
+    for target, shot in FRAMES[2:]:
+        own = {ISO: 400, "effect": 1.5}
+        write_tiff(folder / f"{target}_{shot}_850nm", codes_of("tiff", target, shot, own), own)
+    found, said = outcome(folder)
+    assert found == "right"
+    assert any("ISO: 400 in panel_0_850nm.tif" in w and "one noise model" in w for w in said)
+    own = {ISO: 200, "effect": 0.75}
+    write_tiff(folder / "white_0_850nm", codes_of("tiff", "white", 0, own), own)
+    found, problems = outcome(folder)
+    assert found == "refused" and len(problems) == 1, problems
+    assert "white_0_850nm" in problems[0].file and "as panel_0_850nm" in problems[0].expected
+
+
+# --- bands in another order -------------------------------------------------------------------------
+
+LAMP = np.array([0.3, 1.0, 1.8, 2.4])
+CENTRES = np.array([450.0, 550.0, 650.0, 750.0])
+TIMES = [10, 20, 40, 80]
+
+
+def scan(path, light, order, *, names=False, times=False, told=CENTRES):
+    """A scan whose bands stand in an order; the codes of each are those of its wavelength."""
+    rng = np.random.default_rng(sum(path.name.encode()))
+    seconds = np.array(TIMES) / 40 if times else 1.0
+    counts = light * 800 * LAMP * seconds + rng.normal(0, NOISE, (*SIZE, 4)) + BLACK + CENTRES / 10
+    listed = [f"{told[i]:g}" for i in order]
+    stated = {"band names" if names else "wavelength": "{" + ", ".join(listed) + "}"}
+    if times:
+        stated["tint"] = "{" + ", ".join(str(TIMES[i]) for i in order) + "}"
+    write_envi(path, np.rint(counts[..., list(order)]).astype(np.uint16), stated)
+
+
+def scans(folder, orders, more="", **options):
+    folder.mkdir()
+    truth = np.array([0.2, 0.4, 0.6, 0.8])
+    for target, light in (("dark", 0.0), ("white", 1.0), ("panel", truth)):
+        scan(folder / f"{target}_0_s", light, orders.get(target, range(4)), **options)
+    (folder / "campaign.toml").write_text(CAMPAIGN.format(keys=KEYS["envi"], more=more))
+    return folder, truth
+
+
+@pytest.mark.parametrize("role", ["white", "dark", "panel"])
+@pytest.mark.parametrize("order", [(3, 2, 1, 0), (1, 3, 0, 2)])
+@pytest.mark.parametrize("more", ["", 'scan = "mirror"'])
+@pytest.mark.parametrize("options", [{}, {"names": True}, {"times": True}])
+def test_bands_in_another_order_are_matched(tmp_path, role, order, more, options):
+    folder, truth = scans(tmp_path / "c", {role: order}, more, **options)
+    cube, said = developed(folder)
+    expected = truth[list(order)] if role == "panel" else truth
+    assert np.median(cube.values, (0, 1)) == pytest.approx(expected, abs=0.005)
+    assert any("another order" in w for w in said)
+
+
+def test_an_order_that_is_overruled_is_that_of_the_files(tmp_path):
+    folder, truth = scans(tmp_path / "c", {}, 'overrule = ["wavelengths"]')
+    scan(folder / "white_0_s", 1.0, range(4), told=CENTRES[::-1])  # the header alone is wrong
+    cube, said = developed(folder)
+    assert np.median(cube.values, (0, 1)) == pytest.approx(truth, abs=0.005)
+    assert any("wavelengths: 750 to 450 nm" in w for w in said)
+
+
+# --- files and campaign.toml ------------------------------------------------------------------------
+
+DECLARED = {
+    "bits": ("png", {"sbit": 14}, "bits = 16", "14 in", "16 in campaign.toml"),
+    "saturation": ("tiff", {WHITE_LEVEL: 4095}, "saturation = 3600", "4095 in", "3600 in"),
+    "black": ("tiff", {BLACK_LEVEL: 128}, "black = 64", "128 in", "64 in campaign.toml"),
+    "pattern": ("dng", {}, 'pattern = "BGGR"', "RGGB in", "BGGR in campaign.toml"),
+}
+
+
+@pytest.mark.parametrize("name", DECLARED)
+def test_a_declaration_wins_and_both_values_are_said(tmp_path, name):
+    form, stated, more, *texts = DECLARED[name]
+    found, said = outcome(make(tmp_path / "c", form, {"all": stated}, more))
+    assert found == "right"
+    title = FACTS_BY_NAME[name].title
+    assert any(title in w and all(text in w for text in texts) for w in said), said
+
+
+def test_an_exposure_in_a_name_that_the_file_contradicts_is_said(tmp_path):
+    folder = make(tmp_path / "c", "tiff", {"all": {TIME: 0.02}})
+    for path in folder.glob("*.tif"):
+        path.rename(path.with_name(f"{path.stem}_40ms.tif"))
+    toml = folder / "campaign.toml"
+    toml.write_text(toml.read_text().replace("nm.tif", "nm_{exposure}ms.tif"))
+    found, said = outcome(folder)
+    assert found == "right"
+    assert any("exposure, s: 0.02 in panel_0" in w and "0.04 in its name" in w for w in said)
+
+
+def test_a_wavelength_in_a_name_that_the_file_contradicts_is_refused(tmp_path):
+    stated = {XMP: XMP_OF_BAND.format(850, "NIR").encode()}
+    found, said = outcome(make(tmp_path / "c", "tiff", {"all": stated}))
+    assert found == "refused"
+    assert "850 nm" in said[0].found and "550 nm" in said[0].expected
+    accepted = make(tmp_path / "d", "tiff", {"all": stated}, 'overrule = ["wavelengths"]')
+    found, said = outcome(accepted)
+    assert found == "right" and any("850 nm" in w for w in said)
+
+
+# --- other roles and kinds --------------------------------------------------------------------------
+
+
+def compared(folder, **roles):
+    """Notes of the one sensor, frames of whose roles are exchanged."""
+    campaign = load_campaign(folder)
+    (capture,), _ = find_captures(campaign)
+    (sensor,) = capture.sensors
+    sensor = replace(sensor, **{name: getattr(sensor, role) for name, role in roles.items()})
+    return compare_facts(campaign.cameras["cam"], sensor, [])
+
+
+def test_a_chart_in_place_of_a_white_is_compared_as_a_white(tmp_path):
+    folder = make(
+        tmp_path / "c", "tiff", {"all": {STOP: 5.6}, "white": {STOP: 8.0}, "dark": {STOP: 2.8}}
+    )
+    with pytest.raises(Refused) as refused:
+        compared(folder, chart="white", white="dark", dark="dark")
+    assert [p.message.split()[1] for p in refused.value.problems] == ["white", "chart"]
+    with pytest.raises(Refused, match=r"chart and panel_0_550nm.tif differ in f-number"):
+        compared(folder, chart="white", white="chart")
+
+
+def test_a_photograph_is_not_refused_and_its_shots_are_compared(tmp_path):
+    folder = make(tmp_path / "c", "jpeg", {("panel", 1): {ISO: 800}, ("panel", 0): {ISO: 100}})
+    toml = folder / "campaign.toml"
+    toml.write_text(toml.read_text().replace('"bands"', '"image"').replace("_{wavelength}nm", "*"))
+    found, said = outcome(folder)
+    assert found == "wrong"  # its codes as they are
+    assert any("ISO: 800 in panel_1_550nm.jpg" in w for w in said)
+
+
+def ends_of(folder):
+    """State and codes of each layer's calibration, by object and camera."""
+    steps = [step for step in build(folder) if step.finished and step.key.stage == "calibrate"]
+    return {(s.key.object, s.key.camera): (s.state, {p.code for p in s.problems}) for s in steps}
+
+
+@pytest.mark.slow
+def test_kept_templates_are_compared_with_every_object(tmp_path):
+    """The white was averaged, and kept, for an object that agrees with it."""
+    folder = make(tmp_path / "c", "dng", {})
+    codes = codes_of("dng", "panel", 0, {"effect": 2})
+    write_dng(folder / "other_0_s", codes, {WHITE_LEVEL: 16383})
+    toml = folder / "campaign.toml"
+    toml.write_text(toml.read_text().replace('["panel"]', '["panel", "other"]'))
+    ends = ends_of(folder)
+    assert ends["panel", "cam"] == ("done", set())
+    assert ends["other", "cam"] == ("refused", {"E_FACTS"})
+
+
+@pytest.mark.slow
+def test_whole_builds_refuse_every_camera_that_contradicts_itself_and_build_the_others(tmp_path):
+    """Every fact of every format, the role in turns."""
+    root, expected = tmp_path / "campaign", {}
+    root.mkdir()
+    toml = CAMPAIGN.partition("[cameras.cam]")[0]
+    turns = itertools.cycle(PLACES)
+    for form, name in [(f, n) for f, facts in VARIANTS.items() for n in facts]:
+        camera, place = f"{form}-{name}".replace("_", "-"), next(turns)
+        if (form, name, place) not in CASES or place.split()[-1] not in FACTS_BY_NAME[name].roles:
+            place = "white"
+        contradicting(root / camera, form, name, place)
+        expected["panel", camera] = ("refused", {"E_FACTS"})
+        toml += f"[cameras.{camera}]\n{KEYS[form]}\n".replace('files = "', f'files = "{camera}/')
+    make(root / "cam", "tiff", {})
+    expected["panel", "cam"] = ("done", set())
+    toml += f"[cameras.cam]\n{KEYS['tiff']}\n".replace('files = "', 'files = "cam/')
+    rest = CAMPAIGN.partition("{more}")[2].format()
+    (root / "campaign.toml").write_text(toml + rest)
+    assert ends_of(root) == expected
