@@ -19,6 +19,7 @@ from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.problems import Refused
 from levkas.readers.compared_facts import FACTS_BY_NAME
+from levkas.readers.frames import read_facts
 
 SIZE, BLACK, LIGHT, NOISE, TRUTH = (40, 48), 64.0, 1500.0, 3.0, 0.5
 EXIF_IFD, ISO, STOP, FOCAL, LENS, SERIAL, BALANCE = (
@@ -462,6 +463,35 @@ def test_a_chart_in_place_of_a_white_is_compared_as_a_white(tmp_path):
     assert [p.message.split()[1] for p in refused.value.problems] == ["white", "chart"]
     with pytest.raises(Refused, match=r"chart and panel_0_550nm.tif differ in f-number"):
         compared(folder, chart="white", white="chart")
+
+
+RED_EDGE = """
+[campaign]
+reference = "rededge"
+[cameras.rededge]
+kind = "sensors"
+files = "{folder}/IMG_{{target}}_{{sensor}}.tif"
+{sensors}
+[targets]
+dark = []
+white = {{ names = "0000", reflectance = 0.5 }}
+objects = ["0001"]
+"""
+
+
+def test_a_real_camera_that_chose_another_iso_for_two_of_its_bands(real_data, tmp_path):
+    """exiftool: ISO 100 of the panel in every band, 200 of the orchard in IMG_0001_3 and IMG_0001_5."""
+    sensors = "".join(f'[[cameras.rededge.sensors]]\nname = "{i}"\n' for i in range(1, 6))
+    folder = (real_data / "rededge-5lens").as_posix()
+    (tmp_path / "campaign.toml").write_text(RED_EDGE.format(folder=folder, sensors=sensors))
+    campaign = load_campaign(tmp_path)
+    (capture,), _ = find_captures(campaign)
+    with pytest.raises(Refused) as refused:
+        develop(capture, campaign, TemplateCache(tmp_path, None, shared=False))
+    found = [(p.field, p.file.rpartition("/")[2], p.found) for p in refused.value.problems]
+    assert found == [("ISO", f"IMG_0000_{n}.tif", "100") for n in (3, 5)]
+    facts = read_facts(f"{folder}/IMG_0001_3.tif")
+    assert (facts.f_number, facts.focal_mm, facts.serial) == (2.8, 5.5, "1777777")
 
 
 def test_a_photograph_is_not_refused_and_its_shots_are_compared(tmp_path):

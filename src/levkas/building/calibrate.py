@@ -156,12 +156,21 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
     learnt: dict[str, dict[str, Any]] = {}
     lights = _lights_of(capture, campaign, templates)
     try:
-        for sensor in capture.sensors:
-            facts = read_facts(sensor.object[0].path)
-            captured = captured or facts.captured
-            light = lights.get(sensor.name)
-            context = SensorContext(campaign, camera, sensor, facts, templates, light=light)
-            notes += compare_facts(camera, sensor, context.alignments)
+        contexts = [
+            SensorContext(
+                campaign,
+                camera,
+                sensor,
+                read_facts(sensor.object[0].path),
+                templates,
+                light=lights.get(sensor.name),
+            )
+            for sensor in capture.sensors
+        ]
+        notes += _compare_all(contexts)
+        for context in contexts:
+            sensor, light = context.sensor, context.light
+            captured = captured or context.facts.captured
             if camera.kind != "image":
                 require_exposures(context)
             notes += doubts_of(context)
@@ -182,6 +191,20 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
     where = f"{capture.object}/{capture.layer}"
     told = tuple(dict.fromkeys(f"{where}: {note}" for note in notes if note))
     return Native(cubes, aligns, captured, told, learnt)
+
+
+def _compare_all(contexts: Sequence[SensorContext]) -> list[str]:
+    """Compare what the files of every sensor state; return notes. Raises CalibrationRefused with all contradictions."""
+    notes: list[str] = []
+    problems: list[Problem] = []
+    for context in contexts:
+        try:
+            notes += compare_facts(context.camera, context.sensor, context.alignments)
+        except CalibrationRefused as refused:
+            problems += refused.problems
+    if problems:
+        raise CalibrationRefused(*problems)
+    return notes
 
 
 def _lights_of(
