@@ -62,6 +62,14 @@ def write_tiff(path, codes, stated):
     )  # fmt: skip
 
 
+def write_rgb(path, codes, stated):
+    tags = list(tags_of(stated))
+    codes = np.stack([codes, codes, codes], -1)
+    tifffile.imwrite(
+        path.with_suffix(".tif"), codes, photometric="rgb", metadata=None, extratags=tags
+    )
+
+
 def write_dng(path, codes, stated):
     own = {BLACK_LEVEL: int(BLACK), WHITE_LEVEL: 4095, PATTERN: b"\0\1\1\2", **stated}
     tags = [
@@ -108,14 +116,17 @@ FORMATS = {
     "png": write_png,
     "jpeg": write_jpeg,
     "envi": write_envi,
+    "rgb": write_rgb,
 }
 KEYS = {
     "tiff": 'kind = "bands"\nfiles = "{target}_{shot}_{wavelength}nm.tif"\nblack = 64',
     "png": 'kind = "bands"\nfiles = "{target}_{shot}_{wavelength}nm.png"\nblack = 64',
     "jpeg": 'kind = "bands"\nfiles = "{target}_{shot}_{wavelength}nm.jpg"\nblack = 4',
+    "rgb": 'kind = "cube"\nscan = "mirror"\nfiles = "{target}_{shot}_*.tif"\nblack = 64',
     "dng": 'kind = "mosaic"\nfiles = "{target}_{shot}_*.dng"',
     "envi": 'kind = "cube"\nfiles = "{target}_{shot}_*.hdr"',
 }
+SCANS = ("envi", "rgb")
 CAMPAIGN = """
 [campaign]
 reference = "cam"
@@ -146,7 +157,7 @@ def make(folder, form, statements, more=""):
     """Write a campaign; `statements` by (target, shot) or target, else by ``"all"``."""
     folder.mkdir()
     for target, shot in FRAMES:
-        if form == "envi" and (target, shot) == ("panel", 1):
+        if form in SCANS and (target, shot) == ("panel", 1):
             continue  # it would be a strip
         own = statements.get((target, shot), statements.get(target, {}))
         stated = {**statements.get("all", {}), **own}
@@ -184,11 +195,10 @@ STATED_BY_EXIF = {
     "model": ({MODEL: "D80"}, {MODEL: "D90", "effect": 1.2}),
     "serial": ({SERIAL: "1234"}, {SERIAL: "1235", "effect": 1.1}),
 }
-BALANCED = {"white_balance": ({BALANCE: 1}, {BALANCE: 0, "effect": 1.3})}
 EIGHT = {"sample_type": ({}, {"dtype": "uint8"})}
 XMP_OF_BAND = '<x Camera:CentralWavelength="{}" Camera:BandName="{}"/>'
 VARIANTS = {
-    "tiff": STATED_BY_EXIF | BALANCED | EIGHT | {
+    "tiff": STATED_BY_EXIF | EIGHT | {
         "black": ({BLACK_LEVEL: 64}, {BLACK_LEVEL: 256}),
         "saturation": ({WHITE_LEVEL: 4095}, {WHITE_LEVEL: 16383, "effect": 2.0}),
         "pattern": ({33421: (2, 2), PATTERN: b"\0\1\1\2"}, {33421: (2, 2), PATTERN: b"\2\1\1\0"}),
@@ -204,11 +214,12 @@ VARIANTS = {
         "bits": ({WHITE_LEVEL: 4095}, {WHITE_LEVEL: 16383, "effect": 2.0}),
         "pattern": ({PATTERN: b"\0\1\1\2"}, {PATTERN: b"\2\1\1\0"}),
     },
-    "png": STATED_BY_EXIF | BALANCED | EIGHT | {
+    "png": STATED_BY_EXIF | EIGHT | {
         "bits": ({"sbit": 12}, {"sbit": 14, "effect": 2.0}),
         "code_spacing": ({}, {"shift": 4}),
     },
-    "jpeg": STATED_BY_EXIF | BALANCED,
+    "jpeg": STATED_BY_EXIF,
+    "rgb": {"white_balance": ({BALANCE: 1}, {BALANCE: 0, "effect": 1.3})},
     "envi": EIGHT | {
         "iso": ({"iso": 100}, {"iso": 200, "effect": 2.0}),
         "gain": ({"gain": "0.0"}, {"gain": "6.0", "effect": 2.0}),
@@ -235,7 +246,7 @@ CASES = [
     (form, name, place)
     for form, facts in VARIANTS.items()
     for name, place in itertools.product(facts, PLACES)
-    if not (form == "envi" and place == "object")
+    if not (form in SCANS and place == "object")
 ]
 NO_MATTER = {("tiff", "wavelengths", "dark")}
 """A filter before a dark is nothing to the sensor."""

@@ -68,8 +68,8 @@ class ComparedFact:
 
 def read_fact(fact: ComparedFact, facts: Facts) -> Any:
     """Return the value of a fact that a file states; None where it states none."""
-    if fact.name == "white_balance" and (facts.kind == "raw" or facts.pattern):
-        return None  # no gain was applied to the codes
+    if fact.name == "white_balance" and len(facts.shape) < 3:
+        return None  # of grey frames and mosaics it is a setting that changed no code
     if fact.name == "bits" and np.dtype(facts.dtype).kind != "u":
         return None
     if fact.name == "black":
