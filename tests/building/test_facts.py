@@ -4,6 +4,7 @@ import itertools
 import struct
 import zlib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from PIL.TiffImagePlugin import IFDRational
 from levkas.building import build
 from levkas.building.calibrate import develop
 from levkas.building.template_cache import TemplateCache
-from levkas.calibration.agreement import compare_facts
+from levkas.calibration.agreement import Contradiction, compare_facts
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.problems import Refused
@@ -553,3 +554,9 @@ def test_whole_builds_refuse_every_camera_that_contradicts_itself_and_build_the_
     rest = CAMPAIGN.partition("{more}")[2].format()
     (root / "campaign.toml").write_text(toml + rest)
     assert ends_of(root) == expected
+
+
+def test_files_of_one_name_are_named_with_their_folders():
+    white, panel = (Path(f"raw/{target}/550nm.tif") for target in ("white", "panel"))
+    one = Contradiction(FACTS_BY_NAME["iso"], "refused", "white", white, "200", "100", panel)
+    assert one.describe() == "ISO: 200 in white/550nm.tif (white), 100 in panel/550nm.tif"

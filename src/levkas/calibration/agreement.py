@@ -81,8 +81,10 @@ class Contradiction:
     path : Path
     found, expected : str
         Its value, and the other's.
-    stated_by : str
-        Name of the other.
+    by : Path or str
+        The other file, or where it is declared.
+    aside : str
+        What follows.
     more : int
         Files that contradict in the same fact and role.
     """
@@ -93,26 +95,39 @@ class Contradiction:
     path: Path
     found: str
     expected: str
-    stated_by: str
+    by: Path | str
+    aside: str = ""
     more: int = 0
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """The file and the other, with as many folders as tell them apart."""
+        if isinstance(self.by, str):
+            return self.path.name, self.by
+        parts = 1
+        while self.path.parts[-parts:] == self.by.parts[-parts:] and self.path != self.by:
+            parts += 1
+        return "/".join(self.path.parts[-parts:]), "/".join(self.by.parts[-parts:])
 
     def describe(self) -> str:
         """Return one line with both files and both values."""
+        own, other = self.names
         others = f" and {self.more} more" if self.more else ""
         return (
-            f"{self.fact.title}: {self.found} in {self.path.name}{others} ({self.role}), "
-            f"{self.expected} in {self.stated_by}"
+            f"{self.fact.title}: {self.found} in {own}{others} ({self.role}), "
+            f"{self.expected} in {other}{self.aside}"
         )
 
     def problem(self, camera: str) -> Problem:
         """Return the refusal, with what to do."""
+        other = self.names[1]
         return Problem(
             "E_FACTS",
-            f"{camera}: {self.role} and {self.stated_by} differ in {self.fact.title}",
+            f"{camera}: {self.role} and {other} differ in {self.fact.title}",
             str(self.path),
             self.fact.title,
-            self.found + (f", and {self.more} more files differ" if self.more else ""),
-            f"{self.expected}, as {self.stated_by} states",
+            self.found + (f", and {self.more} more differ" if self.more else ""),
+            f"{self.expected}, as {other} states",
             self.fact.advice(camera),
         )
 
@@ -176,7 +191,7 @@ def _is_fatal(camera: Camera, one: Contradiction) -> bool:
 
 def check_alike(
     camera: Camera,
-    first: tuple[Facts, str],
+    first: tuple[Facts, Path],
     alignments: Sequence[Aligned],
     values: np.ndarray,
     path: Path,
@@ -186,8 +201,8 @@ def check_alike(
     Parameters
     ----------
     camera : Camera
-    first : (Facts, str)
-        Of the object's first frame, and its file's name.
+    first : (Facts, Path)
+        Of the object's first frame, and its file.
     alignments : sequence of Aligned
     values : ndarray
         Rows of the frame.
@@ -199,7 +214,7 @@ def check_alike(
     CalibrationRefused
         E_FACTS.
     """
-    facts, name = first
+    facts, by = first
     found = []
     if facts.kind == "raw":
         one = read_facts(path)
@@ -208,7 +223,7 @@ def check_alike(
         for fact, expected, value in pairs:
             if None not in (expected, value) and fact.compare(expected, value) == "refused":
                 texts = describe_value(fact, value), describe_value(fact, expected)
-                found.append(Contradiction(fact, "refused", "a frame", path, *texts, name))
+                found.append(Contradiction(fact, "refused", "a frame", path, *texts, by))
     elif alignments and (alignment := find_alignment([values])):
         found += _between_alignments([alignments[0], Aligned("a frame", path, alignment)])
     fatal = [o for o in found if _is_fatal(camera, o) and o.fact.name not in camera.overrule]
@@ -221,7 +236,7 @@ def _merged(found: Iterable[Contradiction]) -> list[Contradiction]:
     firsts: dict[tuple[str, str, str, bool], Contradiction] = {}
     paths: dict[tuple[str, str, str, bool], set[Path]] = {}
     for one in found:
-        key = one.fact.name, one.severity, one.role, one.stated_by in (DECLARED, IN_NAME)
+        key = one.fact.name, one.severity, one.role, isinstance(one.by, str)
         firsts.setdefault(key, one)
         paths.setdefault(key, set()).add(one.path)
     return [replace(one, more=len(paths[key]) - 1) for key, one in firsts.items()]
@@ -256,8 +271,7 @@ def _between_files(
             firsts += valued[:1]
         if fact.name in OF_ONE_NOISE:
             for made in _compared(fact, firsts):
-                by = f"{made.stated_by}, and one noise model serves all bands"
-                yield replace(made, severity="noted", stated_by=by)
+                yield replace(made, severity="noted", aside="; one noise model serves all bands")
 
 
 def _values(
@@ -291,8 +305,8 @@ def _compared(fact: ComparedFact, valued: list[Valued]) -> Iterator[Contradictio
         severity = fact.compare(expected, value)
         if severity != "same":
             texts = describe_value(fact, value), describe_value(fact, expected)
-            by = base.frame.path.name
-            yield Contradiction(fact, severity, one.role, one.frame.path, *texts, by)
+            path = one.frame.path
+            yield Contradiction(fact, severity, one.role, path, *texts, base.frame.path)
 
 
 def _between_alignments(alignments: Sequence[Aligned]) -> Iterator[Contradiction]:
@@ -302,7 +316,7 @@ def _between_alignments(alignments: Sequence[Aligned]) -> Iterator[Contradiction
         if one.contradicts(expected):
             texts = one.describe(), expected.describe()
             fact = FACTS_BY_NAME["code_spacing"]
-            yield Contradiction(fact, "refused", role, path, *texts, other.name)
+            yield Contradiction(fact, "refused", role, path, *texts, other)
 
 
 # --- file with campaign.toml ----------------------------------------------------------------------

@@ -129,7 +129,7 @@ class SensorContext:
         """Read frame by frame, codes checked against the bits that are declared, and against the other frames."""
         for frame in frames:
             values = self.checked(read_frame(frame.path, page=frame.page), frame)
-            first = self.facts, self.sensor.object[0].path.name
+            first = self.facts, self.sensor.object[0].path
             rows = thin_rows(values, FEW_CODES)
             check_alike(self.camera, first, self.alignments, rows, frame.path)
             yield values
