@@ -15,7 +15,7 @@ from PIL.TiffImagePlugin import IFDRational
 from levkas.building import build
 from levkas.building.calibrate import develop
 from levkas.building.template_cache import TemplateCache
-from levkas.calibration.agreement import Contradiction, compare_facts
+from levkas.calibration.agreement import OF_ONE_NOISE, Contradiction, compare_facts
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.problems import Refused
@@ -364,6 +364,25 @@ def test_bands_may_have_their_own_iso_where_white_and_object_agree(tmp_path):
     found, problems = outcome(folder)
     assert found == "refused" and len(problems) == 1, problems
     assert "white_0_850nm" in problems[0].file and "as panel_0_850nm" in problems[0].expected
+
+
+BAND_CASES = [(form, name) for form in ("tiff", "png") for name in VARIANTS[form]]
+
+
+@pytest.mark.parametrize(("form", "name"), [c for c in BAND_CASES if c[1] != "wavelengths"])
+def test_a_band_whose_files_agree_with_each_other_and_not_with_those_of_another(
+    tmp_path, form, name
+):
+    base, other = VARIANTS[form][name]
+    folder = make(tmp_path / "c", form, {"all": base})
+    for target, shot in FRAMES:
+        codes = codes_of(form, target, shot, other)
+        FORMATS[form](folder / f"{target}_{shot}_850nm", codes, other)
+    found, said = outcome(folder)
+    fact = FACTS_BY_NAME[name]
+    assert found == ("right" if fact.per_band else "refused"), said
+    noted = any(f"{fact.title}: " in w and "panel_0_850nm" in w for w in said if found == "right")
+    assert noted == (name in OF_ONE_NOISE)
 
 
 # --- bands in another order -------------------------------------------------------------------------
