@@ -7,7 +7,7 @@ export PYTHONUTF8 := 1
 
 # Test processes. Two need about 4 GB of memory; on a larger machine: make test WORKERS=8
 WORKERS ?= 2
-PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -rfEs
+PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -rfEs
 
 .PHONY: env demo test test-slow test-all lint format hooks bench docs reference lock frontend peers compare fuzz clean
 

@@ -19,6 +19,16 @@ def numbers_as_numpy_prints_them() -> Iterator[None]:
         yield
 
 
+DURATIONS = Path(__file__).parent / "tests" / "durations.json"
+"""Seconds of each test file, as `tests/record_durations.py` wrote them."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the longest files first: what starts last ends last, and leaves the other processes idle."""
+    seconds = json.loads(DURATIONS.read_text(encoding="utf-8"))
+    items.sort(key=lambda item: -seconds.get(item.location[0], 0))
+
+
 KEYS = """
 [campaign]
 title = "Plates"
