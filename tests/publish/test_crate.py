@@ -7,6 +7,8 @@ from urllib.parse import unquote
 import pytest
 
 from levkas.core.json_safe import to_json
+from levkas.core.problems import Refused
+from levkas.database.manifest import write_manifest
 from levkas.publish.crate import NAME
 
 from .crate_rules import PREVIEW, ask_validator, check_crate
@@ -31,8 +33,6 @@ STEPS = {
 
 @pytest.fixture(scope="module")
 def published(_database, publish, tmp_path_factory):
-    from levkas.database.manifest import write_manifest
-
     database = tmp_path_factory.mktemp("crate") / "database"
     shutil.copytree(_database, database)
     (database / "objects/icon1/provenance.json").write_text(json.dumps(STEPS))
@@ -157,3 +157,13 @@ def test_roc_validator_agrees(folder):
     if valid is None:
         pytest.skip(text)
     assert valid, text
+
+
+def test_a_provenance_that_describes_no_steps_is_refused(database, publish):
+    path = database / "objects/icon1/provenance.json"
+    for record in ({"steps": [{}]}, {"steps": 3}, {"steps": ["a"]}):
+        path.write_text(json.dumps(record))
+        write_manifest(database)
+        with pytest.raises(Refused, match="does not describe the steps") as said:
+            publish(database, editions="full", iiif=False)
+        assert said.value.problems[0].file == str(path)

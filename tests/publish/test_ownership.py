@@ -10,6 +10,7 @@ import bagit
 import pytest
 
 from levkas.core.digests import hash_tree
+from levkas.core.files import write_json
 from levkas.core.problems import Refused
 from levkas.database.catalogue import DatabaseRefused
 from levkas.database.manifest import NAME, write_manifest
@@ -82,7 +83,7 @@ def test_the_publication_of_other_objects_is_not_replaced(published, tmp_path):
     write_manifest(database)
     before = hash_tree(output)
     (problem,) = refused(database)
-    assert "icon1" in problem.message
+    assert "icon1" in problem.found
     assert hash_tree(output) == before
 
 
@@ -163,3 +164,81 @@ def test_no_pipe_is_waited_for_by_a_check_before_publishing(database, name):
     with contextlib.suppress(Refused):
         assert not run.check(database).ok
     assert [p.file for p in refused(database)] == [str(database / name)]
+
+
+def recorded(database, raw, title=None):
+    """List a raw file of each object in a database's provenance, and give it another title."""
+    for folder in sorted((database / "objects").iterdir()):
+        frames = [{"role": "object", "files": {"a.raw": f"{raw}{folder.name}"}},
+                  {"role": "dark", "files": {"dark.raw": "of all cameras"}}]  # fmt: skip
+        step = {"stage": "calibrate", "camera": "vis", "setup": "", "code": "", "inputs": {}}
+        steps = [step | {"parameters": {}, "products": {}, "frames": frames}]
+        record = {"object": folder.name, "levkas": "0.1.0", "steps": steps}
+        write_json(folder / "provenance.json", record)
+    if title:
+        facts = (database / "database.toml").read_text().replace("Icons of Levkas", title)
+        (database / "database.toml").write_text(facts)
+    write_manifest(database)
+    return database
+
+
+def without(database, name):
+    """Take an object out of a database."""
+    rows = (database / "catalogue.csv").read_text().splitlines(keepends=True)
+    (database / "catalogue.csv").write_text("".join(r for r in rows if not r.startswith(name)))
+    shutil.rmtree(database / "objects" / name)
+    shutil.rmtree(database / f"zarr/{name}.zarr")
+    write_manifest(database)
+    return database
+
+
+@pytest.mark.parametrize("option", ["output", "bag"])
+@pytest.mark.parametrize("listed", [True, False])
+def test_the_publication_of_another_database_with_an_object_of_that_name_is_not_replaced(
+    database, tmp_path, option, listed
+):
+    other = shutil.copytree(database, tmp_path / "other")
+    if listed:
+        recorded(database, "ours of "), recorded(other, "theirs of ")
+    else:
+        facts = (other / "database.toml").read_text().replace("Icons of", "Panels of")
+        (other / "database.toml").write_text(facts)
+        write_manifest(other)
+    place = {"output": tmp_path / "place", "bag": tmp_path / "bag"}
+    list(run.publish(database, editions="full", iiif=False, **place))
+    before = hash_tree(tmp_path)
+    (problem,) = refused(other, **{option: place[option]})
+    assert (problem.code, problem.file) == ("E_UNWRITABLE", str(place[option]))
+    assert "Icons of Levkas" in problem.found and "icon1" in problem.found
+    assert hash_tree(tmp_path) == before
+
+
+def test_a_corrected_title_replaces_the_earlier_publication(database):
+    for title in (None, "Icons of Lefkada"):
+        list(run.publish(recorded(database, "ours of ", title), editions="full", iiif=False))
+
+
+def test_an_object_that_is_no_longer_published_goes_with_the_title_alone(database):
+    list(run.publish(recorded(database, "ours of "), editions="full", iiif=False))
+    less = without(database, "icon2")
+    output = run.summarise(run.publish(less, editions="full", iiif=False)).output
+    assert not (output / "objects/icon2").exists()
+
+
+def test_a_part_of_a_database_under_another_title_does_not_replace_it(database, tmp_path):
+    part = without(shutil.copytree(recorded(database, "ours of "), tmp_path / "part"), "icon2")
+    recorded(part, "ours of ", "One icon")
+    list(run.publish(database, editions="full", iiif=False, output=tmp_path / "place"))
+    (problem,) = refused(part, output=tmp_path / "place")
+    assert "icon2" in problem.found
+    assert (tmp_path / "place/objects/icon2").is_dir()
+
+
+def test_a_file_that_came_into_the_folder_while_it_was_published_stays(published):
+    database, output = published
+    steps = run.publish(database, editions="full", iiif=False)
+    next(steps)
+    (output / "notes.txt").write_text("three years")
+    with pytest.raises(Refused, match=r"notes\.txt"):
+        list(steps)
+    assert (output / "notes.txt").read_text() == "three years"

@@ -43,10 +43,6 @@ def publish(
             "--bag", help="Also copy the publication as a BagIt bag into this new folder."
         ),
     ] = None,
-    to: Annotated[
-        str | None,
-        typer.Option("--to", help="Also upload it to an S3 store: s3://BUCKET/PATH."),
-    ] = None,
     notes: Annotated[
         Path | None,
         typer.Option(
@@ -86,7 +82,6 @@ def publish(
         iiif=not no_iiif,
         analyse=analyse or (),
         bag=bag,
-        to=to,
     )
     steps = draw_steps(made, as_json)
     report = run.summarise(steps)

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING
 
 from levkas import __version__
 from levkas.core.problems import Problem
-from levkas.publish.publication import PublishRefused
+from levkas.publish.publication import PublishRefused, require_ours
 
 if TYPE_CHECKING:
     from levkas.core.files import Folder
     from levkas.publish.metadata import PublicationFacts
 
 DECLARATION = "BagIt-Version: 1.0\nTag-File-Character-Encoding: UTF-8\n"
+NEW_BAG = "Give another folder: --bag NEW."
 MANIFEST, TAGS = "manifest-sha256.txt", "tagmanifest-sha256.txt"
 
 
@@ -99,9 +100,6 @@ def _encoded(name: str) -> str:
 
 def check_target(root: Path, target: Path) -> None:
     """Refuse a folder that is no bag of ours, holds what is bagged, or lies in it."""
-    from levkas.publish.publication import require_ours
-
-    fix = "Give another folder: --bag NEW."
     if target == root or root in target.parents or target in root.parents:
         raise PublishRefused(
             Problem(
@@ -109,10 +107,10 @@ def check_target(root: Path, target: Path) -> None:
                 "the bag cannot be written to this folder: it contains the bagged files, or is inside them",
                 file=str(target),
                 expected="a new folder, or an earlier bag",
-                fix=fix,
+                fix=NEW_BAG,
             )
         )
-    require_ours(target, "bag", fix=fix)
+    require_ours(target, "bag", fix=NEW_BAG)
 
 
 def _check_bag(folder: Path, final: Path) -> None:

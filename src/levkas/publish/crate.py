@@ -15,9 +15,10 @@ from urllib.parse import quote
 
 from levkas import __version__
 from levkas.core.json_safe import to_json
+from levkas.core.problems import Problem
 from levkas.core.text import read_json
 from levkas.publish.metadata import DOI, ORCID, Person, PublicationFacts
-from levkas.publish.publication import describe_dataset
+from levkas.publish.publication import PROVENANCE, PublishRefused, describe_dataset
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -258,7 +259,6 @@ def _licence(entities: dict[str, Entity], facts: PublicationFacts) -> Entity:
     return {"@id": identifier}
 
 
-PROVENANCE = "provenance.json"
 VERBS = {
     "calibrate": "Calibrated on native pixels",
     "measure": "Registered by itself, to be adjusted with other captures",
@@ -279,8 +279,19 @@ def describe_steps(publication: Publication, entities: dict[str, Entity]) -> lis
     actions: list[Entity] = []
     for path in sorted(publication.folder.glob(f"objects/*/{PROVENANCE}")):
         record = read_json(path)
-        for step in record.get("steps", ()):
-            actions.append(_step(record, step, entities))
+        try:
+            actions += [_step(record, step, entities) for step in record.get("steps", ())]
+        except (LookupError, TypeError, AttributeError, ValueError) as error:
+            name = path.relative_to(publication.folder)
+            raise PublishRefused(
+                Problem(
+                    "E_UNREADABLE",
+                    f"{PROVENANCE} does not describe the steps of a build",
+                    str(publication.source / name),
+                    found=f"{type(error).__name__}: {error}"[:200],
+                    fix="Build the database again, or remove the file.",
+                )
+            ) from error
     for path in sorted(publication.folder.glob("**/objects/*/analysis/*.json")):
         actions.append(_analysis(publication, path, entities))
     actions += _editions(entities)

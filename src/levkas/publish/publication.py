@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from dataclasses import dataclass, field
 from math import isnan
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 from levkas.core.ownership import Kind, made, refusal, require_outside, stands_in
 from levkas.core.problems import Refused
-from levkas.core.text import counted
+from levkas.core.text import counted, read_json
 from levkas.database.manifest import NAME, list_files, plain, read_manifest
 
 if TYPE_CHECKING:
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
 
 MEDIUM = "medium"
 """Folder of the medium edition where both are published."""
+
+PROVENANCE = "provenance.json"
+"""Beside the layers of an object: every step of their making, with the hashes of raw files."""
 
 LOCAL = "http://localhost:8000/"
 """Where ``python -m http.server`` in the publication's folder gives it."""
@@ -186,6 +190,71 @@ def require_ours(folder: Path, kind: Kind, *, fix: str) -> None:
     elif found == "a folder":
         found = "a folder that Levkas did not write"
     raise refusal(f"the {kind} cannot be written to this folder", folder, kind, found, fix)
+
+
+def require_earlier(folder: Path, database: Path, facts: PublicationFacts, *, fix: str) -> None:
+    """Refuse to replace a publication, or a bag of one, unless it is an earlier one of this database.
+
+    It is where both hold an object, and this object's raw files in common (the same title or DOI, where a
+    database does not list its raw files); objects that would go with it need the same title or DOI as well.
+
+    Parameters
+    ----------
+    folder : Path
+        A publication or bag by Levkas; nothing is refused where there is none.
+    database : Path
+        What is published.
+    facts : PublicationFacts
+        Of `database`, as they will be published.
+    fix : str
+
+    Raises
+    ------
+    WriteRefused
+        ``E_UNWRITABLE`` with title and objects of what is there.
+    """
+    from levkas.publish.metadata import read_facts
+
+    kind = made(folder)
+    if kind not in ("publication", "bag"):
+        return
+    earlier = folder / "data" if kind == "bag" else folder
+    held, ours = _objects(earlier), _objects(database)
+    there = read_facts(earlier)
+    alike = there.title == facts.title or bool(there.doi and there.doi == facts.doi)
+    one, other = (_raw_files(root, held & ours) for root in (earlier, database))
+    related = bool(one & other) if one and other else alike
+    if held and ours and not held & ours:
+        related = False
+    if related and (alike or held <= ours):
+        return
+    found = f"{there.title!r} with {', '.join(sorted(held)[:3]) or 'no object'}"
+    why = (
+        f"the {kind} cannot be written to this folder: it holds the publication of another database"
+    )
+    fix = f"{fix} If it is to go, remove that folder first."
+    raise refusal(why, folder, f"new folder, or an earlier {kind} of this database", found, fix)
+
+
+def _objects(root: Path) -> set[str]:
+    """Objects of a database; none where its catalogue cannot be read."""
+    from levkas.database.catalogue import DatabaseRefused, read_catalogue
+
+    try:
+        return {entry.object for entry in read_catalogue(root)}
+    except DatabaseRefused:
+        return set()
+
+
+def _raw_files(root: Path, objects: set[str]) -> set[str]:
+    """SHA-256 of the raw files that show objects, as far as a database lists them."""
+    hashes: set[str] = set()
+    for name in objects:
+        with contextlib.suppress(Refused, LookupError, TypeError, AttributeError):
+            for step in read_json(root / "objects" / name / PROVENANCE)["steps"]:
+                frames = [use for use in step.get("frames", ()) if use["role"] == "object"]
+                hashes.update(sha for use in frames for sha in use["files"].values())
+    return hashes - {""}
 
 
 def _strangers(folder: Path, kind: Kind) -> list[str]:

@@ -13,12 +13,17 @@ from levkas.publish.analysis_names import parse_analyses
 from levkas.publish.crate import NAME as CRATE
 from levkas.publish.metadata import NAME as FACTS
 from levkas.publish.metadata import PublicationFacts, facts_of, missing_facts, read_facts
-from levkas.publish.publication import Editions, Publication, PublishRefused
+from levkas.publish.publication import (
+    Editions,
+    Publication,
+    PublishRefused,
+    require_earlier,
+    require_ours,
+)
 
 if TYPE_CHECKING:
     from levkas.database.manifest import Manifest
     from levkas.publish.publication import Publication
-    from levkas.publish.upload import UploadTarget
 
     Part = Callable[[Publication], Iterator[str]]
 
@@ -73,7 +78,6 @@ class PublishReport:
     bytes: int
     editions: str
     bag: Path | None = None
-    address: str | None = None
     deposit: tuple[Problem, ...] = ()
     """What a repository must know before it gives a DOI."""
     left_out: tuple[str, ...] = ()
@@ -84,7 +88,6 @@ class PublishReport:
         """Report for people."""
         text = f"Published {self.output}: {self.files} files, {self.bytes / 1e6:.1f} MB"
         text += f"\nBag, checked: {self.bag}" if self.bag else ""
-        text += f"\nSent, with its manifest last: {self.address}" if self.address else ""
         text += "".join(f"\nLeft out: {note}" for note in self.left_out)
         missing = ", ".join(p.message for p in self.deposit)
         return text + (f"\nBefore it gets a DOI: {missing}" if missing else "")
@@ -97,7 +100,6 @@ class PublishReport:
             "bytes": self.bytes,
             "editions": self.editions,
             "bag": str(self.bag) if self.bag else None,
-            "address": self.address,
             "left_out": list(self.left_out),
         }
 
@@ -244,7 +246,6 @@ def publish(
     iiif: bool = True,
     analyse: Sequence[str] = (),
     bag: str | Path | None = None,
-    to: str | None = None,
 ) -> Iterator[PublishStep]:
     """Publish a database, yielding what is done, and in the end a report.
 
@@ -264,16 +265,12 @@ def publish(
         Analyses of the layers, as `levkas.publish.analysis_names.parse_analyses` reads them.
     bag : path, optional
         Folder for a BagIt bag, a copy of the publication.
-    to : str, optional
-        Address in an S3-like store that the publication is sent to, ``s3://BUCKET/PATH``.
 
     Raises
     ------
     PublishRefused
-        Where facts are missing, the database is not whole, or `output` holds it, or lies in it; where
-        `to` has something that Levkas did not send.
-    RemoteRefused
-        Where the store does not answer; the next call goes on.
+        Where facts are missing, the database is not whole, `output` holds it, or lies in it, or `output` or
+        `bag` is the publication of another database.
     WriteRefused
         Where `output` is anything but an earlier publication, or the disk refuses; an earlier
         publication is kept then.
@@ -282,7 +279,7 @@ def publish(
     from levkas.core.sweeping import sweep_beside
     from levkas.database.manifest import write_manifest
     from levkas.publish.analysis import check_analyses
-    from levkas.publish.bagging import check_target, write_bag
+    from levkas.publish.bagging import NEW_BAG, check_target, write_bag
     from levkas.publish.citation import check_datacite
 
     analyses = parse_analyses(analyse)
@@ -294,11 +291,11 @@ def publish(
     if problems := missing_facts(facts):
         raise PublishRefused(*problems)
     final = Path(output).resolve() if output else subject.default_output.resolve()
-    _check_output(final, subject)
+    _check_output(final, subject.database.resolve(), facts)
     if bag is not None:
         for root in (subject.database.resolve(), final):
             check_target(root, Path(bag).resolve())
-    target = _find_target(to, subject) if to else None
+        require_earlier(Path(bag).resolve(), subject.database, facts, fix=NEW_BAG)
     if final.parent.is_dir():
         sweep_beside(final)
     with publishing(final, bytes_needed=int(SPACE * manifest.bytes)) as folder:
@@ -310,31 +307,18 @@ def publish(
         yield from _run(publication)
         made = write_manifest(folder.path, publication.hashes)
         _check_whole(publication)
+        _check_output(final, source, facts)  # files may have come into it meanwhile
     if bag is not None:
         for what in write_bag(final, bag, facts):
             yield PublishStep("bag", what, len(PARTS), len(PARTS))
         yield PublishStep("bag", "", len(PARTS), len(PARTS), True, "done")
-    if target is not None:
-        for what, done, count in target.send(final):
-            yield PublishStep("upload", what, done, count, done == count, "done")
     packed = Path(bag).resolve() if bag else None
     needed = tuple(check_datacite(facts)[0])
     left_out = tuple(publication.left_out)
     report = PublishReport(
-        final, len(made.files) + 1, made.bytes, editions, packed, to, needed, left_out
+        final, len(made.files) + 1, made.bytes, editions, packed, needed, left_out
     )
     yield PublishStep("publication", "", len(PARTS), len(PARTS), True, "done", report)
-
-
-def _find_target(address: str, subject: PublishSubject) -> UploadTarget:
-    from levkas.database.catalogue import DatabaseRefused, read_catalogue
-    from levkas.publish.upload import UploadTarget
-
-    try:
-        objects = {entry.object for entry in read_catalogue(subject.database)}
-    except DatabaseRefused:
-        objects = set()
-    return UploadTarget(address, objects)
 
 
 def facts_of_subject(subject: PublishSubject) -> PublicationFacts:
@@ -424,34 +408,21 @@ def _run(publication: Publication) -> Iterator[PublishStep]:
         yield PublishStep(name, "", done + 1, total, True, "done")
 
 
-def _check_output(final: Path, subject: PublishSubject) -> None:
-    """Refuse a folder that is none of ours, and one that holds, or lies in, what is published."""
-    from levkas.core.ownership import stands_in
-    from levkas.database.catalogue import DatabaseRefused, read_catalogue
-    from levkas.publish.publication import require_ours
-
-    database = subject.database.resolve()
+def _check_output(final: Path, database: Path, facts: PublicationFacts) -> None:
+    """Refuse a folder that is none of ours, one that holds, or lies in, what is published, and another publication."""
+    fix = "Give another folder with -o."
     if final == database or database in final.parents or final in database.parents:
-        raise PublishRefused(_not_there(final, "it contains the database or is inside it"))
-    require_ours(final, "publication", fix="Give another folder with -o.")
-    if not stands_in(final):
-        return
-    try:
-        one, other = ({entry.object for entry in read_catalogue(f)} for f in (database, final))
-    except DatabaseRefused:
-        return
-    if one and other and not one & other:
-        raise PublishRefused(_not_there(final, f"it holds that of {', '.join(sorted(other)[:3])}"))
-
-
-def _not_there(final: Path, why: str) -> Problem:
-    return Problem(
-        "E_UNWRITABLE",
-        f"the publication cannot be written to this folder: {why}",
-        file=str(final),
-        expected="a new folder, or an earlier publication of this database",
-        fix="Give another folder with -o.",
-    )
+        raise PublishRefused(
+            Problem(
+                "E_UNWRITABLE",
+                "the publication cannot be written to this folder: it contains the database or is inside it",
+                file=str(final),
+                expected="a new folder, or an earlier publication of this database",
+                fix=fix,
+            )
+        )
+    require_ours(final, "publication", fix=fix)
+    require_earlier(final, database, facts, fix=fix)
 
 
 def _check_whole(publication: Publication) -> None:
