@@ -2,12 +2,14 @@
 
 import pickle
 import random
+import time
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 import levkas
+import levkas.database.remote as database_remote
 from levkas.cli import app as command
 from levkas.core.cube import Band, Cube
 from levkas.core.files import write_json
@@ -22,6 +24,11 @@ from levkas.database.validation import validate
 from levkas.geometry.transforms import Affine
 
 SHAPE = (300, 420)
+
+
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch):
+    monkeypatch.setattr(database_remote, "PAUSE_S", 0.01)
 
 
 @pytest.fixture(scope="module")
@@ -168,6 +175,103 @@ def test_a_file_that_is_replaced_while_it_is_read_is_refused(s3, database):
         handle.seek(1 << 20)
         with pytest.raises(RemoteRefused, match="replaced"):
             handle.read(10)
+
+
+class Changing:
+    """A file on a web server that knows no If-Match and serves another file from the second request on."""
+
+    first, second = b"a" * (1 << 20), b"b" * (1 << 20)
+
+    def __init__(self, headers, second=second):
+        self.headers, self.second, self.requests = headers, second, 0
+
+    def __call__(self, environ, start_response):
+        self.requests += 1
+        number = min(self.requests, 2) - 1
+        data = (self.first, self.second)[number]
+        start, _, stop = environ["HTTP_RANGE"].removeprefix("bytes=").partition("-")
+        start, stop = (int(start), int(stop) + 1) if start else (len(data) - int(stop), len(data))
+        stop = min(stop, len(data))
+        headers = {name: values[number] for name, values in self.headers.items()}
+        headers["Content-Range"] = f"bytes {start}-{stop - 1}/{len(data)}"
+        headers["Content-Length"] = str(stop - start)
+        start_response("206 Partial Content", list(headers.items()))
+        return [data[start:stop]]
+
+
+@pytest.mark.parametrize(
+    "server",
+    [
+        Changing({"ETag": ('"1"', '"2"')}),
+        Changing({"ETag": ('W/"1"', 'W/"2"')}),
+        Changing({"Last-Modified": [f"Mon, 0{n} Jan 2024 00:00:00 GMT" for n in (1, 8)]}),
+        Changing({}, b"b" * 1_000_000),
+        Changing({}, b"b"),
+    ],
+    ids=["tag", "weak tag", "time", "size", "cut"],
+)
+@pytest.mark.parametrize("forget", [False, True])
+def test_no_answer_of_a_server_without_if_match_is_of_another_file(serving, server, forget):
+    server.requests = 0
+    file = place(serving(server)) / "a.tif"
+    assert file.stat().st_size == 1 << 20
+    if forget:  # what was read first is no longer kept
+        file.store._pieces.clear()
+    with pytest.raises(RemoteRefused, match="replaced") as said:
+        file.read_bytes()
+    assert said.value.problems[0].fix == "Open the database again."
+    with pytest.raises(RemoteRefused, match="replaced"):
+        pickle.loads(pickle.dumps(file)).read_bytes()
+
+
+def test_a_file_with_a_weak_tag_that_stays_is_read(serving):
+    server = Changing({"ETag": ('W/"1"', 'W/"1"')}, Changing.first)
+    assert (place(serving(server)) / "a.tif").read_bytes() == Changing.first
+
+
+def test_a_server_that_sends_byte_by_byte_is_refused(serving, monkeypatch):
+    def drip(environ, start_response):
+        head = [("Content-Length", "131072"), ("Content-Range", "bytes 0-131071/10000000")]
+        start_response("206 Partial Content", head)
+        for _ in range(100):
+            time.sleep(0.1)
+            yield b"x"
+
+    monkeypatch.setattr(database_remote, "TIMEOUT_S", 0.3)
+    with pytest.raises(RemoteRefused, match=r"did not answer within 0\.3 s"):
+        levkas.open(serving(drip))
+
+
+def test_a_server_that_takes_too_long_for_all_answers_together_is_refused(
+    web, database, monkeypatch
+):
+    address, server = web(database)
+    monkeypatch.setattr(database_remote, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(database_remote, "SECONDS_A_REQUEST", 1e-6)
+    monkeypatch.setattr(database_remote, "LEAST_RATE", 10**12)
+    with pytest.raises(RemoteRefused, match="too slow"):
+        levkas.open(address)["icon 1é"]["vis"].values  # noqa: B018 -- reads
+    assert len(server.requests) == 1
+
+
+@pytest.mark.parametrize("name", ["catalogue.csv", "manifest-sha256.txt"])
+def test_a_catalogue_or_manifest_of_any_size_is_refused_before_it_is_read(serving, name):
+    sent = []
+
+    def endless(environ, start_response):
+        if not environ["PATH_INFO"].endswith(name):
+            start_response("404 Not Found", [])
+            return []
+        start, stop = map(int, environ["HTTP_RANGE"].removeprefix("bytes=").split("-"))
+        sent.append(stop + 1 - start)
+        headers = [("Content-Range", f"bytes {start}-{stop}/{10**12}")]
+        start_response("206 Partial Content", [*headers, ("Content-Length", str(sent[-1]))])
+        return [b"x" * sent[-1]]
+
+    read = levkas.open if name == "catalogue.csv" else validate
+    with pytest.raises(Refused, match=r"too large|at most"):
+        read(serving(endless))
+    assert sum(sent) < 1 << 20
 
 
 @pytest.mark.parametrize(

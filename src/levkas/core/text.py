@@ -95,6 +95,8 @@ def read_text(path: Path, expected: str, *, most: int = LARGEST_TABLE) -> str:
     """
     check_file(path, expected)
     try:
+        if path.stat().st_size > most:  # of a file on a server, before it is read
+            raise _too_large(path.name, str(path), most)
         with path.open("rb") as file:
             return read_stream(file, path.name, expected, file=str(path), most=most)
     except OSError as error:
@@ -121,16 +123,7 @@ def read_stream(
     """Read a text in UTF-8 from an open file, such as standard input, as `read_text` does."""
     data = stream.read(most + 1)
     if len(data) > most:
-        raise TextRefused(
-            Problem(
-                "E_SIZE",
-                f"{name}: the file is too large",
-                file,
-                found=f"over {most >> 20} MiB",
-                expected=f"at most {most >> 20} MiB",
-                fix="Name the correct file, or remove foreign content from it.",
-            )
-        )
+        raise _too_large(name, file, most)
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -145,6 +138,19 @@ def read_stream(
                 fix="Save it again as text in UTF-8.",
             )
         ) from error
+
+
+def _too_large(name: str, file: str | None, most: int) -> TextRefused:
+    return TextRefused(
+        Problem(
+            "E_SIZE",
+            f"{name}: the file is too large",
+            file,
+            found=f"over {most >> 20} MiB",
+            expected=f"at most {most >> 20} MiB",
+            fix="Name the correct file, or remove foreign content from it.",
+        )
+    )
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -28,6 +28,8 @@ from levkas.database.containment import stays_inside
 NAME = "manifest-sha256.txt"
 MEMORY_PER_BYTE = 5
 """Of memory that the files of a manifest take, a byte of its text: 2.9 measured, 4.3 where names are a few letters."""
+LARGEST_REMOTE = 256 << 20
+"""Bytes of a manifest on a server, whose size is the server's choice: two million files."""
 LONGEST_LINE = 1 << 16
 """Bytes; the longest path of Linux has 4096, and each may be three letters in a manifest."""
 
@@ -117,6 +119,8 @@ def read_manifest(path: str | Path) -> Manifest:
     path = Path(path) if isinstance(path, str) else path
     try:
         size = path.stat().st_size
+        if not isinstance(path, Path) and size > LARGEST_REMOTE:
+            return _damaged(path, f"it has {size:,} bytes; on a server at most {LARGEST_REMOTE:,}")
         if (needed := size * MEMORY_PER_BYTE) > memory_bound():
             return _damaged(path, f"its {size:,} bytes would take {needed / 1e9:.1f} GB of memory")
         if isinstance(path, Path):

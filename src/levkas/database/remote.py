@@ -1,7 +1,8 @@
 """Databases on web servers and S3-like stores, read by ranges of bytes.
 
 A file is met with one request, which brings its size and its first or last bytes; more of it comes
-in blocks, which are kept. Every answer has the requested length, or is requested again.
+in blocks, which are kept. Every answer has the requested length, or is requested again, and is of the file
+that was met first: by its size and its tag, or its time where the server gives no tag.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 from functools import cached_property, total_ordering
 from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
 from typing import Any, BinaryIO, TypeVar, cast
@@ -38,6 +40,12 @@ MOST_PIECES, MOST_BLOCKS = 256, 16
 ATTEMPTS, PAUSE_S = 4, 0.2
 """For an answer that is cut off or comes with an error 5xx; each pause is twice the one before."""
 TIMEOUT_S = 60
+"""Of a request, and of all its repetitions but the last."""
+PATIENCE_S, SECONDS_A_REQUEST, LEAST_RATE = 120.0, 5.0, 10_000
+"""Seconds that a server may take for all answers together: so many, and so many for each, and bytes over bytes per
+second. A server that sends byte by byte ends there; half of each refuses a satellite link, twice of each is slower."""
+MOST_NAMES = 4_000_000
+"""Files that a store may list; some 1 GB of names."""
 THREADS = 16
 """Files that are read at a time: a request waits for the network, not for a core."""
 CREDENTIALS = "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or a profile of the AWS tools"
@@ -79,12 +87,11 @@ def is_remote(path: object) -> bool:
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a file, its first byte's place, and the size and tag of the whole."""
+    """A part of a file, its first byte's place, and the size of the whole."""
 
     size: int
     start: int
     data: bytes
-    tag: str | None
 
 
 class RemoteStore:
@@ -109,9 +116,11 @@ class RemoteStore:
         self._lock = threading.Lock()
         self._pieces: OrderedDict[str, Piece] = OrderedDict()
         self._blocks: OrderedDict[tuple[str, int], bytes] = OrderedDict()
+        self._states: dict[str, tuple[int, str]] = {}
+        self._waited_s, self._requests, self._received = 0.0, 0, 0
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.url,)
+        return type(self), (self.url,), {"_states": dict(self._states)}
 
     def __deepcopy__(self, memo: dict[int, Any]) -> RemoteStore:
         return self  # what was read already serves the copies that xarray makes
@@ -126,7 +135,7 @@ class RemoteStore:
             raise _refused("reading from a server needs obstore", self.url, fix=fix) from None
         options: dict[str, Any] = {
             "client_options": {"allow_http": True, "timeout": timedelta(seconds=TIMEOUT_S)},
-            "retry_config": {"max_retries": 5, "retry_timeout": timedelta(seconds=TIMEOUT_S)},
+            "retry_config": {"max_retries": 0},  # `again` does it, and compares what comes then
         }
         if self.url.startswith("s3:"):
             options |= _credentials()
@@ -143,7 +152,7 @@ class RemoteStore:
         if piece.start <= start and stop <= piece.start + len(piece.data):
             return piece.data[start - piece.start : stop - piece.start]
         if stop - start > BLOCK:
-            return self._fetch(name, (start, stop), piece).data
+            return self._fetch(name, (start, stop)).data
         first, last = start // BLOCK, (stop - 1) // BLOCK
         data = b"".join(self._block(name, number, piece) for number in range(first, last + 1))
         return data[start - first * BLOCK : stop - first * BLOCK]
@@ -177,7 +186,12 @@ class RemoteStore:
 
         def listed() -> list[tuple[str, int]]:
             batches = obstore.list(self.objects, prefix=prefix or None)
-            return [(str(f["path"]), int(f["size"])) for batch in batches for f in batch]
+            files = (file for batch in batches for file in batch)
+            found = [(str(f["path"]), int(f["size"])) for f in islice(files, MOST_NAMES + 1)]
+            if len(found) > MOST_NAMES:
+                why, expected = "the store lists too many files", f"at most {MOST_NAMES}"
+                raise _refused(why, f"{self.url}/{prefix}".rstrip("/"), expected=expected)
+            return found
 
         return self.again(prefix, listed)
 
@@ -190,7 +204,10 @@ class RemoteStore:
         RemoteRefused
             Without the words of the server's answer, which may hold a key.
         """
+        started = time.monotonic()
         for attempt in range(1, ATTEMPTS + 1):
+            self._require_pace()
+            began = time.monotonic()
             try:
                 return work()
             except Refused:
@@ -199,11 +216,27 @@ class RemoteStore:
                 place = f"{self.url}/{name}".rstrip("/")
                 if isinstance(error, FileNotFoundError) or _status(error) == "404":
                     raise FileNotFoundError(place) from None
-                if attempt == ATTEMPTS or _is_final(error):
+                late = time.monotonic() - started > TIMEOUT_S
+                if attempt == ATTEMPTS or late or _is_final(error):
                     why, fix = _reason(error)
                     raise _refused(why, place, type(error).__name__, fix=fix) from None
+            finally:
+                with self._lock:
+                    self._waited_s += time.monotonic() - began
+                    self._requests += 1
             time.sleep(PAUSE_S * 2 ** (attempt - 1))
         raise AssertionError
+
+    def _require_pace(self) -> None:
+        """Refuse a server that has taken too long for what it sent, all answers together."""
+        with self._lock:
+            waited, received = self._waited_s, self._received
+            most = PATIENCE_S + SECONDS_A_REQUEST * self._requests + received / LEAST_RATE
+        if waited > most:
+            found = f"{received} bytes in {waited:.0f} s"
+            expected = f"at least {LEAST_RATE} bytes a second"
+            fix = "Try it again on a faster connection, or copy the database."
+            raise _refused("the server is too slow", self.url, found, expected=expected, fix=fix)
 
     @cached_property
     def _manifest(self) -> Any:
@@ -234,39 +267,44 @@ class RemoteStore:
                 self._blocks.move_to_end(key)
                 return self._blocks[key]
         span = number * BLOCK, min((number + 1) * BLOCK, piece.size)
-        data = self._fetch(name, span, piece).data
+        data = self._fetch(name, span).data
         with self._lock:
             self._blocks[key] = data
             while len(self._blocks) > MOST_BLOCKS:
                 self._blocks.popitem(last=False)
         return data
 
-    def _fetch(
-        self, name: str, span: tuple[int, int] | dict[str, int], known: Piece | None = None
-    ) -> Piece:
+    def _fetch(self, name: str, span: tuple[int, int] | dict[str, int]) -> Piece:
         """Return a range, of the file as it was when it was met, in the length that it must have."""
         import obstore
 
-        options: dict[str, Any] = {"range": span}
-        if known and known.tag:
-            options["if_match"] = known.tag
-
         def fetched() -> Piece:
             try:
-                answer = obstore.get(self.objects, name, options=options)  # type: ignore[arg-type]
+                answer = obstore.get(self.objects, name, options={"range": span})  # type: ignore[arg-type]
             except Exception as error:
-                if known is None and _status(error) == "416":  # the file is empty
-                    return Piece(0, 0, b"", None)
-                raise
-            data, size = bytes(answer.bytes()), int(answer.meta["size"])
+                if _status(error) != "416":
+                    raise
+                self._require_same(name, (0, ""))  # the file is empty
+                return Piece(0, 0, b"")
+            size, tag = int(answer.meta["size"]), answer.meta["e_tag"]
+            self._require_same(name, (size, tag or str(answer.meta["last_modified"])))
+            data = bytes(answer.bytes())
             wanted = _span_of(span, size)
             if answer.range != wanted or len(data) != wanted[1] - wanted[0]:
                 raise EOFError(f"{len(data)} bytes of {wanted[1] - wanted[0]}")
-            if known is not None and known.size != size:
-                raise EOFError(f"a file of {size} bytes had {known.size}")
-            return Piece(size, wanted[0], data, answer.meta["e_tag"])
+            with self._lock:
+                self._received += len(data)
+            return Piece(size, wanted[0], data)
 
         return self.again(name, fetched)
+
+    def _require_same(self, name: str, state: tuple[int, str]) -> None:
+        """Refuse an answer from another file than was met: of another size, tag, or time where there is no tag."""
+        with self._lock:
+            known = self._states.setdefault(name, state)
+        if known != state:
+            why, fix = "the file was replaced while it was read", "Open the database again."
+            raise _refused(why, f"{self.url}/{name}", str(state), expected=str(known), fix=fix)
 
 
 @total_ordering
@@ -450,10 +488,9 @@ def _status(error: Exception) -> str:
 
 def _is_final(error: Exception) -> bool:
     """Whether asking again is of no use."""
-    kinds = ("PermissionDenied", "Unauthenticated", "NotSupported", "Precondition")
-    if isinstance(error, Refused) or type(error).__name__.startswith(kinds):
+    if type(error).__name__.startswith(("PermissionDenied", "Unauthenticated", "NotSupported")):
         return True
-    return bool(_status(error)) or "kind: Connect" in str(error)  # obstore has tried it again
+    return _status(error).startswith("4") and _status(error) not in ("408", "429")
 
 
 def _reason(error: Exception) -> tuple[str, str]:
@@ -464,10 +501,11 @@ def _reason(error: Exception) -> tuple[str, str]:
     if name.startswith("NotSupported"):
         fix = "Use a server with range requests (nginx, Apache, S3), or copy the database."
         return "the server does not support range requests", fix
-    if name.startswith("Precondition"):
-        return "the file was replaced while it was read", "Open the database again."
     if status:
         return f"the server answers with an error {status}", "Check the address, or try it again."
+    if "kind: Timeout" in str(error):
+        fix = "Try it again on a faster connection, or copy the database."
+        return f"the server did not answer within {TIMEOUT_S:g} s", fix
     if "kind: Connect" in str(error):
         return "the server cannot be reached", "Check the address and the network."
     return "the server's answer is truncated or missing", "Check the network; try it again."
