@@ -1,3 +1,4 @@
+import json
 import pickle
 import shutil
 import subprocess
@@ -292,3 +293,26 @@ def test_of_many_objects_the_first_are_named(tmp_path):
     with pytest.raises(KeyError, match=r"no object 'o9'; there are: o0000, .*, o0099 and 900 more"):
         database["o9"]
     assert repr(database).endswith("o0099 and 900 more>")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda r: r["codecs"].append({"name": "numcodecs.lzma", "configuration": {}}),
+        lambda r: r["codecs"][0]["configuration"]["codecs"].append({"name": "some.plugin"}),
+        lambda r: r["codecs"][0]["configuration"]["index_codecs"].append({"name": "some.plugin"}),
+        lambda r: r.update(codecs=[r["codecs"][0]] * 40),
+        lambda r: r.update(storage_transformers=[{"name": "elsewhere"}]),
+        lambda r: r["chunk_grid"].update(name="rectangular"),
+        lambda r: r.update(data_type="variable_length_bytes"),
+        lambda r: r.update(data_type={"name": "numpy.structured"}),
+    ],
+)
+def test_only_listed_codecs_and_types_of_zarr_are_read(database, tmp_path, change):
+    shutil.copytree(database, tmp_path / "db")
+    path = tmp_path / "db/zarr/icon1.zarr/vis/values/zarr.json"
+    record = json.loads(path.read_text())
+    change(record)
+    path.write_text(json.dumps(record))
+    with pytest.raises(DatabaseRefused, match=r"not accepted|regular grid|damaged"):
+        levkas.open(tmp_path / "db")["icon1"]["vis"].values  # noqa: B018 -- reads

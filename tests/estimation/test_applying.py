@@ -7,6 +7,7 @@ from typer.testing import CliRunner
 import levkas
 from levkas.cli import app
 from levkas.core.cube import Flag
+from levkas.core.digests import hash_tree
 from levkas.core.problems import Refused
 from levkas.database.catalogue import read_catalogue
 from levkas.database.validation import validate
@@ -173,3 +174,63 @@ def test_every_missing_and_every_leaking_file_is_named_at_once(tmp_path):
     with pytest.raises(Refused) as refused:
         find_predictions(tmp_path, "vis", ["b", "c"], ["a"])
     assert [p.code for p in refused.value.problems] == ["E_MISSING", "E_MISSING", "E_SPLIT_LEAK"]
+
+
+def test_a_prediction_that_leads_to_another_file_is_refused(paintings, tmp_path):
+    """The bytes of any file of the computer would stand in errors and maps."""
+    h5py = pytest.importorskip("h5py")
+    (tmp_path / "secret").write_bytes(bytes(4 * 16 * 48 * 40))
+    folder = tmp_path / "network"
+    folder.mkdir()
+    with h5py.File(folder / "icon2_vis.mat", "w") as mat:
+        plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        plan.set_external(str(tmp_path / "secret").encode(), 0, h5py.h5f.UNLIMITED)
+        space = h5py.h5s.create_simple((16, 48, 40))
+        h5py.h5d.create(mat.id, b"cube", h5py.h5t.IEEE_F32LE, space, plan)
+    ran = command(paintings, "--score", folder, "--from", "rgb", "--test", "icon2", "--json")
+    (problem,) = json.loads(ran.stdout)["problems"]
+    assert ran.exit_code == 1 and problem["code"] == "E_UNREADABLE"
+    assert "another file" in problem["message"]
+
+
+# --- models made elsewhere -----------------------------------------------------------------------
+
+
+def stored(models, folder, change):
+    """Copy a model with its facts, some of its arrays changed."""
+    with np.load(models / "rgb_wiener.npz") as packed:
+        arrays = change(dict(packed))
+    np.savez(folder / "m.npz", **arrays)
+    (folder / "m.json").write_bytes((models / "rgb_wiener.json").read_bytes())
+    return folder / "m.npz"
+
+
+HARM = {
+    "bands": lambda a: a | {"coefficients": a["coefficients"][:, :3], "offset": a["offset"][:3]},
+    "one offset": lambda a: a | {"offset": a["offset"][:2]},
+    "terms": lambda a: a | {"coefficients": a["coefficients"][:-1]},
+    "factors": lambda a: a | {"factors": a["factors"] + 99},
+    "channels": lambda a: a | {"channels": np.int64(7)},
+    "no matrix": lambda a: a | {"coefficients": a["coefficients"][None]},
+    "texts": lambda a: a | {"coefficients": a["coefficients"].astype(str)},
+    "complex": lambda a: a | {"offset": a["offset"] * 1j},
+    "infinite": lambda a: a | {"offset": a["offset"] + np.inf},
+    "foreign": lambda a: a | {"more": np.zeros(3)},
+    "large": lambda a: a | {"offset": np.zeros(9 << 20)},
+    "lacking": lambda a: {name: array for name, array in a.items() if name != "offset"},
+    "method": lambda a: a | {"method": "nonsense"},
+    "version": lambda a: a | {"version": np.zeros(3)},
+}
+
+
+@pytest.mark.parametrize("harm", HARM)
+def test_a_model_whose_arrays_do_not_fit_is_refused_and_nothing_is_written(
+    own_paintings, models, tmp_path, harm
+):
+    before = hash_tree(own_paintings)
+    model = stored(models, tmp_path, HARM[harm])
+    ran = command(own_paintings, "--apply", model, "-o", "guess", "--json")
+    assert ran.exit_code == 1, ran.output
+    (problem,) = json.loads(ran.stdout)["problems"]
+    assert problem["code"] in ("E_MODEL", "E_CHANNELS") and problem["fix"]
+    assert hash_tree(own_paintings) == before

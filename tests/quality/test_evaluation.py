@@ -6,12 +6,12 @@ import pytest
 from levkas.geometry.transforms import Affine
 from levkas.quality.evaluation.layer_report import Assessment
 from levkas.quality.evaluation.similarity import (
-    TruthRefused,
     position_errors,
     read_truth,
     structural_similarity,
     summarise_errors,
 )
+from levkas.readers.facts import UnreadableCapture
 
 
 def textured(rng, shape=(64, 80)):
@@ -63,7 +63,7 @@ def test_truth_that_does_not_fit_its_description_is_refused(tmp_path):
     (tmp_path / "truth.json").write_text(json.dumps(record))
     np.save(tmp_path / "icon_ref_px.npy", np.zeros((5, 2)))
     np.save(tmp_path / "icon_nir_px.npy", np.zeros((2, 5, 2)))
-    with pytest.raises(TruthRefused, match=r"\(3, 5, 2\)"):
+    with pytest.raises(UnreadableCapture, match="3 x 5 x 2"):
         read_truth(tmp_path, "icon", "nir")
     np.save(tmp_path / "icon_nir_px.npy", np.zeros((3, 5, 2)))
     assert list(read_truth(tmp_path, "icon", "nir").bands) == ["800 nm", "900 nm"]

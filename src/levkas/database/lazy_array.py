@@ -24,6 +24,16 @@ if TYPE_CHECKING:
 
 MOST_SAMPLES = 1 << 26
 """Of a chunk, which is decoded as a whole."""
+CODECS = frozenset(
+    ["bytes", "vlen-utf8", "transpose", "blosc", "zstd", "gzip", "crc32c", "sharding_indexed"]
+)
+"""Of Zarr arrays that are read; Levkas writes five of them."""
+MOST_CODECS = 32
+KINDS = frozenset(
+    [*(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
+     "bool", "float16", "float32", "float64", "string"]
+)  # fmt: skip
+"""Types of Zarr arrays that are read."""
 
 
 class LazyArray(BackendArray):
@@ -144,6 +154,7 @@ def read_description(path: Path) -> dict[str, Any]:
     try:
         record = path.describe() if isinstance(path, RemotePath) else read_json(place)
         shape, grid = record["shape"], record["chunk_grid"]["configuration"]["chunk_shape"]
+        _require_accepted(record)
         codecs = [codec.get("configuration") or {} for codec in record["codecs"]]
         inner = [codec.get("chunk_shape", grid) for codec in codecs]
         for sides in (shape, grid, *inner):
@@ -157,6 +168,20 @@ def read_description(path: Path) -> dict[str, Any]:
     except DAMAGE as error:
         raise DatabaseRefused(_damaged(place, error)) from error
     return record
+
+
+def _require_accepted(record: dict[str, Any]) -> None:
+    """Refuse codecs and extensions that no list here has: plug-ins of other packages may do anything; raises ValueError."""
+    codecs = list(record["codecs"])
+    for codec in codecs:  # those within shards are added as they are met
+        if codec["name"] not in CODECS or len(codecs) > MOST_CODECS:
+            raise ValueError(f"its codec {str(codec['name'])[:80]!r} is not accepted")
+        inner = codec.get("configuration") or {}
+        codecs += [*inner.get("codecs", ()), *inner.get("index_codecs", ())]
+    if record["chunk_grid"]["name"] != "regular" or record.get("storage_transformers"):
+        raise ValueError("its chunks lie in no regular grid, or behind a transformer")
+    if record["data_type"] not in KINDS:
+        raise ValueError(f"its type {str(record['data_type'])[:80]!r} is not accepted")
 
 
 def _damaged(path: Path, error: BaseException) -> Problem:

@@ -26,7 +26,7 @@ from levkas.database.layout import LayerId
 from levkas.database.manifest import write_manifest
 from levkas.database.reader import Database
 from levkas.database.store import write_index
-from levkas.estimation.methods import METHODS
+from levkas.estimation.methods import find_method
 from levkas.estimation.samples import EstimationRefused, require_layers
 from levkas.estimation.stored import StoredModel, read_model
 
@@ -79,6 +79,9 @@ def apply_model(
     names = require_layers(opened, stored.sources, "--apply")
     _check_names(opened, names, layer, objects)
     chosen = [name for name in names if not objects or name in objects]
+    first = (LayerId.parse(names[0], source) for source in stored.sources)
+    channels = sum(opened[key.object][key.camera, key.setup].shape[2] for key in first)
+    stored.require_channels(channels, Path(model))
     for done, name in enumerate(chosen, 1):
         files = _apply_to(opened, name, layer, stored, Path(model))
         yield AppliedStep(
@@ -104,7 +107,7 @@ def _apply_to(
         name, layer, px_per_mm=nan if scale is None else float(scale),
         credits=Credits(
             title=f"{name}, spectra estimated",
-            description=f"Estimated from {', '.join(stored.sources)} by {METHODS[stored.method].title}; not a measurement.",
+            description=f"Estimated from {', '.join(stored.sources)} by {find_method(stored.method).title}; not a measurement.",
         ),
         estimate=facts,
     )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -45,7 +45,7 @@ class EstimationMethod:
     name: str
     title: str
     fitter: Callable[[Training, np.random.Generator], Model]
-    read: Callable[[dict[str, np.ndarray]], Model]
+    read: Callable[[Mapping[str, np.ndarray]], Model]
     equation: str
     source: str
 
@@ -82,6 +82,7 @@ def in_blocks(
                 "the model was fitted with other channels than these responses have",
                 found=responses.shape,
                 expected=("n", channels),
+                fix="Give layers of as many channels as the model was fitted with.",
             )
         )
     starts = range(0, max(len(responses), 1), BLOCK)

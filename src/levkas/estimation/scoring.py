@@ -28,6 +28,7 @@ from levkas.estimation.scores import (
     score_pixels,
 )
 from levkas.estimation.splits import EstimationFold, EstimationSplit, Part, split_paintings
+from levkas.readers.arrays import read_hdf5, read_npy
 
 ENDINGS = (".mat", ".npy")
 PLACES = ("", "Train_Spec", "Test_Spec", "Valid_Spec")
@@ -52,32 +53,13 @@ class Predictions:
 
         Raises
         ------
-        EstimationRefused
+        UnreadableCapture
             Where it cannot be read, or is of another shape.
         """
         path = self.files[name]
-        try:
-            cube = _read_mat(path) if path.suffix == ".mat" else np.load(path, allow_pickle=False)
-        except (OSError, ValueError, KeyError) as error:
-            raise EstimationRefused(
-                Problem(
-                    "E_UNREADABLE",
-                    f"the prediction cannot be read: {error}",
-                    str(path),
-                    expected="MATLAB 7.3 with `cube`, or an array as numpy saves it",
-                )
-            ) from None
-        if cube.shape != shape:
-            raise EstimationRefused(
-                Problem(
-                    "E_SIZE",
-                    "the prediction and the layer differ in shape",
-                    str(path),
-                    found=" x ".join(map(str, cube.shape)),
-                    expected=" x ".join(map(str, shape)) + " (rows, columns, bands)",
-                )
-            )
-        return np.asarray(cube)
+        if path.suffix == ".mat":
+            return read_hdf5(path, "cube", shape[::-1]).transpose(2, 1, 0)
+        return read_npy(path, shape)
 
 
 def score_predictions(plan: ExperimentPlan, folder: str | Path) -> Iterator[EstimationStep]:
@@ -224,20 +206,3 @@ def _file(folder: Path, name: str, target: str) -> Path | None:
     stem = LayerId(name, key.camera, key.setup).stem
     places = [folder / place / f"{stem}{ending}" for place in PLACES for ending in ENDINGS]
     return next((path for path in places if path.is_file()), None)
-
-
-def _read_mat(path: Path) -> np.ndarray:
-    """Read ``cube`` of a MAT-file of version 7.3, (bands, width, height), as (height, width, bands)."""
-    try:
-        import h5py
-    except ImportError:
-        raise EstimationRefused(
-            Problem(
-                "E_MISSING",
-                "MAT-files of version 7.3 need h5py, which is not installed",
-                str(path),
-                fix="Run: pip install 'levkas[export]', or save the prediction as .npy.",
-            )
-        ) from None
-    with h5py.File(path, "r") as mat:
-        return np.asarray(mat["cube"][()]).transpose(2, 1, 0)

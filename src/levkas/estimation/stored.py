@@ -6,6 +6,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from levkas.core.cube import Band
 from levkas.core.files import make_folder, write_json
 from levkas.core.problems import Problem
@@ -56,6 +58,37 @@ class StoredModel:
         save_model(path, self.method, self.model)
         write_json(path.with_suffix(".json"), self.facts())
         return [path, path.with_suffix(".json")]
+
+    def require_channels(self, channels: int, path: Path) -> None:
+        """Refuse a model whose arrays do not lead from so many channels to its bands.
+
+        Raises
+        ------
+        Refused
+            ``E_CHANNELS``, or ``E_MODEL`` where its arrays do not fit together.
+        """
+        responses = np.full((2, channels), 0.5)
+        try:
+            with np.errstate(all="ignore"):
+                parts = [part for part in self.model(responses) if part is not None]
+            wrong: list[object] = [
+                part.shape for part in parts if part.shape != (2, len(self.bands))
+            ]
+            wrong += [part.dtype for part in parts if part.dtype.kind != "f"]
+            wrong += ["no numbers" for part in parts if not wrong and not np.isfinite(part).all()]
+            why = f"it gives {wrong[0]} for 2 pixels" if wrong else ""
+        except (ArithmeticError, LookupError, MemoryError, TypeError, ValueError) as error:
+            why = " ".join(str(error).split())[:200] or type(error).__name__
+        if why:
+            raise EstimationRefused(
+                Problem(
+                    "E_MODEL",
+                    f"the arrays of the model do not fit together: {why}",
+                    str(path),
+                    expected=f"{channels} channels to {len(self.bands)} bands",
+                    fix="Fit it again with `levkas estimate -o`.",
+                )
+            )
 
 
 def read_model(path: Path) -> StoredModel:

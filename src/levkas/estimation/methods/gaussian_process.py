@@ -9,7 +9,7 @@ them. [rasmussen2006]_, Eqs. (2.25), (2.26), (5.8); [heikkinen2018]_.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -77,7 +77,7 @@ class GaussianProcessModel:
         return {**own, **{k: np.asarray(v) for k, v in vars(self.kernel).items()}}
 
     @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> GaussianProcessModel:
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> GaussianProcessModel:
         """Return the model of some arrays."""
         kernel = Kernel(str(arrays["name"]), float(arrays["length"]), arrays["centre"])
         rest = ("anchors", "coefficients", "offset", "whitening", "scale")

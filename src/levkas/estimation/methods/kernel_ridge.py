@@ -14,6 +14,7 @@ Length l and ridge λ are those of the smallest held-out error, in closed form.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -101,7 +102,7 @@ class KernelModel:
         return {**own, **{k: np.asarray(v) for k, v in vars(self.kernel).items()}}
 
     @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> KernelModel:
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> KernelModel:
         """Return the model of some arrays."""
         kernel = Kernel(str(arrays["name"]), float(arrays["length"]), arrays["centre"])
         return cls(

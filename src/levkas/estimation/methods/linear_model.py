@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +48,7 @@ class LinearModel:
         return {name: np.asarray(value) for name, value in vars(self).items()}
 
     @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> LinearModel:
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> LinearModel:
         """Return the model of some arrays."""
         return cls(
             arrays["factors"],

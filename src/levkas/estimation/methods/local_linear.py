@@ -7,6 +7,7 @@ over the nearest samples i; λ in units of their weighted spread. [liang2017]_, 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,7 +68,7 @@ class LocalModel:
         return {name: np.asarray(value) for name, value in vars(self).items()}
 
     @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> LocalModel:
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> LocalModel:
         """Return the model of some arrays."""
         return cls(
             arrays["anchors"],

@@ -8,7 +8,7 @@ Estimates lie between 0 and h, 1 or a little above the highest training value. [
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,7 +63,7 @@ def fit_with_logit(
 
 
 def read_with_logit(
-    arrays: dict[str, np.ndarray], *, read: Callable[[dict[str, np.ndarray]], Model]
+    arrays: Mapping[str, np.ndarray], *, read: Callable[[Mapping[str, np.ndarray]], Model]
 ) -> LogitModel:
     """Return the model of some arrays; `read` makes the inner one."""
     return LogitModel(read(arrays), float(arrays["highest"]))

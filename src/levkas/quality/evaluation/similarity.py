@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_json
+from levkas.readers.arrays import read_npy
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,10 +19,6 @@ if TYPE_CHECKING:
 SSIM_SIGMA = 1.5
 SSIM_WINDOW = 11
 RANGE_PERCENTILES = (0.1, 99.9)
-
-
-class TruthRefused(Refused):
-    """Truth that does not fit the layout of a simulated campaign."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +109,7 @@ def read_truth(folder: Path, name: str, camera: str) -> Truth | None:
 
     Raises
     ------
-    TruthRefused
+    UnreadableCapture
         Where the arrays do not fit `truth.json`.
     """
     reference, target = folder / f"{name}_ref_px.npy", folder / f"{name}_{camera}_px.npy"
@@ -121,18 +117,8 @@ def read_truth(folder: Path, name: str, camera: str) -> Truth | None:
         return None
     record = read_json(folder / "truth.json")
     labels = list(record.get("cameras", {}).get(camera, {}).get("bands", []))
-    points = np.load(reference, allow_pickle=False)
-    rows = np.load(target, allow_pickle=False)
-    if rows.shape != (1 + len(labels), len(points), 2):
-        raise TruthRefused(
-            Problem(
-                "E_SIZE",
-                "truth does not fit truth.json",
-                file=str(target),
-                found=str(rows.shape),
-                expected=str((1 + len(labels), len(points), 2)),
-            )
-        )
+    points = read_npy(reference, (None, 2))
+    rows = read_npy(target, (1 + len(labels), len(points), 2))
     return Truth(points, dict(zip(labels, rows[1:], strict=True)))
 
 

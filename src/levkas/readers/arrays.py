@@ -1,0 +1,255 @@
+"""Arrays in containers of other programs: .npy, .npz and HDF5, each by a list of what is accepted.
+
+A container may name other files, decompress without end, or run what a plug-in does. Of each only plain numbers of a declared shape are
+read, from the file itself, and their size is known before memory is taken for them.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from levkas.core.text import check_file
+from levkas.readers.facts import FREE_BYTES, UnreadableCapture, check_memory, unreadable
+
+NUMBERS = "biuf"
+"""Kinds of numpy's types that are read: bool, integers, floating point."""
+WIDEST = 8
+"""Bytes of a number."""
+LONGEST_TEXT = 4 * 256
+"""Bytes of a text in an .npz."""
+MOST_MEMBERS = 64
+"""Of an .npz; the largest model of Levkas has 11."""
+STORED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+SHUFFLE, DEFLATE = 2, 1
+"""Filters of HDF5 that are undone here; others, plug-ins among them, are refused."""
+DAMAGE = (
+    *(OSError, ValueError, KeyError, TypeError, RuntimeError, EOFError, MemoryError),
+    *(NotImplementedError, OverflowError, zipfile.BadZipFile, zlib.error, AttributeError),
+)
+"""What damaged containers lead their libraries to."""
+FIX = "Write the file again with its original program."
+Shape = tuple[int | None, ...]
+
+
+def read_npy(path: Path, shape: Shape) -> np.ndarray:
+    """Read an array as ``numpy.save`` writes it.
+
+    Parameters
+    ----------
+    path : Path
+    shape : tuple of int or None
+        That it must have; None for a side of any length.
+
+    Raises
+    ------
+    UnreadableCapture
+        Where it is of another shape, of no numbers, or of another size than it declares; none of it is read then.
+    """
+    with _reading(path, "an array as numpy.save writes it"), path.open("rb") as file:
+        found, dtype, order = _header(file)
+        _check_kind(path, dtype)
+        _check_shape(path, found, shape)
+        count, size = math.prod(found), os.fstat(file.fileno()).st_size
+        if size - file.tell() != count * dtype.itemsize:
+            raise ValueError(f"{size} bytes for {' x '.join(map(str, found))} of {dtype}")
+        check_memory(path, count, dtype.itemsize)
+        return np.fromfile(file, dtype, count).reshape(found, order=order)
+
+
+class Archive(Mapping[str, np.ndarray]):
+    """Arrays and short texts of an .npz by name, each decompressed when it is taken; opened by `opening_npz`.
+
+    Attributes
+    ----------
+    path : Path
+    """
+
+    def __init__(self, path: Path, archive: zipfile.ZipFile, most: int) -> None:
+        self.path, self._archive, self._left = path, archive, most
+        members = archive.infolist()
+        self._members = {member.filename.removesuffix(".npy"): member for member in members}
+        self._taken: set[str] = set()
+        if len(members) > MOST_MEMBERS or len(self._members) != len(members):
+            raise ValueError(f"{len(members)} members; at most {MOST_MEMBERS}, each once")
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        member = self._members[name]
+        if member.compress_type not in STORED or member.flag_bits & 1:
+            raise ValueError(f"{name} is encrypted, or compressed by an unknown method")
+        if member.file_size > self._left:
+            raise ValueError(f"{name} has {member.file_size} bytes; at most {self._left} more")
+        self._left -= member.file_size
+        self._taken.add(name)
+        with self._archive.open(member) as file:
+            shape, dtype, order = _header(file)
+            if not (dtype.kind == "U" and dtype.itemsize <= LONGEST_TEXT):
+                _check_kind(self.path, dtype)
+            data = file.read(member.file_size)  # without a number it would decompress up to 2 GiB
+        if len(data) != math.prod(shape) * dtype.itemsize:
+            raise ValueError(f"{name}: {len(data)} bytes for {shape} of {dtype}")
+        return np.frombuffer(data, dtype).reshape(shape, order=order)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._members)
+
+    def __len__(self) -> int:
+        return len(self._members)
+
+    def require_all_taken(self) -> None:
+        """Refuse members that nobody took, which were not decompressed either; raises ValueError."""
+        if foreign := [name for name in self._members if name not in self._taken]:
+            raise ValueError(f"foreign members: {', '.join(foreign)[:200]}")
+
+
+@contextmanager
+def opening_npz(path: Path, *, most: int) -> Iterator[Archive]:
+    """Open arrays as ``numpy.savez`` writes them.
+
+    Parameters
+    ----------
+    path : Path
+    most : int
+        Bytes of all members that are taken, decompressed.
+
+    Raises
+    ------
+    UnreadableCapture
+        Also for the errors of the block that uses them.
+    """
+    with (
+        _reading(path, "arrays as numpy.savez writes them"),
+        zipfile.ZipFile(path) as archive,
+    ):
+        yield Archive(path, archive, most)
+
+
+def read_hdf5(path: Path, name: str, shape: Shape) -> np.ndarray:
+    """Read one data set of the root of an HDF5 file, such as a MAT-file of version 7.3.
+
+    Accepted are a hard link, plain numbers, and bytes that lie in the file itself: in one piece, or in
+    chunks that are all there, as they are or behind shuffle and deflate. External files, links and virtual data sets
+    could lead to any file of this computer, and are refused, as are all other filters.
+
+    Parameters
+    ----------
+    path : Path
+    name : str
+    shape : tuple of int or None
+        As of `read_npy`.
+
+    Raises
+    ------
+    UnreadableCapture
+        ``E_MISSING`` without h5py.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise unreadable(
+            path,
+            "HDF5 and MATLAB 7.3 need h5py, which is not installed",
+            code="E_MISSING",
+            fix="Run: pip install 'levkas[export]', or save it as .npy.",
+        ) from None
+    with _reading(path, f"an HDF5 file or MATLAB 7.3 with {name!r}"), h5py.File(path, "r") as file:
+        link = file.get(name, getlink=True)
+        if not isinstance(link, h5py.HardLink):
+            what = type(link).__name__ if link is not None else "nothing of that name"
+            raise ValueError(f"{name!r} is {what}, no data set of this file")
+        found = file[name]
+        if not isinstance(found, h5py.Dataset):
+            raise ValueError(f"{name!r} is no data set")
+        _check_kind(path, found.dtype)
+        _check_shape(path, found.shape, shape)
+        check_memory(path, found.size, found.dtype.itemsize)
+        if found.external or found.is_virtual:
+            raise ValueError(f"the numbers of {name!r} lie in another file")
+        if found.chunks:
+            return _join_chunks(found)
+        if found.size and found.id.get_storage_size() != found.nbytes:
+            raise ValueError(f"{name!r} has no numbers")
+        return np.asarray(found[()])
+
+
+def _join_chunks(data: Any) -> np.ndarray:
+    plan, sides = data.id.get_create_plist(), data.chunks
+    filters = [plan.get_filter(k)[0] for k in range(plan.get_nfilters())]
+    if unknown := [code for code in filters if code not in (SHUFFLE, DEFLATE)]:
+        raise ValueError(f"it is compressed by filter {unknown[0]}; save it with gzip, or without")
+    held = math.prod(sides) * data.dtype.itemsize
+    if held > max(8 * data.nbytes, FREE_BYTES):
+        raise ValueError(f"a chunk of {sides} for {data.shape}")
+    out = np.empty(data.shape, data.dtype)
+    starts = (range(0, whole, side) for whole, side in zip(data.shape, sides, strict=True))
+    for start in np.stack(np.meshgrid(*starts, indexing="ij"), -1).reshape(-1, len(sides)):
+        mask, raw = data.id.read_direct_chunk(tuple(int(at) for at in start))
+        for place in reversed(range(len(filters))):
+            if mask >> place & 1:
+                continue
+            if filters[place] == DEFLATE:
+                raw = zlib.decompressobj().decompress(raw, held + 1)
+            else:
+                raw = np.frombuffer(raw, np.uint8).reshape(data.dtype.itemsize, -1).T.tobytes()
+        if len(raw) != held:
+            raise ValueError(f"a chunk of {len(raw)} bytes, not {held}")
+        block = np.frombuffer(raw, data.dtype).reshape(sides)
+        part = out[tuple(slice(at, at + side) for at, side in zip(start, sides, strict=True))]
+        part[...] = block[tuple(slice(n) for n in part.shape)]
+    return out
+
+
+def _header(file: Any) -> tuple[tuple[int, ...], np.dtype, Any]:
+    version = np.lib.format.read_magic(file)
+    readers = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }
+    if version not in readers:
+        raise ValueError(f"version {version} of numpy's format")
+    shape, fortran, dtype = readers[version](file)
+    if any(side < 0 for side in shape):
+        raise ValueError(f"a shape of {shape}")
+    return shape, dtype, "F" if fortran else "C"
+
+
+def _check_kind(path: Path, dtype: np.dtype) -> None:
+    if dtype.kind not in NUMBERS or dtype.itemsize > WIDEST or dtype.hasobject:
+        raise unreadable(path, "the file holds no plain numbers", found=str(dtype), fix=FIX)
+
+
+def _check_shape(path: Path, found: tuple[int, ...], expected: Shape) -> None:
+    if len(found) == len(expected) and all(
+        want in (None, side) for side, want in zip(found, expected, strict=True)
+    ):
+        return
+    raise unreadable(
+        path,
+        "the array has another shape",
+        code="E_SIZE",
+        found=" x ".join(map(str, found)) or "a single number",
+        expected=" x ".join("n" if side is None else str(side) for side in expected),
+        fix=FIX,
+    )
+
+
+@contextmanager
+def _reading(path: Path, expected: str) -> Iterator[None]:
+    """Turn what damaged containers lead their libraries to into refusals."""
+    check_file(path, expected)
+    try:
+        yield
+    except UnreadableCapture:
+        raise
+    except DAMAGE as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        what = f"{path.name} cannot be read: {reason}"
+        raise unreadable(path, what, expected=expected, fix=FIX) from error
