@@ -62,6 +62,9 @@ def test_notes_that_cannot_be_published_stop_check_and_publish_before_anything_i
     with pytest.raises(Refused):
         publish(run.find_subject(database, notes=path), output=tmp_path / "out")
     assert not (tmp_path / "out").exists()
+    path.write_text(page(text="half of a \ud83d"))
+    with pytest.raises(Refused, match="half of a character"):
+        publish(run.find_subject(database, notes=path), output=tmp_path / "out")
     empty = tmp_path / "empty"
     empty.mkdir()
     for missing in (empty, tmp_path / "nowhere.json"):

@@ -15,20 +15,32 @@ from levkas.campaign.campaign import CampaignInvalid
 from levkas.campaign.schema.cross_checks import unusable_output
 from levkas.core.ownership import IMPRINT, MARK, made, require_outside, stands_in
 from levkas.core.problems import Problem, Refused
-from levkas.core.text import read_json
+from levkas.core.text import read_json, unusable_name
 from levkas.database.catalogue import COLUMNS, DatabaseRefused, read_catalogue
+from levkas.database.layout import Places
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
-    from levkas.database.layout import Places
 
 OWNER = "campaign.json"
 """Among what is kept: the folder of the campaign, relative, so that both may be moved together."""
 FIX = 'Give a new folder with -o, or write output = "database".'
+
+
+def places_of(campaign: Campaign, output: str | Path | None = None) -> Places:
+    """Return where the database of a campaign stands, or shall; refuse what can be no folder of its own.
+
+    Raises
+    ------
+    CampaignInvalid
+        Where it would replace a disk, a home or the campaign, or no folder can bear its name.
+    """
+    if output and (why := unusable_name(output)):
+        raise CampaignInvalid(_not_apart(campaign, why, str(output)))
+    places = Places(Path(output).resolve() if output else campaign.output)
+    check_apart(campaign, places.output, ())
+    return places
 
 
 def claim(
@@ -78,17 +90,12 @@ def check_apart(campaign: Campaign, output: Path, captures: Iterable[Capture]) -
     elif not why and any(folder in output.parents for folder in among):
         why = "the database would be written among raw frames"
     if why:
-        raise CampaignInvalid(
-            Problem(
-                "E_VALUE",
-                why,
-                str(campaign.path),
-                "campaign.output",
-                str(output),
-                "a separate folder",
-                FIX,
-            )
-        )
+        raise CampaignInvalid(_not_apart(campaign, why, str(output)))
+
+
+def _not_apart(campaign: Campaign, why: str, output: str) -> Problem:
+    where = str(campaign.path), "campaign.output"
+    return Problem("E_VALUE", why, *where, output, "a separate folder", FIX)
 
 
 def _strangers(campaign: Campaign, places: Places, objects: set[str]) -> Iterator[Problem]:

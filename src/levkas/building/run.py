@@ -33,7 +33,7 @@ from levkas.building.catalogue import (
     spectra_of,
     write_catalogue_of,
 )
-from levkas.building.claiming import check_apart, claim
+from levkas.building.claiming import check_apart, claim, places_of
 from levkas.building.endings import Endings, fresh_step
 from levkas.building.executor import Executor
 from levkas.building.fingerprints import Inputs
@@ -120,7 +120,7 @@ def build(
 
     started_ns = time.time_ns()
     campaign = load_campaign(path)
-    places = Places(Path(output).resolve() if output else campaign.output)
+    places = places_of(campaign, output)
     if not (verify or objects) and (known := _nothing_to_do(campaign, places)):
         yield from known
         return
@@ -327,7 +327,7 @@ def status(
     """
     started_ns = time.time_ns()
     campaign = load_campaign(path)
-    places = Places(Path(output).resolve() if output else campaign.output)
+    places = places_of(campaign, output)
     index = None if verify else open_index(campaign, places)
     if index is not None and (known := index.steps()) is not None:
         return summarise(known, places.output)

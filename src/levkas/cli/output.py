@@ -16,7 +16,7 @@ from levkas import __version__
 from levkas.core.json_safe import plain
 from levkas.core.problems import Problem, Refused
 from levkas.core.progress import COMPILING, FRAMES
-from levkas.core.text import counted
+from levkas.core.text import counted, unusable_name, unusable_text
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -100,7 +100,7 @@ def finish(command: str, report: Report, as_json: bool) -> None:
 
 
 def refusing(command: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Turn a refusal, exhausted memory or an interrupt into a report and an exit status."""
+    """Turn a refusal, one of the system, exhausted memory or an interrupt into a report and an exit status."""
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         @wraps(function)
@@ -108,9 +108,13 @@ def refusing(command: str) -> Callable[[Callable[..., None]], Callable[..., None
             as_json = bool(options.get("as_json"))
             _shown.clear()
             try:
+                _check_names([*args, *options.values()])
                 function(*args, **options)
             except Refused as refused:
                 print_report(command, as_json, False, refused.problems)
+                raise typer.Exit(1) from None
+            except OSError as error:
+                print_report(command, as_json, False, [_refused_by_system(error)])
                 raise typer.Exit(1) from None
             except MemoryError:
                 print_report(command, as_json, False, [_out_of_memory()])
@@ -122,6 +126,29 @@ def refusing(command: str) -> Callable[[Callable[..., None]], Callable[..., None
         return wrapped
 
     return decorate
+
+
+def _check_names(values: Iterable[Any]) -> None:
+    """Refuse arguments that no file can bear as its path, and texts that no name or file can hold."""
+    texts = [v for value in values for v in (value if isinstance(value, list) else [value])]
+    wrong = {str(t): unusable_name(t) for t in texts if isinstance(t, Path)}
+    wrong |= {t: unusable_text(t) for t in texts if isinstance(t, str)}
+    fix = "Give another name."
+    problems = [
+        Problem("E_VALUE", f"the name is not usable: {why}", found=text, fix=fix)
+        for text, why in wrong.items()
+        if why
+    ]
+    if problems:
+        raise Refused(*problems)
+
+
+def _refused_by_system(error: OSError) -> Problem:
+    """Return the problem of a file that the system does not give, and that nothing else has turned into a refusal."""
+    names = [str(name) for name in (error.filename, error.filename2) if name is not None]
+    why = error.strerror or str(error) or type(error).__name__
+    fix = "Check the path, its permissions and its disk."
+    return Problem("E_IO", f"the system refuses: {why}", " → ".join(names) or None, fix=fix)
 
 
 def _out_of_memory() -> Problem:

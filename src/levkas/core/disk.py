@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import unusable_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -54,6 +55,10 @@ def refusing(
         if not ours and not str(error.filename or "").startswith(str(only_of)):
             raise
         raise WriteRefused(_problem(path, error, bytes_needed)) from error
+    except ValueError as error:  # Python's, before the system is asked
+        if not (why := unusable_name(path)):
+            raise
+        raise WriteRefused(_unwritable(path, why)) from error
 
 
 def _problem(path: Path, error: OSError, bytes_needed: int | None) -> Problem:
@@ -61,18 +66,22 @@ def _problem(path: Path, error: OSError, bytes_needed: int | None) -> Problem:
         return _disk_full(path, bytes_needed, _free_bytes(path.parent))
     reason = error.strerror or type(error).__name__
     if error.errno in REFUSED:
-        return Problem(
-            "E_UNWRITABLE",
-            f"{path.name} cannot be written: {reason}",
-            file=str(path),
-            expected="a folder that can be written to",
-            fix="Give another output folder, or change its permissions.",
-        )
+        return _unwritable(path, unusable_name(path) or reason)
     return Problem(
         "E_IO",
         f"the disk failed while {path.name} was written: {reason}",
         file=str(path),
         fix="Check the disk, then run the build again; finished stages are kept.",
+    )
+
+
+def _unwritable(path: Path, reason: str) -> Problem:
+    return Problem(
+        "E_UNWRITABLE",
+        f"{path.name} cannot be written: {reason}",
+        file=str(path),
+        expected="a folder that can be written to",
+        fix="Give another output folder, or change its permissions.",
     )
 
 

@@ -42,6 +42,7 @@ DROPPINGS = frozenset([".DS_Store", "Thumbs.db", "desktop.ini"])
 """Left by file browsers in every folder they show; neither published nor a damage."""
 BUFFER_BYTES, COPY_BYTES = 1 << 20, 1 << 22
 LONGEST_NAME = 200
+"""Bytes of a name that stand in its partial name; with ours and eight digits 224."""
 PATIENCE = 20
 """Times that a folder is taken away again where something comes into it meanwhile."""
 
@@ -225,7 +226,12 @@ def _open_partial(path: Path, bytes_needed: int | None) -> _Watched:
 
 
 def _partial(path: Path) -> Path:
-    return path.with_name(f"{path.name[:LONGEST_NAME]}.levkas.partial-{secrets.token_hex(4)}")
+    return path.with_name(f"{partial_stem(path)}.levkas.partial-{secrets.token_hex(4)}")
+
+
+def partial_stem(path: Path) -> str:
+    """Return what the partial names of a file begin with: its name, the first 200 bytes of it."""
+    return os.fsencode(path.name)[:LONGEST_NAME].decode(errors="ignore")
 
 
 # --- whole folders ----------------------------------------------------------------------------
@@ -467,9 +473,10 @@ def make_folder(path: str | Path) -> None:
     """Make a folder and those above it, and sync the entries, so that they outlast a power loss."""
     path = Path(path)
     missing = []
-    while not path.is_dir():
-        missing.append(path)
-        path = path.parent
+    with refusing(path, None):
+        while not path.is_dir():
+            missing.append(path)
+            path = path.parent
     for folder in reversed(missing):
         with refusing(folder, None):
             fault("folder", folder)

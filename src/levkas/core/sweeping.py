@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from levkas.core.disk import refusing
-from levkas.core.files import LONGEST_NAME, OURS, discard
+from levkas.core.files import OURS, discard, partial_stem
 
 try:
     import fcntl
@@ -42,7 +42,7 @@ def sweep_beside(path: str | Path) -> list[Path]:
     """Take away what killed runs left of one file or folder, beside it; as `sweep` does."""
     path = Path(path)
     removed = []
-    start = glob.escape(path.name[:LONGEST_NAME])
+    start = glob.escape(partial_stem(path))
     for left in sorted(path.parent.glob(f"{start}.levkas.partial-*")):
         if OURS.fullmatch(left.name) and _abandoned(left):
             with refusing(left, None):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import stat
 from math import isfinite
@@ -15,6 +16,8 @@ LARGEST_TABLE = 16 << 20
 """Bytes of a CSV or a JSON record."""
 DEEPEST = 64
 """Brackets within brackets of a JSON record; Python's parser calls itself for each."""
+LONGEST_PART, LONGEST_PATH = 255, 4095
+"""Bytes of a file's name, and of a path: the limits of Linux (limits.h); those of macOS and Windows are no larger."""
 MOST_TOKENS = 1_000_000
 """Texts and brackets of a JSON record; those that Levkas writes have some thousands."""
 KINDS = (
@@ -25,6 +28,9 @@ KINDS = (
     (stat.S_ISBLK, "a device"),
     (stat.S_ISSOCK, "a socket"),
 )
+CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]")
+"""Characters that no text of a person has: controls but tabulator and line ends, halves of characters."""
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 _BRACKET = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
 
 
@@ -52,6 +58,42 @@ def check_file(path: Path, expected: str) -> None:
                 fix="Add the file, or correct its name.",
             )
         )
+
+
+def unusable_name(path: str | Path) -> str:
+    """Return in words why no file can bear a path; ``""`` where one can.
+
+    Parameters
+    ----------
+    path : str or Path
+        Bytes that are no UTF-8, as Python keeps them in names, are allowed.
+
+    Examples
+    --------
+    >>> unusable_name("a" * 256 + "/b.tif")
+    'a part of the name has 256 bytes; at most 255 are possible'
+    """
+    text = str(path)
+    if why := unusable_text(text):
+        return why
+    data = os.fsencode(text)
+    longest = max(map(len, re.split(rb"[/\\]" if os.name == "nt" else b"/", data)))
+    if longest > LONGEST_PART:
+        return f"a part of the name has {longest} bytes; at most {LONGEST_PART} are possible"
+    if len(data) > LONGEST_PATH:
+        return f"the name has {len(data)} bytes; at most {LONGEST_PATH} are possible"
+    return ""
+
+
+def unusable_text(text: str) -> str:
+    """Return in words why no file can hold a text, or bear it as its name; ``""`` where one can."""
+    if "\0" in text:
+        return "it holds a null character"
+    try:
+        os.fsencode(text)
+    except UnicodeEncodeError:
+        return "it holds half of a character (a lone surrogate)"
+    return ""
 
 
 def counted(number: int, noun: str) -> str:
@@ -193,7 +235,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def parse_json(text: str) -> Any:
-    """Parse JSON without NaN, infinities or a key twice; raises ValueError.
+    """Parse JSON without NaN, infinities, halves of characters or a key twice; raises ValueError.
 
     Examples
     --------
@@ -201,9 +243,15 @@ def parse_json(text: str) -> Any:
     Traceback (most recent call last):
     ValueError: the key 'a' occurs twice
     """
-    return json.loads(
+    record = json.loads(
         text, object_pairs_hook=_unique, parse_constant=_no_number, parse_float=_finite
     )
+    if _SURROGATE.search(text):  # as escapes; those of a pair are one character
+        try:
+            json.dumps(record, ensure_ascii=False).encode()
+        except UnicodeEncodeError:
+            raise ValueError("it holds half of a character (a lone surrogate)") from None
+    return record
 
 
 def parse_bounded(text: str) -> Any:

@@ -18,7 +18,8 @@ import numpy as np
 
 from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused, closest_match
-from levkas.database.containment import check_inside
+from levkas.core.text import unusable_name
+from levkas.database.containment import check_inside, is_plain_name
 from levkas.database.layout import layer_name
 from levkas.database.registrations import RecordRefused, read_registration, unconfirmed_cells
 from levkas.database.remote import place
@@ -336,7 +337,7 @@ class Records:
     def __init__(self, database: Path, name: str) -> None:
         self.name = name
         self.folder = database / "objects" / name / "registration"
-        if Path(name).name != name or not self.folder.is_dir():
+        if not is_plain_name(name) or unusable_name(name) or not self.folder.is_dir():
             records = database.glob("objects/*/registration/*.json")
             there = sorted({p.parent.parent.name for p in records})
             raise MappingRefused(

@@ -104,7 +104,10 @@ class RemoteStore:
     """
 
     def __init__(self, url: str) -> None:
-        parts = urlsplit(url)
+        try:
+            parts = urlsplit(url)
+        except ValueError as error:  # brackets that are none of IPv6
+            raise _refused("this is not the address of a database", None, str(error)) from None
         if parts.scheme not in SCHEMES or not parts.netloc:
             found, expected = parts.scheme or "nothing", ", ".join(f"{s}://…" for s in SCHEMES)
             raise _refused("this is not the address of a database", None, found, expected=expected)

@@ -163,7 +163,7 @@ def choose_layers(database: Database, plan: ExperimentPlan) -> tuple[str, list[t
         ]  # fmt: skip
         broad = [g for g in groups if not np.isfinite(layers[g[0]].wavelength.values).all()]
         groups = broad or groups
-    if not groups or any(target in group for group in groups):
+    if not all(groups) or not groups or any(target in group for group in groups):
         raise EstimationRefused(
             Problem(
                 "E_VALUE",

@@ -14,7 +14,7 @@ import numpy as np
 from levkas.calibration.noise_fit import NoiseModel, fit_noise, fit_noise_single
 from levkas.calibration.noise_model import Sensor
 from levkas.calibration.patterns import channel_names, channel_table, split
-from levkas.calibration.templates import Template, average
+from levkas.calibration.templates import Template
 from levkas.core.problems import Problem, Refused
 from levkas.planning.exposure_levels import (
     Advice,
@@ -32,9 +32,10 @@ from levkas.planning.full_scale import (
     find_full_scale,
     not_known,
     split_sensors,
+    stack_of,
 )
 from levkas.quality.emva1288.blocks import block_statistics
-from levkas.readers.frames import Facts, read_facts, read_frame
+from levkas.readers.frames import Facts, read_facts
 
 TOLERATED = 1e-3  # share of pixels at saturation: glints and hot sensels
 FAINT = 0.002  # of saturation: less does not suffice to advise a time
@@ -483,7 +484,7 @@ def gather_shots(files: Sequence[Path], full: float, exposure_s: float | None) -
             wavelength,
             time,
             known[members[0]].iso,
-            average((read_frame(m) for m in members), saturation=full, exposure_s=time),
+            stack_of(members, saturation=full, exposure_s=time),
         )
         for (name, wavelength, time, _), members in groups.items()
     ]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from levkas.calibration.patterns import channel_table
+from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps
 from levkas.core.problems import Problem, Refused
 from levkas.readers.frames import Facts, read_frame
 
@@ -23,6 +24,24 @@ def files_of(paths: Iterable[str | Path]) -> list[Path]:
     from levkas.quality.emva1288.facts import frames_below
 
     return [f for p in map(Path, paths) for f in (frames_below(p) if p.is_dir() else [p])]
+
+
+def stack_of(
+    files: Sequence[Path], *, saturation: float | None = None, exposure_s: float | None = None
+) -> Template:
+    """Average frames as `average` does; what is no finite number counts as the median of the others.
+
+    Raises
+    ------
+    Refused
+        UnreadableCapture; ``E_VALUE`` where there is no finite number at all.
+    """
+    frames = (read_frame(file) for file in files)
+    try:
+        return close_gaps(average(frames, saturation=saturation, exposure_s=exposure_s))
+    except CalibrationRefused as refused:
+        problems = (replace(p, file=p.file or str(files[0])) for p in refused.problems)
+        raise CalibrationRefused(*problems) from None
 
 
 @dataclass(frozen=True)

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.calibration.templates import Template, average
+from levkas.calibration.templates import Template
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import counted
 from levkas.planning.framing import plan_framing
-from levkas.planning.full_scale import files_of, find_full_scale, not_known
+from levkas.planning.full_scale import files_of, find_full_scale, not_known, stack_of
 from levkas.planning.lamp_fit import SPREAD, FittedLamps, fit_lamps
 from levkas.planning.loading import load_setup
 from levkas.planning.setup import StudioSetup, drop, illuminate
 from levkas.planning.tables import PlanRefused, value_problem
-from levkas.readers.frames import read_facts, read_frame
+from levkas.readers.frames import read_facts
 
 if TYPE_CHECKING:
     from levkas.planning.setup import Lighting, StudioLamp
@@ -302,11 +302,11 @@ def average_whites(
     if scale is None and np.dtype(facts.dtype).kind in "ui":
         raise WhiteRefused(not_known(files[0], facts))
     full = scale.counts if scale else None
-    stack = average((read_frame(f) for f in files), saturation=full)
+    stack = stack_of(files, saturation=full)
     if not darks:
         levels = (black, scale.black if scale else None, facts.black)
         return stack, next((level for level in levels if level is not None), 0.0)
-    dark = average([read_frame(f) for f in darks])
+    dark = stack_of(darks)
     if dark.mean.shape != stack.mean.shape:
         raise WhiteRefused(
             Problem(

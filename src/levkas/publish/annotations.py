@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from urllib.parse import quote, unquote
 
 from levkas.core.problems import Problem, closest_match
-from levkas.core.text import read_json
+from levkas.core.text import CONTROL, read_json
 from levkas.database.catalogue import read_catalogue
 from levkas.publish.publication import PublishRefused
 
@@ -43,7 +43,6 @@ _DATE = re.compile(
     r"(T[0-9]{2}:[0-9]{2}(:[0-9]{2}(\.[0-9]{1,6})?)?(Z|[+-][0-9]{2}:[0-9]{2})?)?"
 )
 _MARKUP = re.compile(r"<[A-Za-z/!?]")
-_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 _CANVAS = re.compile(r"(?:^|/)iiif/([^/]+)/canvas$")
 
 
@@ -320,7 +319,7 @@ class _Reader:
     def _plain(self, value: Any, where: str, longest: int) -> str:
         if not isinstance(value, str) or len(value) > longest:
             self.refuse(where, value, f"a text of at most {longest} characters")
-        if _MARKUP.search(value) or _CONTROL.search(value):
+        if _MARKUP.search(value) or CONTROL.search(value):
             self.refuse(where, value, "plain text, without markup and control characters")
         return value
 

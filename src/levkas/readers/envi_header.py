@@ -13,6 +13,8 @@ from levkas.core.text import what_stands_at
 from levkas.readers.facts import UnreadableCapture, unreadable
 
 LONGEST_HEADER = 4 << 20
+MOST_KEYS = 5000
+"""The headers of cameras have 20 to 300."""
 DATA_SUFFIXES = (
     *(".raw", ".dat", ".img", ".bil", ".bip", ".bsq", ".bin", ".cube", ".float", ".hyspex", ".sli"),
     "",
@@ -210,6 +212,10 @@ def parse_header(path: Path) -> EnviHeader:
             )
             raise header.refusal(message, key, found, "one value", "Delete the line that is wrong.")
         header.fields[key] = value
+        if len(header.fields) > MOST_KEYS:
+            found, expected = f"over {MOST_KEYS}", f"at most {MOST_KEYS}"
+            fix = "Name the header of an ENVI cube, or remove foreign lines from it."
+            raise header.refusal("the header has too many keys", "header", found, expected, fix)
     return header
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -47,6 +48,9 @@ from levkas.campaign.discovery.patterns import Pattern, natural
 from levkas.campaign.schema.cross_checks import is_safe_name
 from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused, closest_match
+
+LONGEST_STEM = 200
+"""Bytes of OBJECT_CAMERA_SETUP_SENSOR in the names of a layer's files; the longest ending has 50, a name 255."""
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera, Campaign
@@ -196,18 +200,24 @@ def _is_promised(index: FileIndex, name: str, camera: str, setup: str) -> bool:
     return not (only_in_setups and any(c == camera and s for c, s in index.frames))
 
 
+def _require_short(index: FileIndex, name: str, camera: str, setup: str) -> None:
+    """Refuse a layer whose files would have names that no disk takes."""
+    sensors = index.campaign.cameras[camera].sensors
+    parts = (name, camera, setup, max((s.name for s in sensors), key=len, default=""))
+    if (size := len(os.fsencode("_".join(filter(None, parts))))) > LONGEST_STEM:
+        what = f"the names of object, camera and lighting are too long for the files of {name!r}"
+        expected = f"at most {LONGEST_STEM} bytes together"
+        fix = "Rename the frames, or shorten the name of the camera or of the lighting."
+        problem = Problem("E_VALUE", what, None, "{target}", f"{size} bytes", expected, fix)
+        raise CaptureRefused(problem)
+
+
 def _require_frames(index: FileIndex, name: str, camera: str, setup: str) -> None:
     if not is_safe_name(name):
-        raise CaptureRefused(
-            Problem(
-                "E_VALUE",
-                f"{name!r} cannot be part of a file name",
-                field="{target}",
-                found=name,
-                expected="letters, digits, - and _",
-                fix="Rename the frames, or list the other objects in `targets.objects`.",
-            )
-        )
+        what, expected = f"{name!r} cannot be part of a file name", "letters, digits, - and _"
+        fix = "Rename the frames, or list the other objects in `targets.objects`."
+        raise CaptureRefused(Problem("E_VALUE", what, None, "{target}", name, expected, fix))
+    _require_short(index, name, camera, setup)
     if (camera, setup) in index.broken:
         raise index.broken[camera, setup]
     frames = index.frames[camera, setup]

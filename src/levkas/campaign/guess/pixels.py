@@ -75,7 +75,7 @@ def describe_pixels(values: np.ndarray) -> Statistics:
     Parameters
     ----------
     values : ndarray, (height, width), any real dtype
-        Counts.
+        Counts; what is no finite number counts as the median of the others.
 
     Examples
     --------
@@ -85,7 +85,7 @@ def describe_pixels(values: np.ndarray) -> Statistics:
     >>> found.top, found.step, find_mosaic(found.phases)
     (4080, 80, 2)
     """
-    plane = np.asarray(values)
+    plane = _finite(np.asarray(values))
     counts = plane.astype(np.float32)
     low, high = (float(v) for v in np.percentile(counts, (1, 99)))
     top = plane.max(initial=0)
@@ -103,6 +103,16 @@ def describe_pixels(values: np.ndarray) -> Statistics:
         texture=_texture(counts) / abs(level),
         phases={side: phase_means(counts, side) for side in range(2, LARGEST_TILE + 1)},
         thumbnail=block,
+    )
+
+
+def _finite(plane: np.ndarray) -> np.ndarray:
+    if plane.dtype.kind != "f":
+        return plane
+    most = float(np.finfo(np.float32).max) / max(plane.size, 1)  # so that their sum is finite too
+    good = np.abs(plane.astype(np.float64)) <= most
+    return (
+        plane if good.all() else np.where(good, plane, np.median(plane[good]) if good.any() else 0)
     )
 
 

@@ -21,11 +21,14 @@ from levkas.campaign.schema.tables import (
     SensorKeys,
 )
 from levkas.core.problems import LONGEST_NAME, MOST_COMPARED, Problem, closest_match
+from levkas.core.text import unusable_name, what_stands_at
 from levkas.readers.compared_facts import FACTS_BY_NAME
 
 MOST_LISTED = 20
 MOST_CAMERAS, MOST_LAYERS, MOST_PATTERNS = 1000, 20_000, 1000
 """Cameras; objects times cameras; patterns for one camera: each is looked up among the files."""
+LONGEST_ENDING = ".published"
+"""Of the folders that stand beside a database under its name."""
 _UNSAFE = re.compile(r'[\x00-\x1f\x7f/\\:*?"<>|@{}]|^[.\s]|[.\s]$')
 
 
@@ -43,7 +46,8 @@ def find_contradictions(document: Document, root: Path) -> Iterator[Problem]:
     yield from _registration(document)
     yield from _files(document, root)
     output = document.campaign.output
-    if why := unusable_output((root / output).resolve(), root.resolve()):
+    why = unusable_name(root / output)
+    if why := why or unusable_output((root / output).resolve(), root.resolve()):
         yield value_problem(
             "campaign.output", why, output, "a folder of its own", 'Write output = "database".'
         )
@@ -65,7 +69,7 @@ def unusable_output(output: Path, root: Path) -> str:
         return "the database would replace a whole disk or a home folder"
     if output in (root, *root.parents):
         return "the database would replace the campaign"
-    return ""
+    return unusable_name(output.with_name(output.name + LONGEST_ENDING))
 
 
 def is_safe_name(name: str) -> bool:
@@ -357,7 +361,7 @@ def _files(document: Document, root: Path) -> Iterator[Problem]:
         if keys.points is not None and "{" not in keys.points:
             named[f"{where}.points"] = keys.points
     for field, name in named.items():
-        if name is not None and not (root / name).is_file():
+        if name is not None and what_stands_at(root / name) != "a file":
             yield Problem(
                 "E_UNREADABLE",
                 "the named table does not exist",

@@ -10,15 +10,24 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, PlainValidator, Strict
 
+from levkas.core.text import CONTROL
+
 FILTER_LETTERS = "RGBCMYWEIN"
 """Of a pattern in letters: primary and complementary colours, white, emerald, infrared."""
+
+
+def _without_controls(value: Any) -> Any:
+    """Null and its like end names of files, and are in no XML, JSON page or terminal what they seem."""
+    if isinstance(value, str) and (found := CONTROL.search(value)):
+        raise ValueError(f"must be text without control characters, not {found[0]!r}")
+    return value
 
 
 def _names(value: Any) -> tuple[str, ...]:
     names = (value,) if isinstance(value, str) else value
     if not isinstance(names, list | tuple) or not all(isinstance(n, str) and n for n in names):
         raise ValueError("must be a name or a list of names")
-    return tuple(unicodedata.normalize("NFC", n) for n in names)
+    return tuple(unicodedata.normalize("NFC", _without_controls(n)) for n in names)
 
 
 def _date(value: Any) -> str:
@@ -32,7 +41,7 @@ def _museum_date(value: Any) -> str:
     """Paintings are dated "about 1650" as often as 1650."""
     if isinstance(value, bool) or not isinstance(value, str | int | datetime.date):
         raise ValueError("must be a year or text")
-    return value.isoformat() if isinstance(value, datetime.date) else str(value)
+    return value.isoformat() if isinstance(value, datetime.date) else _without_controls(str(value))
 
 
 def _pattern(value: Any) -> tuple[tuple[str, ...], ...]:
@@ -47,7 +56,7 @@ def _pattern(value: Any) -> tuple[tuple[str, ...], ...]:
     if not isinstance(value, list | tuple) or not all(isinstance(r, list | tuple) for r in value):
         raise ValueError(message)
     rows = tuple(tuple(row) for row in value)
-    if not all(isinstance(n, str) and n for row in rows for n in row):
+    if not all(isinstance(n, str) and n and not CONTROL.search(n) for row in rows for n in row):
         raise ValueError(message)
     if not rows or not rows[0] or len({len(row) for row in rows}) != 1:
         raise ValueError(message)
@@ -60,7 +69,7 @@ def _is_number(value: Any) -> bool:
 
 def _reflectance(value: Any) -> float | str:
     if isinstance(value, str) and value:
-        return value
+        return str(_without_controls(value))
     if not _is_number(value) or not 0 < value <= 1.5:
         raise ValueError("must be a reflectance such as 0.98, or a CSV over wavelength")
     return float(value)
@@ -130,7 +139,7 @@ def _address(value: Any) -> str:
     return value
 
 
-Text = Annotated[str, Strict()]
+Text = Annotated[str, Strict(), BeforeValidator(_without_controls)]
 Doi = Annotated[str, BeforeValidator(_doi)]
 Orcid = Annotated[str, BeforeValidator(_orcid)]
 Address = Annotated[str, BeforeValidator(_address)]
