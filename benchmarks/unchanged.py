@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
+import tomlkit
 from differences import (
     EXCLUDED,
     LIMITS,
@@ -127,7 +127,7 @@ def make_frames(folder: Path, name: str) -> Path:
         text = (HERE / "examples" / name / "campaign.toml").read_text(encoding="utf-8")
         campaign = tomllib.loads(text.replace(f"../../../shared/{maker}/", ""))
         campaign["campaign"]["output"] = "database"
-        (room / "campaign.toml").write_text(tomli_w.dumps(campaign), encoding="utf-8")
+        (room / "campaign.toml").write_text(tomlkit.dumps(campaign), encoding="utf-8")
     return room.rename(target)
 
 
@@ -155,7 +155,7 @@ def make_campaign(folder: Path, name: str) -> Path:
         [n for n, t in campaign.get("setups", {}).items() if t["cameras"]],
     )
     (room / "campaign.toml").unlink()
-    (room / "campaign.toml").write_text(tomli_w.dumps(campaign), encoding="utf-8")
+    (room / "campaign.toml").write_text(tomlkit.dumps(campaign), encoding="utf-8")
     if name == "points":
         write_points(room)
     return room.rename(target)

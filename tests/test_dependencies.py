@@ -28,10 +28,15 @@ UNIX = ("resource", "fcntl", "pwd", "grp", "termios", "tty", "pty", "syslog")
 @functools.cache
 def imported():
     """Import names of the package's sources that are not of Python itself → one file that imports them."""
-    found = {}
-    for path in sorted(
+    return imports_of(
         [*(ROOT / "src" / "levkas").rglob("*.py"), *(ROOT / "benchmarks" / "peers").rglob("*.py")]
-    ):
+    )
+
+
+def imports_of(paths):
+    """Import names of sources that are not of Python itself → one file that imports them."""
+    found = {}
+    for path in sorted(paths):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             if isinstance(node, ast.ImportFrom) and not node.level:
@@ -62,6 +67,28 @@ def test_every_package_that_is_imported_is_declared():
     known = declared([*PROJECT["dependencies"], *(one for e in USED for one in extras[e])])
     missing = {name: path for name, path in imported().items() if not distributions(name) & known}
     assert missing == {}
+
+
+def test_benchmarks_examples_and_tests_import_only_what_is_declared():
+    """Each may use any extra; a script that needs more does not start where `make` made the environment."""
+    known = declared(
+        [
+            *PROJECT["dependencies"],
+            *(t for e in PROJECT["optional-dependencies"].values() for t in e),
+        ]
+    )
+    folders = ("benchmarks", "examples", "tests", "docs")
+    own = {
+        name for f in folders for p in (ROOT / f).rglob("*.py") for name in (p.stem, p.parent.name)
+    }
+    for folder in folders:
+        paths = list((ROOT / folder).rglob("*.py"))
+        missing = {
+            name: path
+            for name, path in imports_of(paths).items()
+            if name not in own | {"levkas_peers"} and not distributions(name) & known
+        }
+        assert missing == {}, folder
 
 
 def test_every_package_that_is_declared_is_imported():

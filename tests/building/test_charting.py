@@ -195,7 +195,7 @@ def test_charts_of_a_published_database_are_measured_again(campaign, tmp_path):
     everywhere = CliRunner().invoke(app, ["chart", str(database), "--json"])
     told = json.loads(everywhere.output)
     assert [p["code"] for p in told["problems"]] in (["E_CHART_MISSING"], ["E_CHART_DETECTOR"])
-    with pytest.raises(Refused, match=r"unknown object.*panel"):
+    with pytest.raises(Refused, match=r"no object of this name.*panel"):
         measure_charts(database, objects=["painting"])
 
 

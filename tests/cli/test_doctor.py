@@ -37,6 +37,13 @@ def test_what_is_said_of_packages_is_of_packages_that_are_declared():
     assert {Requirement(text).name for text in texts} == set(doctor.PURPOSES)
 
 
+def test_every_extra_that_a_command_needs_is_named():
+    optional = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"][
+        "optional-dependencies"
+    ]
+    assert set(doctor.EXTRAS) == set(optional) - {"test", "lint", "fuzz"}
+
+
 def test_the_machine_that_runs_the_tests_lacks_nothing_required(examination):
     assert examination.ok, examination.text
     assert finding(examination, "OpenCV").state == "ok"

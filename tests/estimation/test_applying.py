@@ -234,3 +234,10 @@ def test_a_model_whose_arrays_do_not_fit_is_refused_and_nothing_is_written(
     (problem,) = json.loads(ran.stdout)["problems"]
     assert problem["code"] in ("E_MODEL", "E_CHANNELS") and problem["fix"]
     assert hash_tree(own_paintings) == before
+
+
+def test_an_object_that_the_database_has_not_is_refused_by_its_name(own_paintings, models):
+    model = models / "rgb_wiener.npz"
+    ran = command(own_paintings, "--apply", model, "-o", "guess", "--object", "icom1", "--json")
+    (problem,) = json.loads(ran.stdout)["problems"]
+    assert ran.exit_code == 1 and problem["found"] == "icom1" and "icon1" in problem["fix"]

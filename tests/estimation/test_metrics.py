@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from levkas.estimation import metrics
+from levkas.estimation.samples import PaintSamples
+from levkas.estimation.scores import metamer_floor
 
 BANDS = np.arange(400.0, 721.0, 10.0)
 
@@ -81,3 +83,20 @@ def test_colour_needs_the_visible():
 def test_unknown_errors_are_left_out_of_a_summary():
     assert metrics.summarise(np.array([1.0, np.nan]))["mean"] == 1
     assert np.isnan(metrics.summarise(np.array([np.nan]))["maximum"])
+
+
+@pytest.mark.parametrize("values", [40, 400, 100_000])
+def test_the_metamer_floor_is_the_spread_of_spectra_of_equal_responses(values):
+    """Responses of few codes coincide: a pixel is no partner of itself, and all of a group are partners."""
+    rng = np.random.default_rng(2)
+    count = 3000
+    level = rng.integers(0, values, count) / values
+    responses = np.stack([level, 1 - level], 1).astype(np.float32)
+    spread = np.where(rng.random(count) < 0.5, -0.05, 0.05)  # of metamers: standard deviation 0.05
+    spectra = np.repeat((level + spread)[:, None], 6, 1)
+    rows = np.arange(count)
+    sigma, gold = np.full(responses.shape, 0.01), np.zeros(count, bool)
+    samples = PaintSamples(responses, spectra, sigma, None, gold, rows, rows)
+    floor = metamer_floor(samples, 2500, rng)
+    assert floor["rmse"] == pytest.approx(0.05, rel=0.04)
+    assert floor["pairs"] == 2500

@@ -198,3 +198,10 @@ def test_the_command_line_makes_them(database):
     assert (database.with_name("database.published") / f"{PLACE}rgb.pca.tif").is_file()
     wrong = CliRunner().invoke(app, ["publish", str(database), "--analyse", "pcs"])
     assert wrong.exit_code == 1 and "Did you mean 'pca'?" in wrong.output
+
+
+def test_ratios_of_bands_that_differ_in_signs_alone_are_two():
+    texts = ["ratio:IR+/R,ratio:IR-/R", "ratio:A-B/C", "ratio:A/B-C", "ratio:R 1/2", "ratio:R/1 2"]
+    found = parse_analyses(texts)
+    assert len(found) == 6 and len({one.name for one in found}) == 6
+    assert all(re.fullmatch(r"[A-Za-z0-9._=-]+", one.name) for one in found)

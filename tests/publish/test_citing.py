@@ -1,5 +1,6 @@
 import json
 
+import pytest
 import yaml
 from datacite import schema45
 from hypothesis import given
@@ -116,3 +117,19 @@ def test_from_three_objects_on_no_split_is_empty(names):
     splits = split_objects(names)
     assert set(splits.values()) == set(SHARES)
     assert split_objects(reversed(sorted(names))) == splits
+
+
+@pytest.mark.parametrize(
+    ("record", "organisation"),
+    [
+        ("bell hooks", False),
+        ("danah boyd", False),
+        ("The Museum", True),
+        ({"name": "The Museum", "organisation": False}, False),
+        ({"name": "bell hooks", "organisation": True}, True),
+        ("levkas simulate", True),
+    ],
+)
+def test_a_person_in_small_letters_is_one_and_what_is_declared_counts(record, organisation):
+    facts = facts_of({"publication": {"creators": [record]}}, file="x", objects={})
+    assert facts.creators[0].organisation is organisation

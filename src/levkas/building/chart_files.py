@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from levkas.core.cube import Band, Cube, Flag
-from levkas.core.problems import Problem
+from levkas.core.problems import Problem, unknown_name
 from levkas.database.containment import check_inside
 from levkas.quality.targets.charts import Chart, ChartRefused, kind_of
 from levkas.quality.targets.edges import EdgePlace
@@ -191,17 +191,11 @@ def _kept_edges(told: Mapping[str, Any]) -> dict[str, tuple[EdgePlace, ...]]:
 
 
 def _check(database: Path, option: str, wanted: Sequence[str], known: set[str]) -> None:
-    if unknown := [name for name in wanted if name not in known]:
-        raise ChartRefused(
-            Problem(
-                "E_VALUE",
-                "unknown camera in this database" if "camera" in option else "unknown object",
-                str(database),
-                option,
-                ", ".join(unknown),
-                ", ".join(sorted(known)),
-            )
-        )
+    what = f"the database has no {option.removeprefix('--')} of this name"
+    names, file = sorted(known), str(database)
+    unknown = [name for name in wanted if name not in known]
+    if problems := [unknown_name(what, n, names, file=file, field=option) for n in unknown]:
+        raise ChartRefused(*problems)
 
 
 class CubeFile(NamedTuple):

@@ -18,7 +18,7 @@ from levkas.building.chart_files import (
     subjects_of,
 )
 from levkas.core.cube import Cube
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused, unknown_name
 from levkas.quality.image_quality.slanted_edge import EdgeRefused
 from levkas.quality.targets.charts import (
     EDGES,
@@ -48,6 +48,8 @@ if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
     from levkas.database.layout import Places
 
+CHART = "ColorChecker24"
+"""That is looked for where none is named."""
 UNSEEN = ("E_CHART_MISSING", "E_CHART_FRAME", "E_CHART_SIZE", "E_CHART_ORDER")
 """Refusals that say no more than that a layer, which need not be one, is no chart."""
 
@@ -62,7 +64,7 @@ ENCODED = (
 def measure_charts(
     subject: str | Path,
     *,
-    kind: str = "ColorChecker24",
+    kind: str | None = None,
     cameras: Sequence[str] = (),
     corners: np.ndarray | None = None,
     reference: str | Path | None = None,
@@ -77,8 +79,9 @@ def measure_charts(
         A campaign (every chart that it declares, by every camera that saw it); a published database
         (the charts that it keeps, or objects that are charts); or a cube: a TIFF or ENVI file of
         reflectance.
-    kind : str
-        Of the chart in a cube, "edges" for slanted edges alone; a campaign says it in `targets.charts`.
+    kind : str, optional
+        Of the chart in a cube or in layers, "edges" for slanted edges alone; "ColorChecker24" without. A campaign,
+        and what a database keeps in charts/, declare their own.
     cameras : sequence of str
         Only these cameras of a campaign or database.
     corners : (4, 2), optional
@@ -93,28 +96,32 @@ def measure_charts(
     Raises
     ------
     Refused
-        Where the campaign, the cube or the reference cannot be read. What is wrong with single
-        charts is in the report.
+        Where the campaign, the cube or the reference cannot be read, or an option has no meaning for it. What is
+        wrong with single charts is in the report.
     """
     path = Path(subject)
     report = ChartReport()
     if path.is_file() and path.name != "campaign.toml":
-        files = [Subject(path.name, kind_of(kind), {"": path}, True)]
+        _refuse(path, "a cube", {"--camera": cameras, "--object": objects})
+        files = [Subject(path.name, kind_of(kind or CHART), {"": path}, True)]
         return _measure_cubes(files, report, corners, reference, edges)
     if is_database(path):
         known = corners is not None or bool(edges)
-        layers = subjects_of(path, kind, cameras=cameras, objects=objects, corners=known)
+        if kind is not None and not objects and (path / "charts").is_dir():
+            _refuse(path, "the charts that a database keeps", {"--kind": kind})
+        layers = subjects_of(path, kind or CHART, cameras=cameras, objects=objects, corners=known)
         found = _measure_cubes(layers, report, corners, reference, edges)
         if not found.measures and not found.problems:
             found.problems.append(
                 Problem(
                     "E_CHART_MISSING",
-                    f"no layer of the database shows {kind}",
+                    f"no layer of the database shows {kind or CHART}",
                     str(path),
                     fix="Name the chart with --object, or give --corners.",
                 )
             )
         return found
+    _refuse(path, "a campaign", {"--kind": kind, "--object": objects, "--edge": edges})
     for capture, chart, made in _of_campaign(path, cameras, report):
         spectra = _reference(chart, reference)
         name = f"{capture.object}/{capture.layer}"
@@ -125,6 +132,23 @@ def measure_charts(
         except Refused as refused:
             report.problems.extend(problems_of(name, capture, refused))
     return report
+
+
+def _refuse(path: Path, what: str, options: Mapping[str, Any]) -> None:
+    """Refuse options that mean nothing for a subject; each with a value is one."""
+    problems = [
+        Problem(
+            "E_VALUE",
+            f"{option} has no effect with {what}",
+            str(path),
+            option,
+            fix="Leave the option out, or give the subject that it is for.",
+        )
+        for option, value in options.items()
+        if value
+    ]
+    if problems:
+        raise ChartRefused(*problems)
 
 
 def _measure_cubes(
@@ -243,15 +267,10 @@ def _of_campaign(
             )
         )
     if unknown := [name for name in cameras if name not in campaign.cameras]:
+        what, file = "the campaign has no camera of this name", str(campaign.path)
+        known = campaign.cameras
         raise ChartRefused(
-            Problem(
-                "E_VALUE",
-                "unknown camera",
-                str(campaign.path),
-                "--camera",
-                ", ".join(unknown),
-                ", ".join(campaign.cameras),
-            )
+            *(unknown_name(what, n, known, file=file, field="--camera") for n in unknown)
         )
     kept = Places(campaign.output).kept
     templates = TemplateCache(kept / "templates", Hashes(kept / HASHES), shared=False)

@@ -11,6 +11,7 @@ import typer.core
 
 from levkas import __version__
 from levkas.cli import build, demo, doctor, estimate, evaluate, inspect, measure, plan, publish
+from levkas.cli.options import StrictCommand
 from levkas.core.instructions import hold_instructions
 
 ORDER = {
@@ -94,15 +95,15 @@ for _name, _command in {
     "export": publish.export,
     "radiometry": measure.radiometry,
 }.items():
-    app.command(_name)(_command)
+    app.command(_name, cls=StrictCommand)(_command)
 for _name, _command in {
     "light": plan.light,
     "framing": plan.framing,
     "exposure": plan.exposure,
     "fit": plan.fit,
 }.items():
-    _plan.command(_name)(_command)
-_points.command("convert")(evaluate.convert)
+    _plan.command(_name, cls=StrictCommand)(_command)
+_points.command("convert", cls=StrictCommand)(evaluate.convert)
 app.add_typer(_plan, name="plan")
 app.add_typer(_points, name="points")
 

@@ -76,9 +76,11 @@ PURPOSES = {
 """Distribution → what it is for; which ones there are, the package's own metadata says."""
 
 EXTRAS = {
+    "cluster": "build --workers and --cluster",
     "docs": "the documentation, and figures of the examples and benchmarks",
     "export": "export: NetCDF, and MAT files of the spectral recovery challenges",
     "peers": "evaluate --compare: programs to compare with",
+    "remote": "databases on web servers and in stores like S3",
     "render": "plan: renders of a lighting setup",
 }
 """Extra of the package → what is missing without it; the others are for its development."""

@@ -76,7 +76,7 @@ def estimate(
     """Estimate the spectra of held-out paintings from few channels, and report how well."""
     from levkas.estimation.plan import ExperimentPlan
 
-    if model is not None:
+    if model is not None and output is not None:
         _apply(database, model, output, objects or (), as_json)
         return
     plan = ExperimentPlan(
@@ -99,13 +99,9 @@ def estimate(
     finish("estimate", report, as_json)
 
 
-def _apply(
-    database: Path, model: Path, layer: Path | None, objects: Sequence[str], as_json: bool
-) -> None:
+def _apply(database: Path, model: Path, layer: Path, objects: Sequence[str], as_json: bool) -> None:
     from levkas.estimation.applying import apply_model
 
-    if layer is None:
-        raise typer.BadParameter("--apply needs -o LAYER, the name of the layer to write")
     steps = draw_steps(apply_model(database, model, str(layer), objects=objects), as_json)
     files = [str(path) for step in steps for path in step.files]
     print_report("estimate", as_json, True, [], layer=str(layer), estimated=True, files=files)

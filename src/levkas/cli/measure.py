@@ -23,11 +23,11 @@ def chart(
         typer.Argument(help="A campaign that declares charts, a database, or a calibrated cube."),
     ],
     kind: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="Type of the chart in a cube: ColorChecker24, ColorCheckerSG, or edges (without colours)."
+            help="Type of the chart in a cube: ColorChecker24 (the default), ColorCheckerSG, or edges (without colours)."
         ),
-    ] = "ColorChecker24",
+    ] = None,
     cameras: Annotated[
         list[str] | None, typer.Option("--camera", help="Only this camera; may be repeated.")
     ] = None,

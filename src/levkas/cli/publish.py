@@ -68,7 +68,7 @@ def publish(
     from levkas.publish import run
 
     if check:
-        missing = run.check(subject, notes, analyse=analyse or ())
+        missing = run.check(subject, notes, output=output, url=url, analyse=analyse or (), bag=bag)
         print_report("publish", as_json, missing.ok, list(missing.problems), **missing.to_dict())
         if not as_json:
             typer.echo(missing.text)

@@ -107,6 +107,24 @@ def closest_match(text: str, known: Iterable[str]) -> str | None:
     return f"Did you mean {near[0]!r}?" if near else None
 
 
+def unknown_name(
+    message: str,
+    name: str,
+    known: Iterable[str],
+    *,
+    code: str = "E_VALUE",
+    file: str | None = None,
+    field: str | None = None,
+) -> Problem:
+    """Return the problem of a name that is none of those known, with the one that may be meant.
+
+    >>> print(unknown_name("there is no camera 'vsi'", "vsi", ["nir", "vis"], field="--camera"))
+    there is no camera 'vsi' (field: --camera; found: vsi; expected: nir, vis). Did you mean 'vis'?
+    """
+    names = list(known)
+    return Problem(code, message, file, field, name, ", ".join(names), closest_match(name, names))
+
+
 class Refused(Exception):
     """Refusal of an input; the base of every error of Levkas that a user can correct.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from levkas.campaign.schema.toml import read_toml
-from levkas.core.problems import Problem, Refused, closest_match
+from levkas.core.problems import Problem, Refused, closest_match, unknown_name
 from levkas.database.layout import LayerId
 from levkas.database.reader import Database
 from levkas.database.registrations import read_registrations
@@ -81,20 +81,15 @@ class ExperimentPlan:
 
 def choose_methods(names: Sequence[str]) -> list[EstimationMethod]:
     """Return methods by their names; all without one or with ``all``; raises EstimationRefused."""
+    unknown = [name for name in names if name not in (*METHODS, "all")]
+    if unknown:
+        what = f"unknown method of estimation {unknown[0]!r}"
+        field = "--method"
+        raise EstimationRefused(
+            unknown_name(what, unknown[0], METHODS, code="E_METHOD", field=field)
+        )
     if not names or "all" in names:
         return list(METHODS.values())
-    unknown = [name for name in names if name not in METHODS]
-    if unknown:
-        raise EstimationRefused(
-            Problem(
-                "E_METHOD",
-                f"unknown method of estimation {unknown[0]!r}",
-                field="--method",
-                found=unknown[0],
-                expected=", ".join(METHODS),
-                fix=closest_match(unknown[0], METHODS),
-            )
-        )
     return [METHODS[name] for name in dict.fromkeys(names)]
 
 
@@ -223,6 +218,17 @@ def splits_of(
                 found=plan.split,
                 expected=", ".join(SPLITS),
                 fix=closest_match(plan.split, SPLITS),
+            )
+        )
+    if plan.split != "painting" and (plan.train or plan.test):
+        raise EstimationRefused(
+            Problem(
+                "E_VALUE",
+                f"paintings cannot be named for the split {plan.split!r}, which takes all of them",
+                field="--train" if plan.train else "--test",
+                found=", ".join((*plan.train, *plan.test)),
+                expected="--split painting",
+                fix="Leave --train and --test out, or the split.",
             )
         )
     sources = groups[0]

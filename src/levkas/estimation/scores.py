@@ -262,16 +262,36 @@ def metamer_floor(
     assert chosen.response_sigma is not None
     scale = np.maximum(np.sqrt(np.square(chosen.response_sigma).mean(0)), 1e-9)
     near, index = cKDTree(chosen.responses / scale).query(chosen.responses / scale, k=2)
+    other = np.where(index[:, 1] == np.arange(len(index)), index[:, 0], index[:, 1])
+    other = _others_of_equal(chosen.responses, other, rng)
     pairs = np.flatnonzero(near[:, 1] <= np.sqrt(2 * chosen.responses.shape[1]))
     if not len(pairs):
         return None
-    squared = np.square(chosen.spectra[pairs] - chosen.spectra[index[pairs, 1]]).mean(1) / 2
+    squared = np.square(chosen.spectra[pairs] - chosen.spectra[other[pairs]]).mean(1) / 2
     noise = 0.0 if chosen.spectrum_sigma is None else float(np.square(chosen.spectrum_sigma).mean())
     return {
         "pairs": len(pairs),
         "rmse": float(np.sqrt(max(0.0, squared.mean() - noise))),
         "p95": float(np.sqrt(max(0.0, np.percentile(squared, 95) - noise))),
     }
+
+
+def _others_of_equal(
+    responses: np.ndarray, other: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Return `other` with, for each pixel whose responses others share to the last digit, one of those at random.
+
+    Among coinciding points a tree names the pixel itself, and always the same few.
+    """
+    group = np.unique(responses, axis=0, return_inverse=True)[1].ravel()
+    order = np.lexsort((rng.permutation(len(group)), group))
+    ends = np.flatnonzero(np.diff(group[order], append=-1))
+    after = np.roll(order, -1)
+    after[ends] = order[np.r_[0, ends[:-1] + 1]]  # round in each group: all are drawn alike often
+    found = other.copy()
+    shared = np.bincount(group)[group[order]] > 1
+    found[order[shared]] = after[shared]
+    return found
 
 
 def rounded(record: Any) -> Any:

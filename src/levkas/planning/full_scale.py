@@ -20,10 +20,26 @@ if TYPE_CHECKING:
 
 
 def files_of(paths: Iterable[str | Path]) -> list[Path]:
-    """Return files, and the frames of folders."""
+    """Return files, and the frames of folders; raises Refused for a folder without any."""
     from levkas.quality.emva1288.facts import frames_below
 
-    return [f for p in map(Path, paths) for f in (frames_below(p) if p.is_dir() else [p])]
+    found: list[Path] = []
+    for path in map(Path, paths):
+        frames = frames_below(path) if path.is_dir() else [path]
+        if not frames:
+            expected = "one frame or more"
+            raise Refused(
+                Problem(
+                    "E_NO_FRAMES",
+                    "there is no frame in this folder",
+                    str(path),
+                    None,
+                    "none",
+                    expected,
+                )
+            )
+        found += frames
+    return found
 
 
 def stack_of(

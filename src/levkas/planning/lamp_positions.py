@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.calibration.templates import Template
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused, unknown_name
 from levkas.core.text import counted
 from levkas.planning.framing import plan_framing
 from levkas.planning.full_scale import files_of, find_full_scale, not_known, stack_of
@@ -248,15 +248,8 @@ def _shown(
             )
         return whole, (0.0, 0.0), doubts
     if camera not in setup.cameras:
-        raise PlanRefused(
-            value_problem(
-                str(setup.path),
-                "cameras",
-                "unknown camera",
-                camera,
-                ", ".join(setup.cameras),
-            )
-        )
+        what, file = "there is no such camera", str(setup.path)
+        raise PlanRefused(unknown_name(what, camera, setup.cameras, file=file, field="cameras"))
     field = next(f.field_mm for f in plan_framing(setup) if f.camera == camera)
     doubts = []
     if not 0.9 < columns / rows / (field[0] / field[1]) < 1.11:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.core.problems import unknown_name
 from levkas.planning.exposure_plan import electron_rates, irradiance_spectrum
 from levkas.planning.spectra import GRID
 from levkas.planning.tables import PlanRefused, value_problem
@@ -158,12 +159,9 @@ def check_filtered(setup: StudioSetup, camera: str) -> None:
         if one.keys.exposure == "one" and len(one.labels) > 1
     ]
     if camera not in several:
-        raise PlanRefused(
-            value_problem(
-                str(setup.path), "cameras", "this camera has no channels to even out by a filter", camera,
-                ", ".join(several) or "a camera of several channels with exposure = \"one\"",
-            )
-        )  # fmt: skip
+        what, file = "this camera has no channels to even out by a filter", str(setup.path)
+        known = several or ['a camera of several channels with exposure = "one"']
+        raise PlanRefused(unknown_name(what, camera, known, file=file, field="cameras"))
 
 
 FAR_OFF = 2.0

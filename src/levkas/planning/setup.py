@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.core.problems import unknown_name
 from levkas.planning.spectra import GRID, Spectrum
-from levkas.planning.tables import PlanRefused, value_problem
+from levkas.planning.tables import PlanRefused
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -195,12 +196,8 @@ class StudioSetup:
         if name is None:
             return next(iter(self.lightings.values()))
         if name not in self.lightings:
-            raise PlanRefused(
-                value_problem(
-                    str(self.path), "setups", "there is no such setup", name,
-                    ", ".join(self.lightings),
-                )
-            )  # fmt: skip
+            what, file = "there is no such setup", str(self.path)
+            raise PlanRefused(unknown_name(what, name, self.lightings, file=file, field="setups"))
         return self.lightings[name]
 
 

@@ -54,12 +54,15 @@ class Analysis:
 
     @property
     def name(self) -> str:
-        """Part of a file's name.
+        """Part of a file's name, another one for other bands.
 
-        >>> Analysis("ratio", ("R 1", "1000 nm")).name
-        'ratio-R-1-1000-nm'
+        >>> Analysis("ratio", ("R 1", "1000 nm")).name, Analysis("ratio", ("IR+", "R")).name
+        ('ratio-R_1-1000_nm', 'ratio-IR=2B-R')
         """
-        return re.sub(r"[^A-Za-z0-9.]+", "-", self.text).strip("-.")
+        if not self.bands:
+            return self.kind
+        plain = [re.sub(r"[^A-Za-z0-9. ]", lambda m: f"={ord(m[0]):02X}", b) for b in self.bands]
+        return "-".join((self.kind, *(band.replace(" ", "_") for band in plain)))
 
     @property
     def needs(self) -> str:

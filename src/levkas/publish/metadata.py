@@ -62,6 +62,7 @@ ORGANISATIONS = frozenset(
         "institute",
         "institution",
         "laboratory",
+        "levkas",
         "library",
         "ltd",
         "ministry",
@@ -260,32 +261,31 @@ def fact_missing(facts: PublicationFacts, field: str, message: str, example: str
 def is_organisation(name: str) -> bool:
     """Whether a name is that of an organisation or a program, which no list turns to ``Family, Given``.
 
-    A name with a comma is a person's; one with a word of `ORGANISATIONS`, a digit, or no capital letter is not.
+    A name with a comma is a person's; one with a word of `ORGANISATIONS` or a number is not.
 
     Examples
     --------
     >>> [is_organisation(name) for name in ("University of Eastern Finland", "levkas simulate")]
     [True, True]
-    >>> [is_organisation(name) for name in ("Ada M. Lovelace", "Museum, Ada", "陳 大文")]
-    [False, False, False]
+    >>> [is_organisation(name) for name in ("Ada M. Lovelace", "Museum, Ada", "陳 大文", "bell hooks")]
+    [False, False, False, False]
     """
     words = re.findall(r"\w+", name)
     if "," in name or not words:
         return False
-    plain = name.lower() == name and name.upper() != name
-    return plain or any(w.lower() in ORGANISATIONS or w.isdigit() for w in words)
+    return any(w.lower() in ORGANISATIONS or w.isdigit() for w in words)
 
 
 def _person(record: Any) -> Person:
     if isinstance(record, str):
         record = {"name": record}
-    name = _line(record.get("name", ""))
+    name, stated = _line(record.get("name", "")), record.get("organisation")
+    guessed = not record.get("orcid") and is_organisation(name)
     return Person(
         name,
         str(record.get("orcid", "")).removeprefix(ORCID),
         _line(record.get("affiliation", "")),
-        bool(record.get("organisation", False))
-        or (not record.get("orcid") and is_organisation(name)),
+        guessed if stated is None else bool(stated),
     )
 
 

@@ -8,6 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from levkas.core.disk import WriteRefused
 from levkas.core.problems import Problem
 from levkas.publish.analysis_names import parse_analyses
 from levkas.publish.crate import NAME as CRATE
@@ -140,7 +141,13 @@ class CheckReport:
 
 
 def check(
-    path: str | Path, notes: str | Path | None = None, *, analyse: Sequence[str] = ()
+    path: str | Path,
+    notes: str | Path | None = None,
+    *,
+    output: str | Path | None = None,
+    url: str = "",
+    analyse: Sequence[str] = (),
+    bag: str | Path | None = None,
 ) -> CheckReport:
     """Check what is missing before a database can be published, and before it can get a DOI; nothing is written.
 
@@ -153,7 +160,7 @@ def check(
         A database, or its campaign, whose facts are taken as they are now.
     notes : path, optional
         As `find_subject` has it.
-    analyse : sequence of str
+    output, url, analyse, bag
         As of `publish`.
 
     Returns
@@ -165,6 +172,7 @@ def check(
     from levkas.publish.citation import check_datacite
 
     analyses = parse_analyses(analyse)
+    _check_address(url)
     subject = find_subject(path, fresh=False, notes=notes)
     problems: list[Problem] = []
     try:
@@ -172,7 +180,8 @@ def check(
         check_notes(subject)
         find_subject(path)
         check_analyses(subject.database, analyses)
-    except PublishRefused as refused:
+        check_places(subject, facts_of_subject(subject), output, bag)
+    except (PublishRefused, WriteRefused) as refused:
         if subject.campaign is None and not (subject.database / FACTS).is_file():
             return CheckReport(refused.problems, ())
         problems += refused.problems
@@ -279,10 +288,11 @@ def publish(
     from levkas.core.sweeping import sweep_beside
     from levkas.database.manifest import write_manifest
     from levkas.publish.analysis import check_analyses
-    from levkas.publish.bagging import NEW_BAG, check_target, write_bag
+    from levkas.publish.bagging import write_bag
     from levkas.publish.citation import check_datacite
 
     analyses = parse_analyses(analyse)
+    _check_address(url)
     subject = path if isinstance(path, PublishSubject) else find_subject(path)
     manifest = find_manifest(subject.database)
     check_notes(subject)
@@ -290,12 +300,7 @@ def publish(
     facts = facts_of_subject(subject)
     if problems := missing_facts(facts):
         raise PublishRefused(*problems)
-    final = Path(output).resolve() if output else subject.default_output.resolve()
-    _check_output(final, subject.database.resolve(), facts)
-    if bag is not None:
-        for root in (subject.database.resolve(), final):
-            check_target(root, Path(bag).resolve())
-        require_earlier(Path(bag).resolve(), subject.database, facts, fix=NEW_BAG)
+    final = check_places(subject, facts, output, bag)
     if final.parent.is_dir():
         sweep_beside(final)
     with publishing(final, bytes_needed=int(SPACE * manifest.bytes)) as folder:
@@ -406,6 +411,36 @@ def _run(publication: Publication) -> Iterator[PublishStep]:
         for what in load_part(name)(publication):
             yield PublishStep(name, what, done, total)
         yield PublishStep(name, "", done + 1, total, True, "done")
+
+
+def check_places(
+    subject: PublishSubject,
+    facts: PublicationFacts,
+    output: str | Path | None,
+    bag: str | Path | None,
+) -> Path:
+    """Return the folder of a publication; refuse it, or that of its bag, where something else is there."""
+    from levkas.publish.bagging import NEW_BAG, check_target
+
+    final = Path(output).resolve() if output else subject.default_output.resolve()
+    database = subject.database.resolve()
+    _check_output(final, database, facts)
+    if bag is not None:
+        for root in (database, final):
+            check_target(root, Path(bag).resolve())
+        require_earlier(Path(bag).resolve(), database, facts, fix=NEW_BAG)
+    return final
+
+
+def _check_address(url: str) -> None:
+    """Refuse what is no address of a folder on the web: IIIF and the crate would name it all over."""
+    from levkas.campaign.schema.values import is_address
+
+    if url and not is_address(url):
+        expected = "an address that begins with https:// or http://"
+        raise PublishRefused(
+            Problem("E_VALUE", "this is not the address of a folder", None, "--url", url, expected)
+        )
 
 
 def _check_output(final: Path, database: Path, facts: PublicationFacts) -> None:

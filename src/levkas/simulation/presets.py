@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused, unknown_name
 from levkas.simulation.cameras import CameraModel, camera_models
 
 REFERENCE = ("lctf-vis", "550 nm")
@@ -90,7 +90,8 @@ def choose_preset(preset: str | Preset, *, scale: float | None, objects: int) ->
     """Return a preset by name, at another scale where one is given; raises `SimulationRefused`."""
     if isinstance(preset, str):
         if preset not in PRESETS:
-            raise refusal("there is no such preset", "preset", preset, ", ".join(PRESETS))
+            what = "there is no such preset"
+            raise SimulationRefused(unknown_name(what, preset, PRESETS, field="preset"))
         preset = PRESETS[preset]
     if scale is not None:
         preset = replace(preset, scale=scale)
@@ -111,7 +112,8 @@ def choose_setups(setups: bool | Sequence[str]) -> tuple[str, ...]:
     wanted = (OTHER_SETUPS[:1] if setups else ()) if isinstance(setups, bool) else tuple(setups)
     unknown = [name for name in wanted if name not in OTHER_SETUPS]
     if unknown:
-        raise refusal("there is no such lighting", "setup", unknown[0], ", ".join(OTHER_SETUPS))
+        what = "there is no such lighting"
+        raise SimulationRefused(unknown_name(what, unknown[0], OTHER_SETUPS, field="setup"))
     return tuple(dict.fromkeys(wanted))
 
 

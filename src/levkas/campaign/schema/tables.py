@@ -301,7 +301,7 @@ class Creator(Table):
     name: Annotated[Text, Field(min_length=1)]
     orcid: Orcid | None = None
     affiliation: Text = ""
-    organisation: Switch = False
+    organisation: Switch | None = None
 
 
 class PublicationKeys(Table):

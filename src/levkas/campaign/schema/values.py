@@ -133,8 +133,17 @@ def _orcid(value: Any) -> str:
     return text
 
 
+def is_address(text: str) -> bool:
+    """Whether a text is an address of the web.
+
+    >>> is_address("https://example.org/icons"), is_address("example.org")
+    (True, False)
+    """
+    return re.fullmatch(r"https?://[^\s<>\"]+", text) is not None
+
+
 def _address(value: Any) -> str:
-    if not isinstance(value, str) or not re.match(r"https?://[^\s<>\"]+$", value):
+    if not isinstance(value, str) or not is_address(value):
         raise ValueError('must be an address that begins with "https://"')
     return value
 

@@ -16,11 +16,16 @@ import numpy as np
 
 from levkas.core.machine import count_threads
 from levkas.core.ownership import OwnFiles
-from levkas.core.problems import Problem
+from levkas.core.problems import Problem, unknown_name
 from levkas.database.registrations import read_registration, read_registrations
 from levkas.quality.comparison.methods import COMPARED, find_peers
 from levkas.quality.comparison.trial import Trial
-from levkas.quality.evaluation.layer_report import checks_by_band, locate, read_check_points
+from levkas.quality.evaluation.layer_report import (
+    checks_by_band,
+    find_truth,
+    locate,
+    read_check_points,
+)
 from levkas.quality.evaluation.native_layers import ComparisonRefused
 
 Checks = Mapping[tuple[str, str, str], np.ndarray]
@@ -127,14 +132,8 @@ def chosen_methods(names: Sequence[str]) -> tuple[list[str], list[Problem]]:
     """
     unknown = [name for name in names if name not in COMPARED]
     if unknown:
-        raise ComparisonRefused(
-            Problem(
-                "E_VALUE",
-                f"there is no method {unknown[0]!r} to compare",
-                found=unknown[0],
-                expected=", ".join(COMPARED),
-            )
-        )
+        what = f"there is no method {unknown[0]!r} to compare"
+        raise ComparisonRefused(unknown_name(what, unknown[0], COMPARED, field="--method"))
     find_peers()
     wanted = list(names) or list(COMPARED)
     lacking = {name: COMPARED[name].missing for name in wanted}
@@ -357,15 +356,24 @@ def compare(
 
     found, beside = (path.resolve() for path in locate(Path(database)))
     wanted, problems = chosen_methods(methods)
-    truth = Path(known.truth).resolve() if known.truth else beside / "truth"
+    there = sorted({layer.object for layer in layers_of(found)})
+    if unknown := [name for name in objects if name not in there]:
+        what, file = "no object of this name has a registered layer", str(found)
+        raise ComparisonRefused(
+            *(unknown_name(what, n, there, file=file, field="--object") for n in unknown)
+        )
+    truth = find_truth(known.truth, beside)
+    checks, strangers = (
+        read_check_points(known.points, found, known.frame) if known.points else ({}, [])
+    )
     where = OwnFiles(Path(output).resolve(), overwrite=overwrite) if output else None
     rows = run_rows(
         found,
         wanted,
-        truth=truth if (truth / "truth.json").is_file() else None,
-        checks=read_check_points(known.points, found, known.frame) if known.points else {},
+        truth=truth,
+        checks=checks,
         objects=objects,
         output=where,
         time_limit_s=time_limit_s or TIME_LIMIT_S,
     )
-    return Comparison(draw(rows), problems)
+    return Comparison(draw(rows), [*problems, *strangers])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.calibration.templates import CalibrationRefused
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused, unknown_name
 from levkas.quality.emva1288.facts import FrameFacts, describe_files, describe_frame
 from levkas.quality.emva1288.photon_transfer import (
     Bound,
@@ -47,11 +47,17 @@ def examine(
     Raises
     ------
     Refused
-        Where there is no campaign and no frame.
+        Where there is no campaign and no frame, or frames are to be chosen by camera.
     """
     path = Path(path)
     is_campaign = (path / "campaign.toml").is_file() if path.is_dir() else path.suffix == ".toml"
     if not is_campaign:
+        if cameras:
+            fix = "Give the folder of a campaign, or leave the option out."
+            why, expected = "frames have no cameras to choose from", "a campaign"
+            raise Refused(
+                Problem("E_VALUE", why, str(path), "--camera", ", ".join(cameras), expected, fix)
+            )
         frames, levels, problems = describe_files(path)
         return Examination(path, [], frames, levels, problems)
     sensors = list(examine_campaign(path, cameras=cameras, rng=rng))
@@ -204,15 +210,9 @@ def _unseen(camera: str, file: Path) -> Problem:
 
 
 def _check_names(wanted: Sequence[str] | None, known: Sequence[str], file: Path) -> None:
-    for name in wanted or ():
-        if name not in known:
-            raise Refused(
-                Problem(
-                    "E_VALUE",
-                    f"there is no camera {name}",
-                    str(file),
-                    "cameras",
-                    name,
-                    ", ".join(known),
-                )
-            )
+    unknown = [name for name in wanted or () if name not in known]
+    what = "the campaign has no camera of this name"
+    if problems := [
+        unknown_name(what, n, known, file=str(file), field="--camera") for n in unknown
+    ]:
+        raise Refused(*problems)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused, closest_match
 from levkas.core.text import read_json
 from levkas.database.containment import check_inside
 from levkas.database.layout import layer_name
@@ -128,25 +128,36 @@ def assess(
 
     own = OwnFiles(maps, overwrite=overwrite) if maps else None
     output, beside = locate(place(database))
-    folder = Path(truth) if truth else beside / "truth"
-    if truth and not (folder / "truth.json").is_file():
-        raise EvaluationRefused(
-            Problem(
-                "E_UNREADABLE",
-                "there is no truth in this folder",
-                file=str(folder),
-                expected="truth.json and OBJECT_CAMERA_px.npy",
-                fix="Give the folder `truth` of a simulated campaign.",
-            )
-        )
-    checks = read_check_points(Path(points), output, frame) if points else {}
+    folder = find_truth(truth, beside) or beside / "truth"
+    checks, problems = read_check_points(Path(points), output, frame) if points else ({}, [])
     results = []
     for _, record in read_registrations(output):
         with own.writing() if own else contextlib.nullcontext():
             results.append(
                 _assess_layer(output, record, folder, checks, Path(maps) if maps else None)
             )
-    return Assessment(results)
+    return Assessment(results, problems)
+
+
+def find_truth(truth: str | Path | None, beside: Path) -> Path | None:
+    """Return the folder of a truth, as it is given, else the one of a campaign; None where that has none.
+
+    Raises EvaluationRefused where the one that is given has none.
+    """
+    folder = Path(truth).resolve() if truth else beside / "truth"
+    if (folder / "truth.json").is_file():
+        return folder
+    if truth is None:
+        return None
+    raise EvaluationRefused(
+        Problem(
+            "E_UNREADABLE",
+            "there is no truth in this folder",
+            file=str(folder),
+            expected="truth.json and OBJECT_CAMERA_px.npy",
+            fix="Give the folder `truth` of a simulated campaign.",
+        )
+    )
 
 
 def locate(path: Path) -> tuple[Path, Path]:
@@ -171,7 +182,9 @@ def locate(path: Path) -> tuple[Path, Path]:
     )
 
 
-def read_check_points(path: Path, database: Path | None = None, frame: str | None = None) -> Checks:
+def read_check_points(
+    path: Path, database: Path, frame: str | None = None
+) -> tuple[Checks, list[Problem]]:
     """Read check points: {(object, layer, band): (n, 4) of reference x, y and native x, y}.
 
     Parameters
@@ -179,23 +192,64 @@ def read_check_points(path: Path, database: Path | None = None, frame: str | Non
     path : Path
         A CSV with columns object, camera, band, reference_x, reference_y, x, y, or a file of any
         program that `levkas.registration.control_points` reads.
-    database : Path, optional
-        Its layers and their sizes, for a file of another program.
+    database : Path
+        Its layers and their sizes.
     frame : str, optional
         OBJECT/CAMERA[@SETUP][:BAND] of such a file.
+
+    Returns
+    -------
+    checks : dict
+        Of layers and bands that the database has.
+    problems : list of Problem
+        One for each other.
 
     Raises
     ------
     EvaluationRefused
+        Also where no point is of a layer and band of the database.
     """
     from levkas.registration.control_points import PointsRefused
     from levkas.registration.control_points.layers import read_frames, used_pairs
 
     try:
-        found = read_frames(path, frame, _sizes(database) if database else {})
+        found = read_frames(path, frame, _sizes(database))
     except PointsRefused as refused:
         raise EvaluationRefused(*refused.problems) from None
-    return {key: used_pairs(points) for key, points in found.items()}
+    known = {
+        (str(record["object"]), file.stem): tuple(map(str, record.get("bands", ())))
+        for file, record in read_registrations(database)
+    }
+    problems = [p for key in found if (p := _unknown_frame(key, known, path))]
+    checks = {
+        (name, layer, band): used_pairs(points)
+        for (name, layer, band), points in found.items()
+        if (name, layer) in known and band in ("", *known[name, layer])
+    }
+    if problems and not checks:
+        raise EvaluationRefused(*problems[:10])
+    return checks, problems[:10]
+
+
+def _unknown_frame(
+    key: tuple[str, str, str], known: Mapping[tuple[str, str], tuple[str, ...]], path: Path
+) -> Problem | None:
+    """Return the problem of points of a layer or band that the database does not have."""
+    name, layer, band = key
+    bands = known.get((name, layer))
+    if bands is not None and band in ("", *bands):
+        return None
+    there = ["/".join(one) for one in known] if bands is None else list(bands)
+    what, meant = ("layer", f"{name}/{layer}") if bands is None else ("band", band)
+    return Problem(
+        "E_VALUE",
+        f"the points of {name}/{layer}{f':{band}' if band else ''} are not used: no such {what}",
+        str(path),
+        "object, camera, band",
+        meant,
+        ", ".join(there[:20]),
+        closest_match(meant, there),
+    )
 
 
 def _sizes(database: Path) -> dict[tuple[str, str], tuple[Size, Size]]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from levkas.campaign.chart_names import NEAR_NM, kind_of_chart
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused, closest_match
 from levkas.geometry.transforms import Homography
 from levkas.readers.spectra import are_spectra, parse_spectra
 
@@ -101,7 +101,8 @@ def chart_of(name: str) -> Chart:
             field="targets.charts",
             found=name,
             expected=", ".join((*CHARTS, EDGES)),
-            fix="Name one of these; others may be measured by hand as objects.",
+            fix=closest_match(name, (*CHARTS, EDGES))
+            or "Name one of these; others may be measured by hand as objects.",
         )
     )
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from levkas.core.files import write_bytes
 from levkas.core.ownership import require_free
-from levkas.core.problems import Problem
+from levkas.core.problems import Problem, unknown_name
 from levkas.core.text import LARGEST_TABLE, TextRefused, check_file
 from levkas.registration.control_points import (
     bigwarp,
@@ -215,15 +215,8 @@ def losses(points: ControlPoints, dialect: str) -> list[str]:
 
 def _known(dialect: str) -> Dialect:
     if dialect not in DIALECTS:
-        raise PointsRefused(
-            Problem(
-                "E_VALUE",
-                f"unknown dialect {dialect!r}",
-                field="dialect",
-                found=dialect,
-                expected=", ".join(DIALECTS),
-            )
-        )
+        what = f"unknown dialect {dialect!r}"
+        raise PointsRefused(unknown_name(what, dialect, DIALECTS, field="dialect"))
     return DIALECTS[dialect]
 
 

@@ -125,6 +125,12 @@ def read_frames(
     PointsRefused
     """
     if path.is_file() and is_table_of_frames(path):
+        if frame is not None:
+            why, expected = (
+                "the table names its frames itself",
+                "a file of one frame, or no --frame",
+            )
+            raise PointsRefused(Problem("E_VALUE", why, str(path), "--frame", frame, expected))
         return read_table_of_frames(path)
     if frame is None and len(sizes) != 1:
         dialect = sniff(path.read_bytes()[: 1 << 20]) if path.is_file() else ""

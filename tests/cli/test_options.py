@@ -1,0 +1,240 @@
+"""Every option of every command acts, or is refused: alone where it needs another, twice where one counts, with a name that is none."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+import typer.main
+from typer.testing import CliRunner
+
+from levkas.cli import app
+from levkas.cli.options import EXCLUDES, NEEDS
+
+BENCH = Path(__file__).resolve().parents[2] / "examples" / "plan"
+
+
+def commands(command=None, name=()):
+    """Yield the words and parameters of every command."""
+    command = command or typer.main.get_command(app)
+    if not hasattr(command, "commands"):
+        yield " ".join(name), command.params
+        return
+    for word, inner in command.commands.items():
+        yield from commands(inner, (*name, word))
+
+
+EACH = dict(commands())
+
+
+def named(name, word):
+    """The parameter of a command that bears a name."""
+    found = [p for p in EACH[name] if word in p.opts]
+    assert found, f"{name} has no {word}"
+    return found[0]
+
+
+def words_of(name, word, value="1"):
+    """An option with a value where it takes one; an argument is its value."""
+    param = named(name, word)
+    if param.param_type_name == "argument":
+        return [value]
+    return [word] if getattr(param, "is_flag", False) else [word, value]
+
+
+def run(name, *words):
+    required = ["x" for p in EACH[name] if p.required and p.param_type_name == "argument"]
+    required += ["--for", "envi"] if name == "export" and "--for" not in words else []
+    return CliRunner().invoke(app, [*name.split(), *required, *map(str, words)])
+
+
+OPTIONS = [
+    pytest.param(name, param, id=f"{name} {param.opts[0]}")
+    for name, params in EACH.items()
+    for param in params
+    if param.param_type_name == "option" and "--help" not in param.opts
+]
+
+
+@pytest.mark.parametrize("name", NEEDS)
+def test_an_option_that_acts_only_with_another_is_refused_alone(name, monkeypatch):
+    monkeypatch.delenv("DASK_SCHEDULER_ADDRESS", raising=False)
+    for option, needed in NEEDS[name].items():
+        for one in needed:
+            assert one.startswith("$") or named(name, one)
+        refused = run(name, *words_of(name, option))
+        assert refused.exit_code == 2, option
+        assert f"{option} acts only with {needed[0]}" in " ".join(refused.output.split())
+
+
+@pytest.mark.parametrize("name", EXCLUDES)
+def test_an_option_that_would_have_no_effect_beside_another_is_refused(name):
+    for option, others in EXCLUDES[name].items():
+        for other in others:
+            refused = run(name, *words_of(name, option), *words_of(name, other))
+            assert refused.exit_code == 2, other
+            assert f"{other} has no effect with {option}" in " ".join(refused.output.split())
+
+
+@pytest.mark.parametrize("name, param", OPTIONS)
+def test_help_and_refusals_agree_on_what_an_option_needs(name, param):
+    long = next(o for o in param.opts if o.startswith("--"))
+    for other in re.findall(r"With (--[a-z-]+)", param.help or ""):
+        assert (
+            other in NEEDS.get(name, {}).get(long, ())
+            or f"with {other}" in param.help.lower().split(";")[-1]
+        )
+
+
+@pytest.mark.parametrize("name, param", OPTIONS)
+def test_an_option_is_given_once_or_with_another_value(name, param):
+    word = param.opts[0]
+    if param.multiple:
+        words, said = [word, "a", word, "a"], "a is given twice"
+    else:
+        words, said = [*words_of(name, word), *words_of(name, word)], "is given 2 times; one counts"
+    refused = run(name, *words)
+    if refused.exit_code == 2 and "not one of" in refused.output:
+        return  # of few words, of which "1" is none
+    assert refused.exit_code == 2
+    assert said in " ".join(refused.output.split())
+
+
+# --- names that are none ----------------------------------------------------------------------
+
+FREE = {("simulate", "--preset"), ("simulate", "--setup"), ("estimate", "--object")}
+"""They need a new folder or a model: `tests/simulation` and `tests/estimation` have them."""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory, made_database):
+    """A folder with a campaign, frames, points and a table for the options of all commands."""
+    root = tmp_path_factory.mktemp("place")
+    (root / "photo").mkdir()
+    rng = np.random.default_rng(1)
+    pixels = rng.integers(20, 200, (40, 50, 3)).astype(np.uint8)
+    tifffile.imwrite(root / "photo/panel.tif", pixels, photometric="rgb", metadata=None)
+    tifffile.imwrite(root / "white.tif", rng.integers(2000, 2400, (40, 50)).astype(np.uint16))
+    (root / "points.csv").write_text("x,y\n1,2\n")
+    (root / "checks.csv").write_text("reference_x,reference_y,x,y\n1,2,1,2\n")
+    (root / "campaign.toml").write_text(
+        '[campaign]\nreference = "photo:G"\n[cameras.photo]\nkind = "image"\nfiles = "photo/{target}.tif"\n'
+    )
+    return root
+
+
+def bases(root, database):
+    """What each command is given besides the option that is tried."""
+    return {
+        "build": [root], "status": [root], "radiometry": [root], "inspect": [root],
+        "evaluate": [database], "chart": [database], "publish": [database, "--check"],
+        "export": [database, "--for", "envi", "-o", root / "out"], "estimate": [database],
+        "map": [database, "icon1", root / "points.csv"], "plan light": [BENCH],
+        "plan exposure": ["--bits", "12"], "plan fit": [BENCH, root / "white.tif", "--bits", "12"],
+        "points convert": [root / "checks.csv", root / "out.csv"],
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name, param",
+    [case for case in OPTIONS if "str" in str(case.values[1].type_descriptor.annotation)],
+)
+def test_a_name_that_is_none_is_refused_in_every_option(name, param, place, made_database):
+    if (name, param.opts[0]) in FREE:
+        return
+    values = {"frames": place / "white.tif", "--setup": BENCH, "--points": place / "checks.csv",
+              "--apply": place / "m.npz"}  # fmt: skip
+    words = [*name.split(), *bases(place, made_database)[name]]
+    wanted = next(o for o in param.opts if o.startswith("--"))
+    for option in (wanted, *NEEDS.get(name, {}).get(wanted, ())[:1]):
+        for needed in NEEDS.get(name, {}).get(option, ())[:1]:
+            words += words_of(name, needed, str(values.get(needed, "")))
+    if name == "plan exposure" and str(place / "white.tif") not in words:
+        words.append(place / "white.tif")
+    result = CliRunner().invoke(app, [str(w) for w in (*words, wanted, "nonsense")])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code in (1, 2), result.output
+    assert "nonsense" in result.output or wanted in result.output, result.output
+
+
+def test_points_of_layers_that_are_not_there_are_named(made_database, tmp_path):
+    table = "object,camera,band,reference_x,reference_y,x,y\n{},d80,{},1,2,1,2\n"
+    for name, band, code in (("icon1", "G", 0), ("icon9", "G", 1), ("icon1", "nonsense", 1)):
+        (tmp_path / "p.csv").write_text(table.format(name, band))
+        found = CliRunner().invoke(
+            app, ["evaluate", str(made_database), "--points", str(tmp_path / "p.csv")]
+        )
+        assert found.exit_code == code, found.output
+        assert (name if band == "G" else band) in found.output or code == 0
+    both = table.format("icon1", "G") + "icon9,d80,G,1,2,1,2\n"
+    (tmp_path / "p.csv").write_text(both)
+    found = CliRunner().invoke(
+        app, ["evaluate", str(made_database), "--points", str(tmp_path / "p.csv")]
+    )
+    assert found.exit_code == 0 and "icon9/d80:G are not used" in found.output
+    words = ["--points", str(tmp_path / "p.csv"), "--frame", "icon1/d80"]
+    assert CliRunner().invoke(app, ["evaluate", str(made_database), *words]).exit_code == 1
+
+
+def test_what_a_check_finds_wrong_with_the_folders_is_what_publish_refuses(made_database, tmp_path):
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other/thesis.txt").write_text("three years")
+    for option in ("-o", "--bag"):
+        words = ["publish", str(made_database), "--check", option, str(tmp_path / "other")]
+        assert "a folder that Levkas did not write" in CliRunner().invoke(app, words).output
+
+
+def test_cameras_of_frames_and_empty_folders_of_darks_are_refused(place, tmp_path):
+    refused = CliRunner().invoke(app, ["radiometry", str(place / "white.tif"), "--camera", "vis"])
+    assert refused.exit_code == 1 and "--camera" in refused.output
+    words = ["plan", "exposure", str(place / "white.tif"), "--bits", "12", "--dark", str(tmp_path)]
+    refused = CliRunner().invoke(app, words)
+    assert refused.exit_code == 1 and "no frame in this folder" in refused.output
+
+
+def test_options_of_a_cube_or_a_database_are_refused_with_a_campaign(place):
+    for words in (["--kind", "edges"], ["--object", "panel"], ["--edge", "1,1,9,9"]):
+        refused = CliRunner().invoke(app, ["chart", str(place), *words])
+        assert (
+            refused.exit_code == 1 and f"{words[0]} has no effect with a campaign" in refused.output
+        )
+    for words in (["--object", "a"], ["--camera", "a"]):
+        refused = CliRunner().invoke(app, ["chart", str(place / "white.tif"), *words])
+        assert refused.exit_code == 1 and "has no effect with a cube" in refused.output
+
+
+@pytest.mark.parametrize(
+    "words, meant",
+    [
+        (["build", "ROOT", "--object", "pannel"], "panel"),
+        (["radiometry", "ROOT", "--camera", "foto"], "photo"),
+        (["chart", "DB", "--camera", "d8"], "d80"),
+        (["chart", "DB", "--object", "icom1"], "icon1"),
+        (["export", "DB", "--for", "envi", "--object", "icom1"], "icon1"),
+        (["export", "DB", "--for", "envi", "--camera", "d8"], "d80"),
+        (["evaluate", "DB", "--compare", "--object", "icom1"], "icon1"),
+        (["evaluate", "DB", "--compare", "--method", "lefkas"], "levkas"),
+        (["map", "DB", "icom1", "POINTS"], "icon1"),
+        (["map", "DB", "icon1", "POINTS", "--to", "d8"], "d80"),
+        (["map", "DB", "icon1", "POINTS", "--to", "vis:550 mm"], "550 nm"),
+        (["estimate", "DB", "--from", "d8"], "d80"),
+        (["estimate", "DB", "--method", "wienr"], "wiener"),
+        (["plan", "light", "BENCH", "--setup-name", "propsed"], "proposed"),
+        (["plan", "exposure", "--setup", "BENCH", "--setup-name", "propsed"], "proposed"),
+        (["plan", "fit", "BENCH", "WHITE", "--bits", "12", "--camera", "d8"], "d80"),
+        (["points", "convert", "CHECKS", "OUT", "--to", "hugn"], "hugin"),
+        (["points", "convert", "CHECKS", "OUT", "--from", "hugn"], "hugin"),
+        (["publish", "DB", "--check", "--analyse", "pcaa"], "pca"),
+        (["simulate", "OUT", "--preset", "smal"], "small"),
+        (["simulate", "OUT", "--setup", "sof"], "soft"),
+    ],
+    ids=lambda v: " ".join(v) if isinstance(v, list) else v,
+)
+def test_the_name_that_may_be_meant_is_named(words, meant, place, made_database):
+    paths = {"ROOT": place, "DB": made_database, "BENCH": BENCH, "WHITE": place / "white.tif",
+             "POINTS": place / "points.csv", "CHECKS": place / "checks.csv", "OUT": place / "out"}  # fmt: skip
+    refused = CliRunner().invoke(app, [str(paths.get(word, word)) for word in words])
+    assert refused.exit_code == 1
+    assert f"Did you mean '{meant}'?" in refused.output
