@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import xarray
 
 from levkas.core.machine import steady_libraries
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused, unknown_name
 from levkas.core.text import counted
 from levkas.database.regions import TRUSTED
 
@@ -113,7 +113,8 @@ def find_components(
     Raises
     ------
     ComponentsRefused
-        ``E_SIZE`` with fewer than 2 bands, or 10 sound pixels a band; ``E_VALUE`` where the noise of a band is nil.
+        ``E_SIZE`` with fewer than 2 bands, or 10 sound pixels a band; ``E_VALUE`` where the noise of a band is nil,
+        or there is no such method.
 
     Examples
     --------
@@ -126,6 +127,9 @@ def find_components(
     >>> found.loadings[0].round(3).tolist(), found.explained.round(3).tolist()
     ([0.447, 0.894], [1.0, 0.0])
     """
+    if method not in get_args(Method):
+        what = "there is no such method of components"
+        raise ComponentsRefused(unknown_name(what, str(method), get_args(Method), field="method"))
     bands = tuple(str(label) for label in layer["band"].values)
     count, mean = _mean(layer, flags)
     if len(bands) < 2 or count < MORE_PIXELS * len(bands):

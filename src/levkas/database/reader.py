@@ -157,7 +157,8 @@ class Object(Mapping[Any, "LayerArray"]):
         if values is None:
             return None
         facts = {"units": "reference px", "long_name": "one standard deviation of the position"}
-        return xarray.DataArray(values, dims=("y", "x"), name="position_sigma", attrs=facts)
+        places = {k: np.arange(n) for k, n in zip(("y", "x"), values.shape, strict=True)}
+        return xarray.DataArray(values, places, ("y", "x"), "position_sigma", facts)
 
     def transform(self, source: str, target: str) -> FrameMap:
         """Return the map between two frames of pixels, as `levkas.database.pixel_frames.find_map` does."""
@@ -200,7 +201,8 @@ class Origin:
 class LayerArray(xarray.DataArray):
     """A `xarray.DataArray` (y, x, band), read on request, with access to the files beside it.
 
-    `flags`, `sigma` and `transform` follow selections (`isel`, `sel`, ``[…]``); the result of
+    Coordinates ``x`` and ``y`` are pixels of the grid. `flags`, `sigma`, `transform` and `region` follow selections
+    (`isel`, `sel`, ``[…]``), the latter two in pixels of the array, from its own corner; the result of
     arithmetic is an array like any other and has them no more.
     """
 
@@ -220,10 +222,18 @@ class LayerArray(xarray.DataArray):
             return None
 
     def transform(self, source: str, target: str) -> FrameMap:
-        """Return the map between two frames of pixels of the object, for whole images."""
-        from levkas.database.pixel_frames import find_map
+        """Return the map between two frames of pixels of the object; ``grid`` means the pixels of this array.
 
-        return find_map(self._beside.path, self._beside.layer.object, source, target)
+        Raises
+        ------
+        MappingRefused
+            Where a frame is not there, its registration was refused, or the pixels of this array are not known to
+            lie at even steps in the grid.
+        """
+        from levkas.database.pixel_frames import find_map, part_of
+
+        place, part = self._beside, part_of(self)
+        return find_map(place.path, place.layer.object, source, target, part=part)
 
     def region(
         self,
@@ -238,7 +248,7 @@ class LayerArray(xarray.DataArray):
         Parameters
         ----------
         polygon : sequence of (x, y), px
-            Corners, on the grid of this array; a pixel belongs to it where its centre lies within.
+            Corners, in pixels of this array; a pixel belongs to it where its centre lies within.
         rectangle : (x0, y0, x1, y1), px
             From pixel to pixel, both included.
         circle : (x, y, radius), px
@@ -258,7 +268,11 @@ class LayerArray(xarray.DataArray):
         from levkas.database.regions import make_region, region_statistics
 
         region = make_region(polygon, rectangle, circle)
-        return region_statistics(self, self.flags, region, bins=bins)
+        layer, flags = (
+            array if "band" in array.dims else array.expand_dims("band", -1)
+            for array in (self, self.flags)
+        )
+        return region_statistics(layer, flags, region, bins=bins)
 
     def components(self, method: Method = "pca") -> Components:
         """Find the principal components (``"pca"``) or minimum-noise fractions (``"mnf"``) of these pixels.
@@ -268,7 +282,8 @@ class LayerArray(xarray.DataArray):
         Raises
         ------
         ComponentsRefused
-            ``E_SIZE`` with too few bands or sound pixels; ``E_VALUE`` where the noise of a band is nil.
+            ``E_SIZE`` with too few bands or sound pixels; ``E_VALUE`` where the noise of a band is nil, or there is no
+            such method.
         """
         from levkas.database.components import find_components
 
@@ -382,7 +397,10 @@ def _labelled(
                 fix="Copy the database again, or build it again.",
             )
         )
+    height, width, _ = pixels.shape
     coordinates = {
+        "y": np.arange(height),
+        "x": np.arange(width),
         "band": labels,
         "wavelength": ("band", centres, {"units": "nm"}),
         "fwhm": ("band", widths, {"units": "nm"}),

@@ -118,6 +118,8 @@ def region_statistics(
     RegionRefused
         ``E_REGION`` where no pixel of the layer lies within.
     """
+    if set(layer.dims) != {"y", "x", "band"}:
+        raise _refused(f"dimensions {', '.join(map(str, layer.dims))}", "an array of y, x and band")
     height, width = layer.sizes["y"], layer.sizes["x"]
     x0, y0, x1, y1 = region.bounds
     rows = range(max(0, int(np.ceil(y0))), min(height, int(np.floor(y1)) + 1))

@@ -1,0 +1,161 @@
+"""A crop of a layer knows where in the grid it lies: its maps and regions are those of the whole there, or are refused."""
+
+import pickle
+
+import numpy as np
+import pytest
+import xarray
+
+import levkas
+from levkas.core.cube import Band, Cube
+from levkas.core.files import write_json
+from levkas.core.problems import Refused
+from levkas.database.catalogue import write_catalogue
+from levkas.database.layers import Layer, write_layer
+from levkas.database.pixel_frames import MappingRefused
+from levkas.geometry.transforms import Affine, Composed
+
+SHAPE = (60, 80, 3)
+GRID = Composed(Affine(np.array([[0.0, 1, 5], [-1, 0, 90]])), Affine.scaling(2.0))
+NIR = Affine(np.array([[1.7, 0.1, 12], [-0.1, 1.6, 9]]))
+
+
+@pytest.fixture(scope="module")
+def layers(tmp_path_factory):
+    """An object on a turned grid by two cameras."""
+    folder, rng = tmp_path_factory.mktemp("crops"), np.random.default_rng(3)
+    reference = {"camera": "vis", "band": "550 nm", "size": [600, 600]}
+    entries = []
+    for camera, native in (("vis", Affine.identity()), ("nir", NIR)):
+        bands = tuple(Band(f"{nm} nm", float(nm)) for nm in (450, 550, 650))
+        values = (0.4 + 0.1 * rng.standard_normal(SHAPE)).astype(np.float32)
+        flags = (rng.random(SHAPE) < 0.05).astype(np.uint8) * 2
+        cube = Cube(values, flags, np.abs(values) / 50, bands, "reflectance")
+        entries.append(write_layer(folder, Layer("icon1", camera), cube)[0])
+        record = {
+            "reference": reference, "target": f"{camera}:550 nm", "camera": camera,
+            "verdict": {"decision": "accept", "reasons": []},
+            "bands": {band.label: {"transform": native.to_dict(), "size": [1600, 1600]} for band in bands},
+            "grid": {"transform": GRID.to_dict(), "size": [80, 60]},
+        }  # fmt: skip
+        write_json(folder / f"objects/icon1/registration/{camera}.json", record)
+    write_catalogue(folder, entries)
+    return levkas.open(folder)["icon1"]
+
+
+POINTS = np.array([[3.0, 4.0], [0.0, 0.0], [2.5, 7.25]])
+
+
+@pytest.mark.parametrize(
+    ("crop", "start", "step"),
+    [
+        (lambda a: a.isel(x=slice(20, 50), y=slice(10, 40)), (20, 10), (1, 1)),
+        (lambda a: a[10:40, 20:50], (20, 10), (1, 1)),
+        (lambda a: a.sel(x=slice(20, 49), y=slice(10, 39)), (20, 10), (1, 1)),
+        (
+            lambda a: a.isel(x=slice(20, None)).isel(x=slice(3, None), y=slice(5, 30)),
+            (23, 5),
+            (1, 1),
+        ),
+        (lambda a: a.isel(x=slice(20, 60, 2), y=slice(10, 50, 3)), (20, 10), (2, 3)),
+        (lambda a: a.isel(x=slice(50, 20, -1), y=slice(10, 40)), (50, 10), (-1, 1)),
+        (lambda a: a.isel(x=np.arange(20, 60, 2), y=[10, 11, 12]), (20, 10), (2, 1)),
+        (lambda a: a.isel(band=0, x=slice(20, 50), y=slice(10, 40)), (20, 10), (1, 1)),
+        (lambda a: a.isel(x=20, y=10), (20, 10), (1, 1)),
+        (
+            lambda a: pickle.loads(pickle.dumps(a.isel(x=slice(20, 50), y=slice(10, 40)))),
+            (20, 10),
+            (1, 1),
+        ),
+        (lambda a: a, (0, 0), (1, 1)),
+    ],
+)
+def test_a_crop_maps_its_own_pixels(layers, crop, start, step):
+    whole = layers["vis"]
+    part = crop(whole)
+    there = whole.transform("grid", "nir")(np.array(start) + np.array(step) * POINTS)
+    np.testing.assert_allclose(part.transform("grid", "nir")(POINTS), there, atol=1e-9)
+    assert np.isfinite(there).any()
+    back = part.transform("nir", "grid")(there)
+    known = np.isfinite(there)
+    np.testing.assert_allclose(back[known], POINTS[known], atol=1e-6)
+    np.testing.assert_allclose(
+        part.transform("grid", "nir").inverse(there)[known], POINTS[known], atol=1e-6
+    )
+    one = part.transform("nir", "vis")(POINTS)
+    np.testing.assert_array_equal(one, whole.transform("nir", "vis")(POINTS))
+
+
+@pytest.mark.parametrize(
+    "lose",
+    [
+        lambda a: a.isel(x=[1, 5, 7]),
+        lambda a: a.isel(x=[3, 3, 3]),
+        lambda a: a.isel(x=slice(5, 5)),
+        lambda a: a.isel(x=3, drop=True),
+        lambda a: a.isel(
+            x=xarray.DataArray([1, 2], dims="p"), y=xarray.DataArray([1, 2], dims="p")
+        ),
+    ],
+)
+def test_positions_at_no_even_steps_are_refused(layers, lose):
+    with pytest.raises(MappingRefused, match="not known where in the grid"):
+        lose(layers["vis"]).transform("grid", "nir")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda a: a.transpose("x", "y", "band"),
+        lambda a: xarray.concat([a[:5], a[9:12]], "y"),
+        lambda a: a + 1,
+        lambda a: a.mean("band"),
+        lambda a: a.assign_coords(x=a.x / 2),
+        lambda a: a.drop_vars("x"),
+        lambda a: a.rename(x="column"),
+    ],
+)
+def test_an_array_that_was_computed_has_no_map(layers, change):
+    with pytest.raises(ValueError, match="was computed"):
+        change(layers["vis"]).transform("grid", "nir")
+
+
+def test_coordinates_that_were_replaced_in_place_are_refused(layers):
+    part = layers["vis"].isel(x=slice(0, 9))
+    part.coords["x"] = part.x / 2
+    with pytest.raises(MappingRefused):
+        part.transform("grid", "nir")
+
+
+def test_coordinates_of_a_crop_are_pixels_of_the_grid(layers):
+    part = layers["vis"][10:40:2, 20:50]
+    assert part.x.values.tolist() == list(range(20, 50))
+    assert part.y.values.tolist() == list(range(10, 40, 2))
+    assert part.flags.x.equals(part.x) and part.flags.y.equals(part.y)
+
+
+def test_a_region_of_a_crop_is_that_of_the_whole_there(layers):
+    whole, part = layers["vis"], layers["vis"][10:50, 20:70]
+    there = whole.region(circle=(35, 25, 6), bins=8)
+    assert part.region(circle=(15, 15, 6), bins=8).identical(there)
+    band = part.sel(band="550 nm")
+    assert band.region(circle=(15, 15, 6))["mean"].item() == there["mean"].sel(band="550 nm").item()
+    with pytest.raises(Refused, match="not a region"):
+        part.isel(x=3).region(circle=(15, 15, 6))
+
+
+def test_components_of_an_unknown_name_are_refused_and_those_of_a_crop_are_its_own(layers):
+    with pytest.raises(Refused, match="no such method") as said:
+        layers["vis"].components("pcb")
+    assert said.value.problems[0].fix == "Did you mean 'pca'?"
+    part = layers["vis"][10:50, 20:70]
+    assert part.components("mnf").pixels <= part.shape[0] * part.shape[1]
+
+
+def test_layers_and_crops_of_one_grid_are_aligned_by_it(layers):
+    one, other = layers["vis"][10:30], layers["nir"][20:40]
+    apart = one.drop_vars(["wavelength", "fwhm"]) - other.drop_vars(["wavelength", "fwhm"])
+    assert apart.y.values.tolist() == list(range(20, 30))
+    np.testing.assert_array_equal(
+        apart.values, layers["vis"].values[20:30] - layers["nir"].values[20:30]
+    )
