@@ -316,3 +316,17 @@ def test_only_listed_codecs_and_types_of_zarr_are_read(database, tmp_path, chang
     path.write_text(json.dumps(record))
     with pytest.raises(DatabaseRefused, match=r"not accepted|regular grid|damaged"):
         levkas.open(tmp_path / "db")["icon1"]["vis"].values  # noqa: B018 -- reads
+
+
+@pytest.mark.parametrize("column", ["object", "camera", "setup"])
+@pytest.mark.parametrize("name", ["x" * 256, "é" * 128, "x" * 250, "a\0b"])
+def test_names_of_a_catalogue_that_no_file_can_bear_are_refused(tmp_path, column, name):
+    row = (
+        dict.fromkeys(COLUMNS, "1")
+        | {"object": "icon1", "camera": "vis", "setup": ""}
+        | {column: name}
+    )
+    write_table = [COLUMNS, [row[key] for key in COLUMNS]]
+    (tmp_path / "catalogue.csv").write_text("\n".join(",".join(line) for line in write_table))
+    with pytest.raises(DatabaseRefused, match="is not a name"):
+        levkas.open(tmp_path)

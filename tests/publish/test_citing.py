@@ -6,6 +6,7 @@ from datacite import schema45
 from hypothesis import given
 from hypothesis import strategies as st
 
+from levkas.core.problems import Refused
 from levkas.database.splits import SHARES, split_objects
 from levkas.publish.citation import check_datacite, cite, describe_datacite, format_cff
 from levkas.publish.metadata import Person, PublicationFacts, facts_of
@@ -133,3 +134,13 @@ def test_from_three_objects_on_no_split_is_empty(names):
 def test_a_person_in_small_letters_is_one_and_what_is_declared_counts(record, organisation):
     facts = facts_of({"publication": {"creators": [record]}}, file="x", objects={})
     assert facts.creators[0].organisation is organisation
+
+
+@pytest.mark.parametrize(
+    "record",
+    [{"creator": 5}, {"publication": "x"}, {"publication": {"creators": [5]}}, {"publication": {"keywords": 5}},
+     {"reference": []}, {"cameras": 5}, {"publication": {"creators": [[1]]}}],
+)  # fmt: skip
+def test_facts_of_another_kind_are_refused(record):
+    with pytest.raises(Refused, match="another kind"):
+        facts_of(record, file="database.toml", objects={})

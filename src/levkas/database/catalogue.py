@@ -150,6 +150,6 @@ def entry_of(row: list[str]) -> Entry:
     if kind not in (MEASURED, ESTIMATED):
         raise ValueError(f"unknown kind of layer: {kind!r}")
     name, camera, setup, bands, width, height, px_per_mm, quantity, verdict, sha256 = row[:10]
-    check_plain_names(name, camera, setup or "-")
+    check_plain_names(name, camera, setup or "-", f"{LayerId(name, camera, setup).stem}.sigma.tif")
     size = int(bands), int(width), int(height), float(px_per_mm or math.nan)
     return Entry(name, intern(camera), setup, *size, intern(quantity), verdict, sha256, kind)

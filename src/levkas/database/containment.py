@@ -10,7 +10,7 @@ from functools import lru_cache
 from pathlib import Path, PurePath
 
 from levkas.core.problems import Problem, Refused
-from levkas.core.text import what_stands_at
+from levkas.core.text import unusable_name, what_stands_at
 
 _ODD = re.compile(r"^/|[\\:\0]")
 """In names that may lead elsewhere, on some system."""
@@ -31,7 +31,7 @@ def is_plain_name(name: str) -> bool:
     >>> [is_plain_name(n) for n in ("icon 1", "..", "a/b", "/a", "")]
     [True, False, False, False, False]
     """
-    return PurePath(name).parts == (name,) and stays_inside(name)
+    return PurePath(name).parts == (name,) and stays_inside(name) and not unusable_name(name)
 
 
 def stays_inside(name: str) -> bool:
@@ -47,8 +47,10 @@ def stays_inside(name: str) -> bool:
 
 
 def check_plain_names(*names: str) -> None:
-    """Raise ValueError for the first of some names of objects, cameras or setups that is a path."""
+    """Raise ValueError for the first of some names of objects, cameras or setups that is a path, or too long."""
     for name in names:
+        if why := unusable_name(name):
+            raise ValueError(f"{name[:40]!r} is not a name: {why}")
         if not is_plain_name(name):
             raise ValueError(f"{name!r} is not a name; it points to another folder")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from levkas.campaign.schema.toml import read_toml
-from levkas.core.problems import Problem
+from levkas.core.problems import Problem, Refused
 
 NAME = "database.toml"
 DOI = "https://doi.org/"
@@ -177,7 +177,24 @@ def read_facts(database: str | Path) -> PublicationFacts:
 def facts_of(
     record: dict[str, Any], *, file: str, objects: dict[str, dict[str, Any]]
 ) -> PublicationFacts:
-    """Return the facts of a record as database.toml has it."""
+    """Return the facts of a record as database.toml has it; raises Refused where a value is of another kind."""
+    try:
+        return _facts_of(record, file, objects)
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        raise Refused(
+            Problem(
+                "E_VALUE",
+                f"{NAME} has a value of another kind than a build writes",
+                file,
+                found=str(error)[:200],
+                fix="Correct the value, or build the database again.",
+            )
+        ) from error
+
+
+def _facts_of(
+    record: dict[str, Any], file: str, objects: dict[str, dict[str, Any]]
+) -> PublicationFacts:
     publication = record.get("publication", {})
     creators = [_person(c) for c in publication.get("creators") or [record.get("creator", "")]]
     reference = record.get("reference", {})
