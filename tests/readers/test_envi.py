@@ -107,6 +107,13 @@ def test_comments_quotes_spaces_and_case_are_read_as_meant(tmp_path):
     assert opened.header["description"] == ["one; two", "three"]
 
 
+def test_a_scanner_states_day_and_time_of_a_scan_apart(tmp_path):
+    said = "acquisition date = DATE(yyyy-mm-dd): 2019-05-03\nStart Time = UTC TIME: 08:18:45"
+    assert (
+        read_facts(write_envi(tmp_path, CUBE, extra=said)).captured == "2019-05-03T08:18:45+00:00"
+    )
+
+
 @pytest.mark.parametrize(
     ("said", "read"),
     [

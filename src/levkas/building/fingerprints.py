@@ -146,6 +146,8 @@ def of_calibration(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict
             [list(row) for row in sensor.pattern] if sensor.pattern else None
         )
         prints[f"{where}.bands"] = [[band.label, str(band.wavelength)] for band in sensor.bands]
+        if sensor.remarks:
+            prints[f"{where}: choice of darks and whites"] = list(sensor.remarks)
     for name, role, frame in frames_of(capture):
         files = {relative(campaign, path): h for path, h in hashes.of_frame(frame.path).items()}
         # A file may be several frames: pages, or a dark of two sensors.

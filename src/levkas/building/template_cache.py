@@ -37,9 +37,9 @@ class TemplateCache:
     ) -> Template:
         """Return the template of some frames, from the templates or by `average`.
 
-        A file that was damaged on the disk fails its checksum and is averaged anew.
+        Frames that serve one object alone are not kept. A file that was damaged on the disk fails its checksum and is averaged anew.
         """
-        if not self.shared:
+        if not self.shared or all(frame.object for frame in frames):
             return average()
         digest = hashlib.sha256(
             repr((sorted(parameters.items()), code_version("template"))).encode()

@@ -185,6 +185,7 @@ def doubts_of(context: SensorContext) -> list[str]:
     targets = context.campaign.targets
     if camera.kind == "image":
         return doubts
+    doubts += context.sensor.remarks
     if context.light is not None:
         doubts += context.light.notes
     elif not context.sensor.white:

@@ -219,7 +219,10 @@ def _date(header: EnviHeader) -> str | None:
     for key in ("acquisition time", "acquisition date", "date"):
         found = re.search(r"\d{4}-[01]\d-[0-3]\d(?:[T ]\d\d:\d\d:\d\d)?", header.text(key))
         if found:
-            return found[0].replace(" ", "T")
+            start = header.text("start time")  # Specim's, beside a date without time
+            clock = re.search(r"\d\d:\d\d:\d\d", start) if len(found[0]) == 10 else None
+            zone = "+00:00" if "UTC" in start else ""
+            return f"{found[0]}T{clock[0]}{zone}" if clock else found[0].replace(" ", "T")
     return None
 
 

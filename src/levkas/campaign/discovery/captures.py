@@ -37,6 +37,8 @@ class FrameRef:
         Of a multi-page TIFF, from 0. None: the whole file, for a `cube` all its pages.
     order : tuple of int, optional
         Of a `cube` whose bands stand in another order than those of the object's first file: where each of these is.
+    object : str
+        The one object that a dark or white serves; empty where it serves all.
     """
 
     path: Path
@@ -49,6 +51,7 @@ class FrameRef:
     setup: str = ""
     page: int | None = None
     order: tuple[int, ...] | None = None
+    object: str = ""
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,8 @@ class SensorFrames:
         Of the chart that takes the place of a white, band by band as the object's.
     without_reference : tuple of str
         Bands that were left out: nobody knows what the chart reflects there.
+    remarks : tuple of str
+        Why these darks and whites were taken, where others could have been.
     """
 
     name: str
@@ -83,6 +88,7 @@ class SensorFrames:
     white: tuple[FrameRef, ...] = ()
     chart: tuple[FrameRef, ...] = ()
     without_reference: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

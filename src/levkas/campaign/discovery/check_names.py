@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.campaign.discovery.captures import Capture, CaptureRefused
+from levkas.campaign.discovery.darks_and_whites import near_names
 from levkas.campaign.discovery.file_index import declared_targets
-from levkas.campaign.discovery.find_captures import near_names
 from levkas.campaign.discovery.patterns import natural
 from levkas.campaign.edits import Edits, EditsInvalid, with_explanation
 from levkas.core.problems import Problem, closest_match

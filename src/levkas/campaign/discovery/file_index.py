@@ -10,6 +10,7 @@ import unicodedata
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -178,6 +179,7 @@ class FoundFile:
     exposure_s: float | None = None
     shot: str = ""
     sensor: str = ""
+    object: str = ""
 
 
 def find_files(
@@ -185,6 +187,7 @@ def find_files(
     patterns: Sequence[str | Pattern],
     *,
     known: Mapping[str, Collection[str]] | None = None,
+    templates: Collection[str] = (),
     folders: FolderListings | None = None,
 ) -> list[FoundFile]:
     """Find the files that fit one of some patterns, in natural order; the first that fits counts.
@@ -196,6 +199,8 @@ def find_files(
     patterns : sequence of str or Pattern
     known : dict of field to values, optional
         As `Pattern.read` takes it.
+    templates : collection of str
+        Targets that are darks, whites or a chart in place of one: patterns with {object} find no others.
     folders : Folders, optional
         Listings that are already there.
 
@@ -213,7 +218,7 @@ def find_files(
         parsed = Pattern.parse(pattern) if isinstance(pattern, str) else pattern
         for path, text in _walk(parsed, folders, _start(root, parsed), 0, "", set()):
             values = None if path in by_path else parsed.read(text, ways)
-            if values is not None:
+            if values is not None and ("object" not in values or values["target"] in templates):
                 by_path[path] = FoundFile(path, parsed, **values)
     return _without_data_of_headers(in_natural_order(by_path.values()))
 
@@ -341,18 +346,23 @@ class FileIndex:
     broken: dict[tuple[str, str], Refused] = field(default_factory=dict)
     objects: list[str] = field(default_factory=list)
     _facts: dict[Path, Facts] = field(default_factory=dict)
-    _by_target: dict[tuple[str, str], dict[str, list[FoundFile]]] = field(default_factory=dict)
+    _by_target: dict[tuple[str, str], dict[tuple[str, str], list[FoundFile]]] = field(
+        default_factory=dict
+    )
     _has_objects: dict[tuple[str, str], bool] = field(default_factory=dict)
     _bands: dict[tuple[str, str, str], set[float | str]] = field(default_factory=dict)
 
-    def of(self, name: str, camera: str, setup: str) -> list[FoundFile]:
-        """Return the frames of one target by a camera under a setup, in natural order."""
+    def of(self, name: str, camera: str, setup: str, *, serving: str = "") -> list[FoundFile]:
+        """Return the frames of one target by a camera under a setup, in natural order.
+
+        Of a dark, white or chart those that serve the object `serving` alone, or those that serve all.
+        """
         key = camera, setup
         if key not in self._by_target:
             self._by_target[key] = {}
             for found in self.frames[key]:
-                self._by_target[key].setdefault(found.target, []).append(found)
-        return self._by_target[key].get(name, [])
+                self._by_target[key].setdefault((found.target, found.object), []).append(found)
+        return self._by_target[key].get((name, serving), [])
 
     def has_objects(self, camera: str, setup: str) -> bool:
         """Whether any object was taken by a camera under a setup."""
@@ -429,16 +439,24 @@ def _find_frames(
     index: FileIndex, key: tuple[str, str], camera: Camera, files: Sequence[str] | None, setup: str
 ) -> list[FoundFile]:
     """Find the frames of one camera, sensor by sensor; a folder that cannot be read is kept for later."""
-    known = {
+    known: dict[str, Collection[str]] = {
         "target": declared_targets(index.campaign),
         "band": camera.bands or (),
         "setup": tuple(index.campaign.setups),
     }
+    campaign, chart = index.campaign, camera.white_chart
+    templates = {*campaign.darks_of(camera), *campaign.whites_of(camera)}
+    templates |= {chart.chart} if chart else set()
     frames: list[FoundFile] = []
     try:
         for sensor in [s.name for s in camera.sensors] or [""]:
             patterns = _patterns_of_sensor(camera, sensor, files, setup)
-            found = find_files(index.campaign.root, patterns, known=known, folders=index.folders)
+            find = partial(find_files, campaign.root, templates=templates, folders=index.folders)
+            own = [p for p in patterns if "object" in p.fields]
+            plain = [p for p in patterns if p not in own]
+            if own:  # whose darks and whites these are is read by the objects' names
+                known["object"] = tuple({f.target for f in find(plain, known=known)} - templates)
+            found = find([*own, *plain], known=known)
             frames += [replace(f, sensor=sensor) for f in found]
         if camera.manifest:
             exposures = read_exposures(index.campaign.root / camera.manifest)
@@ -500,6 +518,8 @@ def files_of_other_case(index: FileIndex) -> dict[tuple[str, str, str], tuple[Pa
     found: dict[tuple[str, str, str], tuple[Path, Pattern]] = {}
     for camera, setup in sorted(index.frames, key=lambda key: (not key[1], key)):
         for pattern in patterns_of(index, camera, setup):
+            if "object" in pattern.fields:
+                continue  # of darks and whites: refused by the captures that lack them
             lower = Pattern.parse(pattern.text.lower())
             if pattern.absolute:  # others' folders above the frames may not be listed
                 continue

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -34,6 +34,7 @@ from levkas.campaign.discovery.chart_whites import (
     nothing_known,
     other_chart_bands,
 )
+from levkas.campaign.discovery.darks_and_whites import Templates, check_every_band
 from levkas.campaign.discovery.file_index import (
     FileIndex,
     FoundFile,
@@ -340,29 +341,28 @@ def _sensor(
     """Return the frames of one sensor of an object, with its bands, darks and whites."""
     label = sensor.name if sensor else ""
 
-    def frames_of(targets: Iterable[str], setup: str) -> list[FoundFile]:
-        found = [f for t in dict.fromkeys(targets) for f in index.of(t, camera.name, setup)]
-        return [f for f in in_natural_order(found) if f.sensor == label]
-
-    found = frames_of([name], setup)
+    found = in_natural_order(index.of(name, camera.name, setup))
+    found = [f for f in found if f.sensor == label]
     if not found:
         raise CaptureRefused(_no_sensor(index, name, camera, label))
-    dark_names, white_names = index.campaign.darks_of(camera), index.campaign.whites_of(camera)
-    darks = [_ref(f) for f in frames_of(dark_names, setup) or frames_of(dark_names, "")]
-    whites = [_ref(f) for f in frames_of(white_names, setup)]
+    campaign = index.campaign
+    templates = Templates(index, camera, label, setup, found)
+    names = {"dark": campaign.darks_of(camera), "white": campaign.whites_of(camera)}
+    darks = [_ref(f) for f in templates.of("dark", names["dark"], [setup, ""])]
+    whites = [_ref(f) for f in templates.of("white", names["white"], [setup])]
     missing = [
-        _no_template(index, camera, label, setup, kind, names)
-        for kind, names, got in (("dark", dark_names, darks), ("white", white_names, whites))
-        if names and not got
+        templates.missing(kind, names[kind])
+        for kind, got in (("dark", darks), ("white", whites))
+        if names[kind] and not got
     ]
     if missing:
         raise CaptureRefused(*missing)
     frames, pattern, bands = _frames_and_bands(index, camera, sensor, found, setup)
     darks, whites = (_fitted(index, camera, t, frames, bands) for t in (darks, whites))
     _check_exposures(camera, found, frames)
-    for kind, templates in (("dark", darks), ("white", whites)):
-        _check_every_band(camera, kind, templates, bands)
-    chart = _chart_frames(index, camera, sensor, setup, found, bands)
+    for kind, some in (("dark", darks), ("white", whites)):
+        check_every_band(camera, kind, some, bands)
+    chart = _chart_frames(templates, camera, sensor, bands)
     left_out = bands_beyond(index.campaign, camera, bands) if camera.kind == "bands" else ()
     if left_out:
         frames, darks, chart = (
@@ -375,25 +375,20 @@ def _sensor(
     return SensorFrames(
         *(label, pattern, bands, align, tuple(frames), tuple(darks), tuple(whites), tuple(chart)),
         without_reference=left_out,
+        remarks=tuple(templates.remarks),
     )
 
 
 def _chart_frames(
-    index: FileIndex,
-    camera: Camera,
-    sensor: SensorKeys | None,
-    setup: str,
-    found: list[FoundFile],
-    bands: tuple[Band, ...],
+    templates: Templates, camera: Camera, sensor: SensorKeys | None, bands: tuple[Band, ...]
 ) -> list[FrameRef]:
-    """Return the frames of the chart that takes the place of a white; `found` are the object's own."""
-    white = camera.white_chart
+    """Return the frames of the chart that takes the place of a white, maybe in the object's own frames."""
+    white, index, setup = camera.white_chart, templates.index, templates.setup
     if white is None:
         return []
-    label = sensor.name if sensor else ""
+    found = templates.shown
     if white.chart in index.campaign.targets.charts:
-        files = in_natural_order(index.of(white.chart, camera.name, setup))
-        found = [f for f in files if f.sensor == label]
+        found = templates.of("chart", [white.chart], [setup])
     if not found:
         raise CaptureRefused(no_chart_frames(index, camera, setup))
     frames, _, seen = _frames_and_bands(index, camera, sensor, found, setup)
@@ -525,28 +520,6 @@ def _two_files(camera: Camera, what: str, frames: list[FrameRef]) -> Problem:
     )
 
 
-def _check_every_band(
-    camera: Camera, kind: str, templates: list[FrameRef], bands: tuple[Band, ...]
-) -> None:
-    """Refuse templates that belong to bands and leave one of the object's without."""
-    if not templates or any(f.band is None for f in templates):
-        return
-    served = {f.band for f in templates}
-    lacking = [b.label for b in bands if b.label not in served]
-    if lacking:
-        raise CaptureRefused(
-            Problem(
-                "E_TEMPLATE_MISSING",
-                f"{camera.name}: no {kind} for {len(lacking)} of {len(bands)} bands",
-                str(templates[0].path.parent),
-                f"cameras.{camera.name}.files",
-                f"none for {', '.join(lacking[:6])}{' …' if len(lacking) > 6 else ''}",
-                f"a {kind} for every band, or one {kind} for all bands",
-                f"Add the frames, or write `{kind} = []` under [cameras.{camera.name}].",
-            )
-        )
-
-
 def _same_names(index: FileIndex, camera: Camera, twice: list[str]) -> Problem:
     return Problem(
         "E_BAND_TWICE",
@@ -573,27 +546,3 @@ def _no_sensor(index: FileIndex, name: str, camera: Camera, sensor: str) -> Prob
         patterns,
         "Add the frames, or correct the pattern.",
     )
-
-
-def _no_template(
-    index: FileIndex, camera: Camera, sensor: str, setup: str, kind: str, names: tuple[str, ...]
-) -> Problem:
-    own = getattr(camera, kind) is not None
-    frames = index.frames[camera.name, setup]
-    known = sorted({f.target for f in frames if not sensor or f.sensor == sensor}, key=natural)
-    patterns = dict.fromkeys(p.text for p in patterns_of(index, camera.name, setup))
-    under = f" under {setup}" if setup else ""
-    return Problem(
-        "E_TEMPLATE_MISSING",
-        f"{' '.join(filter(None, (camera.name, sensor)))}{under}: the declared {kind} was not found",
-        str(index.campaign.path),
-        f"cameras.{camera.name}.{kind}" if own else f"targets.{kind}",
-        ", ".join(known) or "no file",
-        f"{{target}} = {' or '.join(names)} in {' or '.join(patterns)}",
-        near_names(names, known) or "Add the frames.",
-    )
-
-
-def near_names(names: Iterable[str], there: Sequence[str]) -> str | None:
-    """Return which name that is there one of some may mean; None where none is near."""
-    return next((fix for name in names if (fix := closest_match(name, there))), None)

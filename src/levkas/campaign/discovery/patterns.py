@@ -189,7 +189,7 @@ def _values_by_name(names: Sequence[str], places: Sequence[int], text: str) -> d
     return found
 
 
-FIELDS = ("target", "setup", "band", "wavelength", "exposure", "shot", "sensor")
+FIELDS = ("target", "object", "setup", "band", "wavelength", "exposure", "shot", "sensor")
 SECONDS = {
     "min": 60.0,
     "s": 1.0,
@@ -206,6 +206,7 @@ _PIECE = re.compile(r"(\{[^{}]*\}|\*\*|\*)")
 _NUMBER = r"(?<!\d)(?<!\d\.)\d+(?:\.\d+)?(?!\d)"  # never the tail of a longer number
 _BODY = {
     "target": r"[^/]+",  # as much as it can: the rest of a pattern bounds it
+    "object": r"[^/]+",
     "setup": r"[^/]+?",
     "band": r"[^/]+?",
     "sensor": r"[^/]+?",
@@ -215,6 +216,7 @@ _BODY = {
 }
 _KIND: dict[str, PieceKind] = {
     "target": TextPiece(1),
+    "object": TextPiece(1),
     "setup": TextPiece(1, greedy=False),
     "band": TextPiece(1, greedy=False),
     "sensor": TextPiece(1, greedy=False),
@@ -382,10 +384,11 @@ def natural(text: str) -> list[tuple[int, int, str]]:
 
 
 def ways_to_read(known: Mapping[str, Collection[str]]) -> tuple[Known, ...]:
-    """Return what names are read with: everything known, then all but the target, then nothing."""
+    """Return what names are read with: everything known, then all but the object, then neither it nor the target."""
     found = Known((name, tuple(sorted(values))) for name, values in sorted(known.items()) if values)
-    but_target = Known(item for item in found if item[0] != "target")
-    return tuple(dict.fromkeys((found, but_target, NOTHING_KNOWN)))
+    but_object = Known(item for item in found if item[0] != "object")
+    but_target = Known(item for item in but_object if item[0] != "target")
+    return tuple(dict.fromkeys((found, but_object, but_target, NOTHING_KNOWN)))
 
 
 def _match(text: str, known: Known, ends: bool, name: str, *, named: bool) -> dict[str, str] | None:

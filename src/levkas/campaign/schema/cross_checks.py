@@ -517,6 +517,13 @@ def check_pattern(field: str, text: str, kind: str) -> Iterator[Problem]:
             yield value_problem(
                 field, f"only a camera of kind 'bands' has {{{name}}}", text, fix="Write * instead."
             )
+    if "object" in fields and kind == "image":
+        yield value_problem(
+            field,
+            "an image has neither darks nor whites, which {object} is for",
+            text,
+            fix="Take it out.",
+        )
     if "sensor" in fields and kind != "sensors":
         yield value_problem(
             field, "only a camera of kind 'sensors' has {sensor}", text, fix="Write * instead."
