@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Collection, Container, Mapping, Sequence
 
 import numpy as np
 
@@ -30,6 +30,9 @@ MOST_TARGETS = 200
 """Targets of a camera, spread over all, of which a frame is decoded; more would take minutes."""
 STRUCTURED = 3.0
 """The others must have this many times a white's texture."""
+SAME_OBJECT, PARTLY = 0.4, 0.1
+"""Share of a white that shows what an object shows from which it is none, and from which it is doubted: real and simulated
+whites have none of it, a board that leaves a third of the view to the painting 0.3."""
 MOST_BANDS = 64
 """Bands of a tunable filter, spread over its range, whose frames are decoded to see the mosaic behind it."""
 WARM_NM, COLD_NM = 620.0, 460.0
@@ -60,11 +63,14 @@ def infer_roles(group: CameraGroup, samples: Samples) -> list[str]:
     if len(named) == 2 or not plain or len(by_target) < 2:
         return []
     found: dict[str, Statistics] = {}
+    shown: set[str] = set()
     for target in spread(list(by_target), MOST_TARGETS):
-        if statistics := samples.of_some(_like(by_target[target], frames[0]), 1):
+        like = _like(by_target[target], frames[0])
+        if statistics := samples.of_some(like, 1):
             found[target] = statistics[0]
+            shown |= {target} if samples.shows_something(like[0].file) else set()
     white = samples.of_some(_like(group.of_role("white"), frames[0]), 1)
-    roles, reasons = _roles_of(found, white[0] if white else None, named)
+    roles, reasons = _roles_of(found, white[0] if white else None, named, shown)
     group.frames = [f.with_role(roles.get(f.target, f.role)) for f in group.frames]
     if len(by_target) > MOST_TARGETS:
         reasons.append(
@@ -74,6 +80,42 @@ def infer_roles(group: CameraGroup, samples: Samples) -> list[str]:
     return reasons
 
 
+def doubt_whites(group: CameraGroup, samples: Samples) -> list[str]:
+    """Take whites for objects that show what an object shows, and doubt those that show something.
+
+    Parameters
+    ----------
+    group : CameraGroup
+        Its frames are replaced.
+    samples : Samples
+
+    Returns
+    -------
+    doubts : list of str
+    """
+    objects, doubts = group.of_role("object"), []
+    plain = all(f.file.channels == 1 or f.facts.kind == "envi" for f in objects)
+    for target, frames in group.by_target(group.of_role("white")).items() if plain else ():
+        white, common, shown = frames[0].file, 0.0, ""
+        for some in group.by_target(spread(objects, MOST_SAMPLED)).values():
+            share = samples.common_share(white, _like(some, frames[0])[0].file)
+            common, shown = max((common, shown), (share, some[0].target))
+        if common > SAME_OBJECT:
+            group.frames = [
+                f.with_role("object") if f.target == target else f for f in group.frames
+            ]
+            doubts.append(
+                f"whether {target} is a white, as its name says: it shows what {shown} shows, and is taken for an object"
+            )
+        elif common > PARTLY:
+            doubts.append(
+                f"whether the board fills the view of {target}: {100 * common:.0f} % of it show what {shown} shows"
+            )
+        elif samples.shows_something(white):
+            doubts.append(f"whether {target} is a white: it has the structure of an object")
+    return doubts
+
+
 def _like(frames: Sequence[NamedFile], first: NamedFile) -> Sequence[NamedFile]:
     """Return the frames of the sensor and wavelength of another; all where there is none."""
     nm = first.number("wavelength")
@@ -81,16 +123,20 @@ def _like(frames: Sequence[NamedFile], first: NamedFile) -> Sequence[NamedFile]:
 
 
 def _roles_of(
-    found: Mapping[str, Statistics], white: Statistics | None, named: Container[str]
+    found: Mapping[str, Statistics],
+    white: Statistics | None,
+    named: Container[str],
+    shown: Collection[str],
 ) -> tuple[dict[str, str], list[str]]:
     """Return the darks and whites among targets by their statistics, and the reasons.
 
-    Roles that are `named` are not looked for. Beside a `white` that is named a dark must be even, too: a
-    painting may be dark all over.
+    Roles that are `named` are not looked for, nor targets that are `shown` in their structure. Beside a `white`
+    that is named a dark must be even, too: a painting may be dark all over.
     """
     seen = [*found.values(), *([white] if white else [])]
     brightest = max((s.high for s in seen), default=0.0)
-    darks = {t: s for t, s in found.items() if s.high < DARK_SHARE * brightest}
+    plain = {t: s for t, s in found.items() if t not in shown}
+    darks = {t: s for t, s in plain.items() if s.high < DARK_SHARE * brightest}
     if white is not None:
         darks = {t: s for t, s in darks.items() if s.high - s.low < EVEN_DARK * brightest}
     darks = {} if "dark" in named else darks
@@ -101,6 +147,8 @@ def _roles_of(
     rest = {t: s for t, s in found.items() if t not in darks}
     whites = []
     for target, s in ({} if "white" in named else rest).items():
+        if target in shown:
+            continue
         others = [o.texture for t, o in rest.items() if t != target]
         even = s.unevenness < EVEN and s.texture < SMOOTH and s.mean > 0.3 * brightest
         if even and others and max(others) > STRUCTURED * max(s.texture, 1e-6):

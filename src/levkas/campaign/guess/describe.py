@@ -13,12 +13,15 @@ from typing import Any
 import numpy as np
 
 from levkas.campaign.guess.appearance import mosaic_behind_filters, mosaic_of, tile_side
+from levkas.campaign.guess.band_names import Question
 from levkas.campaign.guess.groups import CameraGroup, FilePatterns, find_patterns, safe_name
 from levkas.campaign.guess.names import NamedFile
 from levkas.campaign.guess.pixels import CLIPPED, MOST_SAMPLED, Samples, bits_of
 from levkas.core.text import counted
 from levkas.readers.spectra import parse_spectra
 
+LISTED = 6
+"""Values that a question names."""
 READ_BYTES, ROWS = 20_000, 8
 """Of a table that is looked at."""
 WAVELENGTHS_NM = (200.0, 3000.0)
@@ -43,6 +46,15 @@ class SensorGuess:
 
 
 @dataclass(frozen=True)
+class Choice:
+    """One of several ways to describe a camera: in words, its keys, and its objects."""
+
+    what: str
+    keys: dict[str, Guess]
+    objects: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class CameraGuess:
     """One camera.
 
@@ -64,6 +76,8 @@ class CameraGuess:
         Target → role.
     setups : dict
         Name → files.
+    choices : tuple of Choice
+        Of which a person must take one, in place of the keys that they have; empty for none.
     """
 
     name: str
@@ -75,6 +89,7 @@ class CameraGuess:
     centres: tuple[float, ...] = ()
     targets: dict[str, str] = field(default_factory=dict)
     setups: dict[str, Guess] = field(default_factory=dict)
+    choices: tuple[Choice, ...] = ()
 
     @property
     def kind(self) -> str:
@@ -124,6 +139,11 @@ def describe_camera(
         notes.hints.append(
             'scan = "mirror"  # if darks and whites are whole frames, not lines of the scan'
         )
+    if kind == "cube" and not group.of_role("dark") and any(map(_is_hyspex, group.frames)):
+        notes.unknown.append(
+            "the dark: HySpex keeps it in the .hyspex file, before the scan, where it is not read; export by "
+            "HySpex RAD, or capture a dark"
+        )
     if kind != "image":
         keys |= _scale_keys(group, samples, notes)
         keys |= _exposure_keys(group, files)
@@ -143,10 +163,36 @@ def describe_camera(
     )
 
 
+def with_choices(camera: CameraGuess, bands: CameraGroup, question: Question) -> CameraGuess:
+    """Leave open whether the files of a camera are bands or objects; `bands` are its frames if they are bands."""
+    files = find_patterns(bands.frames)
+    texts = files.of_kind("bands")
+    keys = {
+        "kind": Guess("bands"),
+        "files": Guess(texts[0] if len(texts) == 1 else texts),
+        **_band_keys(bands, files),
+    }
+    targets = tuple(sorted({f.target for f in bands.of_role("object")}))
+    shown_alone = tuple(t for t, role in camera.targets.items() if role == "object")
+    one = targets[0] if len(targets) == 1 else "every object"
+    shown = ", ".join(question.values[:LISTED]) + " …" * (len(question.values) > LISTED)
+    unknown = (
+        f"{camera.name}: whether {shown} are bands of one object or objects: neither the names nor the pixels "
+        f"decide it. Take the # off one of the two choices, in [cameras.{camera.name}] and [targets]"
+    )
+    own = {key: replace(guess, why="") for key, guess in camera.keys.items() if key in keys}
+    choices = Choice(f"bands of {one}:", keys, targets), Choice("an object each:", own, shown_alone)
+    return replace(camera, choices=choices, unknown=(unknown, *camera.unknown))
+
+
 def _setup(frames: Sequence[NamedFile], kind: str) -> Guess:
     patterns = find_patterns(frames).of_kind(kind)
     why = "the same camera in a separate folder: another lighting"
     return Guess(patterns[0] if len(patterns) == 1 else patterns, why)
+
+
+def _is_hyspex(frame: NamedFile) -> bool:
+    return any(frame.path.with_suffix(end).exists() for end in (".hyspex", ".HYSPEX"))
 
 
 # --- kind -------------------------------------------------------------------------------------

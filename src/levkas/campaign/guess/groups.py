@@ -91,8 +91,15 @@ def _of_one_size(frames: list[NamedFile]) -> list[list[NamedFile]]:
     parts: dict[object, list[NamedFile]] = defaultdict(list)
     for frame in frames:
         parts[frame.file.signature].append(frame)
-    whole = len(parts) == 1 or frames[0].sensor or _are_pictures(frames)
+    whole = len(parts) == 1 or frames[0].sensor or _are_pictures(frames) or _are_grey(frames)
     return [frames] if whole else list(parts.values())
+
+
+def _are_grey(frames: Sequence[NamedFile]) -> bool:
+    """Whether all are bands of one size, some of them saved as three channels: grey, as their names make them."""
+    sizes = {(f.facts.shape[:2], f.facts.dtype) for f in frames}
+    banded = all(any(t.kind in ("band", "wavelength") for t in f.stem) for f in frames)
+    return banded and len(sizes) == 1 and {f.file.channels for f in frames} == {1, 3}
 
 
 def _are_pictures(frames: Sequence[NamedFile]) -> bool:
@@ -237,7 +244,7 @@ def _give_names(groups: list[CameraGroup], root_name: str) -> None:
 def _possible_names(group: CameraGroup, root_name: str) -> list[str]:
     frames = group.objects
     *folders, stem = frames[0].segments
-    names = [s[0].text for s in reversed(folders) if s[0].kind == "word"]
+    names = [s[0].text for s in reversed(folders) if len(s) == 1 and s[0].kind == "word"]
     own = [
         name
         for name in names
@@ -248,6 +255,7 @@ def _possible_names(group: CameraGroup, root_name: str) -> list[str]:
     ]
     shared = set.intersection(*({t.text for t in f.stem} for f in frames))
     words = [t.text for t in stem if t.kind == "word" and t.text in shared and t.word]
+    words = [text for text in words if len(text) > 1 and text.lower() not in GENERIC]
     model = frames[0].facts.model
     return [*own, *(["-".join(words)] if words else []), model or root_name or "camera", "camera"]
 
@@ -329,7 +337,7 @@ def find_patterns(frames: Sequence[NamedFile]) -> FilePatterns:
         patterns=_merged(made),
         sensors=dict(sorted(sensors.items())) if len(sensors) > 1 else {},
         wavelengths=tuple(sorted(centres)),
-        bands=tuple(sorted(bands)),
+        bands=tuple(sorted(bands, key=natural)),
         shots=any("{shot}" in one.text for one in made),
         reasons=tuple(dict.fromkeys(reason for one in made for reason in one.reasons)),
     )
@@ -338,7 +346,7 @@ def find_patterns(frames: Sequence[NamedFile]) -> FilePatterns:
 def _literal(token: Token) -> str:
     if token.kind == "numbered":
         return token.before
-    return token.text if token.kind in ("word", "target") else ""
+    return token.text if token.kind in ("word", "target", "object") else ""
 
 
 class _Columns:
@@ -394,7 +402,8 @@ class _Columns:
         if field == ANY:
             return "*"
         if field in ("wavelength", "exposure"):
-            return f"{first.before}{{{field}}}{first.after}"
+            after = first.after if len({t.after for t in tokens}) == 1 else "*"
+            return f"{first.before}{{{field}}}{after}"
         if field == "shot" and len({t.before for t in tokens}) == 1:
             return f"{first.before}{{shot}}"
         return f"{{{field}}}"
@@ -416,10 +425,13 @@ def _field(tokens: Sequence[Token], frames: Sequence[NamedFile]) -> tuple[str, s
     """Return the field of one part of the names, `LITERAL` or `COUNT`, and the reason."""
     kind, texts = tokens[0].kind, [t.text for t in tokens]
     varies = len(set(texts)) > 1
-    if kind == "target":
-        return "target", ""
+    if kind in ("target", "object"):
+        return kind, ""
+    if kind in ("band", "sensor"):
+        return kind, tokens[0].why
     if kind in ("wavelength", "exposure"):
-        return (COUNT if len({(t.before, t.after) for t in tokens}) > 1 else kind), ""
+        units = {(t.before, "" if t.why else t.after) for t in tokens}
+        return (COUNT if len(units) > 1 else kind), tokens[0].why
     if kind == "number" and not varies and _is_constant_count(tokens[0], frames):
         return ("shot" if any(f.role == "object" for f in frames) else ANY), ""
     if kind not in ("number", "numbered", "time") or not varies:

@@ -32,20 +32,46 @@ def leave_out_leftovers(
     """
     places = {(c.folders, c.path.name.casefold()) for c in captures}
     measured: dict[str, list[CaptureFile]] = defaultdict(list)
+    scans: dict[str, list[CaptureFile]] = defaultdict(list)
     for capture in captures:
+        stem = capture.path.stem.casefold()
         if capture.path.suffix.lower() not in LOSSY:
-            measured[capture.path.stem.casefold()].append(capture)
+            measured[stem].append(capture)
+        if capture.facts.kind in ("envi", "raw") and capture.facts.dtype.startswith("uint"):
+            scans[stem].append(capture)
     kept: list[CaptureFile] = []
     previews: dict[tuple[str, ...], list[tuple[CaptureFile, CaptureFile]]] = defaultdict(list)
+    results: dict[tuple[str, ...], list[tuple[CaptureFile, CaptureFile]]] = defaultdict(list)
     copies: list[str] = []
     for capture in captures:
-        if original := _previewed(capture, measured):
+        if original := _computed(capture, scans):
+            results[capture.folders].append((capture, original))
+        elif original := _previewed(capture, measured):
             previews[capture.folders].append((capture, original))
         elif name := _copied(capture, places):
             copies.append(f"{capture.name}: by its name a copy of {name}")
         else:
             kept.append(capture)
-    return kept, [*map(_line, previews.values()), *copies]
+    lines = [_line(pairs, "a preview") for pairs in previews.values()]
+    lines += [_line(pairs, "a result") for pairs in results.values()]
+    return kept, [*lines, *copies]
+
+
+def _computed(capture: CaptureFile, scans: dict[str, list[CaptureFile]]) -> CaptureFile | None:
+    """Return the scan or camera raw that a picture of 8 bits, or a cube of decimals, was computed from.
+
+    Its name is part of the other's, and both lie in one folder or in one of the same folder below the root.
+    """
+    facts = capture.facts
+    picture = facts.kind in ("tiff", "png", "jpeg") and facts.dtype == "uint8"
+    if not picture and not (facts.kind == "envi" and facts.dtype.startswith("float")):
+        return None
+    parts = re.split(r"([\W_]+)", capture.path.stem.casefold())
+    runs = ("".join(parts[i:j]) for i in range(0, len(parts), 2) for j in range(len(parts), i, -2))
+    for scan in (scan for run in runs for scan in scans.get(run, ())):
+        if capture.folders == scan.folders or capture.folders[:1] == scan.folders[:1] != ():
+            return scan
+    return None
 
 
 def _previewed(capture: CaptureFile, measured: dict[str, list[CaptureFile]]) -> CaptureFile | None:
@@ -65,7 +91,7 @@ def _copied(capture: CaptureFile, places: set[tuple[tuple[str, ...], str]]) -> s
     return name if is_there and name != capture.path.name else ""
 
 
-def _line(pairs: Sequence[tuple[CaptureFile, CaptureFile]]) -> str:
+def _line(pairs: Sequence[tuple[CaptureFile, CaptureFile]], what: str) -> str:
     first, original = pairs[0]
     more = f" and {len(pairs) - 1} more" if len(pairs) > 1 else ""
-    return f"{first.name}{more}: by its name a preview of {original.name}"
+    return f"{first.name}{more}: by its name {what} of {original.name}"

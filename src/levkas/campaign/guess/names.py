@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 from levkas.campaign.discovery.patterns import SECONDS
+from levkas.campaign.guess.band_names import Frames, Question, Tokens, mark_bands
 from levkas.campaign.guess.listing import CaptureFile
+from levkas.campaign.guess.scan_folders import ScanFolder, find_scan_folders
 from levkas.campaign.guess.words import (
     BANDS,
     GENERIC,
     IMAGES,
+    OBJECT,
     PREFIXES,
     SENSORS,
     TARGET,
@@ -31,7 +34,6 @@ STEM, PARENT = -1, -2
 FEW_GROUPS = 3
 """Groups of files whose first and last are compared to see whether numbers count shots or objects."""
 SameScene = Callable[[CaptureFile, CaptureFile], "bool | None"]
-Tokens = dict[Path, tuple[Token, ...]]
 
 
 @dataclass(frozen=True)
@@ -98,34 +100,139 @@ class NamedFile:
 
 
 def _tokens_of_folder(name: str) -> tuple[Token, ...]:
-    """Return a folder as one word, but for a wavelength, an exposure, or the number of a sensor."""
-    if name == TARGET:
-        return (Token(TARGET, "", "target"),)
+    """Return a folder as one word, but for a target in it, a wavelength, an exposure, or the number of a sensor."""
+    for mark, kind in ((TARGET, "target"), (OBJECT, "object")):
+        if mark in name:
+            before, _, after = name.partition(mark)
+            parts = (Token(before), Token(mark, "", kind), Token(after))
+            return tuple(part for part in parts if part.text)
     tokens = tokens_of(name)
     typed = tokens[0].kind in ("wavelength", "exposure") or tokens[0].names_channel
     return tokens if len(tokens) == 1 and typed else (Token(name),)
 
 
-def name_targets(captures: Sequence[CaptureFile], *, same_scene: SameScene) -> list[NamedFile]:
+def name_targets(
+    captures: Sequence[CaptureFile], samples: Frames, *, asked: bool = False
+) -> tuple[list[NamedFile], list[Question]]:
     """Find the target of every capture.
 
     Parameters
     ----------
     captures : sequence of CaptureFile
-    same_scene : callable
-        Whether two captures show the same; used where running numbers may be shots or objects.
+    samples : Frames
+        What frames show; used where names do not tell shots, bands and objects apart.
+    asked : bool
+        Whether files of which nothing decides whether they are bands or objects are taken for bands.
+
+    Returns
+    -------
+    named : list of NamedFile
+    questions : list of Question
+        What nothing decides, and was taken for objects.
     """
+    same_scene = samples.same_scene
     tokens = {c.path: tokens_of(c.path.stem) for c in captures}
-    places = _places(captures, tokens, same_scene)
-    named = {
+    tokens, questions = mark_bands(captures, tokens, samples, asked=asked)
+    named: dict[Path, NamedFile] = {}
+    for scan in find_scan_folders(captures, tokens):
+        named |= {n.path: n for n in _of_scan(scan, captures, tokens)}
+    apart = [c for c in captures if c.path not in named]
+    named |= {n.path: n for n in _with_templates_beside(apart, tokens)}
+    rest = [c for c in captures if c.path not in named]
+    places = _places(rest, tokens, same_scene)
+    named |= {
         c.path: _in_folder(c, tokens[c.path], places[c.path])
-        for c in captures
+        for c in rest
         if places[c.path] != STEM
     }
-    in_stem = [c for c in captures if places[c.path] == STEM]
+    in_stem = [c for c in rest if places[c.path] == STEM]
     for cluster in _clusters(in_stem, tokens):
         named |= {n.path: n for n in _StemCluster(cluster, tokens, same_scene).named()}
-    return [named[c.path] for c in captures]
+    return [named[c.path] for c in captures], questions
+
+
+def _of_scan(
+    scan: ScanFolder, captures: Sequence[CaptureFile], tokens: Tokens
+) -> Iterator[NamedFile]:
+    """Name all files in the folder of one object: its frames, its darks and whites, and what lies beside them."""
+    level, first = scan.level, scan.objects[0]
+    inside = first.folders[: level + 1]
+    own, templates = ({c.path for c in files} for files in (scan.objects, scan.templates))
+    for capture in captures:
+        if capture.folders[: level + 1] != inside:
+            continue
+        marked = _with_target(tokens[capture.path], scan.object)
+        names = list(capture.folders)
+        if capture.path in templates:
+            names[level] = scan.folder.replace(TARGET, OBJECT)
+            yield _template_of(capture, marked, names)
+            continue
+        names[level] = scan.folder
+        role = "object" if capture.path in own else role_in(capture.path.stem) or "object"
+        yield NamedFile(capture, scan.object, role, tuple(names), marked)
+
+
+def _with_templates_beside(captures: Sequence[CaptureFile], tokens: Tokens) -> Iterator[NamedFile]:
+    """Name files of one folder whose darks and whites bear the names of its objects: ``icon1_white``, ``icon1_raw``."""
+    groups: dict[object, list[CaptureFile]] = defaultdict(list)
+    for capture in captures:
+        groups[capture.folders, capture.path.suffix.lower(), capture.signature].append(capture)
+    for group in groups.values():
+        templates = [c for c in group if any(t.role in ("dark", "white") for t in tokens[c.path])]
+        shown = [c for c in group if not any(t.role for t in tokens[c.path])]
+        objects = {_beside_role(tokens[c.path]) for c in templates}
+        if len(objects) < 2 or "" in objects:
+            continue
+        marked = {
+            c.path: [
+                m for name in objects if (m := _with_target(tokens[c.path], name)) != tokens[c.path]
+            ]
+            for c in shown
+        }
+        if not marked or not all(
+            len(found) == 1
+            and all(t.kind == "target" or t.word.lower() in GENERIC | {""} for t in found[0])
+            for found in marked.values()
+        ):
+            continue
+        for capture in shown:
+            (stem,) = marked[capture.path]
+            target = next(
+                name for name in objects if _with_target(tokens[capture.path], name) == stem
+            )
+            yield NamedFile(capture, target, "object", capture.folders, stem)
+        for capture in templates:
+            stem = _with_target(tokens[capture.path], _beside_role(tokens[capture.path]))
+            yield _template_of(capture, stem, list(capture.folders))
+
+
+def _beside_role(tokens: Sequence[Token]) -> str:
+    """Return what stands before a word such as ``white`` in a name, else behind it, without units and counts."""
+    roles = [i for i, t in enumerate(tokens) if t.role]
+    before, after = list(tokens[: roles[0]]), list(tokens[roles[-1] + 1 :])
+    for part in (before, after):
+        while part and (part[-1].kind in ("number", *TYPED) or part[-1].text.lower() in GENERIC):
+            part.pop()
+        while part and part[0].kind in TYPED:
+            part.pop(0)
+    return joined(before or after)
+
+
+def _template_of(capture: CaptureFile, tokens: tuple[Token, ...], folders: list[str]) -> NamedFile:
+    """Name a dark or white of one object: by the folder that it lies in, or by a word of its own name."""
+    if folders and (role := role_in(folders[-1])):
+        name, folders[-1] = folders[-1], TARGET
+        return NamedFile(capture, name, role, tuple(folders), tokens)
+    found = [i for i, t in enumerate(tokens) if t.role]
+    start, stop = found[0], found[-1] + 1
+    target = Token(TARGET, tokens[start].gap, "target")
+    before = tuple(
+        replace(t, text=OBJECT, kind="object") if t.kind == "target" else t for t in tokens
+    )
+    stem = (*before[:start], target, *before[stop:])
+    return NamedFile(
+        capture, joined(tokens[start:stop]), role_of(tokens[start].text), tuple(folders), stem
+    )
 
 
 def _in_folder(capture: CaptureFile, tokens: tuple[Token, ...], place: int) -> NamedFile:
@@ -268,12 +375,25 @@ def _varying_folder(group: Sequence[CaptureFile]) -> int | None:
 def _numbers_are_objects(
     group: Sequence[CaptureFile], tokens: Tokens, same_scene: SameScene
 ) -> bool:
-    """Whether running numbers are all that distinguishes different scenes."""
+    """Whether running numbers are all that distinguishes different scenes, in one band where there are several."""
     kinds = [{t.kind for t in tokens[c.path]} for c in group]
-    if len(group) < 2 or any("wavelength" in k or not k & {"number", "numbered"} for k in kinds):
+    if len(group) < 2 or not all(k & {"number", "numbered"} for k in kinds):
         return False
-    alike = [c for c in group[1:] if c.signature == group[0].signature]
-    return not alike or any(same_scene(group[0], c) is False for c in (alike[0], alike[-1]))
+    band = _bands_in(tokens[group[0].path])
+    alike = [
+        c
+        for c in group[1:]
+        if c.signature == group[0].signature and _bands_in(tokens[c.path]) == band
+    ]
+    if not alike:  # of one scene; what stands before a band that a camera named names it
+        before = [t.kind for t in tokens[group[0].path]]
+        coded = [i for i, t in enumerate(tokens[group[0].path]) if t.why]
+        return not band or (bool(coded) and "number" in before[: coded[0]])
+    return any(same_scene(group[0], c) is False for c in (alike[0], alike[-1]))
+
+
+def _bands_in(tokens: Sequence[Token]) -> tuple[str, ...]:
+    return tuple(t.text for t in tokens if t.kind in ("wavelength", "band", "sensor"))
 
 
 # --- which part of a file's name --------------------------------------------------------------
@@ -283,7 +403,8 @@ def _clusters(captures: Sequence[CaptureFile], tokens: Tokens) -> list[list[Capt
     """Group captures whose names are made alike: one sensor, one folder or, where darks lie apart, two."""
     by_key: dict[object, dict[tuple[str, ...], list[CaptureFile]]] = defaultdict(dict)
     for capture in captures:
-        images = tuple(w for t in tokens[capture.path] if (w := t.text.lower()) in IMAGES)
+        words = (t for t in tokens[capture.path] if t.kind not in TYPED)
+        images = tuple(w for t in words if (w := t.text.lower()) in IMAGES)
         key = (capture.path.suffix.lower(), capture.signature, images)
         by_key[key].setdefault(capture.folders, []).append(capture)
     clusters = []

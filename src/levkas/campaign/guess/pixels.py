@@ -9,6 +9,13 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from levkas.campaign.guess.detail import (
+    Detail,
+    compare_detail,
+    find_detail,
+    show_the_same,
+    structured_share,
+)
 from levkas.core.problems import Refused
 
 if TYPE_CHECKING:
@@ -31,6 +38,8 @@ MOST_SAMPLED = 6
 """Frames of one kind that are decoded."""
 CLIPPED = 20
 """Samples at the highest code from which on it is taken for the sensor's end."""
+SHOWN = 0.3
+"""Share of a frame's tiles with structure from which it shows an object: whites and darks have 0 to 0.25."""
 LINES = 64
 """Of a cube: read from its middle, fewer where they would be more than `MOST_SEEN` values."""
 
@@ -175,6 +184,15 @@ def is_same_scene(one: np.ndarray, other: np.ndarray) -> bool:
     if abs(float(one.mean() - other.mean())) > 0.1 * level:
         return False
     return size < 0.02 * level or float((a * b).mean()) > 0.97 * size
+
+
+def is_proportional(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two thumbnails show the same at whatever brightness: shots, or exposures of one series."""
+    if one.shape != other.shape:
+        return False
+    a, b = one - one.mean(), other - other.mean()
+    size = float(np.sqrt((a * a).mean() * (b * b).mean()))
+    return float((a * b).mean()) > 0.97 * size
 
 
 def block_means(values: np.ndarray, side: int) -> np.ndarray:
@@ -350,6 +368,7 @@ class Samples:
 
     def __init__(self) -> None:
         self._known: dict[Path, Statistics | None] = {}
+        self._details: dict[Path, Detail | None] = {}
         self.refused: dict[str, str] = {}
 
     def of(self, capture: CaptureFile) -> Statistics | None:
@@ -363,6 +382,40 @@ class Samples:
             except ValueError:
                 self._known[capture.path] = None
         return self._known[capture.path]
+
+    def detail_of(self, capture: CaptureFile) -> Detail | None:
+        """Return the fine detail of one frame, as `find_detail` does; None where it cannot be decoded."""
+        if capture.path not in self._details:
+            statistics, detail = self.of(capture), None
+            if statistics is not None:
+                scan = capture.facts.kind == "envi"
+                period = 0 if scan else find_mosaic(statistics.phases)
+                detail = find_detail(
+                    _plane(capture), period=period, along_lines=scan, step=statistics.step
+                )
+            self._details[capture.path] = detail
+        return self._details[capture.path]
+
+    def show_the_same(self, captures: Sequence[CaptureFile]) -> bool | None:
+        """Whether frames show one object in fine detail; None where they do not decide it, as where one shows nothing."""
+        details = [d for d in map(self.detail_of, captures) if d is not None]
+        shown = all(self.shows_something(capture) for capture in captures)
+        return show_the_same(details) if shown else None
+
+    def shows_something(self, capture: CaptureFile) -> bool:
+        """Whether a frame has more structure than a dark or white; of a cube in some of its lines."""
+        detail = self.detail_of(capture)
+        return detail is not None and structured_share(detail) > SHOWN
+
+    def common_share(self, one: CaptureFile, other: CaptureFile) -> float:
+        """Return the share of the frame in which two show the same; 0 where one cannot be decoded."""
+        a, b = self.detail_of(one), self.detail_of(other)
+        return 0.0 if a is None or b is None else compare_detail(a, b).common
+
+    def is_proportional(self, one: CaptureFile, other: CaptureFile) -> bool:
+        """Whether two frames differ in brightness alone."""
+        a, b = self.of(one), self.of(other)
+        return a is not None and b is not None and is_proportional(a.thumbnail, b.thumbnail)
 
     def of_some(self, frames: Sequence[NamedFile], count: int) -> list[Statistics]:
         """Return the statistics of up to `count` frames, spread over all."""

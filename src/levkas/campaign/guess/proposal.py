@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,20 +13,22 @@ from typing import Any
 from levkas.campaign.campaign import campaign_of
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.campaign.discovery.patterns import natural
-from levkas.campaign.guess.appearance import find_warmth, infer_roles
+from levkas.campaign.guess.appearance import doubt_whites, find_warmth, infer_roles
+from levkas.campaign.guess.band_names import Question
 from levkas.campaign.guess.describe import (
     CameraGuess,
     Guess,
     describe_camera,
     find_white_table,
+    with_choices,
     with_sensitivity,
 )
 from levkas.campaign.guess.groups import CameraGroup, group_cameras
 from levkas.campaign.guess.leftovers import leave_out_leftovers
-from levkas.campaign.guess.listing import Listing
+from levkas.campaign.guess.listing import CaptureFile, Listing
 from levkas.campaign.guess.names import name_targets
 from levkas.campaign.guess.pixels import Samples
-from levkas.campaign.guess.words import GENERIC, chart_in
+from levkas.campaign.guess.words import GENERIC, TARGET, chart_in
 from levkas.campaign.schema.cross_checks import (
     KINDS_BY_CHART,
     find_contradictions,
@@ -109,25 +111,30 @@ def propose(listing: Listing) -> Proposal:
     """Make a proposal of a listing that holds at least one capture."""
     samples = Samples()
     captures, left_out = leave_out_leftovers(listing.captures)
-    named = name_targets(captures, same_scene=samples.same_scene)
+    named, questions = name_targets(captures, samples)
     groups, without_camera = group_cameras(named, listing.root.resolve().name)
     left_out += without_camera
     if not groups:
         raise LookRefused(_no_object(listing, left_out))
     by_eye = [f"{g.name}: {reason}" for g in groups for reason in infer_roles(g, samples)]
-    unknown = by_eye + _without_conflicts(groups)
+    doubts = [f"{g.name}: {doubt}" for g in groups for doubt in doubt_whites(g, samples)]
+    unknown = doubts + by_eye + _without_conflicts(groups)
     warmth = find_warmth(groups, samples)
     cameras = [
         with_sensitivity(describe_camera(g, samples, warmth), listing.root, listing.tables)
         for g in groups
     ]
-    if len(cameras) == 1 and cameras[0].kind == "image" and len(cameras[0].targets) > 1:
+    if questions:
+        cameras = _with_questions(cameras, groups, questions, captures, samples)
+    alone = len(cameras) == 1 and cameras[0].kind == "image" and not cameras[0].choices
+    if alone and len(cameras[0].targets) > 1:
         unknown.append(
             "whether some of these pictures show the same object: each is treated as a separate "
             "object, and one camera needs no registration"
         )
     shapes = [group.frames[0].facts.shape for group in groups]
-    reference, why = _reference(cameras, [shape[0] * shape[1] for shape in shapes])
+    sizes = [shape[0] * shape[1] for shape in shapes]
+    reference, why = _reference(cameras, sizes, _beside_scans(groups, cameras))
     cameras, strangers = _without_strangers(cameras, reference)
     left_out += strangers
     how = "by their histograms" if by_eye else "by their names"
@@ -151,7 +158,32 @@ def propose(listing: Listing) -> Proposal:
         unknown=tuple(_shortened(unknown)),
         left_out=tuple(_shortened(left_out)),
     )
+    if any(camera.choices for camera in cameras):
+        return proposal
     return replace(proposal, unknown=(*proposal.unknown, *_shortened(_refusals(proposal))))
+
+
+def _with_questions(
+    cameras: Sequence[CameraGuess],
+    groups: Sequence[CameraGroup],
+    questions: Sequence[Question],
+    captures: Sequence[CaptureFile],
+    samples: Samples,
+) -> list[CameraGuess]:
+    """Leave both ways open for cameras of which nothing decides whether their files are bands or objects."""
+    named, _ = name_targets(captures, samples, asked=True)
+    others, _ = group_cameras(named, "")
+    open_cameras = list(cameras)
+    for question in questions:
+        path = question.files[0].path
+        own, as_bands = (
+            next((i for i, g in enumerate(some) if any(f.path == path for f in g.frames)), None)
+            for some in (groups, others)
+        )
+        decided = own is not None and groups[own].of_role("dark", "white")  # by their histograms
+        if own is not None and as_bands is not None and not decided:
+            open_cameras[own] = with_choices(open_cameras[own], others[as_bands], question)
+    return open_cameras
 
 
 def _no_object(listing: Listing, left_out: Sequence[str]) -> Problem:
@@ -201,8 +233,27 @@ def _refusals(proposal: Proposal) -> list[str]:
 # --- reference --------------------------------------------------------------------------------
 
 
-def _reference(cameras: Sequence[CameraGuess], sizes: Sequence[int]) -> tuple[CameraGuess, str]:
-    """Return the camera to register the others to: it saw most objects, has most bands in the visible."""
+def _beside_scans(groups: Sequence[CameraGroup], cameras: Sequence[CameraGuess]) -> set[str]:
+    """Return cameras of plain pictures that lie in the folders of objects beside another camera's raw frames."""
+    raw = {
+        g.folders[: g.folders.index(TARGET) + 1]
+        for g, camera in zip(groups, cameras, strict=True)
+        if camera.kind != "image" and TARGET in g.folders
+    }
+    return {
+        camera.name
+        for g, camera in zip(groups, cameras, strict=True)
+        if camera.kind == "image" and any(g.folders[: len(above)] == above for above in raw)
+    }
+
+
+def _reference(
+    cameras: Sequence[CameraGuess], sizes: Sequence[int], rendered: Container[str]
+) -> tuple[CameraGuess, str]:
+    """Return the camera to register the others to: it saw most objects, has most bands in the visible.
+
+    Pictures that may be `rendered` from raw frames are none where there is another.
+    """
 
     def worth(i: int) -> tuple[float, ...]:
         camera = cameras[i]
@@ -211,7 +262,7 @@ def _reference(cameras: Sequence[CameraGuess], sizes: Sequence[int]) -> tuple[Ca
         near = bool(visible) and min(abs(w - GREEN_NM) for w in visible) <= NEAR_NM
         plain = camera.kind == "image" and bool(re.fullmatch(PHOTOGRAPHS, camera.name.lower()))
         order = RANKS[camera.kind], len(visible), plain, sizes[i]
-        return objects, near or not camera.centres, *order
+        return camera.name not in rendered, objects, near or not camera.centres, *order
 
     best = max(range(len(cameras)), key=worth)
     why = (
@@ -295,7 +346,7 @@ def _targets(
     if lost:
         unknown.append(f"the reference camera's image of {', '.join(lost[:MOST_LISTED])}")
     objects = [name for name in objects if name in registered]
-    if objects:
+    if objects and not any(camera.choices for camera in cameras):
         keys["objects"] = Guess(objects, "all other targets" if dark or white or charts else "")
     return keys, objects, unknown
 
@@ -379,14 +430,20 @@ def _document(proposal: Proposal) -> Iterator[str]:
         yield ""
         yield from (line for about in camera.about for line in _wrapped(about))
         yield f"[cameras.{to_toml_key(camera.name)}]"
-        yield from _table(camera.keys)
+        chosen = {key for choice in camera.choices for key in choice.keys}
+        for choice in camera.choices:
+            yield from _commented(choice.what, choice.keys)
+        yield from _table({key: guess for key, guess in camera.keys.items() if key not in chosen})
         yield from (f"# {hint}" for hint in camera.hints)
         for sensor in camera.sensors:
             yield f"\n[[cameras.{to_toml_key(camera.name)}.sensors]]"
             yield from _table({"name": Guess(sensor.name), **sensor.keys})
-    if proposal.targets:
+    choices = [choice for camera in proposal.cameras for choice in camera.choices]
+    if proposal.targets or choices:
         yield "\n[targets]"
         yield from _table(proposal.targets)
+        for choice in choices:
+            yield from _commented(choice.what, {"objects": Guess(choice.objects)})
         yield from (f"# {hint}" for hint in proposal.hints)
     for camera in proposal.cameras:
         for name, files in camera.setups.items():
@@ -401,6 +458,11 @@ def _document(proposal: Proposal) -> Iterator[str]:
         yield from _aligned(
             "# joint = true", "if the camera did not move: its captures share one lens"
         )
+
+
+def _commented(what: str, keys: dict[str, Guess]) -> Iterator[str]:
+    yield f"# {what}"
+    yield from (f"#     {line}" for line in _table(keys))
 
 
 def _table(keys: dict[str, Guess]) -> Iterator[str]:

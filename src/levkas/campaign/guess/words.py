@@ -33,6 +33,15 @@ IMAGES = _words("""
 """Kinds of technical photographs: in a name they stand for the camera, not the object."""
 SENSORS = _words("ccd cam camera sensor lens head chip cmos det detector")
 BANDS = _words("band b ch chan channel filter f led")
+NUMBERED_BANDS = _words("band chan channel filter led")
+"""Of these the words before a number that name bands for certain: F1 and b2 may be leaves."""
+COLOURS = _words("""
+    blue green red yellow orange amber cyan violet magenta purple royalblue indigo infrared ultraviolet rededge nir
+    swir uva uvb uvc gre reg pan panchromatic rot grün gruen blau gelb rouge vert bleu jaune rosso verde blu giallo
+""")
+COLOUR_LETTERS = _words("r g b n i w c m y k a o v u l p re ir uv")
+LENSES = _words("gre red reg nir")
+"""The four lenses of a Parrot Sequoia; its short word for green is nobody else's."""
 LIGHTS = re.compile(
     r"(?i)(\d+[-_ ]?(deg|degree|degrees|°)|.*(polari[sz]ed|polar|diffuse|raking|light|lamp|soft|cross|"
     r"proposed|d50|d65|led|halogen|tungsten|flash|left|right|specular).*|45)"
@@ -52,9 +61,9 @@ PREFIXES = _words(
 """Prefixes that cameras write before their running number."""
 SG = ("digitalsg", "sg140", "checkersg")
 """Parts of longer names of the chart with 140 patches."""
-TARGET = "{target}"
-TYPED = ("time", "wavelength", "exposure")
-"""Kinds of tokens with a unit or a date."""
+TARGET, OBJECT = "{target}", "{object}"
+TYPED = ("time", "wavelength", "exposure", "band", "sensor")
+"""Kinds of tokens with a unit or a date, and those that name a band or a sensor."""
 
 _KINDS = {
     "time": re.compile(
@@ -77,7 +86,8 @@ class Token:
     """One part of a name: its text, the separators before it, and its kind.
 
     `kind` is ``"time"``, ``"wavelength"``, ``"exposure"``, ``"number"``, ``"numbered"`` (letters and
-    a number), ``"target"`` or ``"word"``; `before`, `number` and `after` are the parts of one with a number.
+    a number), ``"target"``, ``"object"`` or ``"word"``; ``"band"`` or ``"sensor"`` where `guess.band_names` found
+    `why` it is one. `before`, `number` and `after` are the parts of one with a number.
     """
 
     text: str
@@ -86,6 +96,7 @@ class Token:
     before: str = ""
     number: str = ""
     after: str = ""
+    why: str = ""
 
     @property
     def role(self) -> str:
@@ -95,13 +106,16 @@ class Token:
     @property
     def word(self) -> str:
         """The text beside its numbers; "" for what cameras write before theirs."""
-        text = {"word": self.text, "target": self.text, "numbered": self.before}.get(self.kind, "")
+        words = {"word": self.text, "target": self.text, "object": self.text}
+        words |= {"numbered": self.before, "wavelength": self.before if self.why else ""}
+        text = words.get(self.kind, "")
         return "" if text.lower() in PREFIXES else text
 
     @property
     def names_sensor(self) -> bool:
         """Whether it names one of several sensors, such as ``ccd1``."""
-        return self.kind == "numbered" and self.before.lower() in SENSORS
+        numbered = self.kind == "numbered" and self.before.lower() in SENSORS
+        return numbered or self.kind == "sensor"
 
     @property
     def names_channel(self) -> bool:
