@@ -181,6 +181,47 @@ def test_folders_of_a_tethered_session_are_an_object_each(tmp_path, own):
     assert {name for name, _ in captures} == names
 
 
+def test_a_scan_alone_and_scans_of_several_days_are_found(tmp_path):
+    truths = specim_iq(tmp_path / "card")
+    for number, day in zip(truths, ("2024-05-30", "2024-05-31"), strict=True):
+        (tmp_path / "days" / day).mkdir(parents=True)
+        (tmp_path / "card" / number).rename(tmp_path / "days" / day / number)
+    proposal, captures = found(tmp_path / "days")
+    _, camera = camera_of(proposal)
+    assert camera["files"] == [
+        "*/{target}/capture/{target}.hdr",
+        "*/{object}/capture/{target}_*.hdr",
+    ]
+    assert {name for name, _ in captures} == set(truths)
+    _, alone = camera_of(look(tmp_path / "days/2024-05-30"))
+    assert alone["files"] == ["{target}/capture/{target}.hdr", "{object}/capture/{target}_*.hdr"]
+
+
+def test_darks_and_whites_in_folders_of_an_objects_folder_serve_it(tmp_path):
+    for seed, icon in enumerate(("icon1", "icon2")):
+        for shot in (1, 2):
+            frame(tmp_path / icon / "white" / f"{shot}.tif", 0.95 * np.ones(SHAPE))
+            frame(tmp_path / icon / "dark" / f"{shot}.tif", np.zeros(SHAPE))
+            frame(tmp_path / icon / "raw" / f"{shot}.tif", painting(seed)[..., 0])
+    proposal, captures = found(tmp_path)
+    _, camera = camera_of(proposal)
+    assert camera["files"] == ["{target}/raw/{shot}.tif", "{object}/{target}/*.tif"]
+    assert {len(c.sensors[0].white) for c in captures.values()} == {2}
+
+
+def test_objects_of_several_days_have_the_white_of_their_day(tmp_path):
+    for day, icons in (("2024-05-30", ("icon1", "icon2")), ("2024-05-31", ("saint",))):
+        frame(tmp_path / day / "dark_1.tif", np.zeros(SHAPE))
+        frame(tmp_path / day / "white_1.tif", 0.95 * np.ones(SHAPE))
+        for icon in icons:
+            frame(tmp_path / day / f"{icon}_1.tif", painting(len(icon))[..., 0])
+    proposal, captures = found(tmp_path)
+    assert len(proposal.cameras) == 1 and len(captures) == 3
+    for capture in captures.values():
+        (sensor,) = capture.sensors
+        assert {f.path.parent for f in sensor.white} == {f.path.parent for f in sensor.object}
+
+
 @pytest.mark.parametrize(
     ("own", "template", "files"),
     [

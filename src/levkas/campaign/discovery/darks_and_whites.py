@@ -23,8 +23,10 @@ if TYPE_CHECKING:
 STACK_S = 120.0
 """Frames of a dark or white taken within this time are shots of one, whatever was captured between them. Of half a
 minute or of ten nothing changes but for lamps that are not warm yet."""
+_DATE = re.compile(r"(?<!\d)((?:19|20)\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)(?![\d.])")
 _TIME = re.compile(
-    r"(?<!\d)((?:19|20)\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)[-_.T ]?([0-2]\d)[-_.:h]?([0-5]\d)[-_.:m]?([0-5]\d)(?!\d)"
+    _DATE.pattern.removesuffix(r"(?![\d.])")
+    + r"[-_.T ]?([0-2]\d)[-_.:h]?([0-5]\d)[-_.:m]?([0-5]\d)(?!\d)"
 )
 
 
@@ -72,6 +74,7 @@ class Templates:
         frames = [f for f in index.frames[camera.name, self.setup] if f.sensor == self.sensor]
         known = sorted({f.target for f in frames}, key=natural)
         served = self._served(names, self.setup)
+        lost = [name for name in served if not index.of(name, camera.name, self.setup)]
         patterns = dict.fromkeys(
             p.with_value("object", self.name).text
             for p in patterns_of(index, camera.name, self.setup)
@@ -84,7 +87,7 @@ class Templates:
             f"cameras.{camera.name}.{kind}" if own else f"targets.{kind}",
             f"{kind} of {', '.join(served)}" if served else ", ".join(known) or "no file",
             f"{{target}} = {' or '.join(names)} in {' or '.join(patterns)}",
-            (closest_match(self.name, served) if served else near_names(names, known))
+            (closest_match(self.name, lost) if served else near_names(names, known))
             or "Add the frames.",
         )
 
@@ -172,17 +175,19 @@ class Templates:
 
 
 def _times_in_names(files: Iterable[FoundFile]) -> dict[Path, float]:
-    """Return when files were captured by the date and time in their names, s; those without are left out."""
+    """Return when files were captured by date and time in their names, else by the date of the nearest folder's, s."""
     found: dict[Path, float] = {}
     for path in dict.fromkeys(file.path for file in files):
-        if (parts := _TIME.search(path.stem)) is None:
+        timed = _TIME.search(path.stem)
+        dated = next(filter(None, map(_DATE.search, (path.stem, *path.parts[-2::-1]))), None)
+        if not (timed or dated):
             continue
-        day, clock = "-".join(parts.groups()[:3]), ":".join(parts.groups()[3:])
+        parts = [*timed.groups()] if timed else [*dated.groups(), "00", "00", "00"]  # type: ignore[union-attr]
+        day, clock = "-".join(parts[:3]), ":".join(parts[3:])
         try:
-            moment = datetime.fromisoformat(f"{day}T{clock}+00:00")
+            found[path] = datetime.fromisoformat(f"{day}T{clock}+00:00").timestamp()
         except ValueError:  # digits that are no time
             continue
-        found[path] = moment.timestamp()
     return found
 
 

@@ -427,6 +427,15 @@ def _check_shots(
     group: CameraGroup, files: FilePatterns, kind: str, samples: Samples, notes: CameraNotes
 ) -> None:
     """Doubt files of one target that do not show the same: strips, details, or other objects."""
+    several = [
+        frames for frames in group.by_target(group.of_role("object")).values() if len(frames) > 1
+    ]
+    if files.shots and kind == "cube" and several:
+        names = ", ".join(frame.path.name for frame in several[0][:LISTED])
+        notes.unknown.append(
+            f"whether {names} are strips beside one another, from left to right: parts one after the other, as "
+            "Headwall's raw_0 and raw_2000 are, cannot be joined"
+        )
     if not files.shots or kind == "cube":
         return
     by_target: dict[tuple[str, str], list[NamedFile]] = {}

@@ -244,7 +244,8 @@ def _give_names(groups: list[CameraGroup], root_name: str) -> None:
 def _possible_names(group: CameraGroup, root_name: str) -> list[str]:
     frames = group.objects
     *folders, stem = frames[0].segments
-    names = [s[0].text for s in reversed(folders) if len(s) == 1 and s[0].kind == "word"]
+    single = [s[0] for s in reversed(folders) if len(s) == 1]
+    names = [token.text for token in single if token.kind == "word" and "*" not in token.text]
     own = [
         name
         for name in names
@@ -432,6 +433,8 @@ def _field(tokens: Sequence[Token], frames: Sequence[NamedFile]) -> tuple[str, s
     if kind in ("wavelength", "exposure"):
         units = {(t.before, "" if t.why else t.after) for t in tokens}
         return (COUNT if len(units) > 1 else kind), tokens[0].why
+    if kind == "number" and not varies and _is_of_object(frames[0]):
+        return COUNT, ""  # of the next object's darks it will be another
     if kind == "number" and not varies and _is_constant_count(tokens[0], frames):
         return ("shot" if any(f.role == "object" for f in frames) else ANY), ""
     if kind not in ("number", "numbered", "time") or not varies:
@@ -446,6 +449,11 @@ def _field(tokens: Sequence[Token], frames: Sequence[NamedFile]) -> tuple[str, s
     if kind == "number" and _are_wavelengths(texts, frames):
         return "wavelength", "{wavelength}: numbers in equal steps, the same for every target"
     return COUNT, ""
+
+
+def _is_of_object(frame: NamedFile) -> bool:
+    """Whether a frame is a dark or white of one object, which its path names."""
+    return any(token.kind == "object" for segment in frame.segments for token in segment)
 
 
 def _is_constant_count(token: Token, frames: Sequence[NamedFile]) -> bool:

@@ -12,6 +12,8 @@ LOSSY = frozenset([".jpg", ".jpeg", ".png"])
 """Formats of previews; a PNG is one only beside a file of another format that bears its name."""
 PREVIEWS = re.compile(r"(?i)(preview|thumb|thumbnail|quick[-_ ]?look|prox(y|ie)|web|jpe?g)s?")
 """Folders that hold previews of what lies elsewhere under the same names."""
+OF_A_SCAN = frozenset(["capture", "results", "metadata"])
+"""Folders of a Specim IQ within that of one scan."""
 COPIES = re.compile(
     r"(?i)(?:(?:copy of|kopie von|copie de|copia de)[-_ ]+)?(?P<name>.+?)"
     r"(?:[-_ ]*\(\d+\)|[-_ ]+(?:copy|kopie|copie|copia|old|backup|bak|tmp)(?:[-_ ]*\(?\d+\)?)?)?"
@@ -69,9 +71,15 @@ def _computed(capture: CaptureFile, scans: dict[str, list[CaptureFile]]) -> Capt
     parts = re.split(r"([\W_]+)", capture.path.stem.casefold())
     runs = ("".join(parts[i:j]) for i in range(0, len(parts), 2) for j in range(len(parts), i, -2))
     for scan in (scan for run in runs for scan in scans.get(run, ())):
-        if capture.folders == scan.folders or capture.folders[:1] == scan.folders[:1] != ():
+        here, there = _tree(capture), _tree(scan)
+        if here == there or here[:1] == there[:1] != ():
             return scan
     return None
+
+
+def _tree(capture: CaptureFile) -> tuple[str, ...]:
+    """Return the folders of a capture without those that a scanner makes in each scan's."""
+    return tuple(name for name in capture.folders if name.lower() not in OF_A_SCAN)
 
 
 def _previewed(capture: CaptureFile, measured: dict[str, list[CaptureFile]]) -> CaptureFile | None:

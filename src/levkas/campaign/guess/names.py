@@ -100,14 +100,14 @@ class NamedFile:
 
 
 def _tokens_of_folder(name: str) -> tuple[Token, ...]:
-    """Return a folder as one word, but for a target in it, a wavelength, an exposure, or the number of a sensor."""
+    """Return a folder as one word, but for a target in it, a date, a wavelength, an exposure, or a sensor's number."""
     for mark, kind in ((TARGET, "target"), (OBJECT, "object")):
         if mark in name:
             before, _, after = name.partition(mark)
             parts = (Token(before), Token(mark, "", kind), Token(after))
             return tuple(part for part in parts if part.text)
     tokens = tokens_of(name)
-    typed = tokens[0].kind in ("wavelength", "exposure") or tokens[0].names_channel
+    typed = tokens[0].kind in ("time", "wavelength", "exposure") or tokens[0].names_channel
     return tokens if len(tokens) == 1 and typed else (Token(name),)
 
 
@@ -134,7 +134,7 @@ def name_targets(
     tokens = {c.path: tokens_of(c.path.stem) for c in captures}
     tokens, questions = mark_bands(captures, tokens, samples, asked=asked)
     named: dict[Path, NamedFile] = {}
-    for scan in find_scan_folders(captures, tokens):
+    for scan in find_scan_folders(captures, tokens, samples):
         named |= {n.path: n for n in _of_scan(scan, captures, tokens)}
     apart = [c for c in captures if c.path not in named]
     named |= {n.path: n for n in _with_templates_beside(apart, tokens)}
@@ -155,21 +155,19 @@ def _of_scan(
     scan: ScanFolder, captures: Sequence[CaptureFile], tokens: Tokens
 ) -> Iterator[NamedFile]:
     """Name all files in the folder of one object: its frames, its darks and whites, and what lies beside them."""
-    level, first = scan.level, scan.objects[0]
-    inside = first.folders[: level + 1]
+    deep = len(scan.inside)
     own, templates = ({c.path for c in files} for files in (scan.objects, scan.templates))
     for capture in captures:
-        if capture.folders[: level + 1] != inside:
+        if capture.folders[:deep] != scan.inside:
             continue
         marked = _with_target(tokens[capture.path], scan.object)
-        names = list(capture.folders)
+        folders = [*scan.folders, *capture.folders[deep:]]
         if capture.path in templates:
-            names[level] = scan.folder.replace(TARGET, OBJECT)
-            yield _template_of(capture, marked, names)
+            folders[deep - 1] = folders[deep - 1].replace(TARGET, OBJECT)
+            yield _template_of(capture, marked, folders)
             continue
-        names[level] = scan.folder
         role = "object" if capture.path in own else role_in(capture.path.stem) or "object"
-        yield NamedFile(capture, scan.object, role, tuple(names), marked)
+        yield NamedFile(capture, scan.object, role, tuple(folders), marked)
 
 
 def _with_templates_beside(captures: Sequence[CaptureFile], tokens: Tokens) -> Iterator[NamedFile]:
