@@ -416,3 +416,21 @@ def test_edges_of_a_finished_photograph_are_said_to_be_encoded(tmp_path):
     )
     assert told.exit_code == 0 and "encoded values" in told.stdout
     assert "colour misregistration, largest" in told.stdout and ": 0.00 px" in told.stdout
+
+
+def test_a_build_names_stray_light_on_a_chart_and_a_page_without_one_says_that_it_was_not_measured(
+    campaign, tmp_path
+):
+    veiled = tmp_path / "veiled"
+    shutil.copytree(campaign, veiled, ignore=shutil.ignore_patterns("database*"))
+    for path in (veiled / "raw" / "macbeth").glob("*.tif"):
+        frame = tifffile.imread(path).astype(float)
+        tifffile.imwrite(path, np.rint(frame + 0.02 * 3000).clip(0, 4095).astype(np.uint16))
+    said = [text for step in build(veiled) for text in step.warnings]
+    assert any("the greys are lifted by" in text and "stray light" in text for text in said)
+    page = veiled / "database" / "cameras" / "vis" / "report.html"
+    assert "stray light" in page.read_text(encoding="utf-8")
+    text = (veiled / "campaign.toml").read_text().replace("charts =", "# charts =")
+    (veiled / "campaign.toml").write_text(text)
+    assert not any("stray" in text for step in build(veiled) for text in step.warnings)
+    assert "stray light was not measured" in page.read_text(encoding="utf-8")

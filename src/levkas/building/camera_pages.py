@@ -21,6 +21,7 @@ from levkas.core.disk import WriteRefused
 from levkas.core.files import make_folder, write_json, write_text
 from levkas.core.problems import Problem, Refused
 from levkas.quality.targets.indicators import WhiteEvenness, lightness_spread
+from levkas.quality.targets.stray_light import NOT_MEASURED
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -94,7 +95,10 @@ def write_camera_page(
     write_json(described, describe_camera(campaign, page.first, learnt))
     made += [path, described, *write_sensitivity(path.parent, campaign, page.first)]
     # A chart that cannot be measured is no fault of the objects: said, not refused.
-    warnings = tuple(written(campaign, problem) for problem in problems)
+    warnings = (
+        *(written(campaign, problem) for problem in problems),
+        *(f"{m.name}: {m.stray_light}" for m in measures if m.stray_light),
+    )
     return Written(made, {"warnings": list(warnings)}, warnings=warnings)
 
 
@@ -225,6 +229,8 @@ def _page(
                 label = drawn[len(drawn) // 2]
                 what = f"{name} {label}".strip()
                 figures += draw_light(fields[label], levels_of(fields[label]), what)
+    if lights and not any(m.stray for m in measures):
+        notes.append(NOT_MEASURED)
     return render_camera(
         CameraReport(
             title=camera,

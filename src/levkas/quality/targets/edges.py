@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -164,6 +164,9 @@ class EdgeTargetMeasure:
     name: str
     cubes: dict[str, Cube]
     edges: EdgeFindings
+    stray: ClassVar[None] = None
+    """Needs a chart's greys."""
+    stray_light: ClassVar[str] = ""
 
     @property
     def rows(self) -> tuple[IndicatorRow, ...]:

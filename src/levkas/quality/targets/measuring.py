@@ -41,6 +41,7 @@ from levkas.quality.targets.patches import (
     spread_about_plane,
 )
 from levkas.quality.targets.photographs import Curve, find_curve
+from levkas.quality.targets.stray_light import StrayLight, describe_stray_light, measure_stray_light
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -117,6 +118,8 @@ class ChartMeasure:
     notes : tuple of str
     edges : EdgeFindings
         Spatial frequency response and shifts of the bands.
+    stray : StrayLight or None
+        None where there are no reference spectra, or no reflectance.
     """
 
     name: str
@@ -129,6 +132,12 @@ class ChartMeasure:
     rows: tuple[IndicatorRow, ...] = ()
     notes: tuple[str, ...] = ()
     edges: EdgeFindings = field(default_factory=EdgeFindings)
+    stray: StrayLight | None = None
+
+    @property
+    def stray_light(self) -> str:
+        """A sentence on stray light; empty without any that is certain."""
+        return describe_stray_light(self.stray, self.bands) if self.stray else ""
 
     @property
     def wavelengths(self) -> np.ndarray:
@@ -184,6 +193,7 @@ class ChartMeasure:
             "colours": None if self.colours is None else self.colours.how,
             "indicators": [row.to_dict() for row in self.rows],
             "edges": [table.to_dict() for table in self.edges.tables],
+            "stray_light": [] if self.stray is None else self.stray.to_dict(self.bands),
             "patches": patches,
             "notes": list(self.notes),
         }
@@ -205,23 +215,7 @@ def measure(
     notes: Sequence[str] = (),
 ) -> ChartMeasure:
     """Measure a chart where it was seen."""
-
-    tables = [
-        measure_patches(
-            *(s.cube.values, s.cube.flags, s.located.areas),
-            shots=s.shots,
-            steps=s.steps,
-            count=s.count,
-            pattern=s.pattern,
-        )
-        for s in seen
-    ]
-    mean, noise, saturated, quantised = (
-        np.concatenate([getattr(t, part) for t in tables], 1)
-        for part in ("mean", "noise", "saturated", "quantised")
-    )
-    temporal = all(t.temporal for t in tables)
-    table = PatchTable(mean, noise, saturated, tables[0].pixels, temporal, quantised)
+    table = _join_tables(seen)
     bands = tuple(band for s in seen for band in s.cube.bands)
     preblurs = [p for s in seen for p in _preblurs(s)]
     wavelengths = np.array([band.wavelength for band in bands], float)
@@ -254,6 +248,13 @@ def measure(
     elif not clean:
         remarks.append("colours are not compared where patches saturate")
     edges = join_findings([_edges(one, chart) for one in seen])
+    stray = None
+    if reference is not None and reflective and not photograph and clean:
+        stray = measure_stray_light(
+            np.where(unfit, np.nan, table.mean), wavelengths, chart, reference
+        )
+        rows += _stray_row(stray, bands)
+        remarks += filter(None, [describe_stray_light(stray, bands)])
     return ChartMeasure(
         name,
         chart,
@@ -265,7 +266,37 @@ def measure(
         (*rows, *edges.rows),
         (*remarks, *edges.notes),
         edges,
+        stray,
     )
+
+
+def _join_tables(seen: Sequence[Sighting]) -> PatchTable:
+    """Measure the patches in the cube of every sensor; return them over all bands."""
+    tables = [
+        measure_patches(
+            *(s.cube.values, s.cube.flags, s.located.areas),
+            shots=s.shots,
+            steps=s.steps,
+            count=s.count,
+            pattern=s.pattern,
+        )
+        for s in seen
+    ]
+    mean, noise, saturated, quantised = (
+        np.concatenate([getattr(t, part) for t in tables], 1)
+        for part in ("mean", "noise", "saturated", "quantised")
+    )
+    temporal = all(t.temporal for t in tables)
+    return PatchTable(mean, noise, saturated, tables[0].pixels, temporal, quantised)
+
+
+def _stray_row(stray: StrayLight, bands: Sequence[Band]) -> list[IndicatorRow]:
+    """Return the row of the band with most stray light; none where no band's patches are published."""
+    if not np.isfinite(stray.shares).any():
+        return []
+    most = int(np.nanargmax(np.abs(stray.shares)))
+    name = f"stray light, of the white, most of all bands ({bands[most].label}), ± {100 * stray.errors[most]:.2f}"
+    return [IndicatorRow(name, 100 * float(stray.shares[most]), "%", "0", "–", "–")]
 
 
 def _edges(seen: Sighting, chart: Chart) -> EdgeFindings:

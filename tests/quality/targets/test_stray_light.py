@@ -1,0 +1,51 @@
+"""Tests of stray light on a chart: charts whose patches are not the published ones, light that is added, darks too dark."""
+
+import numpy as np
+import pytest
+
+from levkas.core.cube import Band
+from levkas.quality.targets.charts import chart_of, reference_of
+from levkas.quality.targets.stray_light import describe_stray_light, measure_stray_light
+
+CLASSIC = chart_of("ColorChecker24")
+NM = np.array([450.0, 550.0, 650.0])
+BANDS = [Band(f"{nm:g} nm", nm) for nm in NM]
+
+
+def one_chart(seed, share=0.0, scale=1.0):
+    """Patches as one chart has them, 1 to 3 % from the mean of charts, its black by 0.002, under light of a share."""
+    rng = np.random.default_rng(seed)
+    spectra = reference_of(CLASSIC).at(NM)
+    own = spectra * (1 + 0.015 * rng.standard_normal((24, 1))) + 0.001 * rng.standard_normal(
+        (24, 1)
+    )
+    return scale * (own + share) / (1 + share)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.05, -0.015])
+def test_light_that_lies_on_all_patches_is_measured_and_named(share):
+    found = [
+        measure_stray_light(one_chart(seed, share), NM, CLASSIC, reference_of(CLASSIC))
+        for seed in range(50)
+    ]
+    shares = np.array([one.shares for one in found])
+    assert np.abs(shares.mean() - share / (1 + share)) < 0.0008
+    assert (
+        np.mean(np.abs(shares - share / (1 + share)) < 2 * np.array([one.errors for one in found]))
+        > 0.9
+    )
+    words = [describe_stray_light(one, BANDS) for one in found]
+    assert np.mean([("lifted" if share > 0 else "lowered") in text for text in words]) > 0.95
+
+
+def test_other_charts_and_whites_of_another_reflectance_are_no_stray_light():
+    for seed in range(50):
+        stray = measure_stray_light(one_chart(seed, scale=0.9), NM, CLASSIC, reference_of(CLASSIC))
+        assert describe_stray_light(stray, BANDS) == ""
+
+
+def test_a_broad_channel_is_compared_with_the_mean_of_the_greys_and_infrared_with_nothing():
+    means = np.stack([one_chart(1, 0.03).mean(1), one_chart(1)[:, 2]], 1)
+    stray = measure_stray_light(means, np.array([np.nan, 900.0]), CLASSIC, reference_of(CLASSIC))
+    assert stray.shares[0] == pytest.approx(0.03, abs=0.004)
+    assert np.isnan(stray.shares[1]) and stray.worst == 0
