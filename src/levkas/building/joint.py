@@ -15,7 +15,7 @@ from levkas.geometry.transforms import Affine, Composed, Transform, solve_2x2
 from levkas.registration.joint import JointResult, SensorObservations, adjust_jointly
 from levkas.registration.manual_points import measure_checks, nearest_rows
 from levkas.registration.record import Matches, Sigma, describe_windows
-from levkas.registration.uncertainty import measure_sigma, with_chromatic
+from levkas.registration.uncertainty import measure_sigma, with_chromatic, with_lines
 from levkas.registration.verdict import judge_windows
 from levkas.registration.verdict_rules import ONLY
 from levkas.registration.verification import SETTINGS as VERIFICATION
@@ -96,7 +96,7 @@ def adjusted(
             again = selected and describe_windows(
                 observed.sensor, basis["source"], basis["band"], selected, checks
             )
-            record["trace"]["sensors"][place] = again or basis | {"checks": checks.to_dict()}
+            record["trace"]["sensors"][place] = basis | (again or {"checks": checks.to_dict()})
         sensor = observed.sensor if place else ""
         if sensor in matches:
             matches[sensor] = _measured_anew(matches[sensor], found.base)
@@ -202,6 +202,8 @@ def _write_bands(
             (height, width), observed.labels, found.chromatic, found.selected, reference, found.shared,
             checks,
         )  # fmt: skip
+        lines = _numbers(record, observed).get("borne_out", {}).get("line_displacement") or {}
+        sigma = with_lines(sigma, lines.get("sigma_px", 0.0))
     else:
         for number, label in enumerate(observed.labels):
             known = Sigma.from_dict(record["bands"][label]["sigma"])
@@ -239,8 +241,7 @@ def _write_evidence(
     excess: dict[str, Any],
 ) -> None:
     """Measure what the verdict rests on through the new map."""
-    name = observed.sensor or ONLY
-    numbers = record["verdict"]["numbers"][name]
+    numbers = _numbers(record, observed)
     numbers["joint_excess"] = excess
     if found.selected is not None and found.selected.spec is not None:
         numbers["held_out_px"] = told["held_out_px"]
@@ -254,6 +255,12 @@ def _write_evidence(
         borne_out |= measure_windows(checks) | measure_map(map_, points, in_view)
         borne_out |= measure_cells(box, shown, checks, np.empty((0, 2)))
         numbers["checked"] = borne_out["checked"]
+
+
+def _numbers(record: dict[str, Any], observed: SensorObservations) -> dict[str, Any]:
+    """Return the evidence on a sensor."""
+    numbers: dict[str, Any] = record["verdict"]["numbers"][observed.sensor or ONLY]
+    return numbers
 
 
 def _place(record: dict[str, Any], observed: SensorObservations) -> int:

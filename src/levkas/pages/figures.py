@@ -38,15 +38,40 @@ def draw_basis(
 ) -> list[Figure]:
     """Return a figure a sensor of what a dense map rests on, of `levkas.registration.record.describe_windows`; none of other traces.
 
-    The caption quotes errors only where the map is `sound`, not refused.
+    One more shows lines that are displaced against one another. The caption quotes errors only where the map is
+    `sound`, not refused.
     """
-    if trace.get("kind") != "windows":
-        return []
-    return [
-        Figure(_basis(sensor, size), _basis_caption(sensor, sound))
-        for sensor in trace["sensors"]
-        if "windows" in sensor
-    ]
+    figures = []
+    for sensor in trace["sensors"] if trace.get("kind") == "windows" else ():
+        if "windows" in sensor:
+            figures.append(Figure(_basis(sensor, size), _basis_caption(sensor, sound)))
+        if sensor.get("lines"):
+            figures.append(Figure(_draw_lines(sensor["lines"]), _lines_caption(sensor)))
+    return figures
+
+
+def _lines_caption(sensor: Mapping[str, Any]) -> str:
+    whose = f" of sensor {sensor['sensor']}" if sensor["sensor"] else ""
+    name = "line" if sensor["lines"]["lines"] == "rows" else "column"
+    return (
+        f"Displacement of single {name}s{whose} against the map, in reference pixels, as measured. Red: along the {name}. "
+        f"Blue: across. One {name} as a whole lies elsewhere than its neighbours: no map follows that."
+    )
+
+
+@in_style
+def _draw_lines(lines: Mapping[str, Any]) -> str:
+    """Draw the displacement of lines along the scan."""
+    figure = new_figure(2 * PANEL_PX, PANEL_PX * 2 / 3)
+    axes = figure.subplots()
+    place = lines["first"] + np.arange(len(lines["along"]))
+    for name, ink in (("along", "ref"), ("across", "tgt")):
+        axes.plot(place, np.array(lines[name], float), color=themed(ink), linewidth=0.8)
+    known = np.abs(np.array([lines["along"], lines["across"]], float))
+    most = 1.1 * float(np.nanpercentile(known, 99.5))
+    axes.set(xlabel="line" if lines["lines"] == "rows" else "column", ylabel="displacement, px")
+    axes.set_ylim(-most, most)
+    return to_svg(figure, "displacement of lines")
 
 
 def _basis_caption(sensor: Mapping[str, Any], sound: bool) -> str:

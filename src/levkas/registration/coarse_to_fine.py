@@ -9,7 +9,7 @@ follow windows that are off, and take the next ones along.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -26,6 +26,7 @@ from levkas.registration.initial import (
     is_plausible,
     seed_with_points,
 )
+from levkas.registration.line_displacement import LineDisplacement, measure_line_displacement
 from levkas.registration.local_shifts import WindowShifts, highpass
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.measured_bands import chromatic_of_all, is_smooth_in_wavelength
@@ -34,7 +35,7 @@ from levkas.registration.models import Observations
 from levkas.registration.orientation_correlation import match_blocks
 from levkas.registration.predictors import ReferenceStack, cell_px, measure_shifts, resample_band
 from levkas.registration.record import RegistrationRefused, Sigma
-from levkas.registration.uncertainty import measure_sigma
+from levkas.registration.uncertainty import measure_sigma, with_lines
 from levkas.registration.verdict_rules import BY_HAND, POINTS
 from levkas.registration.verification import (
     PermutationTest,
@@ -91,6 +92,8 @@ class RefinementSettings:
         Share of cells that windows confirm; below, blocks are compared by their outlines too.
     grey_correlation : float
         Correlation of the detail of two channels that are one grey picture.
+    line_bands, nearly : int, float
+        Bands of which the mean is looked at for displaced lines, and their explained share over that of the best band.
     """
 
     coarse_bands: int = 4
@@ -107,6 +110,8 @@ class RefinementSettings:
     least_colour_bands: int = 3
     sure_coverage: float = 0.5
     grey_correlation: float = 0.98
+    line_bands: int = 8
+    nearly: float = 0.9
 
 
 Light = Literal["same", "other", "unknown"]
@@ -175,6 +180,26 @@ class SensorTask:
             return measure_shifts(predictor, self.resample(band, Composed(before, base), step))
 
         return each(seen, bands, own)
+
+    def measure_lines(self, found: RefinedMap) -> LineDisplacement | None:
+        """Measure how lines of a picture lie beside the map: of the best band, else of the mean of all nearly as good.
+
+        A scanner exposes all bands of a line at once, so that their mean shows more; a filter camera does not.
+        """
+        explained = np.array([windows.r2.mean() for windows in found.windows])
+        best = int(explained.argmax())
+        alike = np.flatnonzero(explained >= SETTINGS.nearly * explained[best]).tolist()
+        step, whole = self.plain_step, Composed(found.chromatic.transform(best), found.base)
+        predictors = self.reference.predictor(step).images
+        results = []
+        for among in ([best], evenly_spread(alike, SETTINGS.line_bands)):
+            if len(among) not in (1, SETTINGS.line_bands):
+                continue
+            image = np.mean([self.images[self.bands[i].label] for i in among], 0)
+            results.append(measure_line_displacement(predictors, image, whole, step=step))
+            if results[-1] and results[-1].course:
+                break
+        return max(filter(None, results), key=lambda one: one.deviations, default=None)
 
     def light_of(self, band: BandImage, transform: Transform, step: int) -> Light:
         """Tell whether a band sees light that the reference sees too, so that it shows the same detail.
@@ -260,6 +285,8 @@ class RegisteredSensor:
     initial : InitialTransform or None
     refined : RefinedMap or None
         None, as `initial`, for the reference's own sensor, whose base map is the identity.
+    lines : LineDisplacement or None
+        How single lines lie beside the map; None where too few show enough.
     """
 
     name: str
@@ -269,6 +296,7 @@ class RegisteredSensor:
     sigma: dict[str, Sigma] = field(default_factory=dict)
     initial: InitialTransform | None = None
     refined: RefinedMap | None = None
+    lines: LineDisplacement | None = None
 
 
 def register_sensor(
@@ -318,17 +346,21 @@ def register_sensor(
     labels = [band.label for band in bands]
     shown = [band for band in bands if band.label in images]
     mask = np.ones(reference.shape, bool) if ours.within is None else ours.within
-    found = refine_map(SensorTask(shown, images, reference, mask, initial, by_hand))
+    task = SensorTask(shown, images, reference, mask, initial, by_hand)
+    found = refine_map(task)
     if not is_smooth_in_wavelength(found.chromatic, shown, bands):
         images = {**images, **sqrt_images([band for band in bands if band.label not in images])}
         shown = bands
-        found = refine_map(SensorTask(shown, images, reference, mask, initial, by_hand))
+        task = replace(task, bands=shown, images=images)
+        found = refine_map(task)
     chromatic = chromatic_of_all(found.chromatic, shown, bands)
     unsure, coarse = found.verification["coverage"] < SETTINGS.sure_coverage, None
     if unsure or np.isinf(found.selected.held_out_error):
         blocks = match_blocks(ours.greys[:], theirs.greys[:], found.base, ours.within)
         found.verification["outlines"] = blocks.to_dict()
         coarse = blocks.tolerance
+    lines = task.measure_lines(found)
+    found.verification["line_displacement"] = None if lines is None else lines.to_dict()
     transforms: dict[str, Transform] = {
         label: Composed(chromatic.transform(i), found.base) for i, label in enumerate(labels)
     }
@@ -336,8 +368,11 @@ def register_sensor(
         reference.shape, labels, chromatic, found.selected, reference_sigma,
         checks=found.checks, coarse=coarse,
     )  # fmt: skip
+    sigma = with_lines(sigma, lines.sigma if lines else 0.0)
     windows = dict(zip([band.label for band in shown], found.windows, strict=True))
-    return RegisteredSensor(bands[0].sensor, transforms, chromatic, windows, sigma, initial, found)
+    return RegisteredSensor(
+        bands[0].sensor, transforms, chromatic, windows, sigma, initial, found, lines
+    )
 
 
 def refine_map(task: SensorTask) -> RefinedMap:

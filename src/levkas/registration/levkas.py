@@ -157,7 +157,9 @@ def _basis(sensor: RegisteredSensor) -> dict[str, Any]:
         return {"sensor": sensor.name}
     labels = list(sensor.windows)
     source = labels[0] if len(labels) == 1 else "fused"
-    return describe_windows(sensor.name, source, found.course["band"], found.selected, found.checks)
+    band, selected = found.course["band"], found.selected
+    windows = describe_windows(sensor.name, source, band, selected, found.checks)
+    return windows | {"lines": sensor.lines and sensor.lines.drawn()}
 
 
 def _band_errors(sensors: Sequence[RegisteredSensor]) -> dict[str, dict[str, float | None]]:

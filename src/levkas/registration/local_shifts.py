@@ -209,8 +209,8 @@ def _warp_span(image, h, w, near, far, out):  # type: ignore[no-untyped-def]
         if not (x >= 1.0 and y >= 1.0 and x < w - 2.0 and y < h - 2.0):
             continue
         x0, y0 = int(x), int(y)
-        u = _spline_weights(np.float32(x - x0))
-        v = _spline_weights(np.float32(y - y0))
+        u = spline_weights(np.float32(x - x0))
+        v = spline_weights(np.float32(y - y0))
         total = np.float32(0.0)
         for r in range(4):
             p = (y0 - 1 + r) * w + x0 - 1
@@ -220,11 +220,20 @@ def _warp_span(image, h, w, near, far, out):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _spline_weights(t):  # type: ignore[no-untyped-def]
+def spline_weights(t):  # type: ignore[no-untyped-def]
+    """Return the weights of the four samples about a place `t` behind the second, 0..1."""
     sixth, half, two = np.float32(1 / 6), np.float32(0.5), np.float32(2 / 3)
     s = np.float32(1.0) - t
     tt, ss = t * t, s * s
     return ss * s * sixth, two - tt + half * tt * t, two - ss + half * ss * s, tt * t * sixth
+
+
+@njit(inline="always")
+def spline_slopes(t):  # type: ignore[no-untyped-def]
+    """Return the derivatives of `spline_weights` by the place."""
+    s = np.float32(1.0) - t
+    half, more = np.float32(0.5), np.float32(1.5)
+    return -half * s * s, (more * t - 2) * t, (2 - more * s) * s, half * t * t
 
 
 def reduce(image: np.ndarray, n: int) -> np.ndarray:
@@ -251,13 +260,23 @@ def highpass(image: np.ndarray) -> np.ndarray:
     Glare, shading and the difference of two cameras' flat fields are smooth; paint is not. Without
     its slow part the residual of a prediction is nearly white, which least squares takes for granted.
     """
-    taps = np.exp(-0.5 * (np.arange(-8, 9) / HIGHPASS_PX) ** 2)
-    taps = (taps / taps.sum()).astype(np.float32)
     image = np.ascontiguousarray(image, np.float32)
     across, share, out = (np.zeros(image.shape, np.float32) for _ in range(3))
-    in_threads(_average_rows, image.shape[0], image, taps, across, share)
-    in_threads(_average_columns, image.shape[0], image, taps, across, share, out)
+    in_threads(_average_rows, image.shape[0], image, _TAPS, across, share)
+    in_threads(_average_columns, image.shape[0], image, _TAPS, across, share, out)
     return out
+
+
+def highpass_rows(image: np.ndarray) -> np.ndarray:
+    """Return `highpass` along rows alone: no row has anything of its neighbours."""
+    image = np.ascontiguousarray(image, np.float32)
+    across, share = (np.zeros(image.shape, np.float32) for _ in range(2))
+    in_threads(_average_rows, image.shape[0], image, _TAPS, across, share)
+    return image - across / np.maximum(share, np.float32(1e-6))
+
+
+_TAPS = np.exp(-0.5 * (np.arange(-8, 9) / HIGHPASS_PX) ** 2)
+_TAPS = (_TAPS / _TAPS.sum()).astype(np.float32)
 
 
 @njit(cache=True)

@@ -18,6 +18,8 @@ from levkas.geometry.transforms import Affine, Composed, Inverse, Polynomial, Tr
 from levkas.registration.alignment import align_sensors, camera_grey
 from levkas.registration.bands import BandImage, area_average, region_mask, stretch
 from levkas.registration.features import KeyPoints, find_key_points
+from levkas.registration.line_displacement import measure_line_displacement
+from levkas.registration.local_shifts import highpass
 from levkas.registration.manual_points import ManualPoints, MarkedMatches
 from levkas.registration.matching import RATIO, match
 from levkas.registration.outliers import Cleaned, RemovalTerms, clean, remove_outliers
@@ -362,7 +364,18 @@ def measure(evidence: Evidence) -> dict[str, Any]:
         **measure_windows(checks),
         "rival": float(search.rival),
         **measure_support(evidence.overlap, checks, matches.reference[matches.kept]),
+        "line_displacement": _measure_lines(evidence),
     }
+
+
+def _measure_lines(evidence: Evidence) -> dict[str, Any] | None:
+    """Return how lines of either grey picture lie beside the map."""
+    (ours, valid), (theirs, shown) = evidence.reference, evidence.target
+    inside = valid & region_mask(evidence.region, valid.shape)
+    known = highpass(np.where(inside, ours, np.float32(np.nan)))[None]
+    target = np.where(shown, theirs, np.float32(np.nan))
+    found = measure_line_displacement(known, target, evidence.transform)
+    return None if found is None else found.to_dict()
 
 
 def measure_held_out(evidence: Evidence) -> dict[str, Any]:

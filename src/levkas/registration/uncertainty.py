@@ -2,7 +2,8 @@
 
 Four variances are added: that of the base map by a delete-a-group jackknife over spatial folds
 ([kott2001]_), the spread between models that predict held-out blocks nearly as well ([buckland1997]_), that
-of the band's chromatic shift, and that of the reference's own bands, from which this one was predicted.
+of the band's chromatic shift, and that of the reference's own bands, from which this one was predicted. Lines that
+are displaced against one another (`line_displacement`) add a fifth.
 """
 
 from __future__ import annotations
@@ -135,6 +136,21 @@ def _beyond(
         return np.zeros(len(points))
     share = np.minimum(far / side, 1.0)
     return np.asarray((share * selected.sigma_beyond(points)) ** 2 + (SETTINGS.stray * far) ** 2)
+
+
+def with_lines(known: Mapping[str, Sigma], lines: float) -> dict[str, Sigma]:
+    """Return sigmas of bands of which single lines are displaced by `lines`, one sigma of each axis, reference px.
+
+    Examples
+    --------
+    >>> flat = Sigma(np.arange(2.0), np.arange(2.0), np.full((2, 2), 0.3))
+    >>> with_lines({"550 nm": flat}, 0.4)["550 nm"].values.tolist()
+    [[0.5, 0.5], [0.5, 0.5]]
+    """
+    return {
+        label: Sigma(one.x, one.y, np.round(np.hypot(one.values, lines), SETTINGS.decimals))
+        for label, one in known.items()
+    }
 
 
 def with_chromatic(

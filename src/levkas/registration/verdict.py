@@ -78,7 +78,8 @@ def _decide(
             reasons = tuple(reason for reason, _ in listed)
             return Verdict(decision, reasons, found[0][1], numbers, unchecked)
     reasons = (*praise, *(reason for reason, _ in open_ones))
-    return Verdict("accept", reasons, open_ones[0][1] if open_ones else "", numbers, unchecked)
+    step = next((step for _, step in open_ones if step), "")
+    return Verdict("accept", reasons, step, numbers, unchecked)
 
 
 def _unchecked(n: Numbers) -> float:

@@ -13,8 +13,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from levkas.registration.line_displacement import describe_displacement
+
 Finding = Literal["refuse", "warn", "unchecked"]
-"""Result of one rule: refused, contradicted somewhere, or not checked somewhere."""
+"""Result of one rule: refused, contradicted somewhere, or not checked somewhere, which is only said."""
 
 
 class Limits(NamedTuple):
@@ -31,7 +33,7 @@ class Limits(NamedTuple):
 
 ANISOTROPY, AREA_RATIO, RIVAL = Limits(1.5, 2.0), Limits(1.8, 3.0), Limits(0.85, 0.95)
 OVERLAP, COVERAGE, PREDICTED = Limits(0.8, 0.1), Limits(0.9, 0.6), Limits(0.5, 0.2)
-STRANGE = Limits(0.22, 0.28)
+STRANGE, LINES = Limits(0.22, 0.28), Limits(0.1, 1.0)
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,9 @@ class VerdictSettings:
         recognised.
     most_found_of_a_copy : float
         Share of windows that are found. Of copies by one pattern 0.6 to 0.91 are.
+    lines : Limits, reference px, or px of the grid where it is coarser
+        Displacement of single lines, the root mean square of both axes, or a quarter of a step. Honest pictures have 0.04 at
+        most that is more than chance.
     """
 
     matches_per_term: int = 4
@@ -110,6 +115,7 @@ class VerdictSettings:
     least_outlines: int = 14
     least_outlines_share: float = 0.75
     most_found_of_a_copy: float = 0.95
+    lines: Limits = LINES
 
 
 SETTINGS = VerdictSettings()
@@ -453,10 +459,11 @@ def is_checked(n: Numbers) -> Objection | None:
 def shows_the_same_painting(n: Numbers) -> Objection | None:
     """Refuse or warn where outlines agree and the detail between them does not.
 
-    Where the light of a picture is unknown, as with an X-ray, such detail contradicts nothing.
+    Where the light of a picture is unknown, as with an X-ray, such detail contradicts nothing; and displaced lines lack
+    detail of the same painting.
     """
-    strange = n.get("strange")
-    if strange is None or strange < SETTINGS.strange.warn:
+    strange, lines = n.get("strange") or 0.0, lines_lie_still(n)
+    if strange < SETTINGS.strange.warn or (lines and lines.decision != "unchecked"):
         return None
     found = n["found"] / max(n["windows"], 1)
     seen = f"{percent(strange)} of the fine detail (strokes, cracks) in the matched windows is absent from the reference"
@@ -476,6 +483,18 @@ def shows_the_same_painting(n: Numbers) -> Objection | None:
         else f"{seen}. One picture may show a copy with the same outlines, or the light may differ strongly.",
         LOOK,
     )
+
+
+def lines_lie_still(n: Numbers) -> Objection | None:
+    """Refuse or warn where whole lines of a picture are displaced against one another; name less than the limit."""
+    lines = n.get("line_displacement")
+    if not lines or not lines["course"]:
+        return None
+    # Beside a step, which smooth maps follow in the mean, half of its height is left.
+    near = lines["size_px"] / 4 if lines["course"] == "step" else 0.0
+    decision = SETTINGS.lines.exceeded_by(max(lines["rms_px"], near) / lines["step"])
+    reason, repair = describe_displacement(lines)
+    return Objection(decision or "unchecked", reason, repair if decision else "")
 
 
 def stays_within_its_sigma(n: Numbers) -> Objection | None:
@@ -517,6 +536,7 @@ BOTH = MATCHES | WINDOWS
 
 #: Rules in the order of their reasons, and whether the maps that they judge rest on matches or windows.
 RULES: dict[Rule, frozenset[str]] = {
+    lines_lie_still: BOTH,
     enough_matches: MATCHES,
     more_than_chance: MATCHES,
     begins_with_key_points: WINDOWS,

@@ -1,0 +1,310 @@
+"""Course of displaced lines along the scan: what the parts of lines have in common, and which period, comb or step it is.
+
+Shifts of the parts of a line are sums of what the line does as a whole and of errors that are independent from part to part. So
+the covariance of parts along the scan is the variance of the common displacement, free of noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+
+Pairs = tuple[np.ndarray, np.ndarray]
+"""Numbers of the first and of the second part of each pair."""
+
+
+@dataclass(frozen=True)
+class CourseSettings:
+    """Constants of the course.
+
+    Parameters
+    ----------
+    least_lines : int
+        That are registered in two parts at least.
+    degree : int
+        Of the polynomial along the scan that is taken out of each part: a map is off smoothly, too.
+    stray : float
+        In typical shifts, the median of all: so far out a shift has half its weight.
+    least_deviations, least_step : float
+        Covariance of the parts, and height of a step, in standard deviations by chance, from which lines are displaced.
+        Of 250 honest pairs, real and simulated, few covariances had more than 2 (`benchmarks/line_displacement.py`).
+    outer, few : float
+        Share of the covariance that the two outer parts have at least, and that is left without the share of lines, `few`,
+        that have most of it.
+    ledge_lines : int
+        That are averaged to find these lines. Of single ones, noise would choose: without a tenth of them 0.2 to 0.4 of a
+        weak wobble is left, without a tenth of means of seven 0.5 to 0.75, and 0.2 of a ledge; of 5 or 13 the same.
+    least_share : float
+        Of the covariance that one period explains, for it to be named.
+    comb_lines : float
+        Period up to which odd and even lines are apart.
+    block, most_of_blocks, block_share : int, lines; float, reference px; float
+        Side of the blocks of JPEG; the displacement that they feign at most: 0.1 at quality 50, 0.27 at 15; how much more
+        of the covariance they explain than one period.
+    beside, steps : int
+        Lines on either side of a step that are averaged; places up to which steps are named.
+    least_height, step_factor, tall, alike : float
+        A step is so much larger than the root mean square of all displacements, and than the median of all such
+        differences; what reaches `tall` of it counts as one more; every part has `alike` of it at least.
+    """
+
+    least_lines: int = 32
+    degree: int = 3
+    stray: float = 8.0
+    least_deviations: float = 4.0
+    least_step: float = 6.0
+    outer: float = 0.4
+    few: float = 0.1
+    ledge_lines: int = 7
+    least_share: float = 0.5
+    comb_lines: float = 2.2
+    block: int = 8
+    most_of_blocks: float = 0.3
+    block_share: float = 0.15
+    beside: int = 8
+    steps: int = 2
+    least_height: float = 2.0
+    step_factor: float = 5.0
+    tall: float = 0.7
+    alike: float = 0.6
+
+
+SETTINGS = CourseSettings()
+
+
+@dataclass(frozen=True)
+class Course:
+    """Course of a displacement along the scan.
+
+    Parameters
+    ----------
+    kind : {"period", "comb", "step", "irregular"}
+        Of a comb odd and even lines are apart.
+    size : float, reference px
+        Amplitude of the period; distance of odd from even lines; height of the step; else the root mean square.
+    period : float, lines
+        Of a period or a comb, else NaN.
+    place : int
+        First line behind the step, else -1.
+    """
+
+    kind: Literal["period", "comb", "step", "irregular"]
+    size: float
+    period: float = np.nan
+    place: int = -1
+
+
+def find_course(shifts: LineShifts, sizes: np.ndarray) -> tuple[Course | None, float]:
+    """Return the course of what parts of lines have in common, None where that is chance, and its deviations by chance.
+
+    `sizes`, (2,), are reference px per px along and across the lines.
+    """
+    variance = shifts.covariance()
+    deviations = variance / np.maximum(shifts.by_chance(), 1e-30)
+    most = float(deviations.max())
+    step = _find_step(shifts, sizes)
+    least = SETTINGS.least_height * float(np.sqrt((variance * sizes**2).clip(0).sum()))
+    if step and step[1] >= SETTINGS.least_step and step[0].size > least:
+        return step[0], max(most, step[1])
+    if most < SETTINGS.least_deviations or not _is_whole(shifts, int(deviations.argmax())):
+        return None, most
+    return _find_period(shifts, sizes), most
+
+
+@dataclass(frozen=True)
+class LineShifts:
+    """Shifts of the parts of lines about their course along the scan, (lines, parts, 2) px.
+
+    `information` is that of each, 1/px², 0 where unknown; `weight` the same, less of shifts that stray.
+    """
+
+    shift: np.ndarray
+    information: np.ndarray
+    weight: np.ndarray
+
+    @classmethod
+    def of(cls, shift: np.ndarray, information: np.ndarray) -> LineShifts | None:
+        """Return shifts, (lines, parts, 2) px, beside a smooth course of each part; None where too few lines have two parts."""
+        seen = (information > 0).all(2).sum(1) >= 2
+        if seen.sum() < SETTINGS.least_lines:
+            return None
+        return _without_course(shift, np.where(seen[:, None, None], information, 0.0))
+
+    @property
+    def pairs(self) -> Pairs:
+        """All pairs of parts."""
+        first, second = np.array(list(combinations(range(self.shift.shape[1]), 2))).T
+        return first, second
+
+    @property
+    def outer(self) -> Pairs:
+        """The pair of the outermost parts."""
+        return np.array([0]), np.array([self.shift.shape[1] - 1])
+
+    @property
+    def common(self) -> np.ndarray:
+        """Mean over the parts, (lines, 2); NaN where nothing is known."""
+        total = self.weight.sum(1)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(
+                (self.weight * self.shift).sum(1) / np.where(total > 0, total, np.nan)
+            )
+
+    def products(self, pairs: Pairs | None = None) -> np.ndarray:
+        """Return the weighted products of pairs of parts, (lines, pairs, 2)."""
+        a, b = (self.shift[:, k] for k in pairs or self.pairs)
+        return np.asarray(self._both(pairs) * a * b)
+
+    def covariance(self, pairs: Pairs | None = None) -> np.ndarray:
+        """Return the variance of what parts have in common along the scan, (2,), px²; of all pairs of parts or some."""
+        weight = self._both(pairs).sum((0, 1))
+        return np.asarray(self.products(pairs).sum((0, 1)) / np.maximum(weight, 1e-30))
+
+    def by_chance(self, pairs: Pairs | None = None) -> np.ndarray:
+        """Return the standard deviation of that covariance where parts have nothing in common, (2,), px²."""
+        a, b = (self.shift[:, k] for k in pairs or self.pairs)
+        root, lines = np.sqrt(self._both(pairs)), len(self.shift)
+        apart = np.where(root > 0, a - b, 0.0) / np.sqrt(2)
+        products, weights = (_autocorrelation(x).sum(1) for x in (root * apart, root))
+        far = slice(lines // 8, lines // 2)
+        found = products[far] / np.maximum(weights[far], 1e-30)
+        return np.asarray(np.sqrt(np.mean(np.square(found), 0)))
+
+    def without(self, course: np.ndarray) -> LineShifts:
+        """Return what is left of the shifts beside a common course, (lines, 2)."""
+        return replace(self, shift=self.shift - course[:, None])
+
+    def _both(self, pairs: Pairs | None = None) -> np.ndarray:
+        """Return the weight of every pair of parts, (lines, pairs, 2)."""
+        a, b = (self.weight[:, k] for k in pairs or self.pairs)
+        return np.sqrt(a * b)
+
+
+def _autocorrelation(values: np.ndarray) -> np.ndarray:
+    """Return the sums of products with all shifts along the scan, circular, of the same shape."""
+    power = np.abs(np.fft.rfft(values, axis=0)) ** 2
+    return np.asarray(np.fft.irfft(power, len(values), axis=0))
+
+
+def _without_course(shift: np.ndarray, information: np.ndarray) -> LineShifts:
+    """Take a smooth course along the scan out of every part, robustly: maps err smoothly, relief and noise do not."""
+    lines, parts, _ = shift.shape
+    basis = np.polynomial.legendre.legvander(np.linspace(-1, 1, lines), SETTINGS.degree)
+    left, weight = np.zeros_like(shift), np.zeros_like(information)
+    for part in range(parts):
+        for axis in range(2):
+            y, known = shift[:, part, axis], information[:, part, axis]
+            seen = known > 0
+            if seen.sum() < SETTINGS.least_lines:
+                continue
+            w = known
+            for _ in range(3):
+                weighted = basis * w[:, None]
+                gram = weighted.T @ basis + 1e-9 * w.max() * np.eye(basis.shape[1])
+                rest = y - basis @ np.linalg.solve(gram, weighted.T @ y)
+                typical = 1.4826 * float(np.median(np.abs(rest[seen]))) + 1e-6
+                w = known / (1 + (rest / (SETTINGS.stray * typical)) ** 2)
+            left[:, part, axis], weight[:, part, axis] = np.where(seen, rest, 0.0), w
+    return LineShifts(left, information, weight)
+
+
+def _is_whole(shifts: LineShifts, axis: int) -> bool:
+    """Tell whether the outer parts are displaced too, along `axis`, and lines everywhere, as far as their noise allows to tell.
+
+    A ledge displaces the parts within it; one that runs along the lines, a few of these.
+    """
+    least = shifts.covariance()[axis]
+    outer = shifts.covariance(shifts.outer)[axis] + shifts.by_chance(shifts.outer)[axis]
+    products = shifts.products()[..., axis].sum(1)
+    near = np.abs(np.convolve(products, np.ones(SETTINGS.ledge_lines), "same"))
+    most = near > np.quantile(near, 1 - SETTINGS.few)
+    rest = replace(shifts, weight=np.where(most[:, None, None], 0.0, shifts.weight))
+    return bool(outer > SETTINGS.outer * least and rest.covariance()[axis] > SETTINGS.outer * least)
+
+
+def _find_step(shifts: LineShifts, sizes: np.ndarray) -> tuple[Course, float] | None:
+    """Return the largest step along the scan and how many standard deviations it has; None where parts disagree on it.
+
+    The median of some lines before a line is taken from that of as many behind it, part by part.
+    """
+    beside = SETTINGS.beside
+    windows = np.lib.stride_tricks.sliding_window_view
+    known = shifts.information
+    medians = np.median(windows(np.where(known > 0, shifts.shift, np.nan), beside, 0), -1)
+    sure = windows(known, beside, 0).sum(-1)
+    heights = (medians[beside:] - medians[:-beside]) * sizes
+    sure = np.minimum(sure[beside:], sure[:-beside]).min((1, 2))
+    seen = np.isfinite(heights).all((1, 2))
+    if seen.sum() < SETTINGS.least_lines:
+        return None
+    heights, sure = heights[seen], sure[seen]
+    a, b = (heights[:, k] for k in shifts.pairs)
+    noise = 1.4826 * np.median(np.abs(a - b), (0, 1)) / np.sqrt(2 * heights.shape[1])
+    common = heights.mean(1) * np.sqrt(np.minimum(sure / np.median(sure), 1.0))[:, None]
+    length = np.hypot(*common.T)
+    best = int(length.argmax())
+    height = float(np.hypot(*heights[best].mean(0)))
+    way = common[best] / max(float(length[best]), 1e-30)
+    tall = np.diff((length > SETTINGS.tall * length[best]).astype(int), prepend=0) == 1
+    alone = tall.sum() <= SETTINGS.steps and length[best] > SETTINGS.step_factor * np.median(length)
+    stray = 1.4826 * np.median(np.abs(heights - heights.mean(1, keepdims=True)), 0)
+    if not alone or (heights[best] @ way + stray @ np.abs(way)).min() < SETTINGS.alike * height:
+        return None
+    deviations = float(length[best]) / max(float(np.hypot(*(way * noise))), 1e-30)
+    near = beside + int(np.flatnonzero(seen)[best]) + np.arange(-beside, beside + 1)
+    line, course = np.arange(len(shifts.shift)), shifts.common * sizes
+    # Medians are flat beside the step: its place is where it explains most.
+    fits = [_fit_beside_cubic((line >= place)[:, None].astype(float), course) for place in near]
+    chosen = int(np.argmin([rest for _, rest in fits]))
+    return Course("step", float(np.hypot(*fits[chosen][0][0])), place=int(near[chosen])), deviations
+
+
+def _fit_beside_cubic(basis: np.ndarray, common: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the amounts, (k, 2), of basis functions, (lines, k), in a common course, beside a cubic, and the squares left."""
+    cubic = np.polynomial.legendre.legvander(np.linspace(-1, 1, len(basis)), SETTINGS.degree)
+    known = np.isfinite(common).all(1)
+    both = np.hstack([basis, cubic])[known]
+    amounts = np.linalg.lstsq(both, common[known], rcond=None)[0]
+    rest = float(np.square(common[known] - both @ amounts).sum())
+    return amounts[: basis.shape[1]], rest
+
+
+def _find_period(shifts: LineShifts, sizes: np.ndarray) -> Course | None:
+    """Return the period that explains most of what parts have in common, or an irregular course; None of a coder's blocks."""
+    lines = len(shifts.shift)
+    padded = 8 * lines
+    seen = shifts.weight.min(2) > 0
+    waves = np.fft.rfft(np.where(seen[..., None], shifts.shift, 0.0) * sizes, padded, axis=0)
+    a, b = (waves[:, k] for k in shifts.pairs)
+    power = (a * np.conj(b)).real.sum((1, 2))
+    power[: padded // lines] = 0  # less than one period
+    frequency = max(float(power.argmax()), 1.0) / padded
+    phase = 2 * np.pi * frequency * np.arange(lines)[:, None]
+    share, wave = _share_of(np.hstack([np.cos(phase), np.sin(phase)]), shifts, sizes)
+    # Blocks of JPEG move what lies at their borders by a tenth of a pixel, every eighth line alike.
+    eighths = np.arange(lines)[:, None] % SETTINGS.block == np.arange(SETTINGS.block - 1)
+    blocks, _ = _share_of(eighths.astype(float), shifts, sizes)
+    rms = float(np.sqrt((shifts.covariance() * sizes**2).clip(0).sum()))
+    feigned = blocks > max(SETTINGS.least_share, share + SETTINGS.block_share)
+    if feigned and rms < SETTINGS.most_of_blocks:
+        return None
+    amplitude = float(np.linalg.svd(wave * sizes, compute_uv=False)[0])
+    if share < SETTINGS.least_share:
+        return Course("irregular", rms)
+    if 1 / frequency < SETTINGS.comb_lines:
+        return Course("comb", 2 * amplitude, period=1 / frequency)
+    return Course("period", amplitude, period=1 / frequency)
+
+
+def _share_of(basis: np.ndarray, shifts: LineShifts, sizes: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the share of the covariance that basis functions, (lines, k), explain, and their amounts, (k, 2)."""
+    amounts, _ = _fit_beside_cubic(basis, shifts.common)
+    course = basis @ amounts
+    total, rest = (
+        float((one.covariance() * sizes**2).clip(0).sum())
+        for one in (shifts, shifts.without(course - course.mean(0)))
+    )
+    return 1 - rest / max(total, 1e-30), amounts

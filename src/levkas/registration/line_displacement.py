@@ -1,0 +1,349 @@
+"""Displacement of single lines: what is finer than a check window and moves whole lines of one picture.
+
+A push-broom scanner exposes a line at once: where its stage wobbles, stands still for some lines or loses them, each line
+as a whole lies elsewhere than its neighbours. The same holds for interlaced halves, a rolling shutter and the
+columns of a scanner on its side. Windows of 40 px average over that. Here each line is registered by itself: its
+displacement (dx, dy) against the picture that the other camera predicts is a least-squares step along the line
+(Lucas-Kanade, [baker2004]_), with a gain of its own, so that lamp and contrast do not move it.
+
+Each line is cut into four parts that are registered separately. What the line as a whole does, all parts do; what
+noise, relief, a ledge or unlike pigments do, they do independently. The covariance of the parts along the scan is therefore
+the variance of the common displacement, free of noise, and the same covariance of the *differences* of parts, shifted against one another along
+the scan, is what chance makes of it: a permutation null as in `verification`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from levkas.core.threads import in_threads
+from levkas.geometry.transforms import Affine, Composed, Inverse, Polynomial
+from levkas.registration.line_course import Course, LineShifts, find_course
+from levkas.registration.line_displacement_kernel import register_rows
+from levkas.registration.local_shifts import highpass, highpass_rows, reduce, smoothing_warp
+from levkas.registration.verification import predict
+
+if TYPE_CHECKING:
+    from levkas.geometry.transforms import Transform
+
+Picture = Literal["target", "reference", "either"]
+Lines = Literal["rows", "columns"]
+
+
+@dataclass(frozen=True)
+class LineSettings:
+    """Constants of the measurement.
+
+    Parameters
+    ----------
+    ends : tuple of float
+        Where the parts of a line begin and end, as shares of what it shows. The outer ones are as narrow as the border
+        of an icon: a ledge within it displaces the others alone.
+    least_samples, most_samples : int, px
+        Of a part: fewer determine nothing, and of more the middle is used, which gives 0.03 to 0.1 px.
+    rounds : int
+        Gauss-Newton steps, each of 1 px at most; two or three suffice for 1 px, four for 3 px.
+    prior, most : float, px
+        Standard deviation of displacements before anything is seen, which holds lines without detail; beyond `most`
+        a line is lost.
+    rival : float
+        Where the other picture has this share of the deviations, either may be the one that is displaced.
+    parallel : float, px
+        Lines of two pictures that drift apart by less over the whole width are parallel.
+    scales : (float, float)
+        Native px per reference px of maps that are looked at.
+    nodes : int
+        A side, by which a map is made a cubic.
+    most_drawn : int
+        Lines whose displacement a record lists.
+    """
+
+    ends: tuple[float, ...] = (0, 1 / 8, 1 / 2, 7 / 8, 1)
+    least_samples: int = 16
+    most_samples: int = 200
+    rounds: int = 5
+    prior: float = 2.0
+    most: float = 6.0
+    rival: float = 0.3
+    parallel: float = 8.0
+    scales: tuple[float, float] = (0.05, 20.0)
+    nodes: int = 24
+    most_drawn: int = 1000
+
+
+SETTINGS = LineSettings()
+
+
+@dataclass(frozen=True)
+class LineDisplacement:
+    """Displacement of the lines of one picture against one another.
+
+    Parameters
+    ----------
+    picture : {"target", "reference", "either"}
+        Whose lines they are; of pictures that lie alike, lines of both are parallel, and nothing decides.
+    lines : {"rows", "columns"}
+        What a line is in its native px.
+    count : int
+        Lines that could be registered.
+    deviations : float
+        Covariance of the parts of lines, in standard deviations by chance.
+    along, across : float, reference px
+        Root mean square of the common displacement along the lines and across them.
+    largest : float, reference px
+        Of a single line, once noise is allowed for.
+    noise : float, reference px
+        Standard deviation with which one line is measured.
+    course : Course or None
+        Of the whole displacement, what a flexible map follows of it included; None where lines are not displaced beyond chance.
+    displacement : ndarray, (n, 2), reference px
+        Of every line as measured, along and across; NaN where unknown.
+    step : int, reference px
+        Of the grid on which it was measured.
+    """
+
+    picture: Picture
+    lines: Lines
+    count: int
+    deviations: float
+    along: float
+    across: float
+    largest: float
+    noise: float
+    course: Course | None
+    displacement: np.ndarray
+    step: int = 1
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the common displacement, reference px."""
+        return float(np.hypot(self.along, self.across))
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation, of each axis, that it adds to where a place lies, reference px; 0 where lines are not displaced."""
+        return self.rms / 2**0.5 if self.course else 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers, JSON-ready, without the displacement of every line."""
+        course = self.course
+        return {
+            "picture": self.picture,
+            "lines": self.lines,
+            "count": self.count,
+            "deviations": round(self.deviations, 2),
+            "rms_px": round(self.rms, 4),
+            "along_px": round(self.along, 4),
+            "across_px": round(self.across, 4),
+            "largest_px": round(self.largest, 4),
+            "noise_px": round(self.noise, 4),
+            "sigma_px": round(self.sigma, 4),
+            "course": course and course.kind,
+            "size_px": course and round(course.size, 4),
+            "period_lines": course and (round(course.period, 2) if course.period > 0 else None),
+            "place": course and (course.place if course.place >= 0 else None),
+            "step": self.step,
+        }
+
+    def drawn(self) -> dict[str, Any] | None:
+        """Return the displacement of the middle lines for a figure, JSON-ready; None where lines are not displaced."""
+        if self.course is None:
+            return None
+        start = max(0, (len(self.displacement) - SETTINGS.most_drawn) // 2)
+        shown = np.round(self.displacement[start : start + SETTINGS.most_drawn], 3)
+        along, across = (
+            [None if np.isnan(v) else v for v in column] for column in shown.T.tolist()
+        )
+        return {"lines": self.lines, "first": start, "along": along, "across": across}
+
+
+def measure_line_displacement(
+    predictors: np.ndarray, image: np.ndarray, transform: Transform, *, step: int = 1
+) -> LineDisplacement | None:
+    """Measure by how much single lines of a band, or of the reference, are displaced against one another.
+
+    Parameters
+    ----------
+    predictors : ndarray, (k, h, w), float32
+        Images of the reference on a grid of `step` reference px, high-passed; NaN where invalid.
+    image : ndarray, (H, W), float32
+        The band in native px; NaN where invalid.
+    transform : Transform
+        Reference px → native px.
+    step : int, reference px
+
+    Returns
+    -------
+    found : LineDisplacement or None
+        Of rows and columns of either picture those that are displaced most beyond chance; None where too few lines
+        of any show enough.
+    """
+    found = _measure_pictures(predictors, image, transform, step)
+    if not found:
+        return None
+    best = {
+        name: max(of, key=_deviations)
+        for name in PICTURES
+        if (of := [one for one in found if one.picture == name])
+    }
+    chosen = max(best.values(), key=_deviations)
+    if chosen.course is None:
+        return chosen
+    least = SETTINGS.rival * chosen.deviations
+    rivals = [one for one in best.values() if one.course and one.deviations > least]
+    is_step = chosen.course.kind == "step"
+    unsure = len(rivals) > 1 or (is_step and _are_parallel(transform, predictors.shape[1:], step))
+    if unsure and best.get("target", chosen).course:
+        chosen = best["target"]
+    smooth = _cubic(transform, predictors.shape[1:], step)
+    for whole in _measure_pictures(predictors, image, smooth, step) if smooth else ():
+        if whole.course and (whole.picture, whole.lines) == (chosen.picture, chosen.lines):
+            chosen = replace(chosen, course=whole.course)
+    return replace(chosen, picture="either") if unsure else chosen
+
+
+PICTURES: tuple[Picture, ...] = ("target", "reference")
+LINES: tuple[Lines, ...] = ("rows", "columns")
+
+
+def _deviations(found: LineDisplacement) -> tuple[bool, float]:
+    return found.course is not None, found.deviations
+
+
+def _measure_pictures(
+    predictors: np.ndarray, image: np.ndarray, transform: Transform, step: int
+) -> list[LineDisplacement]:
+    """Measure rows and columns of both pictures."""
+    size = (predictors.shape[1], predictors.shape[2])
+    change = transform.jacobian((np.array([[size[1], size[0]]]) * step - 1) / 2)[0]
+    if (
+        not np.isfinite(change).all()
+        or not SETTINGS.scales[0] < abs(np.linalg.det(change)) ** 0.5 < SETTINGS.scales[1]
+    ):
+        return []
+    native = np.linalg.norm(np.linalg.inv(change), axis=0)
+    block = max(1, round(step / float(native.mean()) / 1.2))
+    reduced = Composed(transform, Affine.scaling(1 / block))
+    there = highpass(smoothing_warp(reduce(image, block), reduced, size, step=step))
+    predicted = predict(predictors, there)
+    to_grid = Composed(Inverse(transform), Affine.scaling(1 / step))
+    back = smoothing_warp(predicted, to_grid, (image.shape[0], image.shape[1]))
+    found = []
+    for picture, lines, scene, scale in zip(
+        PICTURES, (image, predicted), (back, there), (native, np.full(2, float(step))), strict=True
+    ):
+        turned = (lines.T, scene.T)
+        for rows, (one, other) in zip(LINES, ((lines, scene), turned), strict=True):
+            shifts = _register_lines(one, other)
+            if shifts is not None:
+                sizes = scale if rows == "rows" else scale[::-1]
+                found.append(
+                    replace(_describe(shifts, sizes), picture=picture, lines=rows, step=step)
+                )
+    return found
+
+
+def _are_parallel(transform: Transform, shape: Sequence[int], step: int) -> bool:
+    """Tell whether a line of one picture stays within the lines about a step of the other, over the whole width."""
+    corners = np.array([[0, 0], [shape[1], 0], [0, shape[0]], [shape[1], shape[0]]]) * step - 0.5
+    a, b, c, d = transform(corners)
+    drift = [np.abs(side).min() for side in (b - a, d - c, c - a, d - b)]
+    return bool(max(drift) < SETTINGS.parallel)
+
+
+def _cubic(transform: Transform, shape: Sequence[int], step: int) -> Transform | None:
+    """Return the cubic polynomial nearest to a map, which follows no line; None where the map has no value."""
+    x, y = (np.linspace(0, n * step - 1, SETTINGS.nodes) for n in (shape[1], shape[0]))
+    points = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    mapped = transform(points)
+    return Polynomial.fit(points, mapped, order=3) if np.isfinite(mapped).all() else None
+
+
+def describe_displacement(numbers: Mapping[str, Any]) -> tuple[str, str]:
+    """Return what `LineDisplacement.to_dict` says of displaced lines, and what to do, in words.
+
+    Examples
+    --------
+    >>> numbers = {"picture": "target", "lines": "rows", "course": "comb", "size_px": 1.69, "rms_px": 0.85}
+    >>> numbers |= {"along_px": 0.85, "across_px": 0.01, "largest_px": 0.94, "period_lines": 2.0, "place": None}
+    >>> describe_displacement(numbers)[0]
+    'Odd and even lines of this picture lie 1.69 px apart, along the lines: the map follows neither, and check windows show the mean of both.'
+    """
+    whose = {"target": "this picture", "reference": "the reference"}.get(
+        numbers["picture"], "this picture or of the reference"
+    )
+    line, lines = ("line", "lines") if numbers["lines"] == "rows" else ("column", "columns")
+    along, across, size = numbers["along_px"], numbers["across_px"], numbers["size_px"]
+    way = f", along the {lines}" if along > 2 * across else ""
+    way = way or (f", across the {lines}" if across > 2 * along else "")
+    rms = f"{numbers['rms_px']:.2f} px (root mean square)"
+    repair = f"Capture it again, or put its {lines} right before the build; as it is, do not use detail finer than the displacement."
+    if numbers["course"] == "comb":
+        return (
+            f"Odd and even {lines} of {whose} lie {size:.2f} px apart{way}: the map follows neither, and check windows "
+            "show the mean of both.",
+            f"Build from the odd or from the even {lines} alone, or shift one half before the build.",
+        )
+    if numbers["course"] == "step":
+        return (
+            f"At {line} {numbers['place']} {whose} is displaced by {size:.2f} px at once{way}, as where {lines} were "
+            f"lost or repeated: the map is off near it, by {rms} over all.",
+            f"Look for lost or repeated {lines} there. {repair}",
+        )
+    largest = f"{rms}, {numbers['largest_px']:.2f} px at most"
+    if numbers["course"] == "period":
+        text = f"periodically, by ±{size:.2f} px every {numbers['period_lines']:.3g} {lines}{way}"
+    else:
+        text = f"irregularly from {line} to {line}{way}"
+    return (
+        f"The {lines} of {whose} are displaced against one another, {text}: {largest}. The map does not follow that, "
+        "and check windows average over it.",
+        repair,
+    )
+
+
+# --- every part of every line by itself
+
+
+def _register_lines(lines: np.ndarray, scene: np.ndarray) -> LineShifts | None:
+    """Register the parts of every row of `lines` against `scene`, both (h, w); None where too few show enough."""
+    lines, scene = highpass_rows(lines), highpass_rows(scene)
+    known = np.cumsum((np.isfinite(lines) & np.isfinite(scene)).sum(0))
+    if not known[-1]:
+        return None
+    edges = np.searchsorted(known, known[-1] * np.array(SETTINGS.ends), side="right")
+    shift = np.zeros((len(lines), len(SETTINGS.ends) - 1, 2))
+    information = np.zeros_like(shift)
+    limits = (SETTINGS.least_samples, SETTINGS.most_samples, SETTINGS.rounds)
+    sizes = (SETTINGS.prior, SETTINGS.most)
+    pictures, found = (lines, scene), (shift, information)
+    in_threads(
+        register_rows, len(lines), pictures, edges, limits, sizes, found, worth=3 * lines.size
+    )
+    return LineShifts.of(shift, information)
+
+
+def _describe(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:
+    """Describe what lines have in common; `sizes`, (2,), are reference px per px along and across the lines."""
+    course, deviations = find_course(shifts, sizes)
+    variance, common = shifts.covariance(), shifts.common
+    noise = np.sqrt(np.maximum(np.nanmean(common**2, 0) - variance, 0.0))
+    shown = np.maximum(variance, 0.0)
+    likely = common * sizes * shown / np.maximum(shown + noise**2, 1e-30)
+    along, across = np.sqrt(shown) * sizes
+    return LineDisplacement(
+        "target",
+        "rows",
+        int(np.isfinite(common).all(1).sum()),
+        deviations,
+        float(along),
+        float(across),
+        float(np.nanmax(np.hypot(*likely.T))),
+        float(np.hypot(*(noise * sizes))),
+        course,
+        common * sizes,
+    )

@@ -1,0 +1,248 @@
+"""Lines that are displaced against one another, as windows do not see them: scanners made by scipy, line by line."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from levkas.geometry.transforms import Affine
+from levkas.registration import register
+from levkas.registration.line_displacement import measure_line_displacement
+from levkas.registration.local_shifts import highpass
+from levkas.registration.verdict_rules import lines_lie_still
+
+MARGIN = 60  # of the painting about the reference, as in conftest
+SIZE = (300, 230)
+LINE = np.arange(240)
+
+
+def turned(degrees, shift=(4.0, 6.0), scale=1.0):
+    """Return reference px → scan px."""
+    angle = np.deg2rad(degrees)
+    rows = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return Affine(np.column_stack([rows, shift]))
+
+
+STRAIGHT = turned(0.6)
+
+
+@pytest.fixture(scope="module")
+def painting(studio):
+    return studio.paint(41)
+
+
+@pytest.fixture(scope="module")
+def front(studio, painting):
+    return studio.photograph(painting, Affine.identity(), seed=1)
+
+
+def scan(painting, shift=None, transform=STRAIGHT, *, lines=240, noise=0.004, seed=2, gain=1.0):
+    """Return what a scanner sees whose every line is off by its row of `shift`, (lines, 2) px."""
+    x, y = np.meshgrid(np.arange(310.0), np.arange(float(lines)))
+    if shift is not None:
+        x, y = x + shift[:, :1], y + shift[:, 1:]
+    places = transform.inverse(np.stack([x.ravel(), y.ravel()], 1)) + MARGIN
+    seen = ndimage.map_coordinates(painting, places.T[::-1], order=3, mode="nearest")
+    seen = gain * seen.reshape(x.shape)
+    return (seen + np.random.default_rng(seed).normal(0, noise, x.shape)).astype(np.float32)
+
+
+def along(course):
+    return np.stack([course, 0 * course], 1)
+
+
+def across(course):
+    return along(course)[:, ::-1]
+
+
+def sine(size, period):
+    return size * np.sin(2 * np.pi * LINE / period + 1)
+
+
+def measured(front, picture, transform=STRAIGHT):
+    return measure_line_displacement(highpass(front)[None], picture, transform)
+
+
+@pytest.mark.parametrize("way", [along, across])
+@pytest.mark.parametrize(("size", "period"), [(1.5, 60), (0.3, 20), (0.2, 7), (1.0, 3), (0.6, 110)])
+def test_a_wobble_of_the_stage_is_found_with_its_size_and_period(
+    painting, front, way, size, period
+):
+    found = measured(front, scan(painting, way(sine(size, period))))
+    assert (found.course.kind, found.lines) == ("period", "rows")
+    assert found.course.period == pytest.approx(period, rel=0.04)
+    # A tenth: a cubic along the scan takes its part of long periods, and what strays counts less.
+    assert found.course.size == pytest.approx(size, rel=0.12, abs=0.03)
+    assert found.rms == pytest.approx(size / 2**0.5, rel=0.15, abs=0.02)
+    assert (found.along > 3 * found.across) == (way is along)
+
+
+def test_a_weak_wobble_of_a_noisy_scan_is_found(painting, front):
+    for seed in range(4):
+        found = measured(front, scan(painting, across(sine(0.4, 9)), noise=0.06, seed=seed))
+        assert found.course.kind == "period"
+        assert found.course.period == pytest.approx(9, rel=0.02)
+
+
+@pytest.mark.parametrize("apart", [0.2, 1.0, 2.0, 4.0])
+def test_interlaced_halves_are_found_with_their_distance(painting, front, apart):
+    found = measured(front, scan(painting, along(apart * (LINE % 2 - 0.5))))
+    assert (found.picture, found.course.kind, found.course.period) == ("target", "comb", 2.0)
+    assert found.course.size == pytest.approx(apart, rel=0.08)
+
+
+@pytest.mark.parametrize("lost", [1, 2])
+def test_lines_that_are_lost_or_repeated_are_found_where_they_are(painting, front, lost):
+    whole = scan(painting, lines=242)
+    for picture, way in (
+        (np.delete(whole, np.arange(120, 120 + lost), 0), 1),
+        (np.insert(whole, 120, np.repeat(whole[120:121], lost, 0), 0), -1),
+    ):
+        # The map lies in the middle: half of the lines are off one way, half the other.
+        place = turned(0.6, (4.0, 6.0 - way * lost / 2))
+        found = measured(front, picture[:238], place)
+        assert found.course.kind == "step"
+        assert found.course.size == pytest.approx(lost, rel=0.2)
+        assert abs(found.course.place - 120) <= 3
+        step = np.nanmedian(found.displacement[130:160, 1] - found.displacement[80:110, 1])
+        assert np.sign(step) == way
+
+
+def test_random_lines_and_a_saw_tooth_are_found(painting, front):
+    jitter = np.random.default_rng(5).normal(0, 0.3, (240, 2))
+    found = measured(front, scan(painting, jitter))
+    assert found.course.kind == "irregular"
+    assert found.rms == pytest.approx(0.3 * 2**0.5, rel=0.12)
+    found = measured(front, scan(painting, across(1.2 * ((LINE / 30) % 1 - 0.5))))
+    assert found.course.kind == "period"
+    assert found.course.period == pytest.approx(30, rel=0.03)
+
+
+def test_columns_of_a_scanner_on_its_side_are_lines_too(painting, front):
+    picture = scan(painting, across(sine(0.5, 25)))
+    swap = Affine(STRAIGHT.matrix[::-1])
+    found = measured(front, np.ascontiguousarray(picture.T), swap)
+    assert (found.lines, found.course.kind) == ("columns", "period")
+    assert found.course.period == pytest.approx(25, rel=0.03)
+
+
+def test_lines_of_the_reference_are_told_from_those_of_a_turned_picture(studio, painting):
+    place = turned(25, (60.0, -30.0))
+    wobbling = scan(painting, along(sine(0.6, 16)), Affine.identity())
+    still = studio.photograph(painting, place.inverse, SIZE, seed=3, noise=0.004)
+    found = measured(wobbling, still, place)
+    assert (found.picture, found.lines) == ("reference", "rows")
+    assert found.course.size == pytest.approx(0.6, rel=0.15)
+
+
+def test_a_slow_wobble_of_parallel_pictures_may_be_of_either(painting, front):
+    still = scan(painting, None, turned(0.0))
+    wobbling = scan(painting, across(sine(0.6, 60)), Affine.identity(), noise=0.002)
+    assert measured(wobbling, still, turned(0.0)).picture == "either"
+
+
+def test_sizes_are_in_px_of_the_reference(studio, painting, front):
+    twice = turned(0.4, (3.0, 2.0), 2.0)
+    x, y = np.meshgrid(np.arange(600.0), np.arange(460.0))
+    places = twice.inverse(np.stack([(x + sine_of(460, 1.0, 40)).ravel(), y.ravel()], 1)) + MARGIN
+    seen = ndimage.map_coordinates(painting, places.T[::-1], order=3).reshape(x.shape)
+    found = measured(front, seen.astype(np.float32), twice)
+    assert found.course.size == pytest.approx(0.5, rel=0.1)
+    assert found.course.period == pytest.approx(40, rel=0.03)
+
+
+def sine_of(lines, size, period):
+    return size * np.sin(2 * np.pi * np.arange(lines)[:, None] / period)
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.02, 0.06])
+def test_nothing_is_found_where_lines_lie_still(painting, front, noise):
+    for seed in range(8):
+        found = measured(front, scan(painting, noise=noise, seed=seed))
+        assert found.course is None and found.deviations < 3.5
+
+
+def test_neither_lamp_nor_contrast_nor_stripes_displace_lines(painting, front):
+    rng = np.random.default_rng(7)
+    flicker = 1 + 0.1 * rng.normal(size=(240, 1))
+    banded = flicker * scan(painting) + 0.05 * rng.normal(size=(240, 1))
+    striped = scan(painting) * (1 + 0.05 * rng.normal(size=310))
+    for picture in (banded, 0.9 - scan(painting), striped):
+        assert measured(front, picture.astype(np.float32)).course is None
+
+
+def test_a_ledge_displaces_no_lines(painting, front):
+    shift = np.zeros((240, 310, 2))
+    shift[50:190, 60:250] = (0.6, 0.6)
+    x, y = np.meshgrid(np.arange(310.0), np.arange(240.0))
+    places = np.stack([(x + shift[..., 0]).ravel(), (y + shift[..., 1]).ravel()], 1)
+    places = STRAIGHT.inverse(places) + MARGIN
+    seen = ndimage.map_coordinates(painting, places.T[::-1], order=3).reshape(x.shape)
+    assert lines_lie_still({"line_displacement": measured(front, seen).to_dict()}) is None
+
+
+def test_a_ledge_along_the_lines_displaces_no_lines(painting, front):
+    shift = np.zeros((240, 2))
+    shift[60:66], shift[180:188] = (0.0, 0.7), (0.0, -0.7)
+    found = measured(front, scan(painting, shift))
+    assert lines_lie_still({"line_displacement": found.to_dict()}) is None
+
+
+@pytest.mark.parametrize("quality", [80, 40, 20])
+def test_blocks_of_jpeg_displace_no_lines(painting, front, quality):
+    pictures = []
+    for seen in (front, scan(painting)):
+        codes = np.clip(300 * seen, 0, 255).astype(np.uint8)
+        coded = cv2.imencode(".jpg", codes, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        pictures.append(cv2.imdecode(coded, 0).astype(np.float32))
+    found = measured(*pictures)
+    assert lines_lie_still({"line_displacement": found.to_dict()}) is None
+
+
+def test_too_few_lines_are_not_measured(front):
+    blank = measured(front, np.full((240, 310), 0.5, np.float32))
+    assert blank is None or blank.course is None
+    assert measured(front[:20], front[:20], Affine.identity()) is None
+
+
+@pytest.fixture(scope="module")
+def wobbling(painting, front):
+    return register(front, scan(painting, along(sine(1.0, 40))))
+
+
+def test_a_map_of_a_wobbling_scan_is_doubtful_and_its_reason_names_size_and_period(wobbling):
+    assert wobbling.verdict.decision == "warn"
+    assert "every 40 lines, along the lines" in wobbling.verdict.reasons[0]
+    assert "lines" in wobbling.verdict.next_step
+    numbers = wobbling.verdict.numbers["sensor"]["borne_out"]["line_displacement"]
+    assert numbers["size_px"] == pytest.approx(1.0, rel=0.1)
+    drawn = wobbling.basis["sensors"][0]["lines"]
+    assert len(drawn["along"]) == 240
+
+
+def test_sigma_holds_the_displacement_of_lines(painting, front, wobbling):
+    still = register(front, scan(painting))
+    assert still.verdict.decision == "accept"
+    assert still.basis["sensors"][0]["lines"] is None
+    assert np.median(still.sigma["1"].values) < 0.05
+    assert wobbling.sigma["1"].values.min() == pytest.approx(0.5, rel=0.15)  # of either axis
+
+
+@pytest.mark.parametrize(("apart", "decision"), [(0.5, "warn"), (3.0, "refuse")])
+def test_interlaced_halves_are_never_accepted(painting, front, apart, decision):
+    found = register(front, scan(painting, along(apart * (LINE % 2 - 0.5))))
+    assert found.verdict.decision == decision
+    assert found.verdict.reasons[0].startswith("Odd and even lines of this picture lie")
+
+
+def test_less_than_the_limit_is_accepted_and_named(painting, front):
+    found = register(front, scan(painting, along(0.12 * (LINE % 2 - 0.5)), noise=0.002))
+    assert found.verdict.decision == "accept" and found.verdict.next_step == ""
+    assert "Odd and even lines of this picture lie 0.12 px apart" in found.verdict.reasons[-1]
+    assert found.sigma["1"].values.min() > 0.04
+
+
+def test_the_papers_method_looks_at_lines_too(painting, front):
+    found = register(front, scan(painting, across(sine(0.6, 30))), method="mirhashemi2019")
+    assert found.verdict.decision == "warn"
+    assert "every 30 lines" in " ".join(found.verdict.reasons)
