@@ -72,3 +72,74 @@ def test_every_band_gets_the_map_of_its_sensor(studio, camera):
     np.testing.assert_allclose(
         found.transforms["b"](points), TURN(found.transforms["a"](points)), atol=1e-9
     )
+
+
+# --- the default method: a declared alignment is a start and is checked
+
+
+def turned(degrees, scale):
+    """Return px of the first sensor → px of a coarser sensor about the same middle, and its size."""
+    angle, size = np.deg2rad(degrees), np.round(np.array([300, 230]) * scale).astype(int)
+    rows = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    middle = np.array([149.5, 114.5])
+    return Affine(np.column_stack([rows, (size - 1) / 2 - rows @ middle])), tuple(size.tolist())
+
+
+@pytest.fixture(scope="module")
+def front(studio):
+    return [band("r", studio.photograph(studio.paint(11), Affine.identity(), seed=5), "")]
+
+
+def moved(transform, x, y):
+    return Affine(transform.matrix + np.array([[0, 0, x], [0, 0, y]]))
+
+
+def test_a_declared_alignment_begins_where_key_points_find_nothing(studio, camera, front):
+    hard, size = turned(137, 0.4)
+    picture = studio.photograph(studio.paint(11), hard.inverse, size, seed=2, noise=0.2)
+    both = [camera[0], band("b", picture, "ccd2")]
+    with pytest.raises(RegistrationRefused, match="too few key points") as refused:
+        register(front, both, reference_band="r")
+    assert "align" in refused.value.problems[0].fix
+    found = register(front, both, reference_band="r", align={"ccd2": moved(hard, 1.5, -1.0)})
+    points = np.array([[60.0, 50.0], [220.0, 160.0]])
+    np.testing.assert_allclose(found.transforms["b"](points), hard(points), atol=0.4)
+    assert found.verdict.decision != "refuse"
+    assert 1.0 < found.verdict.numbers["ccd2"]["align_apart_px"] < 3.0
+
+
+def test_the_first_sensor_begins_where_another_ones_alignment_puts_it(studio, camera, front):
+    hard, size = turned(137, 0.4)
+    picture = studio.photograph(studio.paint(11), hard.inverse, size, seed=2, noise=0.2)
+    both = [band("b", picture, "ccd2"), camera[0]]
+    back = Affine(np.linalg.inv(np.vstack([hard.matrix, [0, 0, 1]]))[:2])
+    found = register(front, both, reference_band="r", align={"ccd1": back})
+    points = np.array([[60.0, 50.0], [220.0, 160.0]])
+    np.testing.assert_allclose(found.transforms["b"](points), hard(points), atol=0.4)
+
+
+def test_an_alignment_that_contradicts_the_pictures_is_named_and_moves_nothing(camera, front):
+    for x, decision in ((0.0, "accept"), (100.0, "warn")):
+        found = register(front, camera, reference_band="r", align={"ccd2": moved(TURN, x, 0.0)})
+        points = np.array([[60.0, 50.0], [220.0, 160.0]])
+        np.testing.assert_allclose(found.transforms["b"](points), TURN(points), atol=0.05)
+        assert found.verdict.decision == decision
+        assert found.verdict.numbers["ccd2"]["align_apart_px"] == pytest.approx(x, abs=0.2)
+    assert "sensor ccd2: The sensor lies 100.0 of its px" in found.verdict.reasons[0]
+
+
+def test_other_sensors_of_the_reference_camera_are_checked_too(camera):
+    wrong = {"ccd2": moved(TURN, 30.0, 0.0)}
+    for method, decision in (("levkas", "warn"), ("mirhashemi2019", "refuse")):
+        found = register(camera, camera, reference_band="a", align=wrong, method=method)
+        assert found.verdict.decision == decision
+        assert "30.0 of its px" in " ".join(found.verdict.reasons)
+
+
+def test_the_papers_method_refuses_an_alignment_that_contradicts_the_pictures(camera, front):
+    found = register(
+        front, camera, reference_band="r", method="mirhashemi2019",
+        align={"ccd2": moved(TURN, 12.0, 5.0)},
+    )  # fmt: skip
+    assert found.verdict.decision == "refuse"
+    assert "13.0 of its px" in " ".join(found.verdict.reasons)

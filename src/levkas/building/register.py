@@ -148,18 +148,17 @@ def register_capture(
 
     Raises RegistrationRefused where there is no answer at all.
     """
+    align = {s: Affine(np.array(a, float)) for s, a in native.aligns.items() if a != "measure"}
     if own is None:
         return register(
             reference, reference, reference_band=reference_band, region=region, given=given,
-            prepared=prepared, **options,
+            prepared=prepared, align=align, **options,
         )  # fmt: skip
     given = {sensor: pairs.reduced(native.factor) for sensor, pairs in (given or {}).items()}
     request: dict[str, Any] = {
         "reference_transforms": own.transforms,
         "reference_sigma": own.sigma,
-        "align": {
-            s: Affine(np.array(a, float)) for s, a in native.aligns.items() if a != "measure"
-        },
+        "align": align,
         "prepared": prepared,
     }
     found = register(

@@ -64,7 +64,7 @@ def align_sensors(
     """
     groups = sensors_of(images)
     origin = next(iter(groups))
-    known = {name: _transform(name, matrix) for name, matrix in (given or {}).items()}
+    known = read_alignments(given or {})
     alignments: dict[str, Transform] = {}
     for name in groups:
         if name == origin:
@@ -80,6 +80,53 @@ def align_sensors(
         name: Affine.identity() if name == first else Composed(back, transform)
         for name, transform in alignments.items()
     }
+
+
+def read_alignments(given: Mapping[str, Any]) -> dict[str, Transform]:
+    """Return declared alignments as maps; raises RegistrationRefused where a matrix is not (2, 3)."""
+    return {name: _transform(name, matrix) for name, matrix in given.items()}
+
+
+def declared_map(
+    name: str, align: Mapping[str, Transform], known: Mapping[str, Transform]
+) -> Transform | None:
+    """Return reference px → px of a sensor by its declared alignment to one whose map is known; None without any.
+
+    `align` are maps from the first sensor's px, `known` from reference px.
+
+    Examples
+    --------
+    >>> align = {"ccd1": Affine.identity(), "ccd2": Affine(np.array([[1.0, 0, 5], [0, 1, 0]]))}
+    >>> found = declared_map("ccd2", align, {"ccd1": Affine.scaling(2.0)})
+    >>> found(np.array([[10.0, 20.0]])).tolist()
+    [[25.5, 40.5]]
+    """
+    for other, transform in known.items():
+        if other != name and other in align and name in align:
+            return Composed(transform, Inverse(align[other]), align[name])
+    return None
+
+
+def measure_apart(images: Sequence[BandImage], given: Mapping[str, Any]) -> float | None:
+    """Return how far declared alignments lie from what key points measure, px of a sensor, the median; of several the largest.
+
+    None where nothing is declared, or nothing can be measured.
+    """
+    groups = sensors_of(images)
+    origin = next(iter(groups))
+    width, height = groups[origin][0].size
+    x, y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 9))
+    points = np.stack([x, y], -1).reshape(-1, 2)
+    apart = []
+    for name, declared in read_alignments(given).items():
+        if name == origin or name not in groups:
+            continue
+        try:
+            measured = _measure(groups[origin], groups[name])
+        except RegistrationRefused:
+            continue
+        apart.append(np.median(np.linalg.norm(measured(points) - declared(points), axis=1)))
+    return float(max(apart)) if apart else None
 
 
 def camera_grey(

@@ -22,6 +22,7 @@ from levkas.registration.bands import by_wavelength, sqrt_images
 from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
 from levkas.registration.initial import (
     InitialTransform,
+    begin_with,
     find_initial_transform,
     is_plausible,
     seed_with_points,
@@ -287,6 +288,8 @@ class RegisteredSensor:
         None, as `initial`, for the reference's own sensor, whose base map is the identity.
     lines : LineDisplacement or None
         How single lines lie beside the map; None where too few show enough.
+    apart_px : float or None
+        How far the map lies from a declared alignment, native px; None where none is declared.
     """
 
     name: str
@@ -297,6 +300,7 @@ class RegisteredSensor:
     initial: InitialTransform | None = None
     refined: RefinedMap | None = None
     lines: LineDisplacement | None = None
+    apart_px: float | None = None
 
 
 def register_sensor(
@@ -307,6 +311,7 @@ def register_sensor(
     theirs: CameraFeatures,
     by_hand: ManualPoints | None = None,
     reference_sigma: Mapping[str, Sigma] | None = None,
+    declared: Transform | None = None,
 ) -> RegisteredSensor:
     """Register the bands of one sensor of another camera to the reference.
 
@@ -323,13 +328,19 @@ def register_sensor(
         Pairs by hand: they start the search where key points do not, and weigh as a hand can point.
     reference_sigma : mapping of label to Sigma, optional
         Uncertainty of the reference's own bands.
+    declared : Transform, optional
+        Reference px → native px, from which to begin instead of from key points.
 
     Raises
     ------
     RegistrationRefused
         ``E_MATCHES``, ``E_WINDOWS`` or ``E_FOLD``.
     """
-    initial = find_initial_transform(ours, theirs)
+    initial = (
+        find_initial_transform(ours, theirs)
+        if declared is None
+        else begin_with(declared, ours, theirs)
+    )
     by_hand = by_hand or ManualPoints()
     if by_hand:
         initial = seed_with_points(initial, by_hand, ours, theirs)
@@ -339,7 +350,8 @@ def register_sensor(
                 "E_MATCHES",
                 "too few key points match between this sensor and the reference",
                 field=bands[0].sensor or None,
-                fix=f"Check that both pictures show the same object, in focus and well exposed; if they do, {POINTS}.",
+                fix=f"Check that both pictures show the same object, in focus and well exposed; if they do, {POINTS}"
+                + (", or declare the sensor's `align`." if bands[0].sensor else "."),
             )
         )
     bands = by_wavelength(bands)

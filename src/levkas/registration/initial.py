@@ -111,8 +111,8 @@ class InitialTransform:
 
     @property
     def scale(self) -> float:
-        """Target px per reference px at the first match."""
-        return _scale(self.transform, self.reference)
+        """Target px per reference px at the first match; without any at the frame's corner."""
+        return _scale(self.transform, np.concatenate([self.reference, np.zeros((1, 2))]))
 
 
 def _scale(transform: Transform, points: np.ndarray) -> float:
@@ -428,6 +428,17 @@ def fit_initial_transform(pairs: np.ndarray) -> InitialTransform:
         return InitialTransform(Homography.fit(p, q), p, q, kept, mirrored)
     except ValueError:
         return InitialTransform(affine, p, q, kept, mirrored)
+
+
+def begin_with(
+    transform: Transform, reference: CameraFeatures, target: CameraFeatures
+) -> InitialTransform:
+    """Return a declared map as initial transform, refined by key points near where it puts them, if any agree."""
+    centre = (np.array([reference.greys[0].shape[::-1]]) - 1) / 2
+    none = np.empty((0, 2))
+    mirrored = bool(np.linalg.det(transform.jacobian(centre)[0]) < 0)
+    first = InitialTransform(transform, none, none, np.zeros(0, bool), mirrored)
+    return _rematch_all(first, reference, target)
 
 
 def _rematch_all(

@@ -5,13 +5,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from levkas.core.threads import each
-from levkas.geometry.transforms import Transform, solve_2x2
+from levkas.geometry.transforms import Affine, Transform, solve_2x2
+from levkas.registration.alignment import declared_map, read_alignments
 from levkas.registration.bands import by_wavelength, sqrt_images
 from levkas.registration.coarse_to_fine import RegisteredSensor, register_sensor
 from levkas.registration.features import CameraFeatures, GreyImages
@@ -22,12 +25,14 @@ from levkas.registration.record import (
     Matches,
     MatchState,
     Registration,
+    RegistrationRefused,
     Sigma,
     describe_windows,
 )
 from levkas.registration.reference_bands import register_own_bands
 from levkas.registration.verdict import judge_windows
 from levkas.registration.verdict_rules import ONLY
+from levkas.registration.verdict_rules import SETTINGS as VERDICT
 
 if TYPE_CHECKING:
     from levkas.campaign.methods import LevkasOptions
@@ -58,20 +63,95 @@ def register_levkas(request: Request, _options: LevkasOptions) -> Registration:
         first = register_own_bands(bands, images, anchor)
         transforms, sigma = first.transforms, first.sigma
         sensors = [first] if own else []
-    names = dict.fromkeys(i.sensor for i in target if not own or i.sensor != anchor.sensor)
+    names = list(dict.fromkeys(i.sensor for i in target if not own or i.sensor != anchor.sensor))
     if names:
         stack = base.stack(transforms)
 
-        def register_one(name: str) -> RegisteredSensor:
+        def register_one(name: str, declared: Transform | None = None) -> RegisteredSensor:
             bands = by_wavelength([image for image in target if image.sensor == name])
             shown = [bands[i] for i in measured_bands(bands)]
             pictures = {b.label: base.images[b.label] for b in shown} if own else sqrt_images(shown)
             theirs = CameraFeatures(GreyImages(list(pictures.values())))
             by_hand = request.given.get(name)
-            return register_sensor(bands, pictures, stack, base.keys, theirs, by_hand, sigma)
+            return register_sensor(
+                bands, pictures, stack, base.keys, theirs, by_hand, sigma, declared
+            )
 
-        sensors += each(register_one, names)
+        known: dict[str, Transform] = {anchor.sensor: Affine.identity()} if own else {}
+        align = {target[0].sensor: Affine.identity()} | read_alignments(request.align)
+        sensors += _register_sensors(names, register_one, align, known, stack.shape)
     return _assemble(sensors, [image.label for image in target], base.mask)
+
+
+def _register_sensors(
+    names: Sequence[str],
+    register_one: Callable[..., RegisteredSensor],
+    align: Mapping[str, Transform],
+    known: Mapping[str, Transform],
+    shape: tuple[int, int],
+) -> list[RegisteredSensor]:
+    """Register every sensor by itself; where a declared alignment helps or contradicts, begin with it too.
+
+    `align` are declared maps from the first sensor's px, the first one's identity among them; `known` are maps of
+    sensors that are not registered; `shape` is the reference's. Raises RegistrationRefused of the first sensor without
+    a map.
+    """
+    _, *checked = align
+
+    def attempt(name: str) -> RegisteredSensor | RegistrationRefused:
+        try:
+            return register_one(name)
+        except RegistrationRefused as refusal:
+            return refusal
+
+    tried = dict(zip(names, each(attempt, names), strict=True))
+    found = []
+    for name, one in tried.items():
+        others = dict(known) | {
+            other: sensor.refined.base
+            for other, sensor in tried.items()
+            if other != name and isinstance(sensor, RegisteredSensor) and sensor.refined
+        }
+        declared = declared_map(name, align, others)
+        if declared is not None:
+            one = _begun_anew(one, partial(register_one, name, declared), declared, shape)
+        if declared is not None and name in checked and isinstance(one, RegisteredSensor):
+            one = replace(one, apart_px=_apart(one, declared, shape))
+        if isinstance(one, RegistrationRefused):
+            raise one
+        found.append(one)
+    return found
+
+
+def _begun_anew(
+    one: RegisteredSensor | RegistrationRefused,
+    again: Callable[[], RegisteredSensor],
+    declared: Transform,
+    shape: tuple[int, int],
+) -> RegisteredSensor | RegistrationRefused:
+    """Register again from where a declared alignment puts a sensor, if its own map is not there; return what more windows confirm."""
+    if isinstance(one, RegisteredSensor) and _apart(one, declared, shape) <= VERDICT.align_px:
+        return one
+    try:
+        other = again()
+    except RegistrationRefused:
+        return one
+    better = isinstance(one, RegistrationRefused) or _agreeing(other) > _agreeing(one)
+    return other if better else one
+
+
+def _agreeing(sensor: RegisteredSensor) -> int:
+    return int(sensor.refined.verification["agreeing"]) if sensor.refined else 0
+
+
+def _apart(sensor: RegisteredSensor, declared: Transform, shape: tuple[int, int]) -> float:
+    """Return how far a sensor's map lies from its declared alignment, px of the sensor, the median over the reference's frame."""
+    if sensor.refined is None:
+        return 0.0
+    x, y = np.meshgrid(*(np.linspace(0, n - 1, 9) for n in shape[::-1]))
+    points = np.stack([x, y], -1).reshape(-1, 2)
+    miss = np.linalg.norm(sensor.refined.base(points) - declared(points), axis=1)
+    return float(np.median(np.nan_to_num(miss, nan=np.inf)))
 
 
 # --- the record
@@ -138,6 +218,7 @@ def _numbers(sensor: RegisteredSensor) -> dict[str, Any]:
         "checked": verification.get("checked"),
         "alike": bool(found and found.light == "same"),
         "light": found.light if found else "unknown",
+        "align_apart_px": sensor.apart_px,
         "terms": selected.spec.coefficients if selected and selected.spec else None,
         "borne_out": verification,
     }

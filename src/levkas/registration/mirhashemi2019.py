@@ -15,7 +15,7 @@ import numpy as np
 
 from levkas.core.problems import Problem
 from levkas.geometry.transforms import Affine, Composed, Inverse, Polynomial, Transform
-from levkas.registration.alignment import align_sensors, camera_grey
+from levkas.registration.alignment import align_sensors, camera_grey, measure_apart
 from levkas.registration.bands import BandImage, area_average, region_mask, stretch
 from levkas.registration.features import KeyPoints, find_key_points
 from levkas.registration.line_displacement import measure_line_displacement
@@ -31,6 +31,7 @@ from levkas.registration.record import (
     Verdict,
 )
 from levkas.registration.verdict import judge_matches
+from levkas.registration.verdict_rules import lies_where_declared
 from levkas.registration.verification import (
     Overlap,
     measure_shape,
@@ -153,7 +154,7 @@ def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registra
     matches, transform = _describe(found, cleaned, terms.stop), Inverse(cleaned.model)
     evidence = Evidence(
         transform, matches, (ours.values, ours.valid), (theirs.values, theirs.valid), terms,
-        None if region is None else tuple(region),
+        None if region is None else tuple(region), measure_apart(request.target, request.align),
     )  # fmt: skip
     return Registration(
         method="mirhashemi2019",
@@ -271,10 +272,15 @@ def _own(images: Sequence[BandImage], sensor: str, align: Mapping[str, Any] | No
     """Return the reference camera itself: its bands stay, its other sensors are aligned."""
     aligned = align_sensors(images, given=align, first=sensor)
     reason = "The paper's method does not register the reference camera's own bands."
+    numbers = {"align_apart_px": measure_apart(images, align or {}), "align_is_map": True}
+    against = lies_where_declared(numbers)
+    verdict = Verdict("accept", (reason,))
+    if against is not None:
+        verdict = Verdict("refuse", (against.reason,), against.next_step, numbers)
     return Registration(
         method="mirhashemi2019",
         transforms={image.label: aligned[image.sensor] for image in images},
-        verdict=Verdict("accept", (reason,)),
+        verdict=verdict,
         errors={},
         matches=Matches.none(),
         model={
@@ -321,6 +327,8 @@ class Evidence:
         On which outliers were removed.
     region : (x, y, width, height), reference px, or None
         Where the object lies.
+    apart : float or None
+        How far declared alignments lie from measured ones, px.
     """
 
     transform: Transform
@@ -329,6 +337,7 @@ class Evidence:
     target: tuple[np.ndarray, np.ndarray]
     terms: RemovalTerms
     region: tuple[float, ...] | None = None
+    apart: float | None = None
 
     @property
     def overlap(self) -> Overlap:
@@ -365,6 +374,8 @@ def measure(evidence: Evidence) -> dict[str, Any]:
         "rival": float(search.rival),
         **measure_support(evidence.overlap, checks, matches.reference[matches.kept]),
         "line_displacement": _measure_lines(evidence),
+        "align_apart_px": evidence.apart,
+        "align_is_map": True,
     }
 
 

@@ -86,6 +86,8 @@ class VerdictSettings:
     lines : Limits, reference px, or px of the grid where it is coarser
         Displacement of single lines, the root mean square of both axes, or a quarter of a step. Honest pictures have 0.04 at
         most that is more than chance.
+    align_px : float, px of a sensor
+        From a declared alignment; refocusing moves the sensors of a camera against one another by a px or two.
     """
 
     matches_per_term: int = 4
@@ -116,6 +118,7 @@ class VerdictSettings:
     least_outlines_share: float = 0.75
     most_found_of_a_copy: float = 0.95
     lines: Limits = LINES
+    align_px: float = 3.0
 
 
 SETTINGS = VerdictSettings()
@@ -510,6 +513,18 @@ def stays_within_its_sigma(n: Numbers) -> Objection | None:
     )
 
 
+def lies_where_declared(n: Numbers) -> Objection | None:
+    """Warn of a sensor that lies elsewhere than its declared alignment puts it; refuse where that is the map itself."""
+    apart = n.get("align_apart_px")
+    if apart is None or apart <= SETTINGS.align_px:
+        return None
+    return Objection(
+        "refuse" if n.get("align_is_map") else "warn",
+        f"The sensor lies {apart:.1f} of its px from where the declared `align` puts it.",
+        "Correct this sensor's `align` in campaign.toml, or take it out to have it measured.",
+    )
+
+
 def is_compared(n: Numbers) -> Objection | None:
     """Say where less than half of the reference could be compared."""
     if n["cover"] is None or n["cover"] >= SETTINGS.least_cover:
@@ -553,6 +568,7 @@ RULES: dict[Rule, frozenset[str]] = {
     is_checked: WINDOWS,
     shows_the_same_painting: WINDOWS,
     stays_within_its_sigma: WINDOWS,
+    lies_where_declared: BOTH,
     is_compared: WINDOWS,
     has_converged: WINDOWS,
 }
