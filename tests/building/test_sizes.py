@@ -69,3 +69,21 @@ def test_a_push_broom_camera_whose_templates_are_one_line_has_no_sigma(tmp_path)
     found = tmp_path / "database/objects/panel/native"
     assert read_tiff_pages(found / "panel_c.tif").mean() == pytest.approx(0.9 * 14 / 29, rel=0.01)
     assert not (found / "panel_c.sigma.tif").exists()
+
+
+@pytest.mark.parametrize("odd", [500, 600, 700])
+@pytest.mark.parametrize("targets", [("dark", "white", "panel"), ("panel",)], ids="".join)
+def test_a_band_of_another_size_than_the_others_is_refused_by_its_file(tmp_path, odd, targets):
+    rng = np.random.default_rng(1)
+    for target, level in (("dark", 100), ("white", 3000), ("panel", 1500)):
+        for wavelength in (500, 600, 700):
+            size = (64, 65) if wavelength == odd and target in targets else SIZE
+            codes = rng.normal(level, 10, size).astype(np.uint16)
+            tifffile.imwrite(tmp_path / f"{target}_{wavelength}nm.tif", codes)
+    files, _ = KINDS["bands"]
+    text = TEXT.replace("KIND", "bands").replace("FILES", files).replace("MORE", "")
+    (tmp_path / "campaign.toml").write_text(text)
+    report = summarise(build(tmp_path))
+    (problem,) = report.problems
+    assert problem.code == "E_SIZE" and problem.file == str(tmp_path / f"panel_{odd}nm.tif")
+    assert (problem.found, problem.expected) == ("65 x 64", "64 x 64")

@@ -102,13 +102,13 @@ def test_every_real_frame_is_what_its_facts_declare(real_data):
 
 
 def test_facts_of_an_untouched_file_are_read_once_and_of_a_changed_one_anew(tmp_path, monkeypatch):
-    path, opened, reader = tmp_path / "frame.png", [], frames._reader
+    path, opened, reader = tmp_path / "frame.png", [], frames._call
 
-    def counted(path, which):
+    def counted(kind, which, path):
         opened.append(path)
-        return reader(path, which)
+        return reader(kind, which, path)
 
-    monkeypatch.setattr(frames, "_reader", counted)
+    monkeypatch.setattr(frames, "_call", counted)
     cv2.imwrite(str(path), CODES)
     assert [read_facts(path).shape[:2] for _ in range(3)] == [CODES.shape] * 3
     assert opened == [path]

@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,7 +20,10 @@ from levkas.core.files import (
     rename_file,
     write_changed,
     write_json,
+    write_text,
 )
+from levkas.core.internal_errors import CODE as INTERNAL
+from levkas.core.internal_errors import InternalError
 from levkas.core.json_safe import to_json
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_text
@@ -38,7 +41,11 @@ WAS = ".was"
 """Suffix of the record of a stage that is being done anew."""
 REFUSED = ".refused"
 """Suffix of what a refused stage was refused for: it is tried again by every build, and read by `status`."""
+REPORT = ".error.txt"
+"""Suffix of the report of an exception that no check foresaw."""
 
+UNREADABLE = "cannot be read"
+"""Of a fingerprint: why there is none. A stage of such is never fresh."""
 MOST_KNOWN = 10_000
 """Records in memory, some 8 kB each."""
 
@@ -113,6 +120,8 @@ class BuildRecords:
 
     def why_stale(self, key: Key, fingerprint: dict[str, Any]) -> str:
         """Say why a stage must be done; empty where its products stand and fit."""
+        if UNREADABLE in fingerprint:
+            return f"its files cannot be read: {fingerprint[UNREADABLE]}"
         if not (record := self._record(key)):
             return "its record is damaged" if self.path_of(key).is_file() else "not yet built"
         if changed := _difference(record.get("fingerprint", {}), fingerprint):
@@ -198,9 +207,7 @@ class BuildRecords:
         record = json.loads(to_json(told))
         write_json(path, {**record, "check": _check(record)})
         self._known[str(path)] = record
-        for before in (path.with_suffix(WAS), path.with_suffix(REFUSED)):
-            if before.is_file():
-                remove(before)
+        self._remove(path, WAS, REFUSED, REPORT)
         self.hashes.save()
 
     def forget(self, key: Key) -> None:
@@ -227,17 +234,42 @@ class BuildRecords:
         record = _sound(_read(path)) if _is_file(path) else {}
         if not record or _difference(record.get("fingerprint", {}), fingerprint):
             return ()
-        return tuple(Problem(**problem) for problem in record["refused"])
+        return tuple(self._with_advice(key, Problem(**problem)) for problem in record["refused"])
+
+    def with_report(self, key: Key, refused: Refused) -> Refused:
+        """Keep the report of an exception that no check foresaw, and return a refusal that says where.
+
+        Other refusals, and those whose report the disk refuses, are returned as they are.
+        """
+        if not (isinstance(refused, InternalError) and refused.report):
+            return refused
+        path = self.path_of(key, REPORT)
+        try:
+            make_folder(path.parent)
+            write_text(path, refused.report)
+        except Refused:
+            return refused
+        return InternalError(*(self._with_advice(key, problem) for problem in refused.problems))
+
+    def _with_advice(self, key: Key, problem: Problem) -> Problem:
+        """Return a problem with where its report is, if it is of an exception that no check foresaw."""
+        path = self.path_of(key, REPORT)
+        if problem.code != INTERNAL or not path.is_file():
+            return problem
+        fix = f"This is an error of the program. Please send its report to the authors: {path}"
+        return replace(problem, fix=fix)
+
+    def drop_report(self, key: Key) -> None:
+        """Remove the report of an exception of an earlier build, where there is one."""
+        self._remove(self.path_of(key), REPORT)
 
     def drop(self, key: Key) -> None:
-        """Forget a stage that will not be done again, and what was kept aside of it."""
+        """Forget a stage that will not be done again, and what was kept aside of it; a report stays."""
         path = self.path_of(key)
         for name in self._record(key).get("aside", {}):
             remove(self.folder / name)
         self._known[str(path)] = {}
-        for one in (path, path.with_suffix(WAS), path.with_suffix(REFUSED)):
-            if one.is_file():
-                remove(one)
+        self._remove(path, path.suffix, WAS, REFUSED)
 
     def recorded(self) -> list[Key]:
         """Return the stages that are recorded, or were being done anew when a build was interrupted."""
@@ -283,6 +315,12 @@ class BuildRecords:
             self._put_away = next(beside / n for n in numbers if not (beside / n).exists())
         move_files(there, self.output, self._put_away)
         return self._put_away
+
+    def _remove(self, path: Path, *suffixes: str) -> None:
+        """Remove the record at a path, or files beside it, where they exist."""
+        for suffix in suffixes:
+            if (one := path.with_suffix(suffix)).is_file():
+                remove(one)
 
     def _made(self, record: dict[str, Any]) -> Iterator[tuple[str, str, str]]:
         """Yield path, name and hash of everything that a stage made."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -340,6 +341,7 @@ def develop_bands(context: SensorContext) -> Noted:
     """One file a band: each with its own templates; behind narrow filters a mosaic is equalised."""
     bands = context.sensor.bands
     reflectances = np.broadcast_to(white_reflectance(context.campaign, bands), len(bands))
+    _require_one_size(context)
     noise = _noise_of_bands(context)
     shape = (*context.facts.shape[:2], len(bands))
     values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
@@ -350,10 +352,9 @@ def develop_bands(context: SensorContext) -> Noted:
         some = slice(start, start + GROUP)
         labels = [band.label for band in bands[some]]
         group = each(partial(_band, context, noise), labels, reflectances[some].tolist())
-        for label, flat in zip(labels, group, strict=True):
+        for flat in group:
             notes.extend(flat.notes)
             quantity = flat.quantity
-            _check_shape(context, label, flat.values.shape, shape[:2])
         _interleave([flat.values for flat in group], values, start)
         _interleave([flat.flags for flat in group], flags, start)
         variances = [flat.variance for flat in group if flat.variance is not None]
@@ -435,22 +436,25 @@ def _of_band(frames: Sequence[FrameRef], label: str) -> list[FrameRef]:
     return own or [f for f in frames if f.band is None]
 
 
-def _check_shape(
-    context: SensorContext, label: str, found: tuple[int, ...], expected: tuple[int, ...]
-) -> None:
-    if found != expected:
-        path = next(f.path for f in context.sensor.object if f.band == label)
-        raise CalibrationRefused(
-            Problem(
-                "E_SIZE",
-                f"{context.camera.name}: band {label} differs in size from the other bands",
-                str(path),
-                "width, height",
-                f"{found[1]} x {found[0]}",
-                f"{expected[1]} x {expected[0]}",
-                "Use a frame of the correct camera.",
-            )
+def _require_one_size(context: SensorContext) -> None:
+    """Refuse bands of another size than most of them, before any statistic takes several together."""
+    sizes = {f.path: read_facts(f.path).shape[:2] for f in context.sensor.object}
+    usual = Counter(sizes.values()).most_common(1)[0][0]
+    problems = [
+        Problem(
+            "E_SIZE",
+            f"{context.camera.name}: band {frame.band} differs in size from the other bands",
+            str(frame.path),
+            "width, height",
+            f"{sizes[frame.path][1]} x {sizes[frame.path][0]}",
+            f"{usual[1]} x {usual[0]}",
+            "Use a frame of the correct camera, captured in the mode of the others.",
         )
+        for frame in context.sensor.object
+        if sizes[frame.path] != usual
+    ]
+    if problems:
+        raise CalibrationRefused(*problems[:MOST_PROBLEMS])
 
 
 def _noise_of_bands(context: SensorContext) -> NoiseModel | None:

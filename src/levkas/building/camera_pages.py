@@ -19,6 +19,7 @@ from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA
 from levkas.campaign.discovery.find_captures import find_charts
 from levkas.core.disk import WriteRefused
 from levkas.core.files import make_folder, write_json, write_text
+from levkas.core.internal_errors import as_refusal
 from levkas.core.problems import Problem, Refused
 from levkas.quality.targets.indicators import WhiteEvenness, lightness_spread
 from levkas.quality.targets.stray_light import NOT_MEASURED
@@ -89,7 +90,7 @@ def write_camera_page(
     records.forget(page_key(page.camera))
     make_folder(path.parent)
     learnt = learnt_of(page, records)
-    measures, problems, made = _measured(page, campaign, places, templates, learnt)
+    measures, problems, made = _measured(page, campaign, places, records, templates)
     write_text(path, _page(page.camera, campaign, learnt, measures, problems))
     described = path.parent / "camera.json"
     write_json(described, describe_camera(campaign, page.first, learnt))
@@ -149,19 +150,22 @@ def _measured(
     page: CameraPage,
     campaign: Campaign,
     places: Places,
+    records: BuildRecords,
     templates: TemplateCache,
-    learnt: Mapping[str, Mapping[str, Any]],
 ) -> tuple[list[ChartMeasure | EdgeTargetMeasure], list[Problem], list[Path]]:
     """Measure the charts that a camera saw, and write them."""
     from levkas.building.charts import develop_chart, measure_capture, problems_of, write_chart
     from levkas.quality.targets.charts import kind_of, reference_of
     from levkas.quality.targets.measuring import ChartMeasure
 
+    learnt = learnt_of(page, records)
     files: list[Path] = []
     measures: list[ChartMeasure | EdgeTargetMeasure] = []
     problems = list(page.refused)
     for capture in page.charts:
         name = f"{capture.object}/{capture.layer}"
+        key = key_of(capture, f"chart-{capture.object}")
+        records.drop_report(key)
         light = _evenness(learnt.get(capture.setup, {}))
         try:
             chart = kind_of(campaign.targets.charts[capture.object])
@@ -176,8 +180,9 @@ def _measured(
             files += write_chart(places, campaign, capture, made, found)
         except WriteRefused:
             raise
-        except Refused as refused:
-            problems += problems_of(name, capture, refused)
+        except Exception as error:
+            refused = as_refusal(error, f"chart {name}", capture.sensors[0].object[0].path)
+            problems += problems_of(name, capture, records.with_report(key, refused))
     return measures, problems, files
 
 

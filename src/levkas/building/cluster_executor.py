@@ -25,7 +25,7 @@ from distributed.scheduler import KilledWorker
 
 from levkas.building import sources
 from levkas.building.cluster import Cluster
-from levkas.building.endings import OF_THE_MACHINES, Due, Endings
+from levkas.building.endings import OF_THE_MACHINES, Due, Endings, refusal_of
 from levkas.building.fingerprints import digest, of_calibration
 from levkas.building.graph import Step, Task, captures_of
 from levkas.building.native_cubes import CUBE_BYTES, TooLarge, count_values
@@ -43,6 +43,7 @@ from levkas.building.worker import (
     part_key,
     read_receipt,
     receipt_path,
+    refusal_in,
     written_of,
 )
 from levkas.core.disk import DISK_CODES
@@ -432,7 +433,7 @@ class ClusterExecutor:
             self._resend(part)
 
     def _give_up(self, flight: Flight, error: BaseException | None) -> Refused | None:
-        """Log an attempt that failed; return a refusal where it was the last, raise what is a fault of ours."""
+        """Log an attempt that failed; return a refusal where it was the last."""
         self._untidy = True
         on, peak = flight.on, flight.peak
         if error is None or isinstance(error, KilledWorker):
@@ -444,8 +445,10 @@ class ClusterExecutor:
             flight.failed += 1
         if flight.failed <= RETRIES and flight.lost <= LOSSES:
             return None
-        if error is not None and not isinstance(error, (KilledWorker, NotShared, OSError)):
-            raise error
+        if isinstance(error, Exception) and not isinstance(
+            error, (KilledWorker, NotShared, OSError)
+        ):
+            return refusal_of(flight.due.task, error)
         key = flight.due.task.key
         return Refused(
             Problem(
@@ -498,8 +501,7 @@ class ClusterExecutor:
             return
         try:
             if is_refused(receipt):
-                problems = (Problem(**problem) for problem in receipt["refused"])
-                step = self._endings.refuse(task, Refused(*problems))
+                step = self._endings.refuse(task, refusal_in(receipt))
             else:
                 for part, folder in (
                     ("files", self._places.output),

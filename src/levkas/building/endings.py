@@ -11,6 +11,7 @@ from levkas.building.fingerprints import Inputs
 from levkas.building.graph import Graph, Step, Task, captures_of
 from levkas.building.removal import is_of_the_disk, no_reference, put_away, refused_step, withdraw
 from levkas.building.stages import Damaged
+from levkas.core.internal_errors import as_refusal
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
@@ -101,11 +102,12 @@ class Endings:
         self.lost[capture.object, capture.layer] = step
         return step
 
-    def refuse(self, task: Task, error: Refused | MemoryError) -> Step:
-        """Return the step of a refused task; what it made before stays where only the disk refused."""
-        from levkas.building.native_cubes import ran_out
+    def refuse(self, task: Task, error: Exception) -> Step:
+        """Return the step of a refused task; what it made before stays where only the disk refused.
 
-        refused = ran_out(captures_of(task)[0], error) if isinstance(error, MemoryError) else error
+        An exception that is no refusal is one of this task alone, and leaves a report beside its record.
+        """
+        refused = self.records.with_report(task.key, refusal_of(task, error))
         if isinstance(refused, Damaged):
             self.records.forget(refused.key)
         if not is_of_the_disk(refused.problems):
@@ -137,11 +139,7 @@ class Endings:
         # A refused registration has a record; more memory may be there the next time.
         recorded = self.records.notes(key).get("refused")
         if not recorded and all(p.code not in OF_THE_MACHINES for p in step.problems):
-            # A campaign may be moved: what is kept names its files from its folder.
-            root = f"{self.campaign.root}{os.sep}"
-            problems = [
-                replace(p, file=p.file and str(p.file).removeprefix(root)) for p in step.problems
-            ]
+            problems = within(self.campaign, step.problems)
             self.records.refuse(key, self.inputs.of(task, self.lost), problems)
         return step
 
@@ -152,6 +150,19 @@ class Endings:
         """
         now = self.records.products(key)
         return bool(now) and self._before.get(key, now) == now and not self.records.damaged(key)
+
+
+def refusal_of(task: Task, error: Exception) -> Refused:
+    """Return why a task of a capture is refused that ended with an exception."""
+    capture, _ = captures_of(task)
+    what = f"{capture.object}/{capture.layer} {task.key.stage}"
+    return as_refusal(error, what, capture.sensors[0].object[0].path)
+
+
+def within(campaign: Campaign, problems: Iterable[Problem]) -> list[Problem]:
+    """Return problems that name files from the campaign's folder, which may be moved with what is kept."""
+    root = f"{campaign.root}{os.sep}"
+    return [replace(p, file=p.file and str(p.file).removeprefix(root)) for p in problems]
 
 
 OF_THE_MACHINES = ("E_MEMORY", "E_WORKER")

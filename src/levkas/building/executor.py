@@ -15,7 +15,6 @@ from levkas.building.endings import Due, Endings
 from levkas.building.graph import Step, Task, captures_of
 from levkas.building.stages import Stages
 from levkas.core.machine import keep_memory
-from levkas.core.problems import Refused
 
 if TYPE_CHECKING:
     from levkas.building.stages import Write
@@ -58,13 +57,23 @@ class Executor:
         ):
             try:
                 for layer, group in groupby(tasks, lambda t: (t.key.object, t.key.layer)):
-                    for step in self._capture(layer, list(group)):
+                    for step in self._alone(layer, list(group)):
                         yield note(step)
                     self._held.let_go()
                 for step in self._written():
                     yield note(step)
             finally:
                 self._hasher.shutdown(wait=False, cancel_futures=True)
+
+    def _alone(self, layer: Layer, tasks: list[Task]) -> Iterator[Step]:
+        """Do some tasks of one capture; whatever is raised refuses this capture, and no other."""
+        try:
+            yield from self._capture(layer, tasks)
+        except Exception as error:  # outside of what computes and writes, which have their own
+            yield from self._written(of=layer)
+            if layer not in self._lost:
+                task = next(t for t in tasks if t.key not in self._endings.ended)
+                yield self._endings.end(task, self._endings.refuse(task, error))
 
     def _capture(self, layer: Layer, tasks: list[Task]) -> Iterator[Step]:
         """Do those of some tasks of one capture that are due."""
@@ -145,10 +154,10 @@ class Executor:
 
     def _compute(self, task: Task) -> Write | Step:
         """Do what a task computes; return what writes it, or the step of one that was refused."""
-        self._endings.begin(task)
         try:
+            self._endings.begin(task)
             return self._stages.compute(task)
-        except (Refused, MemoryError) as error:
+        except Exception as error:
             return self._endings.refuse(task, error)
 
     # --- what is being written ------------------------------------------------------------------
@@ -158,7 +167,7 @@ class Executor:
         try:
             made = write(partial(self._records.forget, due.task.key))
             return self._endings.keep(due, made, seconds=seconds)
-        except (Refused, MemoryError) as error:
+        except Exception as error:
             return self._endings.refuse(due.task, error)
 
     def _written(self, *, of: Layer | None = None, but: Layer | None = None) -> Iterator[Step]:

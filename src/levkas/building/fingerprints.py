@@ -10,10 +10,11 @@ from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.building.build_records import Key, key_of
+from levkas.building.build_records import UNREADABLE, Key, key_of
 from levkas.building.control_points import told_points
 from levkas.building.hashes import Hashes, Unread
 from levkas.building.sources import code_version
+from levkas.core.internal_errors import CODE as INTERNAL
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -74,7 +75,10 @@ class Inputs:
 
         `refused` are layers, (object, layer), that there are none of.
         """
-        prints = self._prints(task, refused)
+        try:
+            prints = self._prints(task, refused)
+        except Exception as error:  # the stage meets it again, and is refused for it
+            prints = {UNREADABLE: f"{type(error).__name__}: {error}"}
         self.digests[task.key] = digest(prints)
         self._numbers[task.key] = digest(prints, numbers_of=task.key.stage)
         return prints
@@ -315,7 +319,8 @@ def written(campaign: Campaign, problem: Problem) -> str:
     file = problem.file
     if file and Path(file).is_absolute():
         file = relative(campaign, Path(file))
-    return str(replace(problem, file=file)).replace(f"{campaign.root}{os.sep}", "")
+    fix = None if problem.code == INTERNAL else problem.fix  # where its report lies on this machine
+    return str(replace(problem, file=file, fix=fix)).replace(f"{campaign.root}{os.sep}", "")
 
 
 def plain(prints: dict[str, Any]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
 from levkas.core.files import make_folder
-from levkas.core.machine import count_threads, free_memory, memory_bound
+from levkas.core.machine import count_threads, memory_bound
 from levkas.core.problems import Problem, Refused
 from levkas.database.layers import Layer, write_tiffs
 from levkas.database.spectral_tiff import read_tiff_pages
@@ -245,21 +245,6 @@ def require_memory(capture: Capture, kind: str) -> None:
             expected=f"at least {needed / 1e9:.1f} GB",
             fix="Build on a machine with more memory, or crop or bin the frames. Only ENVI line "
             "scans of cameras other than the reference are built line by line.",
-        )
-    )
-
-
-def ran_out(capture: Capture, error: MemoryError) -> TooLarge:
-    """Return the refusal of a capture whose stage ended for want of memory."""
-    free = free_memory()
-    return TooLarge(
-        Problem(
-            "E_MEMORY",
-            f"{capture.object}/{capture.layer}: memory ran out: {error or 'no more was given'}",
-            file=str(capture.sensors[0].object[0].path),
-            field=f"cameras.{capture.camera}",
-            found=None if free is None else f"{free / 1e9:.1f} GB free",
-            fix="Close other programs or use a machine with more memory, then build again. Finished stages are kept.",
         )
     )
 

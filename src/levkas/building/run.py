@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -23,7 +23,7 @@ from levkas.building.build_index import (
     read_inputs,
     write_index,
 )
-from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
+from levkas.building.build_records import CATALOGUE, BuildRecords, Key, Written, key_of
 from levkas.building.camera_pages import prints_of_page, write_camera_page
 from levkas.building.catalogue import (
     by_others,
@@ -34,7 +34,7 @@ from levkas.building.catalogue import (
     write_catalogue_of,
 )
 from levkas.building.claiming import check_apart, claim, places_of
-from levkas.building.endings import Endings, fresh_step
+from levkas.building.endings import Endings, fresh_step, within
 from levkas.building.executor import Executor
 from levkas.building.fingerprints import Inputs
 from levkas.building.graph import BuildReport, Graph, Step, Task, draw, summarise
@@ -42,6 +42,7 @@ from levkas.building.plan import Plan, plan_of
 from levkas.building.removal import (
     REMOVED,
     describe,
+    is_of_the_disk,
     no_longer_there,
     no_reference,
     put_away,
@@ -51,6 +52,7 @@ from levkas.building.removal import (
 )
 from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import Campaign, load_campaign
+from levkas.core.internal_errors import as_refusal
 from levkas.core.problems import Problem, Refused
 from levkas.database.layout import Places
 
@@ -239,7 +241,8 @@ def _steps(
     lost = plan.lost()
     for step in (step for steps in lost.values() for step in steps):
         put_away(step.key.object, step.key.camera, step.key.setup, records)
-        yield step
+        refused = plan.refusals.get((step.key.object, step.key.camera, step.key.setup))
+        yield refused_step(step.key, records.with_report(step.key, refused)) if refused else step
     for name in plan.names:
         if Key(name, stage="report") not in plan.graph:
             put_away_stage(Key(name, stage="report"), records)
@@ -261,7 +264,14 @@ def _steps(
     else:
         yield from executor.run(tasks, write_page)
     yield from removal(gone, records)
-    step = write_catalogue_of(campaign, places, records, plan.captures, plan.names, whole=whole)
+    try:
+        step = write_catalogue_of(campaign, places, records, plan.captures, plan.names, whole=whole)
+    except Refused:
+        raise
+    except Exception as error:
+        step = refused_step(
+            CATALOGUE, records.with_report(CATALOGUE, as_refusal(error, "catalogue"))
+        )
     warnings = (*campaign.without_effect, *executor.warnings, *step.warnings)
     yield replace(step, output=places.output, warnings=warnings)
 
@@ -350,13 +360,12 @@ def status(
                 by_object[key.object].append(step)
             continue
         if key.stage == "report":
-            prints = _report_prints(plan, inputs, key.object, by_object[key.object])
+            prints_of = partial(_report_prints, plan, inputs, key.object, by_object[key.object])
         elif key.stage == "camera":
-            prints = prints_of_page(plan.pages[key], campaign, records)
+            prints_of = partial(prints_of_page, plan.pages[key], campaign, records)
         else:
             continue
-        why = records.why_stale(key, prints)
-        ended[key] = Step(key, "stale" if why else "fresh", why)
+        ended[key] = _state_of(plan, records, key, prints_of)
     steps = [*(step for steps in lost.values() for step in steps), *ended.values()]
     gone = no_longer_there(campaign, records, plan.captures, plan.refusals, plan.pages, None)
     if why := describe(gone, records):
@@ -391,15 +400,27 @@ def _state(
             key_of(capture, "calibrate"), no_reference(key.object, lead.layer, failed)
         )
     else:
-        why = records.why_stale(key, prints)
-        step = Step(key, "stale", why) if why else fresh_step(key, records)
-        if why and (problems := records.refusal(key, prints)):
-            root = plan.campaign.root
-            there = (replace(p, file=p.file and str(root / p.file)) for p in problems)
-            step = refused_step(key, Refused(*there))
+        step = _state_of(plan, records, key, lambda: prints)
     if step.state == "refused":
         refused[layer] = step
     return step
+
+
+def _state_of(
+    plan: Plan, records: BuildRecords, key: Key, prints_of: Callable[[], dict[str, Any]]
+) -> Step:
+    """Return whether a stage is fresh, stale, or was refused when it was made of the same."""
+    try:
+        prints = prints_of()
+    except Exception as error:
+        return Step(key, "stale", as_refusal(error, "its files cannot be read").problems[0].message)
+    if not (why := records.why_stale(key, prints)):
+        return fresh_step(key, records)
+    if problems := records.refusal(key, prints):
+        root = plan.campaign.root
+        there = (replace(p, file=p.file and str(root / p.file)) for p in problems)
+        return refused_step(key, Refused(*there))
+    return Step(key, "stale", why)
 
 
 def _state_of_catalogue(
@@ -436,40 +457,53 @@ def _report(
     steps: list[Step],
 ) -> Iterator[Step]:
     """Write the page of an object where it is stale."""
-    key = task.key
-    prints = _report_prints(plan, inputs, key.object, steps)
-    why = records.why_stale(key, prints)
-    if not why:
-        yield Step(key, "fresh")
-        return
-    yield Step(key, "running", why)
-    from levkas.building.report_pages import write_report  # heavy
+    name = task.key.object
 
-    captures = [c for c in plan.captures if c.object == key.object]
-    try:
-        files = write_report(plan.campaign, places, records, captures, steps)
-    except Refused as error:
-        yield refused_step(key, error)
-        return
-    records.keep(key, prints, files)
-    yield Step(key, "done", why)
+    def write() -> Written:
+        from levkas.building.report_pages import write_report  # heavy
+
+        captures = [c for c in plan.captures if c.object == name]
+        return Written(write_report(plan.campaign, places, records, captures, steps), {})
+
+    prints = partial(_report_prints, plan, inputs, name, steps)
+    return _page(plan, records, task, prints, write)
 
 
 def _camera(
     plan: Plan, places: Places, records: BuildRecords, templates: TemplateCache, task: Task
 ) -> Iterator[Step]:
     """Write the page of a camera where it is stale."""
-    key, page = task.key, plan.pages[task.key]
-    prints = prints_of_page(page, plan.campaign, records)
-    why = records.why_stale(key, prints)
-    if not why:
-        yield Step(key, "fresh", warnings=tuple(records.notes(key).get("warnings", ())))
-        return
-    yield Step(key, "running", why)
+    page = plan.pages[task.key]
+    prints = partial(prints_of_page, page, plan.campaign, records)
+    write = partial(write_camera_page, page, plan.campaign, places, records, templates)
+    return _page(plan, records, task, prints, write)
+
+
+def _page(
+    plan: Plan,
+    records: BuildRecords,
+    task: Task,
+    prints_of: Callable[[], dict[str, Any]],
+    write: Callable[[], Written],
+) -> Iterator[Step]:
+    """Write a page where it is stale; whatever is raised refuses this page, and nothing else."""
+    key = task.key
+    prints: dict[str, Any] = {}
     try:
-        made = write_camera_page(page, plan.campaign, places, records, templates)
-    except Refused as error:
-        yield refused_step(key, error)
+        prints = prints_of()
+        why = records.why_stale(key, prints)
+        if not why:
+            yield Step(key, "fresh", warnings=tuple(records.notes(key).get("warnings", ())))
+            return
+        yield Step(key, "running", why)
+        made = write()
+        records.keep(key, prints, made.files, **made.notes)
+    except Exception as error:
+        what = " ".join(part for part in (key.object, key.camera, "page") if part)
+        refused = records.with_report(key, as_refusal(error, what))
+        if not is_of_the_disk(refused.problems):
+            put_away_stage(key, records)  # an older one speaks of layers that may be gone
+            records.refuse(key, prints, within(plan.campaign, refused.problems))
+        yield refused_step(key, refused)
         return
-    records.keep(key, prints, made.files, **made.notes)
     yield Step(key, "done", why, warnings=made.warnings)

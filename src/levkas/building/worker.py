@@ -21,8 +21,8 @@ import psutil
 
 from levkas import __version__
 from levkas.building.build_records import BuildRecords, Key, Written
+from levkas.building.endings import refusal_of
 from levkas.building.graph import Graph, Task
-from levkas.building.native_cubes import ran_out
 from levkas.building.plan import read_plan
 from levkas.building.sources import ENTRIES, code_version
 from levkas.building.stages import Damaged, Stages
@@ -30,6 +30,7 @@ from levkas.building.template_cache import TemplateCache
 from levkas.core.digests import hash_file, stamp_of
 from levkas.core.files import make_folder, write_json
 from levkas.core.instructions import describe_instructions
+from levkas.core.internal_errors import InternalError
 from levkas.core.machine import MEMORY, THREADS, keep_memory, memory_bytes
 from levkas.core.problems import Problem, Refused
 from levkas.core.progress import FRAMES
@@ -256,13 +257,10 @@ class Workplace:
                 return cuts
             receipt = refused or self._made(job, task)
             self.written[task.key] = {n: e[-1] for n, e in receipt.get("files", {}).items()}
-        except Damaged:
+        except (Damaged, NotShared, NoLongerAsked, OSError):
             raise
-        except MemoryError as error:
-            assert task.capture is not None
-            receipt = refusal_of(ran_out(task.capture, error))
-        except Refused as error:
-            receipt = refusal_of(error)
+        except Exception as error:
+            receipt = receipt_of_refusal(refusal_of(task, error))
         self._require_asked(job, task.key)
         make_folder(path.parent)
         seconds = round(time.monotonic() - started, 2)
@@ -317,9 +315,17 @@ def receipt_of(made: Written, places: Places) -> dict[str, Any]:
     }
 
 
-def refusal_of(refused: Refused) -> dict[str, Any]:
+def receipt_of_refusal(refused: Refused) -> dict[str, Any]:
     """Return the receipt of a refused task."""
-    return {"refused": [problem.to_dict() for problem in refused.problems]}
+    report = {"report": refused.report} if isinstance(refused, InternalError) else {}
+    return {"refused": [problem.to_dict() for problem in refused.problems], **report}
+
+
+def refusal_in(receipt: Mapping[str, Any]) -> Refused:
+    """Return the refusal that a receipt of a refused task holds."""
+    problems = [Problem(**problem) for problem in receipt["refused"]]
+    report = receipt.get("report", "")
+    return InternalError(*problems, report=report) if report else Refused(*problems)
 
 
 def is_refused(receipt: Mapping[str, Any]) -> bool:

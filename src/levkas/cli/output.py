@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol, cast
 import typer
 
 from levkas import __version__
+from levkas.core.internal_errors import InternalError
 from levkas.core.json_safe import plain
 from levkas.core.problems import Problem, Refused
 from levkas.core.progress import COMPILING, FRAMES
@@ -112,6 +113,8 @@ def refusing(command: str) -> Callable[[Callable[..., None]], Callable[..., None
                 function(*args, **options)
             except Refused as refused:
                 print_report(command, as_json, False, refused.problems)
+                if isinstance(refused, InternalError):
+                    typer.echo(refused.report, err=True)
                 raise typer.Exit(1) from None
             except OSError as error:
                 print_report(command, as_json, False, [_refused_by_system(error)])

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 
 from levkas.core.digests import Stamp, stamp_of
+from levkas.core.internal_errors import as_refusal
+from levkas.core.problems import Refused
 from levkas.core.progress import FRAMES
 from levkas.core.text import what_stands_at
 from levkas.readers import images
@@ -148,13 +150,12 @@ def read_facts(path: str | Path) -> Facts:
         stamp = stamp_of(path) if path.suffix.lower() in ALONE else None
     except OSError:
         stamp = None
-    facts: Facts = _facts_of(path, stamp) if stamp else _reader(path, 1)(path)
-    return facts
+    return _facts_of(path, stamp) if stamp else _call(kind_of(path), 1, path)
 
 
 @lru_cache(maxsize=MOST_FACTS)
 def _facts_of(path: Path, _stamp: Stamp) -> Facts:
-    facts: Facts = _reader(path, 1)(path)
+    facts: Facts = _call(kind_of(path), 1, path)
     return facts
 
 
@@ -194,10 +195,10 @@ def read_frame(path: str | Path, *, page: int | None = None) -> np.ndarray:
     UnreadableCapture
         Whatever is wrong with the file: what is missing never reads as zeros.
     """
-    read = _reader(path, 2)
+    kind = kind_of(path)
     FRAMES.add()
-    if read.__name__ == "read_tiff_page":
-        return read(Path(path), page)
+    if kind == "tiff":
+        return _call(kind, 2, Path(path), page)
     if page not in (None, 0):
         raise unreadable(
             path,
@@ -207,7 +208,7 @@ def read_frame(path: str | Path, *, page: int | None = None) -> np.ndarray:
             found="a file of one frame",
             expected="a TIFF of several pages",
         )
-    return read(Path(path))
+    return _call(kind, 2, Path(path))
 
 
 def read_sample(path: str | Path, *, most: int = MOST_SEEN) -> np.ndarray:
@@ -257,9 +258,16 @@ def _spread(length: int, most: int) -> list[tuple[int, int]]:
     return [(start, start + size) for start in starts]
 
 
-def _reader(path: str | Path, which: int) -> Callable[..., Any]:
-    row = READERS[kind_of(path)]
-    return getattr(import_module(row[0]), row[which])
+def _call(kind: str, which: int, path: Path, *page: int | None) -> Any:
+    """Call a function of the readers of a kind; an exception that it does not foresee names the file."""
+    row = READERS[kind]
+    try:
+        function: Callable[..., Any] = getattr(import_module(row[0]), row[which])
+        return function(path, *page)
+    except (Refused, MemoryError, OSError):
+        raise
+    except Exception as error:
+        raise as_refusal(error, f"reading {Path(path).name}", path) from error
 
 
 def _first_bytes(path: Path) -> bytes:

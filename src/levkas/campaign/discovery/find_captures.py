@@ -48,6 +48,7 @@ from levkas.campaign.discovery.file_index import (
 from levkas.campaign.discovery.patterns import Pattern, natural
 from levkas.campaign.schema.cross_checks import is_safe_name
 from levkas.core.cube import find_band
+from levkas.core.internal_errors import InternalError, as_refusal
 from levkas.core.problems import Problem, Refused, closest_match
 
 LONGEST_STEM = 200
@@ -120,8 +121,8 @@ def find_captures(
                 capture = Capture(name, camera_name, setup, sensors)
                 _check_reference_bands(campaign, capture)
                 captures.append(capture)
-            except Refused as refused:
-                refusals[name, camera_name, setup] = refused
+            except Exception as error:
+                refusals[name, camera_name, setup] = _refusal(error, name, camera_name, setup)
     return captures, refusals
 
 
@@ -142,9 +143,14 @@ def find_charts(
             try:
                 sensors = frames_of_sensors(index, name, campaign.cameras[camera], setup)
                 captures.append(Capture(name, camera, setup, sensors))
-            except Refused as refused:
-                refusals[name, camera, setup] = refused
+            except Exception as error:
+                refusals[name, camera, setup] = _refusal(error, name, camera, setup)
     return captures, refusals
+
+
+def _refusal(error: Exception, name: str, camera: str, setup: str) -> Refused:
+    """Return why a capture is refused whose frames were looked for; never more than this one."""
+    return as_refusal(error, f"{name}/{Capture(name, camera, setup, ()).layer} frames")
 
 
 # --- objects ----------------------------------------------------------------------------------
@@ -321,6 +327,8 @@ def frames_of_sensors(
     for sensor in camera.sensors or (None,):
         try:
             sensors.append(_sensor(index, name, camera, setup, sensor))
+        except InternalError:
+            raise
         except Refused as refused:
             problems.extend(refused.problems)
     if problems:
