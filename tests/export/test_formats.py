@@ -65,6 +65,16 @@ def test_envi_is_read_by_spectral_python_and_by_our_own_reader(database, tmp_pat
     assert "wavelength" not in spectral.open_image(str(tmp_path / "icon1_rgb.hdr")).metadata
 
 
+def test_gdal_leaves_out_of_an_envi_export_what_lies_outside_the_frame(database, tmp_path):
+    exported(database, "envi", tmp_path)
+    for kind in ("", "_sigma"):
+        with rasterio.open(tmp_path / f"icon1_vis{kind}.img") as image:
+            assert np.isnan(image.nodata)
+            same(image.read_masks(1) > 0, np.isfinite(truth(database, kind=".sigma")[..., 0]))
+    with rasterio.open(tmp_path / "icon1_vis_flags.img") as image:
+        assert image.nodata is None
+
+
 def test_matlab_gets_cube_flags_sigma_and_labels_without_the_time(database, tmp_path):
     exported(database, "matlab", tmp_path)
     told = loadmat(tmp_path / "icon1_vis.mat", chars_as_strings=True)

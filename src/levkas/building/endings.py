@@ -117,13 +117,20 @@ class Endings:
     def end(self, task: Task, step: Step) -> Step:
         """Withdraw a layer whose task was refused, or say that the older one stays.
 
-        It stays where only the disk refused, and where this build has written nothing beside it yet.
+        It stays where only the disk refused, and where this build has written nothing beside it yet. What
+        cannot be withdrawn is one problem more of the step.
         """
         if step.state != "refused":
             return step
+        self.lost[task.key.object, task.key.layer] = step
+        try:
+            return self._without_older(task, step)
+        except Exception as error:
+            return replace(step, problems=(*step.problems, *refusal_of(task, error).problems))
+
+    def _without_older(self, task: Task, step: Step) -> Step:
         capture, lead = captures_of(task)
         key = task.key
-        self.lost[key.object, key.layer] = step
         if is_of_the_disk(step.problems):
             layers = {(c.camera, c.setup) for c in (lead, capture)}
             keys = [

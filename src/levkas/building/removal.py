@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING
 
 from levkas.building.build_records import CATALOGUE, STAGES, BuildRecords, Key, key_of
@@ -113,7 +114,8 @@ def withdraw(
         places.layer(capture.object, capture.camera, capture.setup, kind=kind)
         for kind in (".tif", ".flags.tif", ".sigma.tif", ".png")
     ]
-    there = [p for p in (*files, places.store(capture.object) / capture.layer) if p.exists()]
+    paths = (*files, places.store(capture.object) / capture.layer)
+    there = [path for path in paths if os.path.lexists(path)]
     if there:
         records.forget(CATALOGUE)
     for path in there:

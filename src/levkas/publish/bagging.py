@@ -51,6 +51,17 @@ def write_bag(published: str | Path, target: str | Path, facts: PublicationFacts
     manifest = read_manifest(root / MANIFEST_NAME)
     wanted = {name: file.sha256 for name, file in manifest.files.items()}
     wanted[MANIFEST_NAME] = hash_file(root / MANIFEST_NAME)
+    if odd := [name for name in sorted(wanted) if "%" in name or len(name.splitlines()) != 1]:
+        raise PublishRefused(
+            Problem(
+                "E_VALUE",
+                "a file of this name cannot be in a bag: programs read its line of the manifest in two ways",
+                file=str(root / odd[0]),
+                found=f"{len(odd)} of {len(wanted)} files",
+                expected="names without % and line breaks (RFC 8493, section 2.1.3)",
+                fix="Rename it in the database, or move it out; then build and publish again.",
+            )
+        )
     missing = sorted(set(wanted) - set(list_files(root)))
     if missing:
         raise PublishRefused(_not_whole(root / missing[0], "it is missing"))

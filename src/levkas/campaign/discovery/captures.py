@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from levkas.campaign.schema.names import EXPECTED, why_unsafe
 from levkas.core.cube import Band
-from levkas.core.problems import Refused
+from levkas.core.problems import Problem, Refused
 
 Rows = tuple[tuple[str, ...], ...]
 
@@ -113,3 +114,18 @@ class Capture:
 
 Refusals = dict[tuple[str, str, str], Refused]
 """(object, camera, setup) → what is wrong with that capture alone."""
+
+
+def require_name(name: str) -> None:
+    """Refuse an object of whose name no file can be made on every system; raises CaptureRefused."""
+    if why := why_unsafe(name):
+        raise CaptureRefused(
+            Problem(
+                "E_VALUE",
+                f"{name!r} cannot be part of a file name: {why}",
+                field="{target}",
+                found=name,
+                expected=EXPECTED,
+                fix="Rename the frames, or list the other objects in `targets.objects`.",
+            )
+        )

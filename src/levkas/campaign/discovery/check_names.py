@@ -11,6 +11,7 @@ from levkas.campaign.discovery.darks_and_whites import near_names
 from levkas.campaign.discovery.file_index import declared_targets
 from levkas.campaign.discovery.patterns import natural
 from levkas.campaign.edits import Edits, EditsInvalid, with_explanation
+from levkas.core.internal_errors import InternalError
 from levkas.core.problems import Problem, closest_match
 
 if TYPE_CHECKING:
@@ -35,7 +36,8 @@ def check_names(campaign: Campaign, index: FileIndex, refusals: Refusals) -> Non
     leads = [refusals.get((name, campaign.reference.camera, "")) for name in index.objects]
     lost = [refused for refused in leads if refused is not None]
     if lost and len(lost) == len(leads):
-        raise CaptureRefused(*lost[0].problems)
+        first = lost[0]
+        raise first if isinstance(first, InternalError) else CaptureRefused(*first.problems)
 
 
 def _lost_templates(campaign: Campaign, there: Sequence[str]) -> Iterator[Problem]:

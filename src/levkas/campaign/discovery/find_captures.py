@@ -27,6 +27,7 @@ from levkas.campaign.discovery.captures import (
     Refusals,
     Rows,
     SensorFrames,
+    require_name,
 )
 from levkas.campaign.discovery.chart_whites import (
     bands_beyond,
@@ -46,7 +47,6 @@ from levkas.campaign.discovery.file_index import (
     scan_folders,
 )
 from levkas.campaign.discovery.patterns import Pattern, natural
-from levkas.campaign.schema.cross_checks import is_safe_name
 from levkas.core.cube import find_band
 from levkas.core.internal_errors import InternalError, as_refusal
 from levkas.core.problems import Problem, Refused, closest_match
@@ -220,10 +220,7 @@ def _require_short(index: FileIndex, name: str, camera: str, setup: str) -> None
 
 
 def _require_frames(index: FileIndex, name: str, camera: str, setup: str) -> None:
-    if not is_safe_name(name):
-        what, expected = f"{name!r} cannot be part of a file name", "letters, digits, - and _"
-        fix = "Rename the frames, or list the other objects in `targets.objects`."
-        raise CaptureRefused(Problem("E_VALUE", what, None, "{target}", name, expected, fix))
+    require_name(name)
     _require_short(index, name, camera, setup)
     if (camera, setup) in index.broken:
         raise index.broken[camera, setup]

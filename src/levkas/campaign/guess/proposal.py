@@ -29,11 +29,8 @@ from levkas.campaign.guess.listing import CaptureFile, Listing
 from levkas.campaign.guess.names import name_targets
 from levkas.campaign.guess.pixels import Samples
 from levkas.campaign.guess.words import GENERIC, TARGET, chart_in
-from levkas.campaign.schema.cross_checks import (
-    KINDS_BY_CHART,
-    find_contradictions,
-    is_safe_name,
-)
+from levkas.campaign.schema.cross_checks import KINDS_BY_CHART, find_contradictions
+from levkas.campaign.schema.names import is_safe_name
 from levkas.campaign.schema.tables import Document
 from levkas.campaign.schema.toml import to_inline_toml, to_toml_key
 from levkas.core.cube import band_labels

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from itertools import islice
@@ -12,6 +11,7 @@ from typing import Any
 from levkas.campaign.chart_names import CHARTS, kind_of_chart
 from levkas.campaign.discovery.patterns import Pattern
 from levkas.campaign.methods import DEFAULT_METHOD, METHODS, owners_of
+from levkas.campaign.schema.names import EXPECTED, why_unsafe
 from levkas.campaign.schema.tables import (
     OPTIONS,
     CameraKeys,
@@ -29,7 +29,6 @@ MOST_CAMERAS, MOST_LAYERS, MOST_PATTERNS = 1000, 20_000, 1000
 """Cameras; objects times cameras; patterns for one camera: each is looked up among the files."""
 LONGEST_ENDING = ".published"
 """Of the folders that stand beside a database under its name."""
-_UNSAFE = re.compile(r'[\x00-\x1f\x7f/\\:*?"<>|@{}]|^[.\s]|[.\s]$')
 
 
 def find_contradictions(document: Document, root: Path) -> Iterator[Problem]:
@@ -70,15 +69,6 @@ def unusable_output(output: Path, root: Path) -> str:
     if output in (root, *root.parents):
         return "the database would replace the campaign"
     return unusable_name(output.with_name(output.name + LONGEST_ENDING))
-
-
-def is_safe_name(name: str) -> bool:
-    """Whether a name can be part of file names and frame names on every system.
-
-    >>> is_safe_name("lctf-vis"), is_safe_name("d80@soft")
-    (True, False)
-    """
-    return 0 < len(name) <= LONGEST_NAME and not _UNSAFE.search(name)
 
 
 def listed(names: Collection[str]) -> str:
@@ -131,14 +121,15 @@ def _names(document: Document) -> Iterator[Problem]:
         f"cameras.{n}.sensors": [s.name for s in camera.sensors] for n, camera in cameras.items()
     }
     tables["objects"] = [*document.objects, *(document.targets.objects or ())]
+    tables["targets.charts"] = [*document.targets.charts]
     for table, names in tables.items():
         for name in dict.fromkeys(names):
-            if not is_safe_name(name):
+            if why := why_unsafe(name):
                 yield value_problem(
                     f"{table}.{name}",
-                    "this name cannot be part of a file name",
+                    f"this name cannot be part of a file name: {why}",
                     name,
-                    f"at most {LONGEST_NAME} letters, digits, - and _",
+                    EXPECTED,
                 )
     if "grid" in cameras:
         yield value_problem(

@@ -47,6 +47,8 @@ def spell_header(layer: ExportLayer, kind: str, number: int) -> str:
         "byte order = 0",
         f"band names = {_listed(layer.labels)}",
     ]
+    if kind != "flags":  # a flag of 0 is a sound value
+        lines.append("data ignore value = NaN")
     if layer.wavelengths:
         lines.append("wavelength units = Nanometers")
         lines.append(f"wavelength = {_listed([repr(float(w)) for w in layer.wavelengths])}")
