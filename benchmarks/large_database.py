@@ -74,7 +74,9 @@ def make(root: Path) -> None:
             _keep(places, records, key, inputs.of(task, {}), FILES)
             layers[f"{key.layer} {key.stage}"] = inputs.digests[key]
         elif key.stage == "report":
-            prints = fingerprints.of_report(plan.campaign, key.object, layers)
+            prints = fingerprints.of_report(
+                plan.campaign, key.object, layers, plan.layers[key.object]
+            )
             _keep(places, records, key, prints, 1)
             layers, done = {}, done + 1
             if done % 1000 == 0:

@@ -95,6 +95,10 @@ SETUP = (
     '[setups.raking]\ntitle = "Raking light"\nspectrum = "lamp.csv"\n'
     'cameras = { filters = { files = "raking/{target}_{wavelength}nm.tif" } }\n'
 )
+NEAR, FAR = (
+    f'[[cameras.twin.sensors]]\nname = "{name}"\nbands = ["{band}"]\n'
+    for name, band in (("near", "N"), ("far", "F"))
+)
 #: Changes side by side where each shows in files that the others leave alone.
 CHANGES = {
     "creator, rotation, publication, a setup's title, a sensitivity": [
@@ -148,6 +152,11 @@ CHANGES = {
         loses("photo/two.png"),
         swaps("filters/white_500nm.tif", "filters/white_600nm.tif"),
     ],
+    "cameras and objects in another order": [
+        says(COLOUR, ""),
+        says("[cameras.filters]", f"{COLOUR}[cameras.filters]"),
+        says('objects = ["one", "two"]', 'objects = ["two", "one"]'),
+    ],
     "another reference band": [says('band = "G"', 'band = "R"')],
 }
 QUICK = ("date, region", "frames cut short and lost, whites swapped")
@@ -181,6 +190,8 @@ def test_building_on_ends_in_the_bytes_of_building_anew(campaign, what):
     on = summarise(build(campaign))
     anew = summarise(build(campaign, output=campaign / "anew"))
     assert on.ok == anew.ok
+    done = {s.label for s in on.stages if s.state == "done" and s.key.stage != "removed"}
+    assert done <= {*stale}  # pages of cameras, too, whose measurements nobody knows yet
     assert differences(campaign / "database", campaign / "anew") == []
     left = status(campaign)
     assert left.ok == on.ok
@@ -188,6 +199,22 @@ def test_building_on_ends_in_the_bytes_of_building_anew(campaign, what):
         assert {step.state for step in left.stages} == {"fresh"}
         told = [s.label for s in on.stages if s.key.stage != "removed"]
         assert sorted(s.label for s in left.stages) == sorted(told)
+
+
+@pytest.mark.slow
+def test_sensors_and_setups_in_another_order_end_in_the_bytes_of_building_anew(
+    make_every_kind, tmp_path
+):
+    folder = make_every_kind(tmp_path / "campaign", ("one",), ("photo", "filters", "twin"))
+    lower = SETUP.replace("[setups.raking]", "[setups.lower]").replace("Raking", "Lower")
+    says(SETUP, SETUP + lower)(folder)
+    assert summarise(build(folder)).ok
+    for change in (says(NEAR + FAR, FAR + NEAR), says(SETUP + lower, lower + SETUP)):
+        change(folder)
+        assert not all(step.state == "fresh" for step in status(folder).stages)
+        list(build(folder))
+        list(build(folder, output=folder / "anew"))
+        assert differences(folder / "database", folder / "anew") == []
 
 
 def test_a_camera_that_comes_back_is_built_again_to_the_same_bytes(campaign):

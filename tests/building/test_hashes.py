@@ -1,6 +1,7 @@
 """The index of hashes: found again, made anew where it is damaged, never believed against a stamp."""
 
 import os
+import sqlite3
 
 import pytest
 
@@ -41,6 +42,42 @@ def test_an_index_that_is_damaged_is_made_anew(kept, damage):
     hashes.take(frame, [*stamp_of(frame), "e" * 64])
     hashes.save()
     assert hashes(frame) == Hashes(index)(frame) == "e" * 64
+
+
+@pytest.mark.parametrize(
+    "change",
+    ["sha256 = NULL", "sha256 = 'ffff'", "sha256 = x'00ff'", "inode = 'one'", "size = NULL", "size = 'x'"],
+)  # fmt: skip
+def test_a_damaged_row_of_the_index_is_read_again(kept, change):
+    frame, index = kept
+    with sqlite3.connect(index) as rows:
+        rows.execute(f"UPDATE files SET {change}")
+    hashes = Hashes(index)
+    assert hashes(frame) == hash_file(frame)
+    hashes.take(frame, [*stamp_of(frame), "e" * 64])
+    hashes.save()
+    assert Hashes(index)(frame) == "e" * 64
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        "CREATE TABLE files (name TEXT, sha256 TEXT)",
+        "CREATE TABLE files (name, size, modified, changed, inode, sha256, more INTEGER NOT NULL)",
+        "CREATE VIEW files AS SELECT 1 AS name",
+        "CREATE TABLE others (name TEXT)",
+    ],
+)
+def test_an_index_of_another_form_is_made_anew(kept, table):
+    frame, index = kept
+    index.unlink()
+    with sqlite3.connect(index) as rows:
+        rows.execute(table)
+    hashes = Hashes(index)
+    assert hashes(frame) == hash_file(frame)
+    hashes.take(frame, [*stamp_of(frame), "e" * 64])
+    hashes.save()
+    assert Hashes(index)(frame) == "e" * 64
 
 
 def test_two_builds_write_one_index(tmp_path):

@@ -1,6 +1,7 @@
 """The code of a stage is all that it imports, found by reading it."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -9,7 +10,10 @@ from pathlib import Path
 import pytest
 
 import levkas
+from levkas.building import sources
 from levkas.building.sources import ENTRIES, RIM, Sources
+from levkas.core import instructions
+from levkas.core.instructions import HELD
 
 PACKAGE = Path(levkas.__file__).parent
 STAGES = sorted({*ENTRIES} - {"template"})
@@ -25,8 +29,8 @@ def name_of(module):
 
 @pytest.fixture(scope="module")
 def closures():
-    sources = Sources()
-    return {stage: {name_of(path) for path in sources.closure(stage)} for stage in ENTRIES}
+    read = Sources()
+    return {stage: {name_of(path) for path in read.closure(stage)} for stage in ENTRIES}
 
 
 def test_no_stage_rests_on_what_only_decides_what_is_done(closures):
@@ -66,13 +70,13 @@ def test_a_changed_module_changes_the_code_of_exactly_the_stages_that_rest_on_it
     package = shutil.copytree(
         PACKAGE, tmp_path / "levkas", ignore=shutil.ignore_patterns("__pycache__", "built")
     )
-    sources = Sources(package)
-    before = {stage: sources.version(stage) for stage in ENTRIES}
-    used = {stage: sources.closure(stage) for stage in ENTRIES}
+    read = Sources(package)
+    before = {stage: read.version(stage) for stage in ENTRIES}
+    used = {stage: read.closure(stage) for stage in ENTRIES}
     for path in sorted(set().union(*used.values()))[::25]:  # all of them: benchmarks/staleness.py
         text = path.read_bytes()
         path.write_bytes(text + b"\n")
-        changed = {stage for stage in ENTRIES if sources.version(stage) != before[stage]}
+        changed = {stage for stage in ENTRIES if read.version(stage) != before[stage]}
         path.write_bytes(text)
         assert changed == {stage for stage in ENTRIES if path in used[stage]}, path
 
@@ -93,6 +97,59 @@ def test_an_import_for_type_checkers_is_none_and_one_in_a_function_is_one(tmp_pa
     (package / "lazy" / "away.py").write_text("")
     found = {p.relative_to(package).as_posix() for p in Sources(package).closure("template")}
     assert found == {"calibration/sensor_context.py", "lazy/home.py"}
+
+
+def test_every_library_of_a_stage_is_in_its_fingerprint_or_known_to_have_no_effect():
+    read = Sources()
+    roots = {
+        root for stage in ENTRIES for name in read._reached(stage) for root in read._of(name).roots
+    }
+    others = roots - {*sys.stdlib_module_names, "levkas", ""}
+    assert others <= {*sources.LIBRARIES, *sources.WITHOUT_EFFECT}
+    assert {"zarr", "PIL", "xarray", "matplotlib", "skimage", "rawpy"} <= others
+
+
+@pytest.mark.parametrize(
+    ("distribution", "stages"),
+    {
+        "rawpy": {"calibrate", "register", "resample", "report", "camera", "template"},
+        "numcodecs": {"calibrate", "register", "resample", "camera", "catalogue"},
+        "pillow": {"calibrate", "register", "resample", "report", "camera"},
+        "matplotlib": {"register", "adjust", "report", "camera"},
+        "scikit-image": {"resample", "camera"},
+        "jinja2": {"register", "adjust", "report", "camera"},
+    }.items(),
+)
+def test_another_version_of_a_library_changes_the_stages_that_use_it(
+    monkeypatch, distribution, stages
+):
+    read = Sources()
+    before = {stage: read.version(stage) for stage in ENTRIES}
+    number = sources._version
+    monkeypatch.setattr(sources, "_version", lambda n: "0" if n == distribution else number(n))
+    assert {stage for stage in ENTRIES if read.version(stage) != before[stage]} == stages
+
+
+def test_other_instruction_sets_make_every_stage_stale_that_computes(plates):
+    free = {k: v for k, v in os.environ.items() if k not in (*HELD, "OPENCV_CPU_DISABLE")}
+    script = "from levkas.cli import main; main()"
+    command = [sys.executable, "-c", script, "status", str(plates), "--json"]
+
+    def stale(**more):
+        env = free | {"PYTHONPATH": os.pathsep.join(sys.path)} | more
+        told = subprocess.run(command, capture_output=True, text=True, check=True, env=env)
+        steps = json.loads(told.stdout)["stages"]
+        return {s["stage"] for s in steps if "instructions" in s["why"]}
+
+    assert stale() == set()
+    found = instructions.describe_instructions()  # held, as conftest.py does
+    if found["level"] == instructions.BASELINE:
+        sets = stale(LEVKAS_INSTRUCTIONS="native")
+        assert sets in ({"calibrate", "register", "resample", "report"}, set())
+    record = json.loads((plates / "database/objects/one/provenance.json").read_text())
+    assert {step["instructions"] for step in record["steps"]} == {
+        instructions.instructions_in_use()
+    }
 
 
 @pytest.mark.slow

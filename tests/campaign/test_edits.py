@@ -10,8 +10,10 @@ from levkas.campaign.edits import (
     FrameEdits,
     read_edits,
     round_pair,
+    sweep_corrections,
     write_edits,
 )
+from levkas.core.locks import locked
 
 PX = st.integers(-5000, 500_000).map(lambda n: n / 100)
 PAIR = st.tuples(PX, PX, PX, PX)
@@ -96,3 +98,33 @@ def test_a_note_changes_no_build():
     )
     assert one.describe() != FrameEdits(added=(round_pair((1, 2, 3, 4.01)),)).describe()
     assert FrameEdits(note="only a note").describe() == ""
+
+
+def test_a_link_that_leads_nowhere_is_no_file_without_corrections(tmp_path):
+    (tmp_path / "edits.toml").symlink_to(tmp_path / "gone/edits.toml")
+    with pytest.raises(EditsInvalid) as refused:
+        read_edits(tmp_path / "edits.toml")
+    assert refused.value.problems[0].code == "E_UNREADABLE"
+    assert str(tmp_path / "edits.toml") in refused.value.problems[0].file
+
+
+def test_what_a_killed_workbench_left_is_taken_away_and_what_is_held_stays(tmp_path):
+    names = [
+        "edits.toml.levkas.partial-0123abcd",
+        ".edits.history.json.levkas.partial-0123abcd",
+        ".edits.toml.lock",
+    ]
+    others = [
+        "edits.toml",
+        "edits.toml.partial-0123abcd",
+        ".other.lock",
+        "notes.levkas.partial-0123abcd",
+    ]
+    for name in (*names, *others):
+        (tmp_path / name).write_text("")
+    with locked(tmp_path / ".edits.toml.lock"):
+        sweep_corrections(tmp_path)
+        assert (tmp_path / ".edits.toml.lock").exists()
+    (tmp_path / ".edits.toml.lock").write_text("")
+    sweep_corrections(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {*others}

@@ -246,7 +246,7 @@ class BuildIndex:
                         return False
             same = not any(self._changed(names_only=False))
             return same and number == self.facts["folders"][1]
-        except sqlite3.Error:
+        except (sqlite3.Error, TypeError, ValueError):  # a row was damaged
             return False
 
     def steps(self, *, building: bool = False) -> list[Step] | None:
@@ -260,7 +260,7 @@ class BuildIndex:
         try:
             names_only = facts["files"] > MOST_STAMPED
             changed = [] if building else [*self._changed(names_only=names_only)]
-        except sqlite3.Error:
+        except (sqlite3.Error, TypeError, ValueError):
             return None
         steps = [_from_record(record) for record in facts["refused"]]
         steps += [Step(Key("", stage=INPUTS), "stale", why) for why in changed[:MOST_FOLDERS]]

@@ -14,7 +14,7 @@ from levkas.building.capture_statistics import FEW_BANDS, SENSELS, levels_of
 from levkas.building.charts import edges_of
 from levkas.building.fingerprints import digest, written
 from levkas.building.graph import cameras_with_pages, page_key
-from levkas.building.sources import code_version
+from levkas.building.sources import made_with
 from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA
 from levkas.campaign.discovery.find_captures import find_charts
 from levkas.core.disk import WriteRefused
@@ -27,6 +27,8 @@ from levkas.quality.targets.stray_light import NOT_MEASURED
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from levkas.building.fingerprints import Inputs
+    from levkas.building.graph import Step
     from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
@@ -103,16 +105,22 @@ def write_camera_page(
     return Written(made, {"warnings": list(warnings)}, warnings=warnings)
 
 
-def prints_of_page(page: CameraPage, campaign: Campaign, records: BuildRecords) -> dict[str, Any]:
-    """Return the fingerprint of a camera's page."""
+def prints_of_page(
+    page: CameraPage,
+    campaign: Campaign,
+    records: BuildRecords,
+    inputs: Inputs,
+    lost: Mapping[tuple[str, str], Step],
+) -> dict[str, Any]:
+    """Return the fingerprint of a camera's page; `lost` is how layers ended, or would, that are refused."""
     keys, described, first = campaign.cameras[page.camera], campaign.campaign, page.first
     prints: dict[str, Any] = {
-        "code": code_version("camera"),
+        **made_with("camera"),
         "campaign.title": described.title,
         "campaign.creator": described.creator,
         "campaign.date": described.date,
         "campaign.licence": described.licence,
-        "measured of sensor and light": digest(learnt_of(page, records)),
+        "measured of sensor and light": _measured_in(page, records, inputs, lost),
         "charts refused": [written(campaign, p) for p in page.refused],
     }
     for key in ("kind", "bits", "black", "saturation"):
@@ -131,19 +139,45 @@ def prints_of_page(page: CameraPage, campaign: Campaign, records: BuildRecords) 
     return fingerprints.plain(prints)
 
 
+def _measured_in(
+    page: CameraPage,
+    records: BuildRecords,
+    inputs: Inputs,
+    lost: Mapping[tuple[str, str], Step],
+) -> list[list[str]]:
+    """Return the calibrations that `learnt_of` takes its measurements from, and what each is made of.
+
+    A calibration that is to be done again is another one: what it will measure need not be known.
+    """
+    found, known = [], set()
+    for capture in page.captures:
+        key = key_of(capture, "calibrate")
+        step = lost.get((capture.object, capture.layer))
+        if capture.setup in known or (step is not None and step.key == key):
+            continue
+        found.append([capture.setup, capture.object, inputs.calibrated(key)])
+        if any(_of_camera(records, key).values()):
+            known.add(capture.setup)
+    return found
+
+
 def learnt_of(page: CameraPage, records: BuildRecords) -> dict[str, dict[str, Any]]:
     """Return the measurements of sensor and light by the first capture of each setup, by setup."""
     found: dict[str, dict[str, Any]] = {}
     for capture in page.captures:
         if capture.setup not in found:
-            told = records.notes(key_of(capture, "calibrate")).get("learnt", {})
-            of_camera = {
-                sensor: {name: v for name, v in one.items() if name != SENSELS}
-                for sensor, one in told.items()
-            }
+            of_camera = _of_camera(records, key_of(capture, "calibrate"))
             if any(of_camera.values()):
                 found[capture.setup] = of_camera
     return found
+
+
+def _of_camera(records: BuildRecords, key: Key) -> dict[str, dict[str, Any]]:
+    """Return what a calibration measured of sensors and light, by sensor."""
+    return {
+        sensor: {name: value for name, value in one.items() if name != SENSELS}
+        for sensor, one in records.notes(key).get("learnt", {}).items()
+    }
 
 
 def _measured(

@@ -11,16 +11,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
+from levkas.building.estimates import (
+    describe_outdated,
+    outdated_estimates,
+    put_away_estimates,
+)
 from levkas.building.fingerprints import digest
 from levkas.building.graph import Step
-from levkas.building.sources import code_version
+from levkas.building.sources import made_with
 from levkas.campaign.campaign import Campaign
 from levkas.campaign.discovery.captures import Capture
 from levkas.core.ownership import IMPRINT, MARK
 from levkas.database.layout import LayerId, Places
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable, Sequence
 
     from levkas.campaign.campaign import Campaign
     from levkas.database.catalogue import Entry
@@ -51,37 +56,55 @@ def write_catalogue_of(
 
     key = CATALOGUE
     with in_turn(places.kept):
-        entries = _entries(places, records, captures, names, whole=whole)
+        rows = _entries(places, records, captures, names, whole=whole)
+        outdated = _outdated(places, records, rows, names, whole=whole)
+        entries = [entry for entry in rows if entry.layer not in outdated]
         imprint = imprint_of(campaign, entries)
         spectra = spectra_of(campaign, imprint["setups"])
         others = by_others(places, records)
         prints = _prints(entries, records, imprint, spectra, others)
-        why = records.why_stale(key, prints)
+        why = describe_outdated(outdated) or records.why_stale(key, prints)
         if not why:
             return Step(key, "fresh", warnings=foreign_files(others))
         records.forget(key)
+        warnings = put_away_estimates(places, records, outdated)
         made = _published(places, entries, names, imprint, spectra)
         manifest = places.output / MANIFEST
         listed = [path.relative_to(places.output).as_posix() for path in (*made, manifest)]
         records.put_away_left(key, listed)
         write_manifest(places.output, dict(records.products_that_stand()))
         records.keep(key, prints, [*made, manifest])
-    return Step(key, "done", why, warnings=foreign_files(others))
+    return Step(key, "done", why, warnings=(*warnings, *foreign_files(others)))
 
 
-def prints_of_catalogue(
+def _outdated(
+    places: Places,
+    records: BuildRecords,
+    rows: Sequence[Entry],
+    names: Collection[str],
+    *,
+    whole: bool,
+) -> dict[LayerId, str]:
+    """Return the estimated layers that are not of the database's layers any more."""
+    every = whole and not records.keep_removed
+    return outdated_estimates(places, rows, names if every else None)
+
+
+def why_catalogue_is_stale(
     campaign: Campaign,
     places: Places,
     records: BuildRecords,
     captures: list[Capture],
     names: list[str],
     others: dict[str, str],
-) -> dict[str, Any]:
-    """Return what the files that speak of all layers hang on; `others` are those of `by_others`."""
-    entries = _entries(places, records, captures, names, whole=True)
-    imprint = imprint_of(campaign, entries)
+) -> str:
+    """Say why the files that speak of all layers are stale; `others` are those of `by_others`."""
+    rows = _entries(places, records, captures, names, whole=True)
+    if outdated := _outdated(places, records, rows, names, whole=True):
+        return describe_outdated(outdated)
+    imprint = imprint_of(campaign, rows)
     spectra = spectra_of(campaign, imprint["setups"])
-    return _prints(entries, records, imprint, spectra, others)
+    return records.why_stale(CATALOGUE, _prints(rows, records, imprint, spectra, others))
 
 
 def by_others(places: Places, records: BuildRecords) -> dict[str, str]:
@@ -163,9 +186,10 @@ def _prints(
         products.update(f"{sha} {name}\n".encode("utf-8", "surrogateescape"))
     files = products.hexdigest()
     return {
-        "code": code_version("catalogue"),
+        **made_with("catalogue"),
         "layers": digest({"rows": [e.to_row() for e in entries], "files": files}),
         "campaign": digest({"imprint": imprint, "mark": MARK}),
+        "order of cameras and setups": [[*imprint["cameras"]], [*imprint["setups"]]],
         "spectra": digest(spectra),
         "files by others": digest(others),
     }

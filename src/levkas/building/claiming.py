@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from levkas.building.hashes import HASHES
 from levkas.campaign.campaign import CampaignInvalid
 from levkas.campaign.schema.cross_checks import unusable_output
-from levkas.core.ownership import IMPRINT, MARK, made, require_outside, stands_in
+from levkas.core.ownership import IMPRINT, MARK, is_address, made, require_outside, stands_in
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_json, unusable_name
 from levkas.database.catalogue import COLUMNS, DatabaseRefused, read_catalogue
@@ -35,7 +35,11 @@ def places_of(campaign: Campaign, output: str | Path | None = None) -> Places:
     ------
     CampaignInvalid
         Where it would replace a disk, a home or the campaign, or no folder can bear its name.
+    WriteRefused
+        Where it is an address of a server.
     """
+    if output and is_address(output):
+        require_outside(Path(output), fix="")
     if output and (why := unusable_name(output)):
         raise CampaignInvalid(_not_apart(campaign, why, str(output)))
     places = Places(Path(output).resolve() if output else campaign.output)

@@ -48,6 +48,7 @@ from levkas.building.worker import (
 )
 from levkas.core.disk import DISK_CODES
 from levkas.core.files import make_folder, remove, write_text
+from levkas.core.instructions import instructions_in_use
 from levkas.core.problems import Problem, Refused
 from levkas.core.progress import FRAMES
 from levkas.core.sweeping import sweep
@@ -510,11 +511,13 @@ class ClusterExecutor:
                     for name, entry in receipt[part].items():
                         records.hashes.take(folder / name, entry)
                 self._drop_parts(task.key)
+                other = receipt["instructions"] != instructions_in_use()
                 step = self._endings.keep(
                     flight.due,
                     written_of(receipt, self._places),
                     seconds=receipt["seconds"],
                     attempts=flight.attempts,
+                    **({"instructions": receipt["instructions"]} if other else {}),
                 )
         except Refused as error:
             step = self._endings.refuse(task, error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
@@ -31,7 +32,7 @@ def points_file(campaign: Campaign, capture: Capture) -> Path | None:
     for key in ("object", "camera", "setup"):
         name = name.replace("{" + key + "}", getattr(capture, key))
     path = campaign.root / name
-    return path if path.is_file() else None
+    return path if os.path.lexists(path) else None  # one that cannot be read is refused
 
 
 def use_of(campaign: Campaign, camera: str) -> str:

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 from levkas.building.build_records import UNREADABLE, Key, key_of
 from levkas.building.control_points import told_points
 from levkas.building.hashes import Hashes, Unread
-from levkas.building.sources import code_version
+from levkas.building.sources import made_with
 from levkas.core.internal_errors import CODE as INTERNAL
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Collection, Iterator, Sequence
 
     from levkas.building.build_records import BuildRecords
     from levkas.building.graph import Task
@@ -83,6 +83,10 @@ class Inputs:
         self._numbers[task.key] = digest(prints, numbers_of=task.key.stage)
         return prints
 
+    def calibrated(self, key: Key) -> str:
+        """Return what the numbers of a calibration are made of; empty where it is not of this plan."""
+        return self._numbers.get(key, "")
+
     def _prints(self, task: Task, refused: Collection[tuple[str, str]]) -> dict[str, Any]:
         capture, lead = task.capture, task.reference
         assert capture is not None and lead is not None
@@ -126,7 +130,7 @@ def of_calibration(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict
     """Files, templates, keys of the camera and of its white."""
     camera = campaign.cameras[capture.camera]
     prints: dict[str, Any] = {
-        "code": code_version("calibrate"),
+        **made_with("calibrate"),
         **_credits(campaign, capture.object),
     }
     for key in CALIBRATION_KEYS:
@@ -140,6 +144,8 @@ def of_calibration(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict
         if isinstance(white.reflectance, str) and (campaign.root / white.reflectance).is_file():
             prints[f"file {white.reflectance}"] = hashes(campaign.root / white.reflectance)
     prints |= _white_chart(campaign, capture, hashes)
+    if len(capture.sensors) > 1:  # bands are in their order, and the first is the others' frame
+        prints[f"cameras.{camera.name}.sensors"] = [sensor.name for sensor in capture.sensors]
     for sensor in capture.sensors:
         where = (
             f"cameras.{camera.name}.sensors.{sensor.name}"
@@ -211,7 +217,7 @@ def of_registration(
     grid, keys = _grid(campaign), campaign.cameras[capture.camera]
     facts = campaign.objects.get(capture.object)
     prints: dict[str, Any] = {
-        "code": code_version("register"),
+        **made_with("register"),
         "calibrated frames": calibrated,
         "frames of the reference": reference,
         "campaign.reference": campaign.reference.model_dump(),
@@ -238,7 +244,7 @@ def of_registration(
 
 def of_adjustment(own: str, mates: dict[str, str]) -> dict[str, Any]:
     """The capture's own registration, and those of all that it is adjusted with."""
-    prints: dict[str, Any] = {"code": code_version("adjust"), "its own registration": own}
+    prints: dict[str, Any] = {**made_with("adjust"), "its own registration": own}
     prints |= {f"registration of {name}": made_of for name, made_of in mates.items()}
     return plain(prints)
 
@@ -254,7 +260,7 @@ def of_resampling(
 ) -> dict[str, Any]:
     """The registration, the grid, what the files say of the object, and the default lighting's layer."""
     prints: dict[str, Any] = {
-        "code": code_version("resample"),
+        **made_with("resample"),
         "registration": registered,
         "registration of the reference": reference,
     }
@@ -266,9 +272,11 @@ def of_resampling(
     return plain({**prints, f"objects.{capture.object}.size_mm": size})
 
 
-def of_report(campaign: Campaign, name: str, layers: dict[str, str]) -> dict[str, Any]:
-    """Every layer of the object, and its museum facts."""
-    prints: dict[str, Any] = {"code": code_version("report")}
+def of_report(
+    campaign: Campaign, name: str, layers: dict[str, str], order: Sequence[str]
+) -> dict[str, Any]:
+    """Every layer of the object in their `order`, and its museum facts."""
+    prints: dict[str, Any] = {**made_with("report"), "order of layers": order}
     prints.update({f"layer {layer}": value for layer, value in layers.items()})
     for key, value in _facts(campaign, name).items():
         prints[f"objects.{name}.{key}"] = value

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sqlite3
 import threading
 import time
@@ -28,6 +29,11 @@ TABLE = """CREATE TABLE IF NOT EXISTS files (
     name BLOB PRIMARY KEY, size INTEGER, modified INTEGER, changed INTEGER, inode TEXT, sha256 TEXT
 ) WITHOUT ROWID"""
 
+OF_THE_DISK = (
+    *(sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_FULL, sqlite3.SQLITE_READONLY),
+    *(sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_NOMEM, sqlite3.SQLITE_IOERR),
+)
+"""Errors in spite of which the index is sound."""
 STAMP = "size, modified, changed, inode, sha256"
 Entry = list[Any]
 """Stamp of a file, as `stamp_of` gives it, and its SHA-256."""
@@ -85,7 +91,7 @@ class Hashes:
                 found = row.fetchone()
             except sqlite3.Error:
                 return None
-        return None if found is None else [*found[:3], int(found[3]), found[4]]
+        return None if found is None else _entry(found)
 
     def take(self, path: str | Path, entry: Sequence[Any]) -> None:
         """Take stamp and hash of a file that another process has read, where the file has that stamp still."""
@@ -105,10 +111,10 @@ class Hashes:
             rows = [(name, *e[:3], str(e[3]), e[4]) for name, e in self._new.items()]
             try:
                 _write(self.path, rows)
-            except sqlite3.OperationalError:
-                return
-            except sqlite3.DatabaseError:  # damaged: made anew
-                self._kept = None
+            except sqlite3.DatabaseError as error:
+                if getattr(error, "sqlite_errorcode", 0) & 0xFF in OF_THE_DISK:
+                    return
+                self._kept = None  # damaged, or of another form: made anew
                 remove(self.path)
                 with suppress(sqlite3.OperationalError):
                     _write(self.path, rows)
@@ -142,13 +148,22 @@ class Unread(Hashes):
         return "not read"
 
 
+def _entry(row: Sequence[Any]) -> Entry | None:
+    """Return stamp and hash of a row; None where it was damaged, and the file is read again."""
+    try:
+        stamp, sha256 = [int(number) for number in row[:4]], str(row[4])
+    except (TypeError, ValueError):
+        return None
+    return [*stamp, sha256] if re.fullmatch("[0-9a-f]{64}", sha256) else None
+
+
 def _opened(path: Path) -> sqlite3.Connection | None:
     """Open an index for reading from any thread; None where there is none that can be read."""
     if not path.is_file():
         return None
     try:
         kept = sqlite3.connect(path, timeout=PATIENCE_S, check_same_thread=False)
-        kept.execute("SELECT 1 FROM files LIMIT 1")
+        kept.execute(f"SELECT name, {STAMP} FROM files LIMIT 1")
     except sqlite3.Error:
         return None
     return kept

@@ -62,6 +62,7 @@ if TYPE_CHECKING:
 FRAME = "frame "
 """Begins what a fingerprint says of the use of a file as a frame."""
 PROVENANCE = "provenance.json"
+MADE_WITH = ("code", "instructions")
 FILE = "file "
 """Begins the names of input files in a fingerprint."""
 
@@ -341,8 +342,8 @@ def provenance_of(
     record : dict
         ``levkas`` and ``libraries``: versions. ``instructions``: as of `describe_instructions`, in
         the process that wrote this record. ``steps``: of every stage that has ended well, in order,
-        ``camera``, ``setup``, ``stage``, ``code`` (hash of the sources that it rests on),
-        ``parameters``, ``inputs`` and ``products`` (SHA-256 by relative path; of products not the Zarr
+        ``camera``, ``setup``, ``stage``, ``code`` (hash of the sources that it rests on, and of the versions of the
+        libraries that it uses), ``instructions`` (instruction sets of the libraries), ``parameters``, ``inputs`` and ``products`` (SHA-256 by relative path; of products not the Zarr
         chunks, which hold the same numbers as the TIFFs); of a calibration ``frames`` too: of every
         frame its role, what its name says, its exposure in s, and the SHA-256 of all its files; and of a camera
         whose white is a chart ``chart_white``: by which, and how good, sensor by sensor.
@@ -378,13 +379,14 @@ def _step(records: BuildRecords, key: Key) -> dict[str, Any]:
     parameters = {
         k: v
         for k, v in prints.items()
-        if not k.startswith((FILE, FRAME)) and k != "code" and v is not None
+        if not k.startswith((FILE, FRAME)) and k not in MADE_WITH and v is not None
     }
     return {
         "camera": key.camera,
         "setup": key.setup,
         "stage": key.stage,
         "code": prints.get("code", ""),
+        "instructions": records.notes(key).get("instructions", prints.get("instructions", "")),
         "parameters": parameters,
         "inputs": inputs,
         "products": {n: sha for n, sha in products.items() if not n.startswith("zarr/")},
@@ -408,7 +410,7 @@ def _frames(campaign: Campaign, capture: Capture, inputs: dict[str, str]) -> lis
 
 def _libraries() -> dict[str, str]:
     found = {}
-    for name in sorted(LIBRARIES.values()):
+    for name in sorted(name for names in LIBRARIES.values() for name in names):
         try:
             found[name] = version(name)
         except PackageNotFoundError:  # another build of the same library: its version is not known

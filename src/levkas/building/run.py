@@ -28,9 +28,9 @@ from levkas.building.camera_pages import prints_of_page, write_camera_page
 from levkas.building.catalogue import (
     by_others,
     foreign_files,
-    prints_of_catalogue,
     setups_of,
     spectra_of,
+    why_catalogue_is_stale,
     write_catalogue_of,
 )
 from levkas.building.claiming import check_apart, claim, places_of
@@ -52,6 +52,7 @@ from levkas.building.removal import (
 )
 from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import Campaign, load_campaign
+from levkas.campaign.edits import sweep_corrections
 from levkas.core.internal_errors import as_refusal
 from levkas.core.problems import Problem, Refused
 from levkas.database.layout import Places
@@ -134,6 +135,7 @@ def build(
     drop_index(places)
     for folder in (places.output, places.kept):
         sweep(folder)
+    sweep_corrections(campaign.root)
     sources.remember(places.kept / sources.CODE)
     records = BuildRecords(
         places.kept, places.output, keep_removed=keep_removed, verify=verify is True
@@ -250,7 +252,7 @@ def _steps(
 
     def write_page(task: Task) -> Iterator[Step]:
         if task.key.stage == "camera":
-            return _camera(plan, places, records, templates, task)
+            return _camera(plan, endings, templates, task)
         name = task.key.object
         ended = sorted(endings.of(name), key=lambda step: places_in_graph[step.key])
         return _report(plan, places, records, endings.inputs, task, [*lost[name], *ended])
@@ -362,7 +364,7 @@ def status(
         if key.stage == "report":
             prints_of = partial(_report_prints, plan, inputs, key.object, by_object[key.object])
         elif key.stage == "camera":
-            prints_of = partial(prints_of_page, plan.pages[key], campaign, records)
+            prints_of = partial(prints_of_page, plan.pages[key], campaign, records, inputs, refused)
         else:
             continue
         ended[key] = _state_of(plan, records, key, prints_of)
@@ -430,8 +432,7 @@ def _state_of_catalogue(
     if any(step.state == "stale" for step in steps):
         return Step(CATALOGUE, "stale", "it lists stale files")
     others = by_others(places, records)
-    prints = prints_of_catalogue(plan.campaign, places, records, plan.captures, plan.names, others)
-    why = records.why_stale(CATALOGUE, prints)
+    why = why_catalogue_is_stale(plan.campaign, places, records, plan.captures, plan.names, others)
     warnings = foreign_files(others)
     return Step(CATALOGUE, "stale" if why else "fresh", why, warnings=warnings)
 
@@ -445,7 +446,7 @@ def _report_prints(plan: Plan, inputs: Inputs, name: str, steps: Sequence[Step])
     for step in lost:
         told = (fingerprints.written(plan.campaign, p) for p in step.problems)
         layers[f"{step.key.layer} refused"] = "\n".join(told)
-    return fingerprints.of_report(plan.campaign, name, layers)
+    return fingerprints.of_report(plan.campaign, name, layers, plan.layers.get(name, []))
 
 
 def _report(
@@ -469,13 +470,11 @@ def _report(
     return _page(plan, records, task, prints, write)
 
 
-def _camera(
-    plan: Plan, places: Places, records: BuildRecords, templates: TemplateCache, task: Task
-) -> Iterator[Step]:
+def _camera(plan: Plan, endings: Endings, templates: TemplateCache, task: Task) -> Iterator[Step]:
     """Write the page of a camera where it is stale."""
-    page = plan.pages[task.key]
-    prints = partial(prints_of_page, page, plan.campaign, records)
-    write = partial(write_camera_page, page, plan.campaign, places, records, templates)
+    page, records = plan.pages[task.key], endings.records
+    prints = partial(prints_of_page, page, plan.campaign, records, endings.inputs, endings.lost)
+    write = partial(write_camera_page, page, plan.campaign, endings.places, records, templates)
     return _page(plan, records, task, prints, write)
 
 

@@ -14,8 +14,9 @@ from dataclasses import dataclass, field
 from functools import cache, cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from levkas.core.instructions import instructions_in_use
 from levkas.core.problems import Refused
 from levkas.core.text import read_json
 
@@ -48,16 +49,30 @@ RIM = frozenset(
     )
 ) | {"levkas.campaign.campaign", "levkas.campaign.discovery.find_captures", "levkas.core.ownership"}
 """Decide what is done, with what, and where; what comes of it is in the fingerprints themselves."""
-LIBRARIES = {
-    "cv2": "opencv-python-headless",
-    "imagecodecs": "imagecodecs",
-    "numba": "numba",
-    "numpy": "numpy",
-    "rawpy": "rawpy",
-    "scipy": "scipy",
-    "tifffile": "tifffile",
+LIBRARIES: dict[str, tuple[str, ...]] = {
+    "PIL": ("pillow",),
+    "colour": ("colour-science",),
+    "cv2": ("opencv-python-headless",),
+    "exifread": ("exifread",),
+    "imagecodecs": ("imagecodecs",),
+    "jinja2": ("jinja2", "markupsafe"),
+    "matplotlib": ("matplotlib", "contourpy"),
+    "numba": ("numba", "llvmlite"),
+    "numpy": ("numpy",),
+    "rawpy": ("rawpy",),
+    "scipy": ("scipy",),
+    "skimage": ("scikit-image",),
+    "tifffile": ("tifffile",),
+    "tomlkit": ("tomlkit",),
+    "xarray": ("xarray",),
+    "zarr": ("zarr", "numcodecs"),
 }
-"""Whose version may be in the numbers: module → distribution."""
+"""Whose versions may be in the bytes: module → distributions, those that it leaves the work to among them."""
+WITHOUT_EFFECT = frozenset(
+    ("boto3", "filelock", "h5py", "markupsafe", "obstore", "psutil", "pydantic", "threadpoolctl")
+)
+"""Modules of others whose version is in no byte: locks, memory, threads, remote reading, checks of keys, predictions in HDF5
+(which no stage reads)."""
 CODE = "code.json"
 """Among what is kept: the hashes of each stage's code, so that it is not read at every start."""
 _NAME = re.compile(r"[a-z_]+\.(py|csv|html)")
@@ -67,10 +82,10 @@ _TEXT = re.compile(r"""["']([a-z_0-9]+(?:\.[a-z_0-9]+)+)["']""")
 
 @dataclass(frozen=True)
 class _Module:
-    """What a module mentions: levkas names to import, its other imports, files beside it."""
+    """What a module mentions: levkas names to import, the roots of its other imports, files beside it."""
 
     imports: frozenset[tuple[str, str]]
-    libraries: frozenset[str]
+    roots: frozenset[str]
     files: frozenset[Path]
 
 
@@ -107,9 +122,13 @@ class Sources:
         digest = hashlib.sha256()
         for path in sorted(self.closure(stage)):
             digest.update(path.relative_to(self.package).as_posix().encode() + path.read_bytes())
-        used = {library for name in self._reached(stage) for library in self._of(name).libraries}
-        digest.update(repr([(name, _version(name)) for name in sorted(used)]).encode())
+        digest.update(repr([(name, _version(name)) for name in self.libraries(stage)]).encode())
         return digest.hexdigest()[:16]
+
+    def libraries(self, stage: str) -> list[str]:
+        """Return the distributions whose versions may be in the bytes of a stage, sorted."""
+        used = {root for name in self._reached(stage) for root in self._of(name).roots}
+        return sorted({name for root in used for name in LIBRARIES.get(root, ())})
 
     def _reached(self, stage: str) -> set[str]:
         """Follow imports from where a stage begins."""
@@ -151,12 +170,14 @@ class Sources:
         every = list(_statements(ast.parse(source).body))
         texts = set(_TEXT.findall(source.decode()))
         beside = {path.with_name(text) for text in texts if _NAME.fullmatch(text)}
-        named = texts & {*self.modules}
+        # A program beside the module, such as the decoder of camera raws, is run and not imported.
+        programs = {p for p in beside if p.suffix == ".py" and p.is_file()}
+        named = {name for name in self.modules if name in texts or self.modules[name] in programs}
         packages = [self.modules[t].parent for t in named if self._is_package(t)]
         data = {p for folder in packages for p in folder.iterdir() if p.suffix not in ("", ".py")}
         return _Module(
             _imports(every) | {(t, "") for t in named if not self._is_package(t)},
-            frozenset(root for node in every for root in _roots(node) if root in LIBRARIES),
+            frozenset(root for node in every for root in _roots(node)),
             frozenset(file for file in beside | data if file.is_file()),
         )
 
@@ -205,9 +226,9 @@ def _handed_on(path: Path, package: str) -> dict[str, tuple[str, str]]:
 
 
 @cache
-def _version(module: str) -> str:
+def _version(distribution: str) -> str:
     try:
-        return version(LIBRARIES[module])
+        return version(distribution)
     except PackageNotFoundError:  # another build of the same library: its version is not known
         return ""
 
@@ -222,6 +243,15 @@ def code_version(stage: str) -> str:
     if stage not in _versions:
         _versions[stage] = _sources().version(stage)
     return _versions[stage]
+
+
+def made_with(stage: str) -> dict[str, Any]:
+    """Return the part of a fingerprint that says with what a stage is made: its code, and instruction sets.
+
+    >>> sorted(made_with("catalogue"))
+    ['code', 'instructions']
+    """
+    return {"code": code_version(stage), "instructions": instructions_in_use()}
 
 
 def remember(kept: Path) -> None:
@@ -251,7 +281,8 @@ def _sources() -> Sources:
 @cache
 def package_stamp() -> str:
     """Hash names, sizes, times and inodes of the package's files, and the libraries' versions."""
-    digest = hashlib.sha256(repr([_version(module) for module in LIBRARIES]).encode())
+    distributions = [name for names in LIBRARIES.values() for name in names]
+    digest = hashlib.sha256(repr([_version(name) for name in distributions]).encode())
     for place, folders, names in os.walk(HERE):
         folders[:] = sorted(set(folders) - {"__pycache__", "built"})
         for name in sorted(names):

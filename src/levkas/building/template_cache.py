@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from levkas.building.hashes import Hashes
-from levkas.building.sources import code_version
+from levkas.building.sources import made_with
 from levkas.calibration.templates import Template
 from levkas.campaign.discovery.captures import FrameRef
 from levkas.core.files import make_folder, replacing
@@ -41,9 +41,7 @@ class TemplateCache:
         """
         if not self.shared or all(frame.object for frame in frames):
             return average()
-        digest = hashlib.sha256(
-            repr((sorted(parameters.items()), code_version("template"))).encode()
-        )
+        digest = hashlib.sha256(repr((sorted(parameters.items()), made_with("template"))).encode())
         for frame in frames:
             content = [*self.hashes.of_frame(frame.path).values()]
             digest.update(f"{content}:{frame.page}:{frame.exposure_s};".encode())

@@ -29,7 +29,7 @@ from levkas.building.stages import Damaged, Stages
 from levkas.building.template_cache import TemplateCache
 from levkas.core.digests import hash_file, stamp_of
 from levkas.core.files import make_folder, write_json
-from levkas.core.instructions import describe_instructions
+from levkas.core.instructions import describe_instructions, instructions_in_use
 from levkas.core.internal_errors import InternalError
 from levkas.core.machine import MEMORY, THREADS, keep_memory, memory_bytes
 from levkas.core.problems import Problem, Refused
@@ -312,6 +312,7 @@ def receipt_of(made: Written, places: Places) -> dict[str, Any]:
         "notes": made.notes,
         "warnings": list(made.warnings),
         "problems": [problem.to_dict() for problem in made.problems],
+        "instructions": instructions_in_use(),
     }
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import os
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -21,7 +22,8 @@ import numpy as np
 
 from levkas.core.problems import Problem, Refused
 
-FILE_NAME = "edits.toml"
+FILE_NAME, HISTORY_NAME = "edits.toml", ".edits.history.json"
+"""Beside campaign.toml: the corrections, and by which steps the workbench came to them."""
 MOST_TURNS = 50
 """Attempts to make a change while others change the file."""
 EXPLAINED = "docs/reference/edits.md explains every key; the workbench writes the file for you."
@@ -167,7 +169,7 @@ def read_edits(path: Path) -> Edits:
     EditsInvalid
         With everything that is wrong with it.
     """
-    if not path.is_file():
+    if not os.path.lexists(path):  # a link that leads nowhere is there, and refused
         return Edits()
     from levkas.campaign.schema.toml import TomlRefused, read_toml
 
@@ -240,7 +242,7 @@ def change_edits(
     from levkas.core.files import together, write_text
     from levkas.core.locks import locked
 
-    with locked(path.with_name(f".{path.name}.lock")):
+    with locked(lock_of(path)):
         for _ in range(MOST_TURNS):
             data = _bytes_of(path)
             edits = read_edits(path)
@@ -267,6 +269,28 @@ def change_edits(
             return merged
     problem = Problem("E_BUSY", "another program keeps changing edits.toml", str(path))
     raise EditsInvalid(with_explanation(problem, path))
+
+
+def lock_of(path: Path) -> Path:
+    """Return the lock of edits.toml: a file that is there while somebody changes that."""
+    return path.with_name(f".{path.name}.lock")
+
+
+def sweep_corrections(folder: Path) -> None:
+    """Take away what a killed workbench left beside campaign.toml; what another one holds stays.
+
+    Where the disk refuses it stays too: it is in nobody's way.
+    """
+    from levkas.core.locks import locked
+    from levkas.core.sweeping import sweep_beside
+
+    lock = lock_of(folder / FILE_NAME)
+    with contextlib.suppress(Refused, OSError):
+        for name in (FILE_NAME, HISTORY_NAME):
+            sweep_beside(folder / name)
+        if lock.is_file():
+            with locked(lock, patience_s=0):  # which removes it
+                pass
 
 
 class _Changed(Exception):

@@ -14,6 +14,7 @@ import os
 import platform
 import re
 import sys
+from functools import cache
 from pathlib import Path
 
 INSTRUCTIONS = "LEVKAS_INSTRUCTIONS"
@@ -94,6 +95,22 @@ def describe_instructions() -> dict[str, str]:
         ),
         "opencv": " ".join([*opencv, *(["IPP"] if ipp else [])]),
     }
+
+
+@cache
+def instructions_in_use() -> str:
+    """Return in one line what the libraries compute with; loads them only where they are not held.
+
+    >>> instructions_in_use().startswith(("x86-64-v2", "native: "))
+    True
+    """
+    held = {**HELD, "OPENCV_CPU_DISABLE": ",".join(_opencv_sets())}
+    if all(os.environ.get(name) == value for name, value in held.items()):
+        return BASELINE
+    found = describe_instructions()
+    if found["level"] == BASELINE:
+        return BASELINE
+    return f"{found['level']}: numpy {found['numpy']}; {found['blas']}; opencv {found['opencv']}"
 
 
 def _opencv_sets() -> list[str]:

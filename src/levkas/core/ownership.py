@@ -27,6 +27,8 @@ IMPRINT = "database.toml"
 MARK = "# Written by Levkas. A build goes on only in a folder that bears this line.\n"
 RECORD = "levkas-files.json"
 """Beside files that were written one by one: name → SHA-256, null while it is being written."""
+SCHEMES = re.compile(r"(abfss?|az|dav|file|ftp|gcs|gs|hf|https?|s3a?|sftp|ssh|webdav):", re.I)
+"""Beginnings of addresses, as a path has them: no folder of anybody's is called so."""
 LONGEST_MARK = 4096
 """Bytes of a file that a mark is looked for in."""
 _MANIFEST = re.compile(rb"# levkas manifest 1: ")
@@ -77,13 +79,31 @@ def require_free(path: str | Path, *, overwrite: bool = False) -> Path:
 
 
 def require_outside(path: Path, *, fix: str) -> None:
-    """Refuse what would stand in a database, a publication or a bag; raises WriteRefused."""
+    """Refuse an address, and what would stand in a database, a publication or a bag; raises WriteRefused."""
+    if is_address(path):
+        where = "a folder of this machine"
+        raise refusal(
+            "this is the address of a server, where nothing can be written",
+            path,
+            where.removeprefix("a "),
+            "an address",
+            f"Write to {where}, then copy that there; docs/howto/remote.md shows how.",
+        )
     for folder in Path(path).resolve().parents:
         if ours := made(folder):
             what = f"a {ours}: {folder}"
             raise refusal(
                 "this would be written into a folder of Levkas", path, "folder apart", what, fix
             )
+
+
+def is_address(path: str | Path) -> bool:
+    """Tell whether a path was meant as an address; as a path it would make a folder ``s3:``.
+
+    >>> is_address("s3://museum/icons"), is_address(Path("/home/https:/museum.org")), is_address("C:/icons")
+    (True, True, False)
+    """
+    return any(SCHEMES.fullmatch(part) for part in Path(path).parts)
 
 
 class OwnFiles:

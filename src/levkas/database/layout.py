@@ -8,6 +8,9 @@ from pathlib import Path
 KINDS = {"values": ".tif", "flags": ".flags.tif", "sigma": ".sigma.tif"}
 """Arrays of a Zarr layer, and the endings of the TIFFs that hold the same numbers."""
 
+ESTIMATE = ".estimate.json"
+"""Ending of the record of what an estimated layer was made of."""
+
 
 @dataclass(frozen=True)
 class LayerId:

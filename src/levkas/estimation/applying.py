@@ -22,7 +22,7 @@ from levkas.database.catalogue import ESTIMATED, read_catalogue, write_catalogue
 from levkas.database.containment import check_plain_names
 from levkas.database.credits import Credits
 from levkas.database.layers import Layer, write_layer
-from levkas.database.layout import LayerId
+from levkas.database.layout import ESTIMATE, LayerId
 from levkas.database.manifest import write_manifest
 from levkas.database.reader import Database
 from levkas.database.store import write_index
@@ -30,8 +30,6 @@ from levkas.estimation.methods import find_method
 from levkas.estimation.samples import EstimationRefused, require_layers
 from levkas.estimation.stored import StoredModel, read_model
 
-RECORD = ".estimate.json"
-"""Ending of the file that tells what an estimated layer was made of."""
 BLOCK_ROWS = 64
 
 
@@ -113,7 +111,7 @@ def _apply_to(
     )  # fmt: skip
     cube = estimate_cube(database, name, stored)
     entry, written = write_layer(database.path, described, cube, verdict=ESTIMATED)
-    record = database.path / "objects" / name / f"{described.stem}{RECORD}"
+    record = database.path / "objects" / name / f"{described.stem}{ESTIMATE}"
     sources = {
         source: hash_file(database.path / "objects" / name / f"{key.stem}.tif")
         for source, key in zip(stored.sources, keys, strict=True)

@@ -369,7 +369,9 @@ def _step(
         )
         for file, sha in step["inputs"].items()
     ]
-    parameters = {**step["parameters"], "code": step["code"]}
+    parameters = {**step["parameters"], "code": step["code"]} | (
+        {"instructions": step["instructions"]} if step.get("instructions") else {}
+    )
     entity: Entity = {
         "@type": "CreateAction",
         "name": f"{name}, {layer}: {stage}",

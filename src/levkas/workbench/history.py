@@ -12,14 +12,13 @@ from dataclasses import dataclass, field, fields, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from levkas.campaign.edits import FILE_NAME, FrameEdits, Pair
+from levkas.campaign.edits import FILE_NAME, HISTORY_NAME, FrameEdits, Pair, lock_of
 from levkas.core.problems import Refused
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-HISTORY_NAME = ".edits.history.json"
 VERSION = 1
 MOST_STEPS = 200
 """Steps that are kept of a camera; the oldest go."""
@@ -218,7 +217,7 @@ class HistoryFile:
         from levkas.core.json_safe import to_json
         from levkas.core.locks import locked
 
-        with locked(self.root / f".{FILE_NAME}.lock"):
+        with locked(lock_of(self.root / FILE_NAME)):
             record = {**self._record(), "version": VERSION}
             put(_table(_table(record, "objects"), name))
             write_text(self.path, to_json(record))

@@ -133,25 +133,24 @@ def _list_folder(folder: Path) -> tuple[tuple[str, ...], tuple[str, ...], frozen
                     continue
                 if entry.is_dir():
                     folders.append(entry.name)
-                elif entry.is_file() and entry.name not in OWN_FILES:
+                elif entry.name not in OWN_FILES and (entry.is_file() or _leads_nowhere(entry)):
                     files.append(entry.name)
                 if entry.is_symlink():
                     links.add(entry.name)
     except (FileNotFoundError, NotADirectoryError):
         return (), (), frozenset()
     except OSError as error:
-        raise FolderUnreadable(
-            Problem(
-                "E_UNREADABLE",
-                "a folder of raw frames cannot be listed",
-                str(folder),
-                found=error.strerror,
-                fix="Set its permissions so that you can read it.",
-            )
-        ) from error
+        what, fix = "a folder of raw frames cannot be listed", "Set its permissions to reading."
+        problem = Problem("E_UNREADABLE", what, str(folder), found=error.strerror, fix=fix)
+        raise FolderUnreadable(problem) from error
     if "catalogue.csv" in files and "objects" in folders:
         return (), (), frozenset()  # a database of ours, wherever it was written to
     return tuple(sorted(files)), tuple(sorted(folders)), frozenset(links)
+
+
+def _leads_nowhere(entry: os.DirEntry[str]) -> bool:
+    """Tell whether an entry is a link to nothing: a frame that is missing, and refused when it is read."""
+    return entry.is_symlink() and not os.path.exists(entry.path)  # noqa: PTH110 -- thousands
 
 
 def composed(name: str) -> str:

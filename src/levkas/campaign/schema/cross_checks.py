@@ -20,6 +20,7 @@ from levkas.campaign.schema.tables import (
     RegistrationKeys,
     SensorKeys,
 )
+from levkas.core.ownership import is_address
 from levkas.core.problems import LONGEST_NAME, MOST_COMPARED, Problem, closest_match
 from levkas.core.text import unusable_name, what_stands_at
 from levkas.readers.compared_facts import FACTS_BY_NAME
@@ -46,7 +47,15 @@ def find_contradictions(document: Document, root: Path) -> Iterator[Problem]:
     yield from _files(document, root)
     output = document.campaign.output
     why = unusable_name(root / output)
-    if why := why or unusable_output((root / output).resolve(), root.resolve()):
+    if is_address(output):
+        yield value_problem(
+            "campaign.output",
+            "this is the address of a server, where no database can be built",
+            output,
+            "a folder of this machine",
+            'Write output = "database", and copy that folder to the server.',
+        )
+    elif why := why or unusable_output((root / output).resolve(), root.resolve()):
         yield value_problem(
             "campaign.output", why, output, "a folder of its own", 'Write output = "database".'
         )

@@ -95,11 +95,13 @@ def serve(
     """
     import uvicorn
 
+    from levkas.campaign.edits import sweep_corrections
     from levkas.pages.screen import read_built
     from levkas.workbench.library import Library
 
     _check_campaign(Path(campaign))
     library = Library(campaign, output)
+    sweep_corrections(library.campaign.root)
     if not library.views:
         raise ServerRefused(
             Problem("E_NO_FRAMES", "the campaign has no layers to show", str(campaign))

@@ -1,0 +1,54 @@
+"""What looks like nothing and is something: links that lead nowhere, addresses in place of folders."""
+
+import pytest
+
+from levkas.building import build, status, summarise
+from levkas.campaign.campaign import CampaignInvalid
+from levkas.campaign.edits import EditsInvalid
+from levkas.core.problems import Refused
+
+
+@pytest.fixture(scope="module")
+def folder(make_plates, tmp_path_factory):
+    return make_plates(tmp_path_factory.mktemp("links") / "campaign", ["one", "two"])
+
+
+@pytest.mark.parametrize("call", [lambda *a, **k: list(build(*a, **k)), status])
+def test_an_address_is_no_folder_to_build_into(folder, call, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(Refused) as refused:
+        call(folder, output="s3://museum/icons")
+    assert "address" in refused.value.problems[0].message
+    assert not [*tmp_path.iterdir()]
+
+
+def test_an_address_as_the_campaign_s_output_is_refused(make_plates, tmp_path):
+    folder = make_plates(tmp_path / "campaign", ["one"])
+    text = (folder / "campaign.toml").read_text()
+    (folder / "campaign.toml").write_text(
+        text.replace("[campaign]\n", '[campaign]\noutput = "https://museum.org/icons"\n')
+    )
+    with pytest.raises(CampaignInvalid) as refused:
+        list(build(folder))
+    assert refused.value.problems[0].field == "campaign.output"
+
+
+def test_corrections_behind_a_link_that_leads_nowhere_are_not_left_out(make_plates, tmp_path):
+    folder = make_plates(tmp_path / "campaign", ["one"])
+    (folder / "edits.toml").symlink_to(tmp_path / "gone.toml")
+    for call in (status, lambda path: list(build(path))):
+        with pytest.raises(EditsInvalid):
+            call(folder)
+
+
+def test_a_frame_and_points_behind_such_a_link_are_refused_by_name(make_plates, tmp_path):
+    folder = make_plates(tmp_path / "campaign", ["one", "two"])
+    with (folder / "campaign.toml").open("a") as file:
+        file.write('[registration]\npoints = "points/{object}_{camera}.csv"\n')
+    (folder / "infrared/one.png").unlink()
+    (folder / "infrared/one.png").symlink_to(tmp_path / "unplugged/one.png")
+    (folder / "points").mkdir()
+    (folder / "points/two_infrared.csv").symlink_to(tmp_path / "unplugged/two.csv")
+    report = summarise(build(folder))
+    files = {problem.file for problem in report.problems}
+    assert files == {str(folder / "infrared/one.png"), str(folder / "points/two_infrared.csv")}
