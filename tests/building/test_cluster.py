@@ -1,11 +1,15 @@
 """A build on workers: the database of a build in one process, whatever comes to an end meanwhile."""
 
+import contextlib
 import json
+import os
 import queue
 import random
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import warnings
 
 import dask
@@ -216,6 +220,94 @@ def test_what_fits_on_no_worker_is_refused_by_name_and_the_rest_goes_on(
     assert ended["two", "photo", "resample"].state == "done"
 
 
+@pytest.fixture(params=[b"", b"\0", b"\1"], ids=["silent", "zeros", "ones"])
+def drips(request):
+    """The address of a server that says nothing, or a byte at a time, and never ends."""
+    listening = socket.create_server(("127.0.0.1", 0))
+    ended = threading.Event()
+
+    def drip():
+        held = []
+        with contextlib.suppress(OSError):
+            while not ended.is_set():
+                listening.settimeout(0.1)
+                with contextlib.suppress(TimeoutError):
+                    held.append(listening.accept()[0])
+                for one in held:
+                    one.send(request.param)
+
+    thread = threading.Thread(target=drip)
+    thread.start()
+    yield f"tcp://127.0.0.1:{listening.getsockname()[1]}"
+    ended.set()
+    thread.join()
+    listening.close()
+
+
+def test_a_scheduler_that_drips_is_refused_in_bounded_time(plates, drips, tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster, "ANSWER_S", 1.0)
+    with pytest.raises(Refused) as refused:
+        list(build(plates[0], output=tmp_path / "database", cluster=drips))
+    (problem,) = refused.value.problems
+    assert problem.code == "E_CLUSTER" and "does not answer" in problem.message
+
+
+@pytest.mark.slow
+def test_a_scheduler_without_workers_is_said_to_be_so_and_refused(plates, tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster_executor, "SAID_S", 0.5)
+    scheduler = {
+        "cls": Scheduler,
+        "options": {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"},
+    }
+    worker = {"cls": Nanny, "options": {"nthreads": 1, "host": "127.0.0.1"}}
+    steps = []
+    with (
+        dask.config.set({"distributed.scheduler.no-workers-timeout": "3s"}),
+        SpecCluster({"one": worker}, scheduler, silence_logs=50) as machines,
+        pytest.raises(Refused) as refused,
+    ):
+        address = machines.scheduler_address
+        for step in build(plates[0], output=tmp_path / "database", cluster=address):
+            steps.append(step)
+            if step.state == "done":
+                machines.scale(0)
+    (problem,) = refused.value.problems
+    assert problem.code == "E_CLUSTER" and f"dask worker {address}" in problem.fix
+    assert "waiting" in {step.state for step in steps}
+    report = summarise(build(plates[0], output=tmp_path / "database", workers=0))
+    assert report.ok and "fresh" in {step.state for step in report.stages}
+    assert hash_tree(tmp_path / "database") == plates[1]
+
+
+@pytest.mark.slow
+def test_workers_that_die_as_they_start_are_a_refusal(plates, tmp_path):
+    preload = tmp_path / "dies.py"
+    preload.write_text("import os\nos._exit(3)\n")
+    with (
+        dask.config.set({"distributed.worker.preload": [str(preload)]}),
+        pytest.raises(Refused) as refused,
+    ):
+        list(build(plates[0], output=tmp_path / "database", workers=1))
+    (problem,) = refused.value.problems
+    assert (problem.code, problem.field) == ("E_CLUSTER", "--workers")
+
+
+@pytest.mark.slow
+def test_a_second_build_beside_one_with_workers_is_refused_at_once_and_the_first_ends_right(
+    plates, tmp_path
+):
+    output = tmp_path / "database"
+    steps = build(plates[0], output=output, workers=1)
+    next(steps)
+    for workers in (0, 1):
+        with pytest.raises(Refused) as refused:
+            list(build(plates[0], output=output, workers=workers))
+        (problem,) = refused.value.problems
+        assert problem.code == "E_BUSY" and f"process {os.getpid()}" in problem.found
+    assert summarise(steps).ok
+    assert hash_tree(output) == plates[1]
+
+
 @pytest.mark.parametrize(
     ("address", "code"),
     {
@@ -249,7 +341,6 @@ def test_the_command_refuses_as_every_command_does(plates, tmp_path, monkeypatch
         return found.exit_code, json.loads(found.stdout)["problems"][0]["code"]
 
     assert run("--cluster", "tcp://10.0.0.7:8786") == (1, "E_INSECURE")
-    assert run("--cluster", "tcp://127.0.0.1:9", "--workers", "2") == (1, "E_VALUE")
     with dask.config.set({"distributed.comm.timeouts.connect": "200ms"}):
         assert run("--cluster", "tcp://127.0.0.1:9") == (1, "E_CLUSTER")
     assert run("--cluster", "tls://127.0.0.1:9") == (1, "E_CLUSTER")  # without certificates

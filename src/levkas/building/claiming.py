@@ -8,11 +8,13 @@ import os
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from socket import gethostname
 from typing import TYPE_CHECKING
 
 from levkas.building.hashes import HASHES
 from levkas.campaign.campaign import CampaignInvalid
 from levkas.campaign.schema.cross_checks import unusable_output
+from levkas.core.disk import refusing
 from levkas.core.ownership import IMPRINT, MARK, is_address, made, require_outside, stands_in
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_json, unusable_name
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 
 OWNER = "campaign.json"
 """Among what is kept: the folder of the campaign, relative, so that both may be moved together."""
+IN_USE = "build.lock"
+"""Among what is kept: held by every build while it runs; who holds it alone is in it."""
 FIX = 'Give a new folder with -o, or write output = "database".'
 
 
@@ -226,10 +230,58 @@ def in_turn(folder: Path, *, patience_s: float = PATIENCE_S) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _locked(descriptor: int) -> bool:
+@contextlib.contextmanager
+def building(folder: Path, *, workers: bool) -> Iterator[None]:
+    """Hold the records of a database, in `folder`, for one build; builds with workers are alone.
+
+    Builds in one process each are let in together: they end in the same bytes. What a build with
+    workers asks for is taken back by another one, whose records its workers then wait for. A lock ends
+    with its process, and on a file system without locks everybody is let in.
+
+    Raises
+    ------
+    Refused
+        ``E_BUSY``, at once.
+    """
+    if fcntl is None:
+        yield
+        return
+    path = folder / IN_USE
+    with refusing(path, None):
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        if not _locked(descriptor, fcntl.LOCK_EX if workers else fcntl.LOCK_SH):
+            alone = not (workers and _locked(descriptor, fcntl.LOCK_SH))
+            who = os.pread(descriptor, 200, 0).decode("utf-8", "replace") if alone else ""
+            raise Refused(_busy(path, who or "a build in one process", workers=workers))
+        if workers:
+            with contextlib.suppress(OSError):
+                os.ftruncate(descriptor, 0)
+                os.pwrite(descriptor, f"process {os.getpid()} of {gethostname()}".encode(), 0)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _busy(path: Path, who: str, *, workers: bool) -> Problem:
+    message = "another build of this database is under way"
+    if not workers:
+        message = "a build with workers of this database is under way"
+    return Problem(
+        "E_BUSY",
+        message,
+        str(path.parent),
+        "--workers" if workers else None,
+        who,
+        "no other build while workers are used",
+        "Wait for it, or stop it; then build again. Finished stages are kept.",
+    )
+
+
+def _locked(descriptor: int, kind: int | None = None) -> bool:
     """Whether the lock is ours, or cannot be had here at all."""
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, (fcntl.LOCK_EX if kind is None else kind) | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError:

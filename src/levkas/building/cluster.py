@@ -6,18 +6,22 @@ import asyncio
 import logging
 import queue
 import secrets
+import threading
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 import dask
+from dask.utils import parse_timedelta
 from distributed import Client, Future, LocalCluster, WorkerPlugin, get_worker
+from distributed.core import rpc
 from distributed.security import Security
 
 from levkas.building import sources
@@ -39,6 +43,10 @@ ALONE = {
     "distributed.worker.http.routes": [],
 }
 """Of workers of this machine: every loss is heard of, nothing that could be spilled is held, no page is served."""
+NO_WORKERS_S = 300.0
+"""How long a build waits for a first or another worker."""
+ANSWER_S, LEAVE_S = 30.0, 5.0
+"""How long to wait for the scheduler's answer to a question, as dask does for a connection; and at the end."""
 LIMITS = (
     THREADS, "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS",
     "OPENCV_FOR_THREADS_NUM",
@@ -120,7 +128,10 @@ def connected(address: str | None, workers: int, *, insecure: bool = False) -> I
                 starting = starter.submit(_start_here, workers)
                 stack.callback(lambda: starting.exception() or starting.result().close())
                 _load()  # while the workers load the same
-            here = starting.result()
+            try:
+                here = starting.result()
+            except Exception as error:  # whatever ends a process as it starts
+                raise ClusterRefused(_not_started(workers, error)) from error
             cluster = Cluster(here.scheduler_address, here.security)
         stack.callback(cluster.close)
         yield cluster
@@ -144,6 +155,53 @@ def _start_here(workers: int) -> LocalCluster:
             silence_logs=logging.ERROR,
             env=dict.fromkeys(LIMITS, str(threads)),
         )
+
+
+def _not_started(workers: int, error: Exception) -> Problem:
+    return Problem(
+        "E_CLUSTER",
+        "the worker processes of this machine did not start",
+        field="--workers",
+        found=f"{workers} workers: {type(error).__name__}: {error}"[:300],
+        expected="processes that stay",
+        fix="Use fewer workers, or --workers 0 for a single process; `levkas doctor` checks the machine.",
+    )
+
+
+def bounded(call: Callable[..., Any], *given: Any, patience_s: float | None = None) -> Any:
+    """Return what a call to the scheduler returns; raises TimeoutError where it takes too long.
+
+    dask waits for ever for a scheduler that holds the connection and says nothing.
+    """
+    answers: queue.SimpleQueue[tuple[bool, Any]] = queue.SimpleQueue()
+
+    def ask() -> None:
+        try:
+            answers.put((True, call(*given)))
+        except BaseException as error:  # raised where it was asked for
+            answers.put((False, error))
+
+    threading.Thread(target=ask, name="asking", daemon=True).start()
+    try:
+        well, answer = answers.get(timeout=ANSWER_S if patience_s is None else patience_s)
+    except queue.Empty:
+        raise TimeoutError("the scheduler gives no answer") from None
+    if not well:
+        raise answer
+    return answer
+
+
+def no_workers_s() -> float:
+    """Return how long, s, a build waits for a first or another worker: dask's own setting, where it is set."""
+    found = dask.config.get("distributed.scheduler.no-workers-timeout", None)
+    return NO_WORKERS_S if found is None else float(parse_timedelta(found))
+
+
+async def _greet(address: str, security: Security | None) -> None:
+    """Ask a scheduler who it is; a client that does not come about would hold the process for a minute."""
+    arguments = (security or Security()).get_connection_args("client")
+    async with rpc(address, connection_args=arguments) as scheduler:
+        await scheduler.identity()
 
 
 def _load() -> None:
@@ -177,11 +235,18 @@ class Cluster:
     _prepared: set[str] = field(default_factory=set)
 
     @property
+    def is_here(self) -> bool:
+        """Whether Levkas has started it, on this machine and for this build."""
+        return self.security is not None
+
+    @property
     def client(self) -> Client:
         """The connection, made anew where it was given up; raises ClusterRefused where nobody answers."""
         if self._client is None or self._client.status in ("closed", "closing"):
             try:
-                self._client = Client(self.address, security=self.security, set_as_default=False)
+                bounded(lambda: asyncio.run(_greet(self.address, self.security)))
+                connect = partial(Client, self.address, set_as_default=False)
+                self._client = bounded(partial(connect, security=self.security))
             except TypeError as error:
                 raise ClusterRefused(
                     Problem(
@@ -193,13 +258,15 @@ class Cluster:
                         fix="Set these variables to the files; see docs/howto/cluster.md.",
                     )
                 ) from error
-            except (OSError, TimeoutError, ValueError, RuntimeError) as error:
+            except Exception as error:  # whatever comes of the bytes of another server
+                first = next(iter(str(error).splitlines()), type(error).__name__)
                 raise ClusterRefused(
                     Problem(
                         "E_CLUSTER",
                         "the scheduler does not answer",
                         field="--cluster",
-                        found=f"{self.address}: {str(error).splitlines()[0] if str(error) else ''}",
+                        found=f"{self.address}: {first}",
+                        expected="a scheduler of dask",
                         fix="Start `dask scheduler` and `dask worker` there. Finished stages are kept.",
                     )
                 ) from error
@@ -208,12 +275,18 @@ class Cluster:
     def greet(self, kept: Path) -> None:
         """Have every worker, also those that come later, limit its threads and say what it is."""
         topic = f"levkas-{self.build}"
+        client = self.client
         with suppress(OSError, TimeoutError):  # it is away: asked again in a second
-            scheduler = self.client.scheduler_info(n_workers=0).get("id", "")
+            scheduler = bounded(partial(client.scheduler_info, n_workers=0)).get("id", "")
             if scheduler and scheduler != self._scheduler:
                 self._prepared.clear()
-                self.client.subscribe_topic(topic, self._hear)
-                self.client.register_plugin(Greeting(topic, str(kept)), name=topic)
+                client.subscribe_topic(topic, self._hear)
+                try:
+                    bounded(partial(client.register_plugin, Greeting(topic, str(kept)), name=topic))
+                except (OSError, TimeoutError):
+                    raise
+                except Exception as error:  # whatever a worker raises that cannot load Levkas
+                    raise ClusterRefused(_not_prepared(self.address, error)) from error
                 self._scheduler = scheduler
 
     def _hear(self, event: Any) -> None:
@@ -257,7 +330,7 @@ class Cluster:
     def workers(self) -> list[str]:
         """Return the addresses of the workers that are there and prepared."""
         try:
-            return [worker for worker in self.client.nthreads() if worker in self._prepared]
+            return [one for one in bounded(self.client.nthreads) if one in self._prepared]
         except (OSError, TimeoutError):
             return []
 
@@ -275,12 +348,50 @@ class Cluster:
             pure=False,
         )
 
+    def without_workers(self, patience_s: float) -> ClusterRefused:
+        """Return the refusal of a build for which there was no worker for so long."""
+        fix = (
+            f"Start one: dask worker {self.address}; where jobs wait longer in a queue, set "
+            "DASK_DISTRIBUTED__SCHEDULER__NO_WORKERS_TIMEOUT=2h. Finished stages are kept."
+        )
+        if self.is_here:
+            fix = (
+                "Use fewer workers, or --workers 0 for a single process. Finished stages are kept."
+            )
+        problem = Problem(
+            "E_CLUSTER",
+            "there are no workers",
+            field="--workers" if self.is_here else "--cluster",
+            found=f"none at {self.address} for {patience_s:g} s",
+            expected="one or more workers",
+            fix=fix,
+        )
+        return ClusterRefused(problem)
+
+    def cancel(self, futures: Iterable[Future]) -> None:
+        """Take back tasks that were sent; a scheduler that is gone has none."""
+        with suppress(Exception):
+            bounded(self.client.cancel, list(futures))
+
     def close(self) -> None:
         """Leave the cluster as it was found."""
-        if self._client is not None:
+        client = self._client
+        if client is not None:
             with suppress(Exception):  # it may have gone first
-                self._client.unregister_worker_plugin(f"levkas-{self.build}")
-            self._client.close(timeout=5)
+                bounded(client.unregister_worker_plugin, f"levkas-{self.build}", patience_s=LEAVE_S)
+            with suppress(Exception):
+                client.close(timeout=LEAVE_S)
+
+
+def _not_prepared(address: str, error: Exception) -> Problem:
+    return Problem(
+        "E_VERSION",
+        "a worker cannot be prepared",
+        field="--cluster",
+        found=f"{address}: {type(error).__name__}: {error}"[:300],
+        expected="workers on which this version of Levkas is installed",
+        fix="Install the same requirements.lock on all machines, and start the workers again.",
+    )
 
 
 class Greeting(WorkerPlugin):  # type: ignore[misc]

@@ -13,7 +13,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future as Running
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import count, pairwise
@@ -24,7 +23,8 @@ from distributed import Future
 from distributed.scheduler import KilledWorker
 
 from levkas.building import sources
-from levkas.building.cluster import Cluster
+from levkas.building.build_records import CATALOGUE
+from levkas.building.cluster import Cluster, no_workers_s
 from levkas.building.endings import OF_THE_MACHINES, Due, Endings, refusal_of
 from levkas.building.fingerprints import digest, of_calibration
 from levkas.building.graph import Step, Task, captures_of
@@ -66,6 +66,8 @@ BASE, STREAMED = 200e6, 1.5e9
 """Bytes that a process takes before it reads a frame, and those of a scan whose rows are resampled."""
 MENDED_ELSEWHERE = DISK_CODES | {*OF_THE_MACHINES}
 """Codes of refusals that leave the parts of a task to the next build."""
+SAID_S = 10.0
+"""How long there may be no worker before that is said; a restart takes seconds."""
 LOOK_S, STUCK_S = 1.0, 15.0
 """How long to wait for news before the workers are counted, and for a worker that is idle to begin."""
 
@@ -144,6 +146,8 @@ class ClusterExecutor:
         self._there: list[str] = []
         self._untidy = False
         self._counted = 0.0
+        self._alone_since: float | None = None
+        self._said_so = False
 
     def run(
         self, tasks: Sequence[Task], write_page: Callable[[Task], Iterable[Step]]
@@ -163,6 +167,8 @@ class ClusterExecutor:
                 self._cluster.greet(self._places.kept)
                 said = ""
                 while self._queue.open:
+                    if (waiting := self._waiting_for_workers()) is not None:
+                        yield waiting
                     for step in (*self._send_ready(), *self._heard()):
                         said = self.where
                         of_capture = step.key.object and step.key.camera
@@ -175,8 +181,7 @@ class ClusterExecutor:
                 for pool in (self._hasher, self._pages):
                     pool.shutdown(wait=False, cancel_futures=True)
                 if futures := [f.future for f in self._flying.values() if f.future is not None]:
-                    with suppress(Exception):  # the scheduler may have gone
-                        self._cluster.client.cancel(futures)
+                    self._cluster.cancel(futures)
         if self._untidy:
             for folder in (self._places.output, self._places.kept):
                 sweep(folder)
@@ -205,6 +210,21 @@ class ClusterExecutor:
         ]
         more = f" and {len(names) - 1} more wait" if len(names) > 1 else " waits"
         return f"{told}, {names[0]}{more} for memory" if names else told
+
+    def _waiting_for_workers(self) -> Step | None:
+        """Say, once, that there is no worker; raises ClusterRefused where none has come for too long."""
+        now = time.monotonic()
+        if self._there or self._alone_since is None:
+            self._alone_since, self._said_so = now, False
+        alone = now - self._alone_since
+        patience = no_workers_s()
+        if alone > patience:
+            raise self._cluster.without_workers(patience)
+        if alone < SAID_S or self._said_so:
+            return None
+        self._said_so = True
+        key = next((k for k in self._graph if k in self._queue.open), CATALOGUE)
+        return Step(key, "waiting", f"there is no worker; it ends after {patience:g} s without one")
 
     def _idle(self) -> list[str]:
         """Return the workers that are there and have no task."""
@@ -369,7 +389,7 @@ class ClusterExecutor:
             refused = None if flight.on else self._too_large(flight)
             if refused:
                 if flight.future is not None:
-                    self._cluster.client.cancel([flight.future])
+                    self._cluster.cancel([flight.future])
                 yield from self._end(
                     flight.due.task, self._endings.refuse(flight.due.task, refused)
                 )
@@ -380,7 +400,7 @@ class ClusterExecutor:
             elif self._is_stuck(flight):
                 if flight.on:
                     flight.ended("its worker was lost")
-                self._cluster.client.cancel([flight.future])
+                self._cluster.cancel([flight.future])
                 self._resend(flight)
 
     def _note_begun(self, told: dict[str, Any]) -> None:
@@ -532,7 +552,7 @@ class ClusterExecutor:
         for flight in mine:  # parts too, where one of them was refused
             del self._flying[flight.key]
             if flight.future is not None and flight.future.status == "pending":
-                self._cluster.client.cancel([flight.future])
+                self._cluster.cancel([flight.future])
         if step.state == "refused" and not {p.code for p in step.problems} & MENDED_ELSEWHERE:
             self._drop_parts(task.key)
         self._release(task.key)

@@ -33,7 +33,7 @@ from levkas.building.catalogue import (
     why_catalogue_is_stale,
     write_catalogue_of,
 )
-from levkas.building.claiming import check_apart, claim, places_of
+from levkas.building.claiming import building, check_apart, claim, places_of
 from levkas.building.endings import Endings, fresh_step, within
 from levkas.building.executor import Executor
 from levkas.building.fingerprints import Inputs
@@ -132,26 +132,29 @@ def build(
     spectra_of(campaign, setups_of(campaign))  # refused before any work
     before = _inputs(whole, places, started_ns) if not objects else None
     claim(campaign, places, whole.captures, whole.names)
-    drop_index(places)
-    for folder in (places.output, places.kept):
-        sweep(folder)
-    sweep_corrections(campaign.root)
-    sources.remember(places.kept / sources.CODE)
-    records = BuildRecords(
-        places.kept, places.output, keep_removed=keep_removed, verify=verify is True
-    )
-    gone = no_longer_there(campaign, records, plan.captures, plan.refusals, plan.pages, objects)
-    total = _count(plan) + bool(describe(gone, records))
-    templates = TemplateCache(places.kept / "templates", records.hashes, shared=len(plan.names) > 1)
-    endings = Endings(campaign, places, records, plan.graph)
-    counts = _counts_of(plan)
-    with _executor(where, endings, templates, verify=verify is True) as executor:
-        steps = _steps(plan, endings, executor, templates, gone, whole=not objects)
-        for step in _numbered(steps, plan.graph, total):
-            yield counts.add(step, records)
-    records.hashes.save()
-    sources.keep(places.kept / sources.CODE)
-    write_index(plan, places, before, counts, writes=True)
+    with building(places.kept, workers=where is not None):
+        drop_index(places)
+        for folder in (places.output, places.kept):
+            sweep(folder)
+        sweep_corrections(campaign.root)
+        sources.remember(places.kept / sources.CODE)
+        records = BuildRecords(
+            places.kept, places.output, keep_removed=keep_removed, verify=verify is True
+        )
+        gone = no_longer_there(campaign, records, plan.captures, plan.refusals, plan.pages, objects)
+        total = _count(plan) + bool(describe(gone, records))
+        templates = TemplateCache(
+            places.kept / "templates", records.hashes, shared=len(plan.names) > 1
+        )
+        endings = Endings(campaign, places, records, plan.graph)
+        counts = _counts_of(plan)
+        with _executor(where, endings, templates, verify=verify is True) as executor:
+            steps = _steps(plan, endings, executor, templates, gone, whole=not objects)
+            for step in _numbered(steps, plan.graph, total):
+                yield counts.add(step, records)
+        records.hashes.save()
+        sources.keep(places.kept / sources.CODE)
+        write_index(plan, places, before, counts, writes=True)
 
 
 def _nothing_to_do(campaign: Campaign, places: Places) -> list[Step]:

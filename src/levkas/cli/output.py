@@ -177,7 +177,7 @@ def draw_steps(steps: Iterable[Any], quiet: bool) -> list[Any]:
     done = []
     for step in steps:
         done.append(step)
-        if not quiet and step.finished:
+        if not quiet and (step.finished or getattr(step, "state", "") == "waiting"):
             typer.echo(_with_where(step, _plain_line(step)), err=True)
             print_problems(_causes(step))
     return done
