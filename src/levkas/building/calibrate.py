@@ -56,7 +56,7 @@ from levkas.calibration.wiener_mosaic import correlate_channels, wiener_method
 from levkas.core.cube import Cube, Flag
 from levkas.core.disk import require_space
 from levkas.core.files import remove, together
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused, gathered
 from levkas.core.rounding import round_root
 from levkas.core.threads import each
 from levkas.database.credits import credits_of
@@ -251,8 +251,8 @@ def _all_problems(
             except Refused as refused:
                 problems += refused.problems
             if len(problems) > MOST_PROBLEMS:
-                return list(dict.fromkeys(problems))[:MOST_PROBLEMS]
-    return list(dict.fromkeys(problems))
+                return gathered(problems, cut=True)
+    return gathered(problems)
 
 
 def develop_mosaic(context: SensorContext) -> Noted:

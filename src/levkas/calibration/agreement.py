@@ -370,12 +370,12 @@ def _severity(sensor: SensorFrames, name: str, declared: Any, stated: Any) -> Se
 
 
 def _letters(camera: Camera, sensor: SensorFrames) -> str | None:
-    """Return a declared Bayer pattern as letters; None of others, whose names a file cannot contradict."""
+    """Return a declared pattern of Bayer, or of X-Trans, as letters; None of others, whose names a file cannot contradict."""
     rows = camera.pattern
     if sensor.name:
         rows = next(s.pattern for s in camera.sensors if s.name == sensor.name)
     letters = "".join("".join(row) for row in rows or ())
-    return letters if len(letters) == 4 and set(letters) <= set("RGB") else None
+    return letters if len(letters) in (4, 36) and set(letters) <= set("RGB") else None
 
 
 def _centres(sensor: SensorFrames, one: Stated) -> tuple[float, ...] | None:

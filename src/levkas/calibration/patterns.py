@@ -7,6 +7,7 @@ set of sensels at one place of the pattern; a channel may own several (the green
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isqrt
 
 import numpy as np
 
@@ -17,7 +18,7 @@ Pattern = tuple[tuple[str, ...], ...]
 
 
 def as_pattern(pattern: str | Sequence[Sequence[str]]) -> Pattern:
-    """Return rows of channel names; four letters are a 2x2 pattern.
+    """Return rows of channel names; four letters are a 2x2 pattern, 36 one of X-Trans.
 
     Raises
     ------
@@ -30,14 +31,18 @@ def as_pattern(pattern: str | Sequence[Sequence[str]]) -> Pattern:
     (('G', 'B'), ('R', 'G'))
     """
     if isinstance(pattern, str):
-        rows: Pattern = ((*pattern[:2],), (*pattern[2:],))
+        side = isqrt(len(pattern))
+        square = side > 1 and side * side == len(pattern)
+        rows: Pattern = tuple(
+            (*pattern[i : i + side],) for i in range(0, len(pattern) if square else 0, side or 1)
+        )
     else:
         rows = tuple(tuple(str(name) for name in row) for row in pattern)
     if not rows or not rows[0] or len({len(row) for row in rows}) != 1:
         raise CalibrationRefused(
             Problem(
                 "E_VALUE",
-                "a pattern must be four letters, or rows with the same number of channel names",
+                "a pattern must be 4, 9, 16 … letters, or rows with the same number of channel names",
                 field="pattern",
                 found=repr(pattern),
                 expected='"RGGB" or [["B1", "B2", "B3"], …]',

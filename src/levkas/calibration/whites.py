@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,8 @@ from levkas.core.problems import Problem
 
 MOST = 0.5  # share of a channel's white that must be usable
 SAMPLE = 100_000  # pixels looked at to judge a white
+BEYOND = 1.05  # highest over lowest code of saturated sensels from which they are not clipped at one code
+SHOWN = 6  # channels that a message names
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,24 +105,19 @@ def check_white(
     Raises
     ------
     CalibrationRefused
-        E_WHITE_DARK, E_WHITE_SATURATED; one problem for each channel, `labels` naming the bands.
+        E_WHITE_DARK, E_WHITE_SATURATED; one problem each, which names the channels by `labels`.
     """
     level = np.broadcast_to(level, white.mean.shape)
-    problems = []
-    for name, part in _channels(white, pattern, labels):
+    channels = _channels(white, pattern, labels)
+    dark, saturated = {}, {}
+    for name, part in channels:
         lit, under, clipped = white.mean[part], level[part], white.saturated[part]
         if np.mean(lit > under) < MOST:
-            problems.append(_too_dark(name, lit, under))
+            dark[name] = lit, under
         elif np.mean(clipped) > MOST:
-            problems.append(
-                Problem(
-                    "E_WHITE_SATURATED",
-                    f"the white{name} is saturated",
-                    found=f"{np.mean(clipped):.0%} of its pixels",
-                    expected=f"less than {MOST:.0%}",
-                    fix="Capture the white with a shorter exposure.",
-                )
-            )
+            saturated[name] = lit, clipped
+    problems = [_too_dark(dark, len(channels))] if dark else []
+    problems += [_saturated(saturated, len(channels))] if saturated else []
     if problems:
         raise CalibrationRefused(*problems)
 
@@ -134,15 +131,50 @@ def thinning(size: tuple[int, ...]) -> int:
     return max(1, int(np.sqrt(size[0] * size[1] / SAMPLE)))
 
 
-def _too_dark(name: str, lit: np.ndarray, under: np.ndarray) -> Problem:
+def _too_dark(found: Mapping[str, tuple[np.ndarray, np.ndarray]], channels: int) -> Problem:
+    """Return the problem of channels whose white is not above dark, by name."""
+    lit, under = next(iter(found.values()))
+    fix = "Check whether dark and white are swapped, or the lamp was off."
+    if len(found) == channels and np.median(under) > 2 * np.median(lit):
+        fix = "Dark and white appear to be swapped: exchange their names in campaign.toml."
     return Problem(
         "E_WHITE_DARK",
-        f"the white is darker than the dark{name}",
+        f"the white is darker than the dark{_named(list(found), channels)}",
         found=f"median white {np.median(lit):g}, median dark {np.median(under):g} counts, "
         f"white not above dark at {np.mean(lit <= under):.0%} of the pixels",
         expected="white above dark",
-        fix="Check whether dark and white are swapped, or the lamp was off.",
+        fix=fix,
     )
+
+
+def _saturated(found: Mapping[str, tuple[np.ndarray, np.ndarray]], channels: int) -> Problem:
+    """Return the problem of channels whose white is at or above saturation, by name."""
+    lit, clipped = next(iter(found.values()))
+    lowest, highest = np.percentile(lit[clipped], (1, 99))
+    fix = "Capture the white with a shorter exposure."
+    beyond = ""
+    if highest > BEYOND * lowest:  # what is clipped has one code
+        beyond = f", with codes from {lowest:.0f} to {highest:.0f}"
+        fix = "Its codes go on above the saturation: correct `bits` or `saturation`, or capture the white in the object's mode."
+    return Problem(
+        "E_WHITE_SATURATED",
+        f"the white{_named(list(found), channels)} is saturated",
+        found=f"{np.mean(clipped):.0%} of its pixels{beyond}",
+        expected=f"less than {MOST:.0%}",
+        fix=fix,
+    )
+
+
+def _named(names: Sequence[str], channels: int) -> str:
+    """Return in which channels; empty where there is one without a name.
+
+    >>> _named(["R", "G", "B"], 3), _named(["450 nm"], 3), _named([""], 1)
+    (' in all 3 channels', ' in 450 nm', '')
+    """
+    if len(names) == channels > 1:
+        return f" in all {channels} channels"
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return f" in {', '.join(names[:SHOWN])}{more}" if any(names) else ""
 
 
 def _channels(
@@ -153,18 +185,12 @@ def _channels(
     if white.mean.ndim == 3:
         names = labels or [str(band) for band in range(white.mean.shape[2])]
         thin = (slice(None, None, step), slice(None, None, step))
-        return [(f" in {name}", (*thin, band)) for band, name in enumerate(names)]
+        return [(name, (*thin, band)) for band, name in enumerate(names)]
     if pattern is None:
-        return [
-            (
-                f" in {labels[0]}" if labels else "",
-                (slice(None, None, step), slice(None, None, step)),
-            )
-        ]
+        return [(labels[0] if labels else "", (slice(None, None, step), slice(None, None, step)))]
     table, names = channel_table(pattern), channel_names(pattern)
     rows, columns = (-(-step // size) * size for size in table.shape)
     places = {name: np.argwhere(table == i)[0] for i, name in enumerate(names)}
     return [
-        (f" in {name}", (slice(y, None, rows), slice(x, None, columns)))
-        for name, (y, x) in places.items()
+        (name, (slice(y, None, rows), slice(x, None, columns))) for name, (y, x) in places.items()
     ]

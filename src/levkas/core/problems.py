@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import islice
 from typing import Any
 
@@ -123,6 +123,30 @@ def unknown_name(
     """
     names = list(known)
     return Problem(code, message, file, field, name, ", ".join(names), closest_match(name, names))
+
+
+def gathered(problems: Iterable[Problem], *, cut: bool = False) -> list[Problem]:
+    """Return problems with those of several files that are alike as one, with their number.
+
+    It names the first file, and has the largest of the numbers that were found; `cut` says that there
+    may be more.
+
+    >>> alike = (Problem("E_BITS", "codes exceed 12 bits", f"{n}.tif", found=n) for n in (5000, 9000))
+    >>> print(*gathered(alike))
+    codes exceed 12 bits, in 2 files (file: 5000.tif; found: 9000)
+    """
+    groups: dict[tuple[str, str, str | None], list[Problem]] = {}
+    for problem in dict.fromkeys(problems):
+        groups.setdefault((problem.code, problem.message, problem.field), []).append(problem)
+    found = []
+    for alike in groups.values():
+        numbers = all(isinstance(problem.found, int) for problem in alike)
+        one = max(alike, key=lambda p: p.found) if numbers else alike[0]
+        if (files := len({problem.file for problem in alike})) > 1:
+            message = f"{one.message}, in {files} files{' or more' if cut else ''}"
+            one = replace(one, message=message, file=alike[0].file)
+        found += [one] if files > 1 else alike
+    return found
 
 
 class Refused(Exception):

@@ -53,7 +53,7 @@ class Facts:
     blacks : tuple of float or None
         Black of each phase of the pattern, row by row, where they differ.
     pattern : str or None
-        Bayer letters of the visible area row by row: ``"RGGB"``.
+        Letters of the tile that repeats over the visible area, row by row: ``"RGGB"``; 36 of X-Trans.
     exposure_s, iso : float or None
     band_times_s : tuple of float or None
         Exposures band by band, where an ENVI header lists several; `exposure_s` is None then.

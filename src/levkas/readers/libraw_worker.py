@@ -20,6 +20,8 @@ from typing import Any
 MEMORY = 8 << 30
 READING_S, READING_S_PER_MB = 2.0, 1.0
 """Processor time for opening and unpacking a file, s and s/MB; cameras' own files take a tenth."""
+PATTERNS = ((2, 2), (6, 6))
+"""Tiles of colours that repeat over a sensor: Bayer's, and Fujifilm's X-Trans."""
 LARGEST_RATIO, FREE_BYTES = 100, 64 << 20
 """Most bytes that a byte of the file may unpack to, and what is allowed whatever the file's size."""
 
@@ -50,11 +52,14 @@ def describe(raw: Any) -> dict[str, Any]:
 
     tile = raw.raw_pattern
     facts: dict[str, Any] = {"pattern": None, "blacks": list(raw.black_level_per_channel)}
-    if tile is not None and tile.shape == (2, 2):
-        indices = [int(i) for i in np.asarray(raw.raw_colors_visible[:2, :2]).ravel()]
+    if tile is not None and tile.shape in PATTERNS:
+        side = len(tile)
+        indices = [int(i) for i in np.asarray(raw.raw_colors_visible[:side, :side]).ravel()]
         letters = raw.color_desc.decode("ascii", "replace")
         facts["pattern"] = "".join(letters[i] for i in indices)
-        facts["blacks"] = [facts["blacks"][i] for i in indices]
+        blacks = [facts["blacks"][i] for i in indices]
+        # LibRaw has one black a colour: of 36 sensels their mean alone is known.
+        facts["blacks"] = blacks if side == 2 else 4 * [sum(blacks) / len(blacks)]
     elif tile is None:
         facts["blacks"] = facts["blacks"][:1]
     shot = raw.other
@@ -81,7 +86,8 @@ def read(path: str, pixels: bool) -> tuple[dict[str, Any], bytes]:
         mosaic = raw.raw_image_visible
         if mosaic is None or mosaic.ndim != 2 or mosaic.dtype != np.uint16:
             found = "already rendered" if mosaic is None else f"{mosaic.shape} {mosaic.dtype}"
-            return {"error": f"not a sensor mosaic: {found}"}, b""
+            rendered = mosaic is None or mosaic.ndim == 3
+            return {"error": f"not a sensor mosaic: {found}", "rendered": rendered}, b""
         if not mosaic.any():  # what LibRaw leaves where it could not begin to decode
             return {"error": "nothing but zeros"}, b""
         # Levels and pattern only now: some formats have them set while their pixels unpack.

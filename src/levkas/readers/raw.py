@@ -137,6 +137,8 @@ def _decode(path: Path, *, pixels: bool) -> tuple[dict[str, Any], bytearray]:
     finally:
         timer.cancel()
     _idle.append(worker)
+    if found.get("rendered"):
+        raise _rendered(path, found["error"])
     if "error" in found:
         raise _refused(path, found["error"])
     return found, data
@@ -203,6 +205,19 @@ def _refused(path: Path, found: str) -> Exception:
     if path.suffix.lower() == ".raw":
         expected = f"{path.stem}.hdr beside it (an ENVI cube), or a camera raw"
     return unreadable(path, "the camera raw cannot be read", found=found, expected=expected)
+
+
+def _rendered(path: Path, found: str) -> UnreadableCapture:
+    """Return the refusal of a raw of colours, such as a linear DNG: it has no mosaic, but it is sound."""
+    return unreadable(
+        path,
+        "this raw holds demosaiced colours and no mosaic, as a linear DNG does",
+        code="E_RENDERED",
+        found=found,
+        expected="the mosaic of the sensor",
+        fix="Name the camera's own raw file, or convert it to DNG without demosaicing. A 16-bit TIFF of the colours "
+        'is read by kind = "image": nothing is calibrated then.',
+    )
 
 
 # --- DNG: LibRaw leaves zeros where a part of lossless JPEG is none ----------------------------

@@ -18,12 +18,14 @@ import numpy as np
 from levkas.core.problems import Problem
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Composed, Transform
+from levkas.registration.advice import POINTS
 from levkas.registration.bands import by_wavelength, sqrt_images
 from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
 from levkas.registration.initial import (
     InitialTransform,
     begin_with,
     find_initial_transform,
+    implausible,
     is_plausible,
     seed_with_points,
 )
@@ -37,7 +39,6 @@ from levkas.registration.orientation_correlation import match_blocks
 from levkas.registration.predictors import ReferenceStack, cell_px, measure_shifts, resample_band
 from levkas.registration.record import RegistrationRefused, Sigma
 from levkas.registration.uncertainty import measure_sigma, with_lines
-from levkas.registration.verdict_rules import BY_HAND, POINTS
 from levkas.registration.verification import (
     PermutationTest,
     coarsening,
@@ -334,7 +335,7 @@ def register_sensor(
     Raises
     ------
     RegistrationRefused
-        ``E_MATCHES``, ``E_WINDOWS`` or ``E_FOLD``.
+        ``E_MATCHES``, ``E_WINDOWS``, ``E_SCALE`` or ``E_FOLD``.
     """
     initial = (
         find_initial_transform(ours, theirs)
@@ -393,7 +394,7 @@ def refine_map(task: SensorTask) -> RefinedMap:
     Raises
     ------
     RegistrationRefused
-        ``E_WINDOWS`` or ``E_FOLD``, where neither way comes to an end.
+        ``E_WINDOWS``, ``E_SCALE`` or ``E_FOLD``, where neither way comes to an end.
     """
     ways, refused = [], None
     for stiff in (False, True):
@@ -522,15 +523,11 @@ class _Refinement:
     def _check(self, selected: SelectedModel) -> None:
         points = selected.observations.points
         box = (*points.min(0), *points.max(0))
-        if not is_plausible(selected.transform, box, self.task.initial.mirrored):
-            raise RegistrationRefused(
-                Problem(
-                    "E_FOLD",
-                    "the map of this sensor folds, or stretches more than a camera can",
-                    field=self.task.bands[0].sensor or None,
-                    fix=BY_HAND,
-                )
-            )
+        mirrored, sensor = self.task.initial.mirrored, self.task.bands[0].sensor or None
+        if not is_plausible(selected.transform, box, mirrored):
+            height, width = self.task.reference.shape[:2]
+            share = (box[2] - box[0]) * (box[3] - box[1]) / (width * height)
+            raise RegistrationRefused(implausible(selected.transform, box, mirrored, sensor, share))
 
 
 def _is_less(now: tuple[float | None, float], before: tuple[float | None, float]) -> bool:

@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.core.problems import Problem
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Homography, Polynomial, Transform
+from levkas.registration.advice import advice_on_folds
 from levkas.registration.features import (
     KeyPoints,
     ScaledFeatures,
@@ -33,6 +35,7 @@ from levkas.registration.matching import (
 from levkas.registration.models import Observations, fit_similarity
 from levkas.registration.orientation_correlation import match_by_directions
 from levkas.registration.pose_clustering import REACH, find_pose_cluster
+from levkas.registration.verdict_rules import percent
 
 if TYPE_CHECKING:
     from levkas.registration.features import CameraFeatures
@@ -281,17 +284,57 @@ def is_plausible(transform: Transform, box: Sequence[float], mirrored: bool) -> 
 
     `box` is (x0, y0, x1, y1) in reference px.
     """
+    values, determinant = _local_shape(transform, box, mirrored)
+    low, high = SETTINGS.scales
+    in_range = (values > low).all() and (values < high).all()
+    return bool(in_range and _is_steady(values, determinant))
+
+
+def implausible(
+    transform: Transform, box: Sequence[float], mirrored: bool, sensor: str | None, share: float
+) -> Problem:
+    """Return why the map of a sensor is not plausible: its scale alone, or its shape.
+
+    `box` as of `is_plausible`; `share` is how much of the reference it takes.
+    """
+    values, determinant = _local_shape(transform, box, mirrored)
+    low, high = SETTINGS.scales
+    if not _is_steady(values, determinant) or ((values > low) & (values < high)).all():
+        what = "the map of this sensor folds, or stretches more than a camera can"
+        found = f"windows that match over {percent(share)} of the reference"
+        return Problem("E_FOLD", what, field=sensor, found=found, fix=advice_on_folds(share))
+    scale = float(np.median(values))
+    ratio = f"{scale:.1f} of its px to one of the reference"
+    if scale < 1:
+        ratio = f"{1 / scale:.1f} px of the reference to one of its own"
+    return Problem(
+        "E_SCALE",
+        "this sensor samples the object too unlike the reference to be registered",
+        field=sensor,
+        found=ratio,
+        expected=f"at most {high:.0f} to one, either way",
+        fix="Choose a reference camera whose sampling lies between the two (`reference` in campaign.toml), or bin "
+        "the frames of the finer camera.",
+    )
+
+
+def _is_steady(values: np.ndarray, determinant: np.ndarray) -> bool:
+    """Whether a map neither folds nor stretches or grows more than a camera can."""
+    even = determinant.min() > 0.2 * determinant.max() and (values[:, 0] < 3 * values[:, 1]).all()
+    return bool(even and determinant.min() > 0)
+
+
+def _local_shape(
+    transform: Transform, box: Sequence[float], mirrored: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return both scales (n, 2), and the determinant (n,), of the Jacobian all over a box; of none, zeros."""
     at = np.linspace(0.05, 0.95, 7)
     x, y = np.meshgrid(box[0] + at * (box[2] - box[0]), box[1] + at * (box[3] - box[1]))
     jacobian = transform.jacobian(np.stack([x, y], -1).reshape(-1, 2))
     if not np.isfinite(jacobian).all():
-        return False
+        return np.zeros((1, 2)), np.zeros(1)
     values = np.linalg.svd(jacobian, compute_uv=False)
-    determinant = np.linalg.det(jacobian) * (-1 if mirrored else 1)
-    low, high = SETTINGS.scales
-    in_range = (values > low).all() and (values < high).all()
-    steady = determinant.min() > 0.2 * determinant.max() and (values[:, 0] < 3 * values[:, 1]).all()
-    return bool(in_range and steady and determinant.min() > 0)
+    return values, np.linalg.det(jacobian) * (-1 if mirrored else 1)
 
 
 def _rematch(

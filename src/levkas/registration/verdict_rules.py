@@ -13,6 +13,15 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from levkas.registration.advice import (
+    BY_HAND,
+    LITTLE,
+    LOOK,
+    OTHER,
+    POINTS,
+    REGION,
+    advice_on_folds,
+)
 from levkas.registration.line_displacement import describe_displacement
 
 Finding = Literal["refuse", "warn", "unchecked"]
@@ -124,14 +133,6 @@ class VerdictSettings:
 SETTINGS = VerdictSettings()
 #: Name among the numbers of a sensor without one.
 ONLY = "sensor"
-
-OTHER = "Check that both pictures show the same object, with the same side up and the same framing"
-POINTS = (
-    "run `levkas inspect CAMPAIGN`, open this camera and mark four points that both pictures show"
-)
-BY_HAND = f"{OTHER}; if they do, {POINTS}."
-LOOK = "Compare both pictures in the report, with the flicker, before you use this layer."
-REGION = "Do not use the layer there, or add pairs there in `levkas inspect CAMPAIGN`."
 
 Numbers = Mapping[str, Any]
 
@@ -270,11 +271,13 @@ def does_not_fold(n: Numbers) -> Objection | None:
         )
     if n["folded"] == 0:
         return None
+    folded, little = percent(n["folded"]), n["overlap"] < LITTLE
+    part = f", which is {percent(n['overlap'])} of the reference" if little else ""
     return Objection(
         "refuse",
-        f"The map folds or is undefined in {percent(n['folded'])} of the overlap.",
-        BY_HAND,
-        f"{OTHER}; if they do, lower the order of the polynomial.",
+        f"The map folds or is undefined in {folded} of the overlap{part}.",
+        advice_on_folds(n["overlap"]),
+        "" if little else f"{OTHER}; if they do, lower the order of the polynomial.",
     )
 
 
@@ -374,7 +377,9 @@ def shows_the_reference(n: Numbers) -> Objection | None:
     return Objection(
         "refuse" if refused else "unchecked",
         f"This camera covers {percent(n['overlap'])} of the reference; it has no data for the rest.",
-        f"{OTHER}." if refused else "Do not use the layer outside the overlap.",
+        f"{OTHER}; if this camera shows only a part of it, capture the rest too."
+        if refused
+        else "Do not use the layer outside the overlap.",
     )
 
 

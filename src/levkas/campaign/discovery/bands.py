@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from math import nan
+from math import isqrt, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,7 +36,8 @@ def bands_of_mosaic(
     """
     letters = facts.pattern if facts and pattern is None else None
     if letters:
-        pattern = (tuple(letters[:2]), tuple(letters[2:4]))
+        side = isqrt(len(letters))
+        pattern = tuple(tuple(letters[i : i + side]) for i in range(0, len(letters), side))
     if pattern is None:
         raise CaptureRefused(
             Problem(
@@ -45,7 +46,7 @@ def bands_of_mosaic(
                 str(facts.path) if facts else None,
                 f"cameras.{camera.name}.pattern",
                 expected='such as pattern = "RGGB"',
-                fix="Declare `pattern`.",
+                fix='Declare `pattern`; a camera without a mosaic has kind = "bands" or "sensors".',
             )
         )
     channels = list(dict.fromkeys(name for row in pattern for name in row))
