@@ -11,7 +11,7 @@ from levkas.building import build, status, summarise
 from levkas.campaign.edits import Edits, EditsInvalid, FrameEdits, round_pair, write_edits
 from levkas.core.digests import hash_tree
 from levkas.publish.run import publish
-from levkas.registration.verdict_rules import percent
+from levkas.registration.advice import percent
 
 CORNERS = np.array([[80.0, 70.0], [220.0, 60.0], [225.0, 190.0], [90.0, 200.0]])
 

@@ -46,7 +46,7 @@ from levkas.pages.radiometry import RadiometryRow, describe_layer
 from levkas.pages.summary import describe_length, summarise_layers
 from levkas.quality.image_quality.light import choose_places
 from levkas.readers.frames import files_of
-from levkas.registration.verdict_rules import percent
+from levkas.registration.advice import percent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

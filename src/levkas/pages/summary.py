@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from levkas.registration.verdict_rules import percent
+from levkas.registration.advice import percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

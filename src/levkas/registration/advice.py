@@ -25,3 +25,14 @@ def advice_on_folds(share: float) -> str:
     ('Capture this camera again', True)
     """
     return f"{MORE}, or {POINTS}." if share < LITTLE else BY_HAND
+
+
+def percent(share: float) -> str:
+    """Return a share as text, never rounded up to all or down to nothing of it.
+
+    >>> percent(1.0), percent(0.998), percent(0.375), percent(0.002), percent(0.0)
+    ('100 %', '99 %', '38 %', 'less than 1 %', '0 %')
+    """
+    if 0 < share < 0.005:
+        return "less than 1 %"
+    return f"{min(round(100 * share), 100 if share >= 1 else 99)} %"

@@ -18,7 +18,7 @@ import numpy as np
 from levkas.core.problems import Problem
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Homography, Polynomial, Transform
-from levkas.registration.advice import advice_on_folds
+from levkas.registration.advice import advice_on_folds, percent
 from levkas.registration.features import (
     KeyPoints,
     ScaledFeatures,
@@ -35,7 +35,6 @@ from levkas.registration.matching import (
 from levkas.registration.models import Observations, fit_similarity
 from levkas.registration.orientation_correlation import match_by_directions
 from levkas.registration.pose_clustering import REACH, find_pose_cluster
-from levkas.registration.verdict_rules import percent
 
 if TYPE_CHECKING:
     from levkas.registration.features import CameraFeatures

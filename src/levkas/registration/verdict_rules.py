@@ -21,6 +21,7 @@ from levkas.registration.advice import (
     POINTS,
     REGION,
     advice_on_folds,
+    percent,
 )
 from levkas.registration.line_displacement import describe_displacement
 
@@ -156,17 +157,6 @@ class Objection:
     next_step: str
     on_matches: str = ""
     lacks_evidence: bool = False
-
-
-def percent(share: float) -> str:
-    """Return a share as text, never rounded up to all or down to nothing of it.
-
-    >>> percent(1.0), percent(0.998), percent(0.375), percent(0.002), percent(0.0)
-    ('100 %', '99 %', '38 %', 'less than 1 %', '0 %')
-    """
-    if 0 < share < 0.005:
-        return "less than 1 %"
-    return f"{min(round(100 * share), 100 if share >= 1 else 99)} %"
 
 
 def _error_text(error: float) -> str:
