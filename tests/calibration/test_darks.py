@@ -48,3 +48,11 @@ def test_several_darks_and_no_time_are_refused():
 def test_no_dark_is_the_black_level():
     assert level(None, 1.0, black=64.0) == 64
     assert level(None, 1.0) == 0
+
+
+def test_a_dark_is_scaled_about_the_black_of_every_pixel():
+    black = np.array([[60.0, 70.0], [80.0, 90.0]], np.float32)
+    dark = average([black + 4], exposure_s=1.0)
+    found = match_dark(dark, 3.0, black=black)
+    assert np.allclose(found.mean, black + 12)
+    assert np.allclose(match_dark(None, 3.0, black=black).mean, black)

@@ -243,7 +243,7 @@ def test_levels_pattern_exposure_and_date_come_from_tags(tmp_path):
     tifffile.imwrite(path, CODES, photometric=32803, extratags=tags, datetime=stamp, metadata=None)
     facts = read_facts(path)
     assert (facts.pattern, facts.black, facts.saturation) == ("GBRG", 67.0, 4095.0)
-    assert facts.blacks == (64.0, 66.0, 68.0, 70.0)
+    assert facts.blacks.pattern == ((64.0, 66.0), (68.0, 70.0))
     assert facts.exposure_s == float(Fraction(1, 125)) and facts.iso == 200
     assert (facts.captured, facts.model) == ("2019-02-08T17:43:35", "Bench")
 

@@ -48,6 +48,7 @@ from levkas.calibration.sensor_context import (
     doubts_of,
     exposure_of,
     placed,
+    require_black,
     require_exposures,
 )
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps
@@ -174,6 +175,7 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
             captured = captured or context.facts.captured
             if camera.kind != "image":
                 require_exposures(context)
+                require_black(context)
             notes += doubts_of(context)
             if light is not None:
                 _require_chart_of_size(context, light)

@@ -91,7 +91,7 @@ def _merge(
     return merge_exposures(
         *(shots, darks),
         saturation=context.saturation,
-        black=context.black,
+        black=context.black_level,
         noise=noise,
         choose=True,
         **more,
@@ -170,7 +170,7 @@ def check_scaling(
             shots,
             darks,
             saturation=context.saturation,
-            black=context.black,
+            black=context.black_level,
             fit_offset=hidden,
             **more,
         )
@@ -187,12 +187,13 @@ def noise_of(
     darks: list[Template],
 ) -> NoiseModel | None:
     """Noise of the sensor from stacks, darks among them, or from single shots where there are no stacks."""
-    black = context.black or 0.0
     if context.light is not None:  # smooth: it tells no noise
         whites = [None] * len(whites)
     pattern, step = context.sensor.pattern, context.step
+    black = 0.0 if context.black_level is None else context.black_level
     fitted = fit_noise_of_frames(shots, whites, darks, black=black, pattern=pattern, step=step)
-    note_noise(context.told, fitted, darks[0] if darks else None, black, context.saturation)
+    dark = darks[0] if darks else None
+    note_noise(context.told, fitted, dark, context.black or 0.0, context.saturation)
     return fitted
 
 
@@ -258,7 +259,7 @@ def flatten(
     try:
         flat = flat_field(
             shot, dark or None, white,
-            board=board, black=context.black, noise=noise, defects=defects,
+            board=board, black=context.black_level, noise=noise, defects=defects,
         )  # fmt: skip
     except CalibrationRefused as refused:
         frames = context.sensor.white or context.sensor.object
@@ -298,7 +299,7 @@ def _rounding(
     labels, pattern = list(board.labels or ()), board.pattern
     if white is None:
         return dict.fromkeys(labels, context.step)
-    pair = pair_darks(shot, dark or None, white, context.black)
+    pair = pair_darks(shot, dark or None, white, context.black_level)
     lit, ratio = white.mean - pair[1].mean, pair[2]
     table = np.zeros((1, 1), int) if pattern is None else channel_table(pattern, labels)
     reflectance = reflectance_table(board.reflectance, shot, pattern)
@@ -319,7 +320,9 @@ def _moved(
         return None
     rows = context.sensor.pattern or ((None,),)
     # One number for the dark: a hot sensel's current counts as light, as it does for its noise.
-    level = float(np.median(dark[0].mean)) if dark else context.black or 0.0
+    level: float | np.ndarray = 0.0 if context.black_level is None else context.black_level
+    if dark:
+        level = float(np.median(dark[0].mean))
     return find_moved(shot, noise, level, period=(len(rows), len(rows[0])))
 
 

@@ -17,7 +17,12 @@ from levkas.building.strips import JoinedStrips, lines_of_scan
 from levkas.calibration.agreement import compare_facts
 from levkas.calibration.denoising import Projecting, Subspace, describe_removed, find_subspace
 from levkas.calibration.flatfield import Calibrated
-from levkas.calibration.sensor_context import SensorContext, doubts_of, require_exposures
+from levkas.calibration.sensor_context import (
+    SensorContext,
+    doubts_of,
+    require_black,
+    require_exposures,
+)
 from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
 from levkas.core.files import replacing
 from levkas.core.rounding import round_root
@@ -386,6 +391,7 @@ def open_scan(capture: Capture, campaign: Campaign, templates: TemplateCache) ->
     context = SensorContext(campaign, camera, sensor, facts, templates)
     stated = tuple(compare_facts(camera, sensor, context.alignments))
     require_exposures(context)
+    require_black(context)
     where, aligns = f"{capture.object}/{capture.layer}", {sensor.name: sensor.align}
     lines = lines_of_scan(context)
     return Scan(context, lines, where, facts.captured, aligns, stated=stated)

@@ -44,7 +44,7 @@ def dark_under(
     frame: Template,
     darks: Template | Sequence[Template] | None,
     *,
-    black: float | None = None,
+    black: float | np.ndarray | None = None,
 ) -> MatchedDark:
     """Return what is left to subtract from a frame: its dark, or zero where that was subtracted.
 
@@ -70,7 +70,7 @@ def level_under(
     frame: Template,
     darks: Template | Sequence[Template] | None,
     *,
-    black: float | None = None,
+    black: float | np.ndarray | None = None,
 ) -> np.ndarray:
     """Return `dark_under`'s mean, also where exposures differ from band to band; broadcasts to the frame."""
     offered = [darks] if isinstance(darks, Template) else list(darks or ())
@@ -88,7 +88,7 @@ def match_dark(
     darks: Template | Sequence[Template] | None,
     exposure_s: float | None,
     *,
-    black: float | None = None,
+    black: float | np.ndarray | None = None,
 ) -> MatchedDark:
     """Return the dark for an exposure of `exposure_s`.
 
@@ -98,7 +98,7 @@ def match_dark(
         None: the black level alone is subtracted.
     exposure_s : float, optional
         Of the frame to correct.
-    black : float, optional
+    black : float or ndarray like the frame, optional
         Black level, counts: the dark at exposure 0. None: not known.
 
     Returns
@@ -122,7 +122,7 @@ def match_dark(
     """
     offered = [darks] if isinstance(darks, Template) else list(darks or ())
     if not offered:
-        level = np.full((1, 1), black or 0.0, np.float32)
+        level = np.atleast_2d(np.float32(0.0 if black is None else black))
         return MatchedDark(level, None, 0.0, 0, np.zeros((1, 1), bool))
     timed = sorted((d for d in offered if d.exposure_s is not None), key=_time)
     if exposure_s is None or not timed:
@@ -181,11 +181,11 @@ def _on_line(timed: list[Template], exposure_s: float) -> MatchedDark:
     )
 
 
-def _scaled(dark: Template, exposure_s: float, black: float | None) -> MatchedDark:
+def _scaled(dark: Template, exposure_s: float, black: float | np.ndarray | None) -> MatchedDark:
     if black is None:
         note = f"the dark of {_time(dark):g} s is used for {exposure_s:g} s, because the black level is unknown"
         return _as_it_is(dark, note)
     scale = exposure_s / max(_time(dark), 1e-9)
     mean = (black + (dark.mean - np.float32(black)) * np.float32(scale)).astype(np.float32)
-    note = f"dark of {_time(dark):g} s scaled to {exposure_s:g} s about black {black:g}"
+    note = f"dark of {_time(dark):g} s scaled to {exposure_s:g} s about black {np.mean(black):g}"
     return MatchedDark(mean, dark.variance, scale**2 / dark.count, dark.count, dark.saturated, note)

@@ -97,7 +97,7 @@ def merge_exposures(
     darks: Template | Sequence[Template] | None = None,
     *,
     saturation: float,
-    black: float | None = None,
+    black: float | np.ndarray | None = None,
     noise: NoiseModel | None = None,
     fit_offset: bool | None = None,
     period: tuple[int, int] = PERIOD,

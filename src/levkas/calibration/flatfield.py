@@ -62,7 +62,7 @@ def flat_field(
     white: Template | None = None,
     *,
     board: WhiteBoard = PERFECT,
-    black: float | None = None,
+    black: float | np.ndarray | None = None,
     noise: NoiseModel | None = None,
     defects: np.ndarray | None = None,
 ) -> Calibrated:
@@ -78,7 +78,7 @@ def flat_field(
         May be one line high. None: the result is in counts above dark.
     board : WhiteBoard, optional
         Reflectance of the white, and the channels it is checked in.
-    black : float, optional
+    black : float or ndarray like `shot.mean`, optional
         Black level in counts; subtracted where there is no dark. None: not known. Neither dark nor
         black are subtracted from a shot or a white that is above dark.
     noise : NoiseModel, optional
@@ -245,7 +245,7 @@ def pair_darks(
     shot: Template,
     dark: Template | Sequence[Template] | None,
     white: Template | None,
-    black: float | None,
+    black: float | np.ndarray | None,
 ) -> tuple[MatchedDark, MatchedDark, float, tuple[str, ...]]:
     """Return the darks of object and white, the white's time over the object's, and notes."""
     under = dark_under(shot, dark, black=black)
@@ -266,7 +266,10 @@ def pair_darks(
 
 
 def describe_darks(
-    shot: Template, darks: Sequence[Template], white: Template | None, black: float | None
+    shot: Template,
+    darks: Sequence[Template],
+    white: Template | None,
+    black: float | np.ndarray | None,
 ) -> tuple[str, ...]:
     """Return the notes of `flat_field`, which follow from exposures alone."""
     every = np.arange(shot.mean.shape[-1])

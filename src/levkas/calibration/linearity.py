@@ -59,7 +59,7 @@ def check_linearity(
     darks: Template | Sequence[Template] | None = None,
     *,
     saturation: float,
-    black: float | None = None,
+    black: float | np.ndarray | None = None,
     fit_offset: bool = False,
     period: tuple[int, int] = PERIOD,
 ) -> Linearity:

@@ -139,7 +139,7 @@ def fit_noise_of_frames(
     whites: Sequence[Template | None],
     darks: Sequence[Template],
     *,
-    black: float = 0.0,
+    black: float | np.ndarray = 0.0,
     pattern: str | Sequence[Sequence[str]] | None = None,
     step: float = 1.0,
 ) -> NoiseModel | None:
@@ -191,7 +191,7 @@ def fit_noise(
     stacks: Sequence[Template],
     dark: Template | Sequence[Template] | None = None,
     *,
-    black: float = 0.0,
+    black: float | np.ndarray = 0.0,
     step: float = 1.0,
 ) -> NoiseModel | None:
     """Fit the noise of a sensor to stacks of at least two shots.
@@ -203,7 +203,7 @@ def fit_noise(
         are passed over.
     dark : Template or sequence of Template, optional
         Subtracted from each to have the signal, one for all or one for each stack; without it
-        `black` is, counts. Darks of several shots are stacks like others: pass them among `stacks`.
+        `black` is, counts, one number or of every pixel. Darks of several shots are stacks like others: pass them among `stacks`.
     step : float
         Counts from code to code; 0 where values are not rounded.
 
@@ -281,7 +281,7 @@ def fit_noise_single(
     whites: Sequence[Template | None],
     dark: Template | Sequence[Template] | None = None,
     *,
-    black: float = 0.0,
+    black: float | np.ndarray = 0.0,
     pattern: str | Sequence[Sequence[str]] | None = None,
     step: float = 1.0,
 ) -> NoiseModel | None:
@@ -316,7 +316,7 @@ def fit_noise_single(
     darks = [dark] * len(shots) if dark is None or isinstance(dark, Template) else list(dark)
     lowest = min((level_of(d.mean) for d in darks if d is not None), default=None)
     for shot, white, under in zip(shots, whites, darks, strict=True):
-        level = np.float32(black) if under is None else under.mean
+        level = np.asarray(black, np.float32) if under is None else under.mean
         warm = 0.0 if under is None or lowest is None else level_of(under.mean) - lowest
         planes = _ratio_planes(shot, white, level)
         # A dark that was clipped has no noise that it adds.
@@ -335,11 +335,11 @@ def fit_noise_single(
 
 
 def _groups(
-    stack: Template, dark: Template | None, black: float, step: float
+    stack: Template, dark: Template | None, black: float | np.ndarray, step: float
 ) -> list[tuple[float, float, float]]:
     """Return (signal, variance, degrees of freedom) of groups of pixels of one stack."""
     thin = np.s_[:: max(1, stack.mean.size // MANY_PIXELS)]
-    level = black if dark is None else np.broadcast_to(dark.mean, stack.mean.shape).ravel()[thin]
+    level = np.broadcast_to(black if dark is None else dark.mean, stack.mean.shape).ravel()[thin]
     signal = stack.mean.ravel()[thin].astype(float) - level
     spread = np.asarray(stack.variance).ravel()[thin].astype(float)
     clipped = stack.black.ravel()[thin]
@@ -375,7 +375,7 @@ def _mean_variance(spread: np.ndarray, freedom: int, step: float) -> float:
 
 
 def _ratio_planes(
-    shot: Template, white: Template | None, level: np.ndarray | np.float32
+    shot: Template, white: Template | None, level: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return object over white, white above dark, and where both are usable."""
     lit = np.ones_like(shot.mean) if white is None else white.mean - level

@@ -69,8 +69,15 @@ class SensorContext:
 
     @property
     def black(self) -> float | None:
-        """Declared, else the file's own black level, counts; None where nobody says."""
+        """Declared, else the file's own black level, the mean over the frame, counts; None where nobody says."""
         return self.camera.black if self.camera.black is not None else self.facts.black
+
+    @cached_property
+    def black_level(self) -> float | np.ndarray | None:
+        """Black as it is subtracted, counts: of every sensel, (h, w), where the file has no single number."""
+        if self.camera.black is None and self.facts.blacks is not None:
+            return self.facts.blacks.plane(self.facts.shape)
+        return self.black
 
     @cached_property
     def step(self) -> float:
@@ -379,6 +386,30 @@ def require_exposures(context: SensorContext) -> None:
             "; ".join(found),
             "an exposure for every frame of object, white and dark, or for none",
             "Put {exposure} with its unit into the names and `files`, or list the files in a `manifest` with exposure_s.",
+        )
+    )
+
+
+def require_black(context: SensorContext) -> None:
+    """Refuse a file whose black levels cannot be understood where they would be subtracted.
+
+    Raises
+    ------
+    CalibrationRefused
+        E_VALUE where there is neither a dark nor a declared black.
+    """
+    unclear = context.facts.black_unclear
+    if unclear is None or context.sensor.dark or context.camera.black is not None:
+        return
+    raise CalibrationRefused(
+        Problem(
+            "E_VALUE",
+            f"{context.camera.name}: the black levels of the file cannot be understood",
+            str(context.facts.path),
+            "BlackLevel",
+            unclear,
+            "levels of every sensel of the frame",
+            f"Capture darks, or write `black` under [cameras.{context.camera.name}] where one number serves.",
         )
     )
 

@@ -7,10 +7,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from levkas.core.machine import MEMORY, chosen_memory, memory_bound
 from levkas.core.problems import Problem, Refused
+
+if TYPE_CHECKING:
+    from levkas.readers.black_levels import BlackLevels
 
 MOST_SAMPLES = 2_000_000_000
 """Samples of one frame; a file that declares more is damaged or not an image."""
@@ -49,9 +52,11 @@ class Facts:
     bits : int or None
         Significant bits of a sample.
     black, saturation : float or None, counts
-        `black` is the mean where the phases of a mosaic differ.
-    blacks : tuple of float or None
-        Black of each phase of the pattern, row by row, where they differ.
+        `black` is the mean where sensels differ.
+    blacks : BlackLevels or None
+        Black of every sensel, where they differ.
+    black_unclear : str or None
+        What a file states of its black that cannot be understood; `black` is None then.
     pattern : str or None
         Letters of the tile that repeats over the visible area, row by row: ``"RGGB"``; 36 of X-Trans.
     exposure_s, iso : float or None
@@ -82,7 +87,8 @@ class Facts:
     bits: int | None = None
     black: float | None = None
     saturation: float | None = None
-    blacks: tuple[float, ...] | None = None
+    blacks: BlackLevels | None = None
+    black_unclear: str | None = None
     pattern: str | None = None
     exposure_s: float | None = None
     band_times_s: tuple[float, ...] | None = None

@@ -91,7 +91,8 @@ def read(path: str, pixels: bool) -> tuple[dict[str, Any], bytes]:
         if not mosaic.any():  # what LibRaw leaves where it could not begin to decode
             return {"error": "nothing but zeros"}, b""
         # Levels and pattern only now: some formats have them set while their pixels unpack.
-        facts = {"shape": list(mosaic.shape), **describe(raw)}
+        margins = [int(sizes.top_margin), int(sizes.left_margin)]
+        facts = {"shape": list(mosaic.shape), "margins": margins, **describe(raw)}
         return facts, np.ascontiguousarray(mosaic).tobytes() if pixels else b""
 
 

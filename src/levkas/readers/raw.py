@@ -10,6 +10,8 @@ import struct
 import subprocess
 import sys
 from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from itertools import islice
 from math import ceil, prod
@@ -20,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from levkas.core.digests import Stamp, stamp_of
+from levkas.readers.black_levels import BlackLevels, black_facts
 from levkas.readers.facts import (
     Facts,
     UnreadableCapture,
@@ -61,19 +64,18 @@ def read_raw_facts(path: Path) -> Facts:
     nearly as long as `read_raw_mosaic`.
     """
     found = _read.get((path, stamp_of(path))) or _decode(path, pixels=False)[0]
+    white = float(found["white"]) or None
     with decoding(path, "camera raw"), path.open("rb") as handle:
         exif = read_exif(handle)
-    blacks = tuple(float(b) for b in found["blacks"])
-    white = found["white"]
+        black = _black(path, found, white)
     return Facts(
         path=path,
         kind="raw",
         shape=tuple(found["shape"]),
         dtype="uint16",
         bits=int(white).bit_length() if white else None,
-        black=sum(blacks) / len(blacks),
-        blacks=blacks if found["pattern"] and len(set(blacks)) > 1 else None,
-        saturation=float(white) if white else None,
+        **black,
+        saturation=white,
         pattern=found["pattern"],
         **{
             **exif,
@@ -88,6 +90,21 @@ def read_raw_headers(path: Path) -> Facts:
     """Return what the EXIF of a camera raw states; its size, levels and pattern stay unknown, and nothing is decoded."""
     with decoding(path, "camera raw"), path.open("rb") as handle:
         return Facts(path=path, kind="raw", shape=(), dtype="uint16", **read_exif(handle))
+
+
+def _black(path: Path, found: dict[str, Any], white: float | None) -> dict[str, Any]:
+    """Return the black facts: of a DNG by its own tags, which LibRaw has the mean of, else by LibRaw's channels."""
+    levels = tuple(float(b) for b in found["blacks"])
+    mean = sum(levels) / len(levels)
+    with _opened(path) as mosaics:
+        if mosaics:
+            (top, left), (height, width) = found["margins"], found["shape"]
+            page = max(mosaics, key=lambda page: page.imagelength * page.imagewidth)
+            area = (top, left, top + height, left + width)
+            declared = black_facts(page, area, top=white, mean=mean)
+            return {"black": mean} if declared == {"black": None} else declared
+    blacks = BlackLevels((levels[:2], levels[2:])) if found["pattern"] else None
+    return {"black": mean, "blacks": blacks if blacks and blacks.varies else None}
 
 
 def read_raw_mosaic(path: Path) -> np.ndarray:
@@ -223,6 +240,31 @@ def _rendered(path: Path, found: str) -> UnreadableCapture:
 # --- DNG: LibRaw leaves zeros where a part of lossless JPEG is none ----------------------------
 
 
+@contextmanager
+def _opened(path: Path) -> Iterator[list[Any]]:
+    """Yield the pages of a DNG that are mosaics; none of another file."""
+    import tifffile
+
+    with path.open("rb") as handle:
+        plain = handle.read(4) in (b"II*\0", b"MM\0*")
+    try:
+        tiff = tifffile.TiffFile(path) if plain else None
+    except Exception:  # whatever damaged directories lead it to
+        if path.suffix.lower() == ".dng":
+            raise
+        tiff = None
+    if tiff is None:
+        yield []
+        return
+    with tiff:
+        pages: list[Any] = list(islice(tiff.pages, MOST_DIRECTORIES))
+        for page in pages:  # directories within directories follow as they are found
+            if page.subifds and len(pages) < MOST_DIRECTORIES:
+                pages += islice(page.pages or (), MOST_DIRECTORIES - len(pages))
+        dng = any(DNG_VERSION in page.tags for page in pages)
+        yield [page for page in pages if dng and page.photometric == MOSAIC]
+
+
 def _check_parts(path: Path) -> None:
     """Refuse a DNG of lossless JPEG whose mosaic lacks a strip or tile; what is no DNG is passed over.
 
@@ -233,27 +275,10 @@ def _check_parts(path: Path) -> None:
     UnreadableCapture
         ``E_TRUNCATED`` where a part is missing, reaches past the end or does not begin as it should.
     """
-    import tifffile
-
-    with path.open("rb") as handle:
-        if handle.read(4) not in (b"II*\0", b"MM\0*"):
-            return
-    try:
-        tiff = tifffile.TiffFile(path)
-    except Exception:  # whatever damaged directories lead it to
-        if path.suffix.lower() == ".dng":
-            raise
-        return
-    with tiff:
-        pages: list[Any] = list(islice(tiff.pages, MOST_DIRECTORIES))
-        for page in pages:  # directories within directories follow as they are found
-            if page.subifds and len(pages) < MOST_DIRECTORIES:
-                pages += islice(page.pages or (), MOST_DIRECTORIES - len(pages))
-        if not any(DNG_VERSION in page.tags for page in pages):
-            return
-        for page in pages:
-            if page.photometric == MOSAIC and page.compression == LOSSLESS_JPEG:
-                _check_mosaic(path, tiff, page)
+    with _opened(path) as mosaics:
+        for page in mosaics:
+            if page.compression == LOSSLESS_JPEG:
+                _check_mosaic(path, page.parent, page)
 
 
 def _check_mosaic(path: Path, tiff: Any, page: Any) -> None:

@@ -6,12 +6,13 @@ import re
 import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from math import ceil, isfinite, prod
+from math import ceil, prod
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
+from levkas.readers.black_levels import black_facts
 from levkas.readers.facts import (
     Facts,
     check_expansion,
@@ -33,6 +34,7 @@ from levkas.readers.images import (
     positive_number,
     white_balance,
 )
+from levkas.readers.tiff_tags import numbers_of, value_of
 
 LARGEST_RATIO = 2000
 MOST_PAGES = MOST_TAGS = 4096
@@ -49,7 +51,6 @@ SLACK = 4096
 """Bytes by which a strip may exceed twice its pixels: tables of JPEG, tails of writers."""
 COLOURS = {0: "zero is white", 1: "gray", 2: "colours", 32803: "mosaic", 34892: "linear"}
 YCBCR = 6
-RATIONAL = (5, 10)  # types of tags
 MICASENSE_FULL = 65520.0
 """MicaSense cameras count 12 bits and store them times 16; no tag says so."""
 Span = tuple[int, int]
@@ -69,7 +70,7 @@ def read_tiff_facts(path: Path) -> Facts:
             dtype=page.dtype.newbyteorder("=").name,
             pages=len(pages),
             bits=int(page.bitspersample),
-            **_describe(page),
+            **_describe(page, shape),
         )
 
 
@@ -447,29 +448,28 @@ def _colours_of(page: Any) -> str | None:
     return COLOURS.get(photometric)
 
 
-def _describe(page: Any) -> dict[str, Any]:
+def _describe(page: Any, shape: tuple[int, ...]) -> dict[str, Any]:
     """Return the levels, pattern, exposure, date, camera and band of a page, as fields of Facts."""
     tags = page.tags
-    exif = _value(tags, "ExifTag")
+    exif = value_of(tags, "ExifTag")
     exif = exif if isinstance(exif, dict) else {}
 
     def find(*names: str) -> Any:
         for name in names:
-            value = _value(tags, name)
+            value = value_of(tags, name)
             value = exif.get(name) if value is None else value
             if value is not None:
                 return value
         return None
 
-    blacks, whites = _levels(tags, "BlackLevel"), _levels(tags, "WhiteLevel")
+    whites = numbers_of(tags, "WhiteLevel")
     model, make = exif_text(find("Model")), exif_text(find("Make"))
-    wavelength, fwhm, name = _camera_band(_value(tags, "XMP") or b"")
+    wavelength, fwhm, name = _camera_band(value_of(tags, "XMP") or b"")
     saturation = min(whites) if whites else None
     if make == "MicaSense" and wavelength and saturation is None and page.bitspersample == 16:
         saturation = MICASENSE_FULL
     return {
-        "black": sum(blacks) / len(blacks) if blacks else None,
-        "blacks": blacks if len(blacks) == 4 and len(set(blacks)) > 1 else None,
+        **black_facts(page, (0, 0, *shape[:2]), top=saturation),
         "saturation": saturation,
         "pattern": _bayer(find("CFAPattern"), find("CFARepeatPatternDim")),
         "exposure_s": positive_number(find("ExposureTime")),
@@ -506,25 +506,6 @@ def _camera_band(xmp: bytes | str) -> tuple[float | None, float | None, str | No
         positive_number(find("WavelengthFWHM")),
         find("BandName"),
     )
-
-
-def _value(tags: Any, name: str) -> Any:
-    """Return a tag's value, None where it is absent or cannot be read: no pixel depends on these."""
-    try:
-        return tags[name].value if name in tags else None
-    except Exception:  # a damaged EXIF directory leads tifffile to many kinds of errors
-        return None
-
-
-def _levels(tags: Any, name: str) -> tuple[float, ...]:
-    value = _value(tags, name)
-    if value is None or isinstance(value, str | bytes):
-        return ()
-    numbers = [float(v) for v in np.atleast_1d(np.asarray(value, float)).ravel()]
-    if int(tags[name].dtype) in RATIONAL:
-        pairs = zip(numbers[::2], numbers[1::2], strict=False)
-        numbers = [top / bottom for top, bottom in pairs if bottom]
-    return tuple(n for n in numbers if isfinite(n))
 
 
 def _bayer(pattern: Any, dims: Any) -> str | None:

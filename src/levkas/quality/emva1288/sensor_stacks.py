@@ -70,9 +70,11 @@ def reduce_stack(
     A few zeros do not spoil a dark: their share was checked before.
     """
     pattern = bench.sensor.pattern
+    level, own = bench.black or 0.0, bench.black_level
+    if isinstance(own, np.ndarray):  # black is one number everywhere then
+        stack = replace(stack, mean=stack.mean - (own - np.float32(level)))
     if stack.mean.ndim == 3:
         stack = _flat_bands(stack)
-    level = bench.black or 0.0
     found = block_statistics(stack, pattern, drift=drift, dark=level, clipped=dark)
     if pattern is not None and bench.camera.kind == "bands":
         parts = list(found.values())

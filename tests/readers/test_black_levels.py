@@ -1,0 +1,116 @@
+"""Black levels by phase, row and column, as DNG 1.7 states them."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import tifffile
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from levkas.readers.frames import read_facts, read_frame
+
+SIZE = (36, 48)
+BASE = [
+    (50706, "B", 4, (1, 4, 0, 0), True),
+    (50708, "s", 0, "Levkas test", True),
+    (33421, "H", 2, (2, 2), True),
+    (33422, "B", 4, (0, 1, 1, 2), True),
+    (50717, "I", 1, 4095, True),
+    (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),
+    (50778, "H", 1, 21, True),
+    (50728, "2I", 3, (1, 1, 1, 1, 1, 1), True),
+]
+
+
+def rationals(numbers):
+    pairs = (Fraction(n).limit_denominator(1000) for n in numbers)
+    return tuple(part for f in pairs for part in (f.numerator, f.denominator))
+
+
+def write(path, levels=(), repeat=(), *, rows=(), columns=(), area=()):
+    """Write a frame that holds nothing but what its tags declare as black."""
+    tags = list(BASE)
+    if repeat:
+        tags.append((50713, "H", 2, repeat, True))
+    if len(levels):
+        tags.append((50714, "2I", len(levels), rationals(levels), True))
+    for code, delta in ((50715, columns), (50716, rows)):
+        if len(delta):
+            tags.append((code, "2i", len(delta), rationals(delta), True))
+    if area:
+        tags.append((50829, "I", 4, area, True))
+    codes = np.arange(np.prod(SIZE), dtype=np.uint16).reshape(SIZE) + 64
+    tifffile.imwrite(path, codes, photometric=32803, extratags=tags, metadata=None)
+    return path
+
+
+def by_hand(levels, repeat, rows, columns, shape):
+    """The black of every sensel as the specification words it."""
+    made = np.zeros(shape)
+    for y in range(shape[0]):
+        for x in range(shape[1]):
+            made[y, x] = levels[(y % repeat[0]) * repeat[1] + x % repeat[1]]
+            made[y, x] += (rows[y] if len(rows) else 0) + (columns[x] if len(columns) else 0)
+    return made
+
+
+@settings(deadline=None, max_examples=12)
+@given(
+    repeat=st.sampled_from([(1, 1), (2, 2), (1, 2), (2, 1), (4, 4), (6, 6)]),
+    seed=st.integers(0, 99),
+    down=st.booleans(),
+    across=st.booleans(),
+    suffix=st.sampled_from([".dng", ".tif"]),
+)
+def test_the_black_of_every_sensel_is_level_and_both_deltas(
+    tmp_path_factory, repeat, seed, down, across, suffix
+):
+    rng = np.random.default_rng(seed)
+    levels = rng.integers(40, 90, repeat[0] * repeat[1]).tolist()
+    rows = rng.integers(0, 40, SIZE[0]) / 4 if down else ()
+    columns = rng.integers(0, 40, SIZE[1]) / 4 - 3 if across else ()
+    path = tmp_path_factory.mktemp("black") / f"a{suffix}"
+    facts = read_facts(write(path, levels, repeat, rows=rows, columns=columns))
+    truth = by_hand(levels, repeat, rows, columns, SIZE)
+    assert facts.black_unclear is None
+    assert facts.black == pytest.approx(truth.mean(), abs=1e-3)
+    found = np.full(SIZE, facts.black) if facts.blacks is None else facts.blacks.plane(SIZE)
+    assert np.allclose(found, truth, atol=1e-3)
+
+
+def test_levels_belong_to_the_visible_area(tmp_path):
+    area = (2, 4, 34, 47)  # top, left, bottom, right
+    path = write(tmp_path / "a.dng", (60, 64, 66, 110), (2, 2), rows=range(32), area=area)
+    facts = read_facts(path)
+    assert facts.shape == read_frame(path).shape == (32, 43)
+    truth = by_hand((60, 64, 66, 110), (2, 2), range(32), (), (32, 43))
+    assert np.array_equal(facts.blacks.plane(facts.shape), truth)
+
+
+@pytest.mark.parametrize("suffix", [".dng", ".tif"])
+@pytest.mark.parametrize(
+    "stated",
+    [
+        {"levels": (60, 64, 66), "repeat": (2, 2)},
+        {"levels": (60, 64, 66, 110)},
+        {"levels": (64,), "rows": range(5)},
+        {"levels": (64,), "columns": range(99)},
+        {"levels": (60, 61), "repeat": (1, 60000)},
+        {"levels": (5000, 5001), "repeat": (1, 2)},
+    ],
+    ids=str,
+)
+def test_levels_that_do_not_fit_the_frame_are_not_understood(tmp_path, stated, suffix):
+    facts = read_facts(write(tmp_path / f"a{suffix}", **stated))
+    assert facts.black is None and facts.blacks is None and facts.black_unclear
+
+
+def test_levels_of_another_part_of_a_plain_tiff_are_not_understood(tmp_path):
+    facts = read_facts(write(tmp_path / "a.tif", (60, 64), (1, 2), area=(2, 1, 34, 47)))
+    assert facts.black_unclear
+
+
+def test_equal_levels_are_one_number(tmp_path):
+    facts = read_facts(write(tmp_path / "a.tif", (64, 64, 64, 64)))
+    assert (facts.black, facts.blacks) == (64.0, None)
