@@ -61,7 +61,7 @@ from levkas.core.problems import Problem, Refused, gathered
 from levkas.core.rounding import round_root
 from levkas.core.threads import each
 from levkas.database.credits import credits_of
-from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
+from levkas.readers.frames import UnreadableCapture, read_facts
 
 if TYPE_CHECKING:
     from levkas.building.template_cache import TemplateCache
@@ -249,7 +249,7 @@ def _all_problems(
                 context = SensorContext(
                     campaign, campaign.cameras[capture.camera], sensor, facts, templates
                 )
-                context.checked(read_frame(frame.path, page=frame.page), frame)
+                context.checked(context.frame(frame), frame)
             except Refused as refused:
                 problems += refused.problems
             if len(problems) > MOST_PROBLEMS:

@@ -15,7 +15,8 @@ from levkas.calibration.code_spacing import find_alignment, find_step
 from levkas.calibration.darks import SAME_TIME
 from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps
 from levkas.core.problems import Problem
-from levkas.readers.frames import Facts, read_facts, read_frame
+from levkas.readers.frames import Facts, read_facts, read_frame, read_plane
+from levkas.readers.raw import SUFFIXES as RAW_SUFFIXES
 
 if TYPE_CHECKING:
     from levkas.calibration.chart_light import ChartLight
@@ -135,11 +136,16 @@ class SensorContext:
     def read(self, frames: Iterable[FrameRef]) -> Iterator[np.ndarray]:
         """Read frame by frame, codes checked against the bits that are declared, and against the other frames."""
         for frame in frames:
-            values = self.checked(read_frame(frame.path, page=frame.page), frame)
+            values = self.checked(self.frame(frame), frame)
             first = self.facts, self.sensor.object[0].path
             rows = thin_rows(values, FEW_CODES)
             check_alike(self.camera, first, self.alignments, rows, frame.path)
             yield values
+
+    def frame(self, frame: FrameRef) -> np.ndarray:
+        """Read a frame as it is stored; of a mosaic, or of a band in a file of its own, one sample a pixel."""
+        planes = self.camera.kind == "bands" or self.sensor.pattern is not None
+        return (read_plane if planes else read_frame)(frame.path, page=frame.page)
 
     def checked(self, values: np.ndarray, frame: FrameRef) -> np.ndarray:
         """Return a frame's values; raises CalibrationRefused where `bits` does not hold."""
@@ -188,7 +194,7 @@ def placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
 def doubts_of(context: SensorContext) -> list[str]:
     """What a person should know before believing the values."""
     camera = context.camera
-    doubts = _doubt_bits(context)
+    doubts = [*_notes_of_files(context), *_doubt_bits(context)]
     targets = context.campaign.targets
     if camera.kind == "image":
         return doubts
@@ -204,6 +210,27 @@ def doubts_of(context: SensorContext) -> list[str]:
             "at every wavelength; give a CSV of its spectrum in targets.white.reflectance"
         )
     return doubts
+
+
+def _notes_of_files(context: SensorContext) -> list[str]:
+    """Return what readers take otherwise than files state it, each once with the first file and how many there are."""
+    sensor = context.sensor
+    found: dict[str, dict[Path, None]] = {}
+    for frame in (*sensor.object, *sensor.white, *sensor.chart, *sensor.dark):
+        if frame.path.suffix.lower() not in RAW_SUFFIXES:
+            for note in read_facts(frame.path).notes:
+                found.setdefault(note, {})[frame.path] = None
+    name = context.camera.name
+    return [f"{name}: {note} ({files_named(tuple(paths))})" for note, paths in found.items()]
+
+
+def files_named(paths: Sequence[Path]) -> str:
+    """Return a few files in words.
+
+    >>> files_named([Path("raw/a.tif"), Path("raw/b.tif")])
+    'a.tif and 1 more'
+    """
+    return paths[0].name + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
 
 
 def _doubt_bits(context: SensorContext) -> list[str]:

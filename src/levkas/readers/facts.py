@@ -77,6 +77,8 @@ class Facts:
     wavelengths, fwhm : tuple of float or None, nm
     band_names : tuple of str or None
     interleave : str or None
+    notes : tuple of str
+        What of the file is not used, or taken otherwise than it states.
     """
 
     path: Path
@@ -108,6 +110,7 @@ class Facts:
     fwhm: tuple[float, ...] | None = None
     band_names: tuple[str, ...] | None = None
     interleave: str | None = None
+    notes: tuple[str, ...] = ()
 
 
 def facts_of_bands(facts: Facts, places: Sequence[int]) -> Facts:

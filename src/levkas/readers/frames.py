@@ -30,6 +30,7 @@ __all__ = [
     "read_facts",
     "read_frame",
     "read_headers",
+    "read_plane",
     "read_sample",
 ]
 
@@ -209,6 +210,35 @@ def read_frame(path: str | Path, *, page: int | None = None) -> np.ndarray:
             expected="a TIFF of several pages",
         )
     return _call(kind, 2, Path(path))
+
+
+def read_plane(path: str | Path, *, page: int | None = None) -> np.ndarray:
+    """Read a frame of one sample a pixel, (h, w); equal samples of a grey picture saved as colours are one.
+
+    Parameters are those of `read_frame`.
+
+    Raises
+    ------
+    UnreadableCapture
+        As `read_frame`; ``E_BAND_COUNT`` where the samples of a pixel differ.
+    """
+    values = read_frame(path, page=page)
+    if values.ndim == 2:
+        return values
+    plane = values[..., 0]
+    for sample in range(1, values.shape[2]):
+        if not np.array_equal(values[..., sample], plane, equal_nan=values.dtype.kind == "f"):
+            raise unreadable(
+                path,
+                "one sample a pixel is expected here",
+                code="E_BAND_COUNT",
+                field="samples",
+                found=f"{values.shape[2]} samples a pixel that differ",
+                expected="one, or samples that are equal",
+                fix='Export the frame as grey; where its samples are bands, write kind = "cube", '
+                'and kind = "image" for a photograph.',
+            )
+    return np.ascontiguousarray(plane)
 
 
 def read_sample(path: str | Path, *, most: int = MOST_SEEN) -> np.ndarray:

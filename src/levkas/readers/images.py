@@ -27,6 +27,8 @@ from levkas.readers.facts import (
 PNG = b"\x89PNG\r\n\x1a\n"
 PNG_SAMPLES = {0: 1, 2: 3, 3: 3, 4: 1, 6: 3}
 """Samples that count, by colour type: palettes become colours, alpha is dropped."""
+WITH_ALPHA = (4, 6)
+ALPHA = "an alpha channel (transparency) is not used"
 DEFLATE_RATIO = 1040
 LONGEST_CHUNK = 64 << 20
 JPEG = b"\xff\xd8\xff"
@@ -96,6 +98,7 @@ def read_png_facts(path: Path) -> Facts:
         dtype="uint16" if depth == 16 else "uint8",
         bits=bits,
         saturation=float((2**bits - 1) << (full - bits)) if bits < full else None,
+        notes=(ALPHA,) if colour in WITH_ALPHA else (),
         **more,
     )
 

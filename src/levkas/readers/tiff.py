@@ -24,6 +24,7 @@ from levkas.readers.facts import (
     unreadable,
 )
 from levkas.readers.images import (
+    ALPHA,
     JPEG_2000,
     JPEG_CODES,
     JPEG_XL,
@@ -51,6 +52,8 @@ SLACK = 4096
 """Bytes by which a strip may exceed twice its pixels: tables of JPEG, tails of writers."""
 COLOURS = {0: "zero is white", 1: "gray", 2: "colours", 32803: "mosaic", 34892: "linear"}
 YCBCR = 6
+ALPHAS = (1, 2)
+"""Of tag ExtraSamples: colours are multiplied by the sample, or not; 0 is any other sample, such as a further band."""
 MICASENSE_FULL = 65520.0
 """MicaSense cameras count 12 bits and store them times 16; no tag says so."""
 Span = tuple[int, int]
@@ -63,13 +66,15 @@ def read_tiff_facts(path: Path) -> Facts:
         shape = _checked_shape(path, tiff, page, 0)
         samples, stored = len(pages) * prod(shape), tiff.filehandle.size
         check_expansion(path, samples, page.dtype.itemsize, stored)
+        kept = _counting(page)
         return Facts(
             path=path,
             kind="tiff",
-            shape=shape,
+            shape=shape[:2] if len(kept) == 1 else (*shape[:2], len(kept)),
             dtype=page.dtype.newbyteorder("=").name,
             pages=len(pages),
             bits=int(page.bitspersample),
+            notes=(ALPHA,) if len(kept) < page.samplesperpixel else (),
             **_describe(page, shape),
         )
 
@@ -120,7 +125,7 @@ def read_tiff_parts(path: Path, rows: Sequence[Span], columns: Sequence[Span]) -
             out = np.memmap(path, stored, "r", start, shape)[wanted]
         else:
             out = _decode_rows(path, tiff, page, wanted).reshape(-1, *shape[1:])
-        return _bright_is_more(page, out[:, taken])
+        return _as_counts(page, out[:, taken])
 
 
 def _decode(path: Path, tiff: Any, pages: list[int], index: int) -> np.ndarray:
@@ -143,7 +148,7 @@ def _decode(path: Path, tiff: Any, pages: list[int], index: int) -> np.ndarray:
         values = np.moveaxis(values, 0, -1)
     if values.shape != shape:
         raise unreadable(path, "the TIFF does not match its tags", found=str(values.shape))
-    return _bright_is_more(page, values)
+    return _as_counts(page, values)
 
 
 def _decode_rows(path: Path, tiff: Any, page: Any, wanted: np.ndarray) -> np.ndarray:
@@ -170,8 +175,18 @@ def _decode_rows(path: Path, tiff: Any, page: Any, wanted: np.ndarray) -> np.nda
     return out
 
 
-def _bright_is_more(page: Any, values: np.ndarray) -> np.ndarray:
-    """Return samples in native byte order, turned where the tags say that zero is white."""
+def _counting(page: Any) -> list[int]:
+    """Return which samples of a pixel count: all but those that the tags call alpha."""
+    last = page.samplesperpixel - len(page.extrasamples)
+    alpha = {last + i for i, kind in enumerate(page.extrasamples) if kind in ALPHAS}
+    return [i for i in range(page.samplesperpixel) if i not in alpha] or [0]
+
+
+def _as_counts(page: Any, values: np.ndarray) -> np.ndarray:
+    """Return samples without alpha, in native byte order, turned where the tags say that zero is white."""
+    kept = _counting(page)
+    if values.ndim == 3 and len(kept) < values.shape[2]:
+        values = values[..., kept[0] if len(kept) == 1 else kept]
     values = np.ascontiguousarray(values).astype(values.dtype.newbyteorder("="), copy=False)
     if _colours_of(page) == "zero is white" and values.dtype.kind == "u":
         values = np.subtract(2**page.bitspersample - 1, values, dtype=values.dtype)
