@@ -284,8 +284,10 @@ def test_a_white_of_another_number_of_bands_is_refused(tmp_path):
 
 def test_pages_of_a_tiff_are_the_bands_of_a_cube(tmp_path):
     touch(tmp_path, "raw/icon1.tif", pages=3)
-    (capture,) = found_in(tmp_path, CUBE.replace(".hdr", ".tif") + "wavelengths = [1, 2, 3]\n", "")
-    assert [b.label for b in capture.bands] == ["1 nm", "2 nm", "3 nm"]
+    (capture,) = found_in(
+        tmp_path, CUBE.replace(".hdr", ".tif") + "wavelengths = [401, 402, 403]\n", ""
+    )
+    assert [b.label for b in capture.bands] == ["401 nm", "402 nm", "403 nm"]
     assert len(capture.sensors[0].object) == 1
 
 

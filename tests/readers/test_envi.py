@@ -103,7 +103,8 @@ def test_comments_quotes_spaces_and_case_are_read_as_meant(tmp_path):
         "B4",
     )
     assert (facts.model, facts.exposure_s, facts.captured) == ("Specim V10E", 0.02, "2019-05-03")
-    assert (opened.scale, opened.ignore) == (10000.0, -1.0)
+    assert facts.reflectance_scale == (10000.0,) * 3
+    assert facts.nodata is None and "-1 is no value of uint16" in facts.notes[0]
     assert opened.header["description"] == ["one; two", "three"]
 
 
@@ -159,7 +160,8 @@ def test_a_list_of_exposures_of_another_length_is_refused(tmp_path):
         ("Unknown", "0.4, 0.5, 0.6", (400, 500, 600)),
         ("Unknown", "400, 500, 600", (400, 500, 600)),
         ("Angstroms", "4000, 5000, 6000", (400, 500, 600)),
-        ("Wavenumber", "25000, 20000, 16666", None),
+        ("Wavenumber", "25000, 20000, 15625", (400, 500, 640)),
+        ("GHz", "749481.145, 599584.916, 499654.096667", (400, 500, 600)),
     ],
 )
 def test_wavelengths_come_out_in_nanometres(tmp_path, units, written, read):

@@ -283,6 +283,7 @@ def develop_mosaic(context: SensorContext) -> Noted:
         board=WhiteBoard(reflectance, pattern, [b.label for b in sensor.bands]),
         noise=noise,
         defects=defects,
+        full=context.full_of(sensor.object[0]),
     )
     notes.extend(flat.notes)
     values, flags, variance = replace_defects(
@@ -328,6 +329,10 @@ def develop_image(context: SensorContext) -> Noted:
         values = np.where(shot.lost.reshape(values.shape), np.float32(np.nan), values)
     saturated = shot.saturated.reshape(values.shape)
     flags = np.where(saturated, np.uint8(Flag.SATURATED), np.uint8(0))
+    if shot.absent is not None:
+        absent = shot.absent.reshape(values.shape)
+        values = np.where(absent, np.float32(np.nan), values)
+        flags = np.where(absent, np.uint8(Flag.OUTSIDE), flags)
     variance = None
     if shot.variance is not None:
         variance = mean_variance(shot, step=context.step).reshape(values.shape)
@@ -407,6 +412,7 @@ def _band(
         board=WhiteBoard(reflectance, labels=[label]),
         noise=noise,
         defects=defects_of(darks, white, sensor.pattern),
+        full=context.full_of(next(f for f in sensor.object if f.band == label)),
     )
     plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
     if sensor.pattern is not None:

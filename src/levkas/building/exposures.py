@@ -21,7 +21,7 @@ from levkas.calibration.sensor_context import SensorContext, doubt_scaling, expo
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
 from levkas.calibration.whites import WhiteBoard, reflectance_table
 from levkas.campaign.discovery.captures import CaptureRefused
-from levkas.core.cube import Cube, Flag
+from levkas.core.cube import Cube, Flag, is_flagged
 from levkas.core.problems import Problem
 from levkas.core.rounding import round_root, round_values
 from levkas.quality.image_quality.glare import mark_glare
@@ -254,12 +254,13 @@ def flatten(
     noise: NoiseModel | None = None,
     defects: np.ndarray | None = None,
     moved: np.ndarray | None = None,
+    full: tuple[float, ...] | None = None,
 ) -> Calibrated:
     """Flat-field with the files named in every refusal; `moved` is what the exposures showed already."""
     try:
         flat = flat_field(
             shot, dark or None, white,
-            board=board, black=context.black_level, noise=noise, defects=defects,
+            board=board, black=context.black_level, noise=noise, defects=defects, full=full,
         )  # fmt: skip
     except CalibrationRefused as refused:
         frames = context.sensor.white or context.sensor.object
@@ -269,14 +270,28 @@ def flatten(
         context.told.setdefault("exposures_s", {}).update(taken)
     if context.camera.kind != "cube" and not shot.above_dark:
         found = _rounding(context, shot, dark, white, board)
+        if full is not None:
+            found = {label: step / f for (label, step), f in zip(found.items(), full, strict=True)}
         context.told.setdefault("rounding", {}).update(found)
     if moved is None:
         moved = _moved(context, shot, dark, noise)
     flat = _with_movement(context, flat, moved)
-    lost = gaps_of(shot, *dark, white)
-    if lost is None:
+    return _with_gaps(context, flat, (shot, *dark, white), list(board.labels or ()))
+
+
+def _with_gaps(
+    context: SensorContext,
+    flat: Calibrated,
+    templates: Sequence[Template | None],
+    labels: Sequence[str],
+) -> Calibrated:
+    """Flag as defects what templates have lost, where the object, the first of them, is there."""
+    lost, absent = gaps_of(*templates), templates[0].absent if templates[0] else None
+    if lost is not None and absent is not None:
+        flat = _without(flat, absent)
+        lost = lost & ~absent
+    if lost is None or not lost.any():
         return flat
-    labels = list(board.labels or ())
     lost = np.broadcast_to(lost, flat.values.shape)
     note = describe_gaps(lost, labels[0] if len(labels) == 1 else context.camera.name)
     values, variance = flat.values, flat.variance
@@ -286,6 +301,15 @@ def flatten(
     flags = np.where(lost, flat.flags | np.uint8(Flag.DEFECT), flat.flags)
     notes = (*flat.notes, note)
     return replace(flat, values=values, variance=variance, flags=flags, notes=notes)
+
+
+def _without(flat: Calibrated, absent: np.ndarray) -> Calibrated:
+    """Return calibrated values with nothing, flagged as outside, where the object is absent."""
+    nothing = np.float32(np.nan)
+    values, variance = np.where(absent, nothing, flat.values), flat.variance
+    variance = None if variance is None else np.where(absent, nothing, variance)
+    flags = np.where(absent, np.uint8(Flag.OUTSIDE), flat.flags)
+    return replace(flat, values=values, variance=variance, flags=flags)
 
 
 def _rounding(
@@ -353,7 +377,11 @@ def cube_of(
     lost = ~np.isfinite(values)
     if lost.any():
         values = np.where(lost, np.float32(0), values)
-        flags = np.where(lost, flags | (Flag.DEFECT | Flag.OUTSIDE), flags).astype(np.uint8)
+        broken = lost & ~is_flagged(flags, Flag.OUTSIDE)
+        flags = np.where(broken, flags | (Flag.DEFECT | Flag.OUTSIDE), flags).astype(np.uint8)
+    for i, band in enumerate(context.sensor.bands):
+        if band.bad:
+            flags[..., i] |= np.uint8(Flag.DEFECT)
     return Cube(values, flags, sigma, context.sensor.bands, quantity)
 
 

@@ -90,11 +90,12 @@ class Native:
 
 
 def _pictures(cube: Cube) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the values of every band and where they can be relied on, both (height, width)."""
-    for values, flags in zip(
-        np.moveaxis(cube.values, 2, 0), np.moveaxis(cube.flags, 2, 0), strict=True
-    ):
+    """Yield the values of every band and where they can be relied on, both (height, width); nowhere in a bad one."""
+    planes = np.moveaxis(cube.values, 2, 0), np.moveaxis(cube.flags, 2, 0)
+    for band, values, flags in zip(cube.bands, *planes, strict=True):
         known = np.isfinite(values) & ~is_flagged(flags, UNRELIABLE)
+        if band.bad:
+            known[:] = False
         yield share_of_most(values) if cube.quantity == "counts" else values, known
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from levkas.building.spectra import reference_channel
+from levkas.building.spectra import middle_band, reference_channel
 from levkas.campaign.methods import method_of
 from levkas.core.cube import find_band
 from levkas.database.registrations import read_registration
@@ -68,7 +68,7 @@ class ReferenceFrame:
         wanted = self.campaign.reference.band
         labels = [band.label for band in bands]
         if wanted is None:
-            return labels[len(labels) // 2]
+            return middle_band(bands)
         return labels[find_band(labels, wanted, [band.wavelength for band in bands])]
 
     def prepared(self, region: Region | None, *, own: bool) -> PreparedReference:

@@ -29,6 +29,7 @@ from levkas.calibration.sensor_context import (
 from levkas.calibration.templates import (
     CalibrationRefused,
     Template,
+    as_absent,
     describe_lost,
     gaps_of,
     no_values,
@@ -82,9 +83,12 @@ class Strip:
         context, frame = self.context, self.file.frame
         codes = context.checked(self.file.read(start, stop), frame)
         shape = codes.shape
-        shot = single_shot(codes, saturation=context.saturation)
+        clip = context.black_clip
+        shot = single_shot(codes, saturation=context.saturation, black_clip=clip)
         del codes
         shot = timed(gaps_marked(shot), times_of(frame))
+        if self.file.holds_nothing:
+            shot = as_absent(shot)
         darks = [lines_of(dark, start, stop) for dark in self.templates.darks]
         white = self.templates.white
         lit = None if white is None else lines_of(white, start, stop)
@@ -99,10 +103,13 @@ class Strip:
                 checked=start > 0 or isinstance(white, FrameLines),
             ),
             noise=self.templates.noise,
+            full=context.full_of(frame),
         )
         lost = gaps_of(shot, *darks, lit)
         if lost is None:
             return FlatLines(flat, np.zeros(shape[2], np.int64))
+        if shot.absent is not None:
+            lost = lost & ~shot.absent
         return FlatLines(flat, np.broadcast_to(lost, shape).sum((0, 1)))
 
 

@@ -86,6 +86,11 @@ class ScanFile:
         content = self.content
         return np.dtype(content.dtype if isinstance(content, np.ndarray) else content.facts.dtype)
 
+    @property
+    def holds_nothing(self) -> bool:
+        """Whether the file declares a value for samples that hold nothing."""
+        return read_facts(self.frame.path).nodata is not None
+
     def read(self, start: int, stop: int) -> np.ndarray:
         """Return lines `start` to `stop`, (lines, samples, bands)."""
         if isinstance(self.content, np.ndarray):

@@ -376,7 +376,8 @@ class Pictures:
         made, least = [], self._factor**2 / 2
         for band, sums, counts in zip(self._bands, self._sums, self._counts, strict=True):
             values = np.divide(sums, np.maximum(counts, 1), out=sums)
-            made.append(BandImage(band.label, band.wavelength, values, counts >= least))
+            valid = (counts >= least) & (not band.bad)
+            made.append(BandImage(band.label, band.wavelength, values, valid))
         return made
 
 

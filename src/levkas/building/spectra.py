@@ -37,9 +37,16 @@ def reference_channel(
         wavelengths, table = read_sensitivity(campaign.root / keys.sensitivity, labels)
         centres = list(centroids(wavelengths, table))
     distances = np.abs(np.array(centres, float) - wavelength)
+    distances[[band.bad for band in bands]] = np.nan
     if isnan(wavelength) or np.isnan(distances).all():
-        return labels[len(labels) // 2]
+        return middle_band(bands)
     return labels[int(np.nanargmin(distances))]
+
+
+def middle_band(bands: Sequence[Band]) -> str:
+    """Return the label of the band in the middle, of those that are not bad."""
+    good = [band.label for band in bands if not band.bad] or [band.label for band in bands]
+    return good[len(good) // 2]
 
 
 def broad_centroids(campaign: Campaign, camera: str, bands: Sequence[Band]) -> dict[str, float]:
@@ -90,6 +97,8 @@ def read_sensitivity(path: Path, labels: Sequence[str]) -> tuple[np.ndarray, np.
         table, head = parse_spectra(read_text(path, expected))
         if not are_spectra(table):
             raise ValueError(f"{len(table)} rows, or wavelengths that are missing or repeated")
+        if table[0, 0] < LOWEST_NM:
+            raise ValueError(f"wavelengths from {table[0, 0]:g} to {table[-1, 0]:g}")
     except ValueError as error:
         message = "the sensitivities cannot be read"
         raise Refused(

@@ -480,7 +480,7 @@ def _weights(shape: tuple[int, ...], noise: Sequence[np.ndarray] | None) -> np.n
 def _require_one_time(context: SensorContext, templates: ScanTemplates) -> None:
     """Refuse strips of several exposures where there is no white: their counts cannot be joined."""
     strips = by_exposure(context.sensor.object)
-    if templates.white is None and len(strips) > 1:
+    if templates.white is None and len(strips) > 1 and not context.holds_reflectance:
         problem = Problem(
             "E_EXPOSURES",
             f"{context.camera.name}: strips of several exposures, and no white",

@@ -22,8 +22,8 @@ from levkas.calibration.templates import (
     Template,
     as_marks,
     as_rows,
-    gaps_of,
     read_only,
+    union_of,
 )
 from levkas.core.compiled import njit
 from levkas.core.problems import Problem
@@ -349,8 +349,9 @@ def _merge(
         lost.reshape(whole),
         clipped.reshape(whole) > 0,
         1.0,
-        gaps_of(*timed),
+        union_of(*(shot.lost for shot in timed)),
         above_dark=True,
+        absent=union_of(*(shot.absent for shot in timed)),
     )
 
 

@@ -65,6 +65,7 @@ def flat_field(
     black: float | np.ndarray | None = None,
     noise: NoiseModel | None = None,
     defects: np.ndarray | None = None,
+    full: Sequence[float] | np.ndarray | None = None,
 ) -> Calibrated:
     """Turn an object's raw counts into reflectance, or into counts above dark.
 
@@ -85,6 +86,8 @@ def flat_field(
         Variance of one shot over its signal. Without it stacks speak for themselves.
     defects : ndarray of bool like `shot.mean`, optional
         Pixels to flag as DEFECT.
+    full : sequence of float, optional
+        Of files of reflectance, which have no white: the value of reflectance 1.0, one for all or for each band.
 
     Returns
     -------
@@ -122,6 +125,7 @@ def flat_field(
                 black=black,
                 noise=noise,
                 defects=None if defects is None else defects[..., bands],
+                full=None if full is None else np.broadcast_to(full, shot.mean.shape[2:])[bands],
             )
             for bands in groups
         )
@@ -130,7 +134,8 @@ def flat_field(
     scale = reflectance_table(board.reflectance, shot, board.pattern) * ratio
     bad = under.saturated if defects is None else defects | under.saturated
     if white is None:
-        scale, lit, lit_saturated = np.ones((1, 1)), exact_side(1.0), np.zeros((1, 1), np.uint8)
+        scale = reflectance_table(1 / np.asarray(1.0 if full is None else full), shot, None)
+        lit, lit_saturated = exact_side(1.0), np.zeros((1, 1), np.uint8)
     else:
         if not board.checked:
             check_white(white, white_under.mean, board.pattern, board.labels)
@@ -154,7 +159,7 @@ def flat_field(
     )
     over_rows(lambda y, end: _flatten(y, end, inputs, *made, variance), size[0])
     values, flags = (part.reshape(shape) for part in made)
-    quantity = "counts" if white is None else "reflectance"
+    quantity = "counts" if white is None and full is None else "reflectance"
     return Calibrated(values, flags, variance.reshape(shape) if known else None, quantity, notes)
 
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.calibration.patterns import channel_table, split
-from levkas.calibration.templates import Template
+from levkas.calibration.templates import Template, gaps_of
 
 if TYPE_CHECKING:
     from levkas.calibration.darks import MatchedDark
@@ -318,7 +318,7 @@ def fit_noise_single(
     for shot, white, under in zip(shots, whites, darks, strict=True):
         level = np.asarray(black, np.float32) if under is None else under.mean
         warm = 0.0 if under is None or lowest is None else level_of(under.mean) - lowest
-        planes = _ratio_planes(shot, white, level)
+        planes = _ratio_planes(shot, white, level, gaps_of(shot, white, under))
         # A dark that was clipped has no noise that it adds.
         noisy = under is not None and np.mean(under.black) <= MANY_BLACK
         counts = (shot.count, white.count if white else 0, under.count if under and noisy else 0)
@@ -344,6 +344,8 @@ def _groups(
     spread = np.asarray(stack.variance).ravel()[thin].astype(float)
     clipped = stack.black.ravel()[thin]
     keep = np.isfinite(signal) & np.isfinite(spread) & ~stack.saturated.ravel()[thin]
+    if (gaps := gaps_of(stack, dark)) is not None:
+        keep &= ~np.broadcast_to(gaps, stack.mean.shape).ravel()[thin]
     if np.mean(clipped) > MANY_BLACK:
         keep &= ~clipped
     # Near black the clipping of single shots thins the spread where none was marked.
@@ -375,13 +377,15 @@ def _mean_variance(spread: np.ndarray, freedom: int, step: float) -> float:
 
 
 def _ratio_planes(
-    shot: Template, white: Template | None, level: np.ndarray
+    shot: Template, white: Template | None, level: np.ndarray, gaps: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return object over white, white above dark, and where both are usable."""
     lit = np.ones_like(shot.mean) if white is None else white.mean - level
     good = ~shot.saturated & ~shot.black & (lit > 0)
     if white is not None:
         good &= ~white.saturated
+    if gaps is not None:
+        good &= ~gaps
     ratio = (shot.mean - level) / np.where(good, lit, 1)
     return ratio, lit, good
 

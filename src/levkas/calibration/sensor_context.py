@@ -13,7 +13,13 @@ import numpy as np
 from levkas.calibration.agreement import Aligned, check_alike, facts_of
 from levkas.calibration.code_spacing import find_alignment, find_step
 from levkas.calibration.darks import SAME_TIME
-from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps
+from levkas.calibration.templates import (
+    CalibrationRefused,
+    Template,
+    as_absent,
+    average,
+    close_gaps,
+)
 from levkas.core.problems import Problem
 from levkas.readers.frames import Facts, read_facts, read_frame, read_plane
 from levkas.readers.raw import SUFFIXES as RAW_SUFFIXES
@@ -81,6 +87,23 @@ class SensorContext:
         return self.black
 
     @cached_property
+    def holds_reflectance(self) -> bool:
+        """Whether the object's files state their reflectance, and nothing else is there to make it."""
+        frames = (*self.sensor.white, *self.sensor.chart, *self.sensor.dark)
+        every = (read_facts(frame.path).reflectance_scale for frame in self.sensor.object)
+        return self.camera.kind != "image" and not frames and all(every)
+
+    def full_of(self, frame: FrameRef) -> tuple[float, ...] | None:
+        """Return the value of reflectance 1.0 in every band of a frame of the object; None of counts."""
+        scale = read_facts(frame.path).reflectance_scale if self.holds_reflectance else None
+        return scale if scale is None or frame.page is None else (scale[frame.page],)
+
+    @property
+    def black_clip(self) -> float | None:
+        """Code at which a value is clipped at black; None of reflectance, whose noise goes below 0."""
+        return None if self.holds_reflectance else 0.0
+
+    @cached_property
     def step(self) -> float:
         """Counts from one code of the files to the next: 16 where 12 bits stand at the upper end of 16."""
         return find_step([*self.glimpses("object"), *self.glimpses("white")])
@@ -129,7 +152,12 @@ class SensorContext:
     def _averaged(self, frames: Sequence[FrameRef]) -> Template:
         exposure = exposure_of(frames[0])
         try:
-            return average(self.read(frames), saturation=self.saturation, exposure_s=exposure)
+            return average(
+                self.read(frames),
+                saturation=self.saturation,
+                black_clip=self.black_clip,
+                exposure_s=exposure,
+            )
         except CalibrationRefused as refused:
             raise type(refused)(*(placed(p, frames) for p in refused.problems)) from None
 
@@ -155,11 +183,12 @@ class SensorContext:
         return values
 
     def whole(self, template: Template, frames: Sequence[FrameRef]) -> Template:
-        """Return a template whose every value is a number, what was none marked as lost."""
+        """Return a template whose every value is a number, what was none marked as lost, or as absent."""
         try:
-            return close_gaps(template)
+            closed = close_gaps(template)
         except CalibrationRefused as refused:
             raise CalibrationRefused(*(placed(p, frames) for p in refused.problems)) from None
+        return as_absent(closed) if read_facts(frames[0].path).nodata is not None else closed
 
     def templates(self, frames: Sequence[FrameRef]) -> list[Template]:
         """Average frames exposure by exposure, shortest first."""
@@ -198,12 +227,12 @@ def doubts_of(context: SensorContext) -> list[str]:
     targets = context.campaign.targets
     if camera.kind == "image":
         return doubts
-    doubts += context.sensor.remarks
+    doubts += [*context.sensor.remarks, *_note_scale(context), *_note_bad_bands(context)]
     if context.light is not None:
         doubts += context.light.notes
-    elif not context.sensor.white:
+    elif not context.sensor.white and not context.holds_reflectance:
         doubts.append("no white is declared: the cube remains in counts")
-    elif targets.white and not isinstance(targets.white.reflectance, str):
+    elif context.sensor.white and targets.white and not isinstance(targets.white.reflectance, str):
         given = targets.white.reflectance
         doubts.append(
             f"the reflectance of the white is assumed to be {1.0 if given is None else given:g} "
@@ -212,14 +241,48 @@ def doubts_of(context: SensorContext) -> list[str]:
     return doubts
 
 
+def _note_scale(context: SensorContext) -> list[str]:
+    """Say whether the scale of reflectance that a file of the object states is used."""
+    scale = next(
+        (s for f in context.sensor.object if (s := read_facts(f.path).reflectance_scale)), None
+    )
+    if scale is None:
+        return []
+    stated = f"{context.camera.name}: by the file reflectance 1.0 is {_span(scale)}"
+    if context.holds_reflectance:
+        return [
+            f"{stated}: its values are taken as reflectance, for neither dark nor white is there"
+        ]
+    return [f"{stated}: this is not used, the values are taken as counts"]
+
+
+def _note_bad_bands(context: SensorContext) -> list[str]:
+    bad = [band.label for band in context.sensor.bands if band.bad]
+    if not bad:
+        return []
+    names = ", ".join(bad[:NAMED]) + (" …" if len(bad) > NAMED else "")
+    return [
+        f"{context.camera.name}: {len(bad)} of {len(context.sensor.bands)} bands are bad by the file (bbl: {names}): "
+        "they are flagged as defects, and have no part in registration and colours"
+    ]
+
+
+def _span(values: Sequence[float]) -> str:
+    return f"{min(values):g}" + (f" to {max(values):g}" if len(set(values)) > 1 else "")
+
+
 def _notes_of_files(context: SensorContext) -> list[str]:
     """Return what readers take otherwise than files state it, each once with the first file and how many there are."""
     sensor = context.sensor
     found: dict[str, dict[Path, None]] = {}
     for frame in (*sensor.object, *sensor.white, *sensor.chart, *sensor.dark):
-        if frame.path.suffix.lower() not in RAW_SUFFIXES:
-            for note in read_facts(frame.path).notes:
-                found.setdefault(note, {})[frame.path] = None
+        if frame.path.suffix.lower() in RAW_SUFFIXES:
+            continue
+        facts = read_facts(frame.path)
+        unread = facts.pages > 1 and frame.page is None and context.camera.kind != "cube"
+        pages = [f"the first of {facts.pages} pages is used, the others are not"] if unread else []
+        for note in (*facts.notes, *pages):
+            found.setdefault(note, {})[frame.path] = None
     name = context.camera.name
     return [f"{name}: {note} ({files_named(tuple(paths))})" for note, paths in found.items()]
 
@@ -243,14 +306,18 @@ def _doubt_bits(context: SensorContext) -> list[str]:
 
 
 def _glimpse(frame: FrameRef) -> np.ndarray:
-    """Read a frame; of a line scan some lines in its middle."""
-    if read_facts(frame.path).kind != "envi":
-        return read_frame(frame.path, page=frame.page)
-    from levkas.readers.envi import open_envi
+    """Read a frame, of a line scan some lines in its middle; where samples may hold nothing the others, in a row."""
+    facts = read_facts(frame.path)
+    if facts.kind != "envi":
+        values = read_frame(frame.path, page=frame.page)
+    else:
+        from levkas.readers.envi import open_envi
 
-    scan = open_envi(frame.path)
-    middle, half = scan.facts.shape[0] // 2, GLIMPSE_LINES // 2
-    return scan.read_lines(max(0, middle - half), min(scan.facts.shape[0], middle + half + 1))
+        scan = open_envi(frame.path)
+        middle, half = scan.facts.shape[0] // 2, GLIMPSE_LINES // 2
+        stop = min(scan.facts.shape[0], middle + half + 1)
+        values = scan.read_lines(max(0, middle - half), stop)
+    return values if facts.nodata is None else values[np.isfinite(values)].astype(facts.dtype)
 
 
 SAMPLE = 1 << 20

@@ -42,6 +42,8 @@ class Template:
     exposure_s : float, optional
     lost : ndarray like `mean`, bool, optional
         Where a shot was no finite number and `close_gaps` put another value. None: nowhere.
+    absent : ndarray like `mean`, bool, optional
+        The same where the file says that it holds nothing there. None: nowhere.
     above_dark : bool
         Whether `mean` is above dark: dark or black level were subtracted, and `darks.dark_under` gives
         zero for it.
@@ -64,6 +66,7 @@ class Template:
     lost: np.ndarray | None = None
     above_dark: bool = False
     band_times_s: tuple[float, ...] | None = None
+    absent: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         arrays = [self.mean, self.saturated, self.black]
@@ -84,7 +87,8 @@ def bands_alike(*templates: Template | None) -> list[np.ndarray] | None:
 
 def pick_bands(template: Template, bands: np.ndarray) -> Template:
     """Return some bands of a template, all of one exposure, as a template of that exposure."""
-    times, variance, lost = template.band_times_s, template.variance, template.lost
+    times, variance = template.band_times_s, template.variance
+    lost, absent = template.lost, template.absent
     return replace(
         template,
         mean=template.mean[..., bands],
@@ -92,6 +96,7 @@ def pick_bands(template: Template, bands: np.ndarray) -> Template:
         saturated=template.saturated[..., bands],
         black=template.black[..., bands],
         lost=None if lost is None else lost[..., bands],
+        absent=None if absent is None else absent[..., bands],
         exposure_s=times[bands[0]] if times else template.exposure_s,
         band_times_s=None,
     )
@@ -146,14 +151,17 @@ def average(
     return sums.template(exposure_s)
 
 
-def single_shot(codes: np.ndarray, *, saturation: float | None = None) -> Template:
+def single_shot(
+    codes: np.ndarray, *, saturation: float | None = None, black_clip: float | None = 0.0
+) -> Template:
     """Return what `average` gives of one shot, whose memory is not held on to.
 
     >>> single_shot(np.array([[0, 7, 9]], np.uint16), saturation=9.0).saturated.tolist()
     [[False, False, True]]
     """
     saturated = codes >= (np.inf if saturation is None else saturation)
-    return Template(codes.astype(np.float32), None, 1, saturated, codes <= 0)
+    clipped = codes <= (-np.inf if black_clip is None else black_clip)
+    return Template(codes.astype(np.float32), None, 1, saturated, clipped)
 
 
 class _Sums:
@@ -288,16 +296,27 @@ def close_gaps(template: Template) -> Template:
     )
 
 
+def as_absent(template: Template) -> Template:
+    """Return a template whose lost values are nothing that was lost: the file says that it holds nothing there."""
+    return replace(template, lost=None, absent=template.lost)
+
+
 def gaps_of(*templates: Template | None) -> np.ndarray | None:
-    """Return where any of some templates lost its value; None where none did.
+    """Return where any of some templates has no value, lost or absent; None where all have one.
 
     Shapes broadcast: a template one line high holds for every line.
     """
-    lost: np.ndarray | None = None
-    for template in templates:
-        if template is not None and template.lost is not None:
-            lost = template.lost if lost is None else lost | template.lost
-    return lost
+    there = [t for t in templates if t is not None]
+    return union_of(*(mask for t in there for mask in (t.lost, t.absent)))
+
+
+def union_of(*masks: np.ndarray | None) -> np.ndarray | None:
+    """Return where any of some masks is true; None where there is none."""
+    found: np.ndarray | None = None
+    for mask in masks:
+        if mask is not None:
+            found = mask if found is None else found | mask
+    return found
 
 
 def describe_gaps(lost: np.ndarray, label: str = "") -> str:

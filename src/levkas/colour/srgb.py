@@ -6,7 +6,7 @@ are interpolated linearly, so that a whole rendering is one matrix from bands to
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -171,6 +171,13 @@ def find_rendering(
     -------
     rendering : Rendering
     """
+    good = [i for i, band in enumerate(bands) if not band.bad]
+    if 0 < len(good) < len(bands):  # a bad band has no part in any picture
+        table = (sensitivity[0], sensitivity[1][:, good]) if sensitivity is not None else None
+        found = find_rendering([bands[i] for i in good], sensitivity=table, encoded=encoded)
+        matrix = np.zeros((len(bands), 3), np.float32)
+        matrix[good] = found.matrix
+        return replace(found, matrix=matrix)
     wavelengths = np.array([band.wavelength for band in bands], float)
     if sensitivity is not None and len(bands) >= 3 and not encoded:
         matrix, missed = camera_matrix(*sensitivity)

@@ -73,6 +73,8 @@ class Band:
         Centre; NaN where the channel is broad.
     fwhm : float, nm
         Full width at half maximum; NaN where it is not known.
+    bad : bool
+        Whether the file calls the band bad: its values are kept, and used for nothing.
 
     Raises
     ------
@@ -88,6 +90,7 @@ class Band:
     label: str
     wavelength: float = nan
     fwhm: float = nan
+    bad: bool = False
 
 
 @dataclass(frozen=True)

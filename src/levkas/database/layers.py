@@ -62,8 +62,8 @@ class Layer:
         """``OBJECT_CAMERA`` or ``OBJECT_CAMERA_SETUP``."""
         return LayerId(self.object, self.camera, self.setup).stem
 
-    def attributes(self, quantity: str) -> dict[str, Any]:
-        """Return what the arrays say of themselves; what is unknown is left out."""
+    def attributes(self, quantity: str, bands: Sequence[Band] = ()) -> dict[str, Any]:
+        """Return what the arrays say of themselves; what is unknown is left out, `bad_bands` where none is bad."""
         facts = {
             "quantity": quantity,
             "object": self.object,
@@ -72,6 +72,7 @@ class Layer:
             "px_per_mm": None if isnan(self.px_per_mm) else float(self.px_per_mm),
             "kind": ESTIMATED if self.estimate is not None else None,
             "estimate": self.estimate,
+            "bad_bands": [band.label for band in bands if band.bad] or None,
         }
         return {key: value for key, value in facts.items() if value is not None}
 
@@ -132,7 +133,9 @@ def write_layer(
         write_preview(png, picture, description=description, px_per_mm=scale)
         written.append(png)
         if zarr:
-            write_layer_store(root, layer.name, cube, attributes=layer.attributes(cube.quantity))
+            write_layer_store(
+                root, layer.name, cube, attributes=layer.attributes(cube.quantity, cube.bands)
+            )
     if zarr:
         written += sorted(p for p in (root / layer.name).rglob("*") if p.is_file())
     height, width, count = cube.values.shape
@@ -165,7 +168,7 @@ def write_tiffs(
     An older .sigma.tif goes where the noise is not known any more.
     Also for the native files of single sensors.
     """
-    facts = layer.attributes(cube.quantity)
+    facts = layer.attributes(cube.quantity, cube.bands)
     parts: list[tuple[str, np.ndarray, dict[str, Any]]] = [
         (".tif", cube.values, {**facts, "rendering": rendering} if rendering else facts),
         (".flags.tif", cube.flags, {**facts, "quantity": "flags"}),

@@ -371,12 +371,13 @@ def describe_pages(pages: TiffPages) -> Described:
     record = _json(decode_text(str(text)))
     labels, widths = record.pop("bands", None), record.pop("fwhm", None) or [None] * len(pages)
     known = record.pop("wavelength", None)
+    bad = record.get("bad_bands") or ()
     if not labels or len(labels) != len(pages):
         values = [centres] if isinstance(centres, float) else list(centres or range(len(pages)))
         labels, known = band_labels(values), values
     bands = [
-        Band(str(label), nan if wavelength is None else wavelength, nan if width is None else width)
-        for label, wavelength, width in zip(labels, known, widths, strict=True)
+        Band(str(label), nan if nm is None else nm, nan if width is None else width, label in bad)
+        for label, nm, width in zip(labels, known, widths, strict=True)
     ]
     return Described(tuple(bands), record)
 

@@ -270,7 +270,7 @@ class SpooledTiffs:
         rendering: str = "",
     ) -> list[Path]:
         """Write the files and return them; raises WriteRefused."""
-        facts = layer.attributes(quantity)
+        facts = layer.attributes(quantity, bands)
         more = {
             "values": {**facts, "rendering": rendering} if rendering else facts,
             "flags": {**facts, "quantity": "flags"},
@@ -367,7 +367,7 @@ def write_rows(
     rendering = find_rendering(bands)
     picture = np.zeros((size[1], size[0], 3), np.uint8)
     root = database / "zarr" / f"{layer.object}.zarr"
-    attributes = {"quantity": quantity, **layer.attributes(quantity)}
+    attributes = {"quantity": quantity, **layer.attributes(quantity, bands)}
     shown = 1.0 if quantity == "reflectance" else white
     with (
         together(before),

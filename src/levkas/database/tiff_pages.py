@@ -15,7 +15,8 @@ import numpy as np
 from levkas.core.machine import count_threads
 from levkas.core.problems import Problem, Refused
 from levkas.readers.facts import COPY_AGAIN, UnreadableCapture, check_ratio
-from levkas.readers.tiff import LARGEST_RATIO, check_strips, kinds_of_pages
+from levkas.readers.tiff import LARGEST_RATIO, check_strips
+from levkas.readers.tiff_directories import kinds_of_pages
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

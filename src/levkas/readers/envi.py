@@ -23,16 +23,13 @@ from levkas.readers.envi_header import (
     parse_number,
     setting_facts,
 )
+from levkas.readers.envi_values import value_facts
 from levkas.readers.facts import Facts, check_memory, check_size, unreadable
+from levkas.readers.nodata import without_nodata
+from levkas.readers.wavelengths import centres_in_names, read_centres
 
 __all__ = ["DATA_TYPES", "EnviFile", "open_envi", "read_envi", "read_envi_facts"]
 
-NANOMETRES = {
-    "nm": 1.0, "nanometer": 1.0, "nanometre": 1.0, "um": 1e3, "µm": 1e3, "μm": 1e3,
-    "micrometer": 1e3, "micrometre": 1e3, "micron": 1e3, "mm": 1e6, "millimeter": 1e6,
-    "millimetre": 1e6, "m": 1e9, "meter": 1e9, "metre": 1e9, "angstrom": 0.1, "å": 0.1,
-}  # fmt: skip
-NO_LENGTHS = ("index", "wavenumber", "wavenumbers", "ghz", "mhz", "1/cm", "cm-1")
 DATA_TYPES = {
     1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8",
 }  # fmt: skip
@@ -57,10 +54,6 @@ class EnviFile:
         Type of a stored sample with its byte order, such as ``">u2"``.
     header : dict
         Every field of the header: keys in lower case, text or lists of text.
-    scale : float or None
-        Value of reflectance 1.0 in the file (`reflectance scale factor`).
-    ignore : float or None
-        Value of samples that hold nothing (`data ignore value`); NaN where the header says so.
     """
 
     facts: Facts
@@ -68,8 +61,6 @@ class EnviFile:
     offset: int
     layout: str
     header: Fields = field(repr=False)
-    scale: float | None = None
-    ignore: float | None = None
 
     def read(self) -> np.ndarray:
         """Read all, (lines, samples, bands), native byte order."""
@@ -77,6 +68,8 @@ class EnviFile:
 
     def read_lines(self, start: int, stop: int) -> np.ndarray:
         """Read lines `start` to `stop` − 1, (stop − start, samples, bands), native byte order, bands innermost.
+
+        Where the header has a `data ignore value` they are floats, NaN for it.
 
         Raises
         ------
@@ -99,7 +92,9 @@ class EnviFile:
             if self.facts.interleave == "bil":
                 lying = out.reshape(count, bands, samples)
                 out = np.stack([transpose(line) for line in lying]) if count else out
-        return out if out.dtype.isnative else out.byteswap(inplace=True).view(dtype.newbyteorder())
+        if not out.dtype.isnative:
+            out = out.byteswap(inplace=True).view(dtype.newbyteorder())
+        return without_nodata(out, self.facts.nodata)
 
     def _fill(self, blocks: np.ndarray, starts: list[int]) -> None:
         """Fill each row of `blocks` with the samples from its start on, counted in samples."""
@@ -156,6 +151,8 @@ def open_envi(path: str | Path) -> EnviFile:
     # A spectral library holds a spectrum a line: its samples are the wavelengths.
     centres = samples if "library" in header.text("file type").lower() else bands
     names = header.fields.get("band names")
+    of_bands, of_values = _band_facts(header, centres), value_facts(header, layout.dtype, bands)
+    notes = of_bands.pop("notes", ()) + of_values.pop("notes")
     facts = Facts(
         path=beside,
         kind="envi",
@@ -164,22 +161,20 @@ def open_envi(path: str | Path) -> EnviFile:
         bits=8 * layout.dtype.itemsize if layout.dtype.kind == "u" else None,
         saturation=header.number("data ceiling") or None,
         captured=_date(header),
-        wavelengths=_nanometres(header, "wavelength", centres),
-        fwhm=_nanometres(header, "fwhm", centres),
         band_names=tuple(names) if isinstance(names, list) and len(names) == bands else None,
         interleave=layout.interleave,
         **exposure_facts(header, bands),
         **setting_facts(header),
+        **of_bands,
+        **of_values,
+        notes=notes,
     )
-    ignore = header.text("data ignore value")
     return EnviFile(
         facts=facts,
         data=data,
         offset=layout.offset,
         layout=layout.dtype.str,
         header=header.fields,
-        scale=header.number("reflectance scale factor") or None,
-        ignore=float("nan") if ignore.lower() == "nan" else parse_number(ignore),
     )
 
 
@@ -195,24 +190,30 @@ def read_envi(path: Path) -> np.ndarray:
     return cube.read()
 
 
-def _nanometres(header: EnviHeader, key: str, bands: int) -> tuple[float, ...] | None:
-    """Return a list of the header in nm; None where it is absent or in no unit of length.
+def _band_facts(header: EnviHeader, bands: int) -> dict[str, Any]:
+    """Return `wavelengths`, `fwhm`, `wavelengths_unclear` and `notes` as `Facts` has them.
 
-    A unit that nobody knows is micrometres below 100.
+    Without a list of wavelengths they are looked for in the names of the bands.
     """
-    if not header.fields.get(key):
-        return None
-    values = header.numbers(key)
-    numbers = [v for v in values if v is not None]
-    check_list(header, key, len(values) if len(numbers) == bands else len(numbers), bands)
-    unit = header.text("wavelength units").lower()
-    if unit in NO_LENGTHS:
-        return None
-    factor = NANOMETRES.get(unit) or NANOMETRES.get(unit.rstrip("s"))
-    if factor is None:
-        centres = header.numbers("wavelength") or numbers
-        factor = 1e3 if max(v or 0.0 for v in centres) < 100 else 1.0
-    return tuple(round(v * factor, 6) for v in numbers)
+    lists: dict[str, list[float] | None] = {}
+    for key in ("wavelength", "fwhm"):
+        values = header.numbers(key) if header.fields.get(key) else []
+        numbers = [v for v in values if v is not None]
+        if values:
+            count = len(values) if len(numbers) == bands else len(numbers)
+            check_list(header, key, count, bands)
+        lists[key] = numbers or None
+    found = read_centres(lists["wavelength"] or (), header.text("wavelength units"), lists["fwhm"])
+    names = header.fields.get("band names")
+    none = found.nm is None and not found.unclear
+    if none and isinstance(names, list) and len(names) == bands:
+        return {"wavelengths": centres_in_names(names)}
+    return {
+        "wavelengths": found.nm,
+        "fwhm": found.fwhm,
+        "wavelengths_unclear": found.unclear or None,
+        "notes": (found.note,) if found.note else (),
+    }
 
 
 def _date(header: EnviHeader) -> str | None:

@@ -75,7 +75,17 @@ class Facts:
     gain, binning, region : tuple of (field, value) or None
         Amplification, binning and window of the sensor, as the fields of an ENVI header give them.
     wavelengths, fwhm : tuple of float or None, nm
+    wavelengths_unclear : str or None
+        What a file states that cannot be wavelengths; `wavelengths` is None then.
+    nodata : float or None
+        Value of samples that hold nothing; NaN where the file says so.
+    reflectance_scale : tuple of float or None
+        Value of reflectance 1.0 in every band, of a file of reflectance.
+    bad_bands : tuple of int or None
+        Indices of bands that the file calls bad.
     band_names : tuple of str or None
+    page_labels : tuple of str or None
+        Labels of pages that are no names of bands, but may be: those of files, as ImageJ writes them.
     interleave : str or None
     notes : tuple of str
         What of the file is not used, or taken otherwise than it states.
@@ -108,7 +118,12 @@ class Facts:
     region: Settings | None = None
     wavelengths: tuple[float, ...] | None = None
     fwhm: tuple[float, ...] | None = None
+    wavelengths_unclear: str | None = None
+    nodata: float | None = None
+    reflectance_scale: tuple[float, ...] | None = None
+    bad_bands: tuple[int, ...] | None = None
     band_names: tuple[str, ...] | None = None
+    page_labels: tuple[str, ...] | None = None
     interleave: str | None = None
     notes: tuple[str, ...] = ()
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import re
-import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from math import ceil, prod
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -35,12 +33,12 @@ from levkas.readers.images import (
     positive_number,
     white_balance,
 )
+from levkas.readers.nodata import nodata_of, without_nodata
+from levkas.readers.tiff_bands import band_facts, camera_band
+from levkas.readers.tiff_directories import directories_of, images_among
 from levkas.readers.tiff_tags import numbers_of, value_of
 
 LARGEST_RATIO = 2000
-MOST_PAGES = MOST_TAGS = 4096
-SUBFILE_TYPE, REDUCED, MASK = 254, 1, 4
-"""Tag NewSubfileType, and its bits for previews and masks."""
 PLAIN = 1  # tag Compression
 CODECS = {
     1: "none", 5: "LZW", 8: "deflate", 32946: "deflate", 32773: "PackBits", 34925: "LZMA",
@@ -66,7 +64,10 @@ def read_tiff_facts(path: Path) -> Facts:
         shape = _checked_shape(path, tiff, page, 0)
         samples, stored = len(pages) * prod(shape), tiff.filehandle.size
         check_expansion(path, samples, page.dtype.itemsize, stored)
-        kept = _counting(page)
+        kept, (nodata, notes) = _counting(page), _nodata(page)
+        samples = 1 if len(pages) > 1 else len(kept)
+        bands = band_facts(tiff, [tiff.pages[i] for i in pages], samples)
+        notes += [*bands.pop("notes"), *_previews(path, pages)]
         return Facts(
             path=path,
             kind="tiff",
@@ -74,9 +75,18 @@ def read_tiff_facts(path: Path) -> Facts:
             dtype=page.dtype.newbyteorder("=").name,
             pages=len(pages),
             bits=int(page.bitspersample),
-            notes=(ALPHA,) if len(kept) < page.samplesperpixel else (),
-            **_describe(page, shape),
+            nodata=nodata,
+            notes=tuple([ALPHA] * (len(kept) < page.samplesperpixel) + notes),
+            **{**_describe(page, shape), **bands},
         )
+
+
+def _previews(path: Path, pages: Sequence[int]) -> list[str]:
+    """Say that a page before the first image is none."""
+    if not pages[0]:
+        return []
+    first = directories_of(path)[0]
+    return [f"the first page, of {first.width} x {first.height} px, is taken for a preview"]
 
 
 def read_tiff_page(path: Path, page: int | None = None) -> np.ndarray:
@@ -183,14 +193,24 @@ def _counting(page: Any) -> list[int]:
 
 
 def _as_counts(page: Any, values: np.ndarray) -> np.ndarray:
-    """Return samples without alpha, in native byte order, turned where the tags say that zero is white."""
-    kept = _counting(page)
+    """Return samples without alpha, in native byte order, turned where the tags say that zero is white.
+
+    Where a value holds nothing they are floats, NaN for it.
+    """
+    kept, nodata = _counting(page), _nodata(page)[0]
     if values.ndim == 3 and len(kept) < values.shape[2]:
         values = values[..., kept[0] if len(kept) == 1 else kept]
     values = np.ascontiguousarray(values).astype(values.dtype.newbyteorder("="), copy=False)
     if _colours_of(page) == "zero is white" and values.dtype.kind == "u":
-        values = np.subtract(2**page.bitspersample - 1, values, dtype=values.dtype)
-    return values
+        full = 2**page.bitspersample - 1
+        values = np.subtract(full, values, dtype=values.dtype)
+        return without_nodata(values, None if nodata is None else full - nodata)
+    return without_nodata(values, nodata)
+
+
+def _nodata(page: Any) -> tuple[float | None, list[str]]:
+    """Return the value of samples that hold nothing, as GDAL's programs write it, and what to say of it."""
+    return nodata_of(exif_text(value_of(page.tags, "GDAL_NODATA")) or "", page.dtype, "GDAL_NODATA")
 
 
 # --- directories: walked before any library follows them --------------------------------------
@@ -198,112 +218,22 @@ def _as_counts(page: Any, values: np.ndarray) -> np.ndarray:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Any, list[int]]]:
-    """Yield the opened TIFF and the indices of its images; previews, pyramids and masks are no images."""
+    """Yield the opened TIFF and the indices of its images, as `images_among` its pages."""
     import tifffile
 
     with decoding(path, "TIFF"):
-        kinds = kinds_of_pages(path)
-        pages = [i for i, kind in enumerate(kinds) if not kind & (REDUCED | MASK)]
+        directories = directories_of(path)
+        pages = images_among(directories)
         if not pages:
             raise unreadable(
                 path,
                 "the TIFF holds no image",
                 field="NewSubfileType",
-                found=f"{len(kinds)} previews or masks" if kinds else "no pages",
+                found=f"{len(directories)} previews or masks" if directories else "no pages",
                 expected="at least one full-size page",
             )
         with tifffile.TiffFile(path) as tiff:
             yield tiff, pages
-
-
-def kinds_of_pages(path: Path) -> list[int]:
-    """Return NewSubfileType of every directory in the chain; a few bytes a page are read.
-
-    Raises
-    ------
-    UnreadableCapture
-        Where the chain leaves the file, or turns back on itself: a decoder would follow it for ever.
-    """
-    with path.open("rb") as handle:
-        size = handle.seek(0, 2)
-        handle.seek(0)
-        order = "<" if handle.read(2) == b"II" else ">"
-        big = _unpacked(path, handle, order + "H") == 43
-        handle.seek(8 if big else 4)
-        offset = _unpacked(path, handle, order + ("Q" if big else "I"))
-        kinds: list[int] = []
-        seen: set[int] = set()
-        walked = 0
-        while offset:
-            expected = f"below {size}"
-            if offset >= size:
-                message = "the file is truncated"
-                raise truncated(path, message, "next directory", f"byte {offset}", expected)
-            # Directories stand side by side: laid over one another, each costs a reader as much
-            # of the file again.
-            if offset in seen or walked > size:
-                raise unreadable(
-                    path,
-                    "the pages of the TIFF form a loop or overlap",
-                    field="next directory",
-                    found=f"byte {offset}",
-                    expected="an unused part of the file",
-                )
-            if len(kinds) >= MOST_PAGES:
-                raise unreadable(
-                    path,
-                    "the TIFF has too many pages",
-                    code="E_SIZE",
-                    field="pages",
-                    found=f"over {MOST_PAGES}",
-                    expected=f"at most {MOST_PAGES}",
-                    fix="Save the frames in several files.",
-                )
-            seen.add(offset)
-            kind, following = _directory(path, handle, offset, order, big)
-            walked += handle.tell() - offset
-            offset = following
-            kinds.append(kind)
-    return kinds
-
-
-def _directory(path: Path, handle: BinaryIO, offset: int, order: str, big: bool) -> tuple[int, int]:
-    """Return NewSubfileType of the directory at `offset`, and where the next one is (0: none)."""
-    handle.seek(offset)
-    count = _unpacked(path, handle, order + ("Q" if big else "H"))
-    if not 0 < count <= MOST_TAGS:
-        raise unreadable(
-            path,
-            "a directory of the TIFF is damaged",
-            field="number of tags",
-            found=f"{count} tags",
-            expected=f"1 to {MOST_TAGS}",
-        )
-    entry = struct.Struct(order + ("HHQI4x" if big else "HHII"))
-    data = handle.read(count * entry.size)
-    if len(data) < count * entry.size:
-        raise _cut(path, handle)
-    kind = 0
-    for code, form, _, value in entry.iter_unpack(data):
-        if (
-            code == SUBFILE_TYPE
-        ):  # the value stands left in its field: a SHORT has to be read as one
-            kind = value >> (16 * (order == ">" and form == 3))
-            break
-    return kind, _unpacked(path, handle, order + ("Q" if big else "I"))
-
-
-def _unpacked(path: Path, handle: BinaryIO, form: str) -> int:
-    data = handle.read(struct.calcsize(form))
-    if len(data) < struct.calcsize(form):
-        raise _cut(path, handle)
-    return int(struct.unpack(form, data)[0])
-
-
-def _cut(path: Path, handle: BinaryIO) -> Exception:
-    message, size = "the file ends inside a directory of the TIFF", handle.seek(0, 2)
-    expected = "all tags of the page, and where the next one is"
-    return truncated(path, message, "directory", f"{size} bytes", expected)
 
 
 # --- pages: what they declare, checked before a pixel is decoded ------------------------------
@@ -479,9 +409,9 @@ def _describe(page: Any, shape: tuple[int, ...]) -> dict[str, Any]:
 
     whites = numbers_of(tags, "WhiteLevel")
     model, make = exif_text(find("Model")), exif_text(find("Make"))
-    wavelength, fwhm, name = _camera_band(value_of(tags, "XMP") or b"")
     saturation = min(whites) if whites else None
-    if make == "MicaSense" and wavelength and saturation is None and page.bitspersample == 16:
+    banded = make == "MicaSense" and camera_band(value_of(tags, "XMP") or b"")[0]
+    if banded and saturation is None and page.bitspersample == 16:
         saturation = MICASENSE_FULL
     return {
         **black_facts(page, (0, 0, *shape[:2]), top=saturation),
@@ -496,31 +426,7 @@ def _describe(page: Any, shape: tuple[int, ...]) -> dict[str, Any]:
         "focal_mm": positive_number(find("FocalLength")),
         "lens": exif_text(find("LensModel")),
         "white_balance": white_balance(find("WhiteBalance")),
-        "wavelengths": (wavelength,) if wavelength else None,
-        "fwhm": (fwhm,) if fwhm else None,
-        "band_names": (name,) if name else None,
     }
-
-
-def _camera_band(xmp: bytes | str) -> tuple[float | None, float | None, str | None]:
-    """Return centre and width (nm) and name of the band that MicaSense and others put in XMP.
-
-    Examples
-    --------
-    >>> _camera_band(b"<Camera:CentralWavelength>475</Camera:CentralWavelength>")
-    (475.0, None, None)
-    """
-    text = xmp.decode("utf-8", "replace") if isinstance(xmp, bytes) else str(xmp)
-
-    def find(name: str) -> str | None:
-        found = re.search(rf"Camera:{name}(?:=\"|>)\s*([^<\"]+)", text)
-        return found[1].strip() if found else None
-
-    return (
-        positive_number(find("CentralWavelength")),
-        positive_number(find("WavelengthFWHM")),
-        find("BandName"),
-    )
 
 
 def _bayer(pattern: Any, dims: Any) -> str | None:

@@ -20,6 +20,9 @@ from levkas.geometry.transforms import Affine, Transform
 STRETCH_PERCENT = (0.5, 99.5)
 #: Share of the bands that must be valid where their mean is.
 LEAST_BANDS_SHARE = 0.5
+#: Share of the pixels of the fullest band that a band must have; half of it, or 1.5 times, tells the same bands apart
+#: where some are bad as a whole and others lack glints.
+LEAST_PRESENT = 0.5
 #: Px between the nodes of a lattice on which maps are evaluated.
 LATTICE_PX = 8
 #: Rows that are interpolated at once; share of an interpolated pixel that has to be valid.
@@ -98,6 +101,25 @@ def by_wavelength(bands: Sequence[BandImage]) -> list[BandImage]:
     """Return the bands by wavelength where all are known, else as they come."""
     known = all(np.isfinite(band.wavelength) for band in bands)
     return sorted(bands, key=lambda band: band.wavelength) if known else list(bands)
+
+
+def present_bands(bands: Sequence[BandImage], also: BandImage | None = None) -> list[BandImage]:
+    """Return the bands of a sensor that hold a picture; all where wavelengths, from which the others' maps follow, are not known.
+
+    Where one band holds nothing, nothing is compared with it or predicted from it: a band that the file calls bad, or
+    that lacks more than half of what the fullest band has, is left out, but for `also`.
+
+    Examples
+    --------
+    >>> full, empty = np.ones((2, 2)), np.full((2, 2), np.nan)
+    >>> [band.label for band in present_bands([BandImage.of("a", full, 400), BandImage.of("b", empty, 500)])]
+    ['a']
+    """
+    if not all(np.isfinite(band.wavelength) for band in bands):
+        return list(bands)
+    counts = [int(np.count_nonzero(band.valid)) for band in bands]
+    least = max(1.0, LEAST_PRESENT * max(counts, default=0))
+    return [b for b, n in zip(bands, counts, strict=True) if n >= least or b is also] or [*bands]
 
 
 def region_mask(region: Sequence[float] | None, shape: tuple[int, ...]) -> np.ndarray:

@@ -19,7 +19,7 @@ from levkas.core.problems import Problem
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration.advice import POINTS
-from levkas.registration.bands import by_wavelength, sqrt_images
+from levkas.registration.bands import by_wavelength, present_bands, sqrt_images
 from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
 from levkas.registration.initial import (
     InitialTransform,
@@ -359,11 +359,12 @@ def register_sensor(
     labels = [band.label for band in bands]
     shown = [band for band in bands if band.label in images]
     mask = np.ones(reference.shape, bool) if ours.within is None else ours.within
+    there = present_bands(bands)
     task = SensorTask(shown, images, reference, mask, initial, by_hand)
     found = refine_map(task)
-    if not is_smooth_in_wavelength(found.chromatic, shown, bands):
-        images = {**images, **sqrt_images([band for band in bands if band.label not in images])}
-        shown = bands
+    if not is_smooth_in_wavelength(found.chromatic, shown, there):
+        images = {**images, **sqrt_images([band for band in there if band.label not in images])}
+        shown = there
         task = replace(task, bands=shown, images=images)
         found = refine_map(task)
     chromatic = chromatic_of_all(found.chromatic, shown, bands)

@@ -15,7 +15,7 @@ import numpy as np
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform, solve_2x2
 from levkas.registration.alignment import declared_map, read_alignments
-from levkas.registration.bands import by_wavelength, sqrt_images
+from levkas.registration.bands import by_wavelength, present_bands, sqrt_images
 from levkas.registration.coarse_to_fine import RegisteredSensor, register_sensor
 from levkas.registration.features import CameraFeatures, GreyImages
 from levkas.registration.joint import SensorObservations
@@ -69,7 +69,8 @@ def register_levkas(request: Request, _options: LevkasOptions) -> Registration:
 
         def register_one(name: str, declared: Transform | None = None) -> RegisteredSensor:
             bands = by_wavelength([image for image in target if image.sensor == name])
-            shown = [bands[i] for i in measured_bands(bands)]
+            there = present_bands(bands)
+            shown = [there[i] for i in measured_bands(there)]
             pictures = {b.label: base.images[b.label] for b in shown} if own else sqrt_images(shown)
             theirs = CameraFeatures(GreyImages(list(pictures.values())))
             by_hand = request.given.get(name)

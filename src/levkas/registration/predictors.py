@@ -15,6 +15,7 @@ from threading import RLock
 
 import numpy as np
 
+from levkas.core.problems import Problem
 from levkas.core.threads import each, in_threads
 from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration.bands import (
@@ -22,6 +23,7 @@ from levkas.registration.bands import (
     BandImage,
     by_wavelength,
     describe_mask,
+    present_bands,
     region_mask,
     segment_foreground,
     sqrt_images,
@@ -35,6 +37,7 @@ from levkas.registration.local_shifts import (
     reduce,
     smoothing_warp,
 )
+from levkas.registration.record import RegistrationRefused
 
 #: Principal components of reflectance, and of its logarithm; how many of the first are added blurred.
 LINEAR, LOGARITHMIC, BLURRED = 5, 3, 2
@@ -273,6 +276,17 @@ class PreparedReference:
         self, bands: Sequence[BandImage], band: str, region: Sequence[float] | None = None
     ) -> None:
         self.anchor = next(image for image in bands if image.label == band)
+        if not self.anchor.valid.any():
+            raise RegistrationRefused(
+                Problem(
+                    "E_VALUE",
+                    f"the reference band {band} holds nothing",
+                    field="campaign.reference.band",
+                    found=f"{self.anchor.valid.size} pixels that are outside, saturated or of a bad band",
+                    expected="a picture",
+                    fix="Name another band of this camera as the reference.",
+                )
+            )
         self.own_bands = [image for image in bands if image.sensor == self.anchor.sensor]
         self.images = sqrt_images(bands)
         greys = GreyImages([self.images[image.label] for image in self.own_bands])
@@ -288,7 +302,7 @@ class PreparedReference:
 
     def predicting(self) -> list[BandImage]:
         """Return at most 12 bands, evenly over the wavelengths, the anchor among them."""
-        bands = by_wavelength(self.own_bands)
+        bands = by_wavelength(present_bands(self.own_bands, self.anchor))
         count = min(MOST_PREDICTING, len(bands))
         picks = np.linspace(0, len(bands) - 1, count).round().astype(int)
         return [bands[i] for i in sorted({*picks.tolist(), bands.index(self.anchor)})]

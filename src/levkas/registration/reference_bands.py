@@ -16,7 +16,7 @@ import numpy as np
 
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform
-from levkas.registration.bands import by_wavelength
+from levkas.registration.bands import by_wavelength, present_bands
 from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
 from levkas.registration.coarse_to_fine import SETTINGS as REFINEMENT
 from levkas.registration.coarse_to_fine import (
@@ -90,10 +90,12 @@ def register_own_bands(
     bands = by_wavelength(bands)
     labels = [band.label for band in bands]
     fixed = labels.index(anchor.label)
-    shown = [bands[i] for i in measured_bands(bands, also=fixed)]
+    there = present_bands(bands, anchor)
+    also = [band.label for band in there].index(anchor.label)
+    shown = [there[i] for i in measured_bands(there, also=also)]
     model, seen = _align(shown, images, anchor)
-    if not is_smooth_in_wavelength(model, shown, bands):
-        shown = bands
+    if not is_smooth_in_wavelength(model, shown, there):
+        shown = there
         model, seen = _align(shown, images, anchor)
     model = chromatic_of_all(model, shown, bands)
     identity = Affine.identity()

@@ -14,6 +14,7 @@ from levkas.campaign.discovery.patterns import natural
 from levkas.core.cube import Band, band_labels
 from levkas.core.problems import Problem
 from levkas.readers.compared_facts import NEAREST_NM
+from levkas.readers.wavelengths import RANGE_NM, centres_in_names, is_plausible
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera
@@ -79,7 +80,9 @@ def bands_in_file(
         Whether bands are pages of a TIFF, not samples of a pixel.
     """
     samples = facts.shape[2] if len(facts.shape) == 3 else 1
-    pages = pages or (camera.kind == "cube" and samples == 1 and facts.kind != "envi")
+    pages = pages or (
+        camera.kind == "cube" and facts.kind != "envi" and max(facts.pages, samples) > samples
+    )
     count = facts.pages if pages else samples
     where, unit = str(facts.path), "pages" if pages else "bands"
     if camera.kind == "image" and count not in (1, 3):
@@ -99,15 +102,22 @@ def bands_in_file(
     for field, declared in (("wavelengths", centres), ("bands", names)):
         if declared and len(declared) != count:
             raise CaptureRefused(count_problem(camera, field, len(declared), count, unit, where))
+    if pages and facts.pages > 1 and samples > 1:
+        raise CaptureRefused(_pages_of_colours(camera, facts))
     header = facts.wavelengths if facts.wavelengths and len(facts.wavelengths) == count else None
-    if centres and header and "wavelengths" not in camera.overrule:
-        _check_near(camera, centres, header, where)
+    for stated in (centres, centres_in_names(names or ())):
+        if stated and header and "wavelengths" not in camera.overrule:
+            _check_near(camera, stated, header, where)
+    if "bands" not in camera.overrule:
+        _check_order(camera, names, facts)
+    if centres is None and facts.wavelengths_unclear:
+        raise CaptureRefused(_unclear(camera, facts))
     centres = centres or header
     widths = facts.fwhm if facts.fwhm and len(facts.fwhm) == count else (nan,) * count
     named = names or _default_names(camera, sensor, facts, count, centres)
-    return tuple(
-        Band(n, w, f) for n, w, f in zip(named, centres or (nan,) * count, widths, strict=True)
-    )
+    bad = facts.bad_bands or ()
+    rows = zip(named, centres or (nan,) * count, widths, strict=True)
+    return tuple(Band(n, w, f, i in bad) for i, (n, w, f) in enumerate(rows))
 
 
 def _default_names(
@@ -196,6 +206,50 @@ def _matched(own: Sequence[float], other: Sequence[float]) -> tuple[int, ...] | 
 def _matched_names(own: Sequence[str], other: Sequence[str]) -> tuple[int, ...] | None:
     same = list(own) == list(other) or sorted(own) != sorted(other) or len(set(own)) < len(own)
     return None if same else tuple(own.index(name) for name in other)
+
+
+def _check_order(camera: Camera, declared: Sequence[str] | None, facts: Facts) -> None:
+    """Refuse declared names that the file has in another order: its bands would be exchanged."""
+    mine = [name.strip().lower() for name in declared or ()]
+    for names in (facts.band_names, facts.page_labels):
+        theirs = [name.strip().lower() for name in names or ()]
+        if mine and mine != theirs and sorted(mine) == sorted(theirs):
+            raise CaptureRefused(
+                Problem(
+                    "E_VALUE",
+                    f"{camera.name}: the file has its bands in another order than `bands`",
+                    str(facts.path),
+                    f"cameras.{camera.name}.bands",
+                    ", ".join(names or ()),
+                    ", ".join(declared or ()),
+                    "Write `bands` in the file's order, or remove the key.",
+                )
+            )
+
+
+def _unclear(camera: Camera, facts: Facts) -> Problem:
+    least, most = RANGE_NM
+    return Problem(
+        "E_VALUE",
+        f"{camera.name}: the wavelengths in the file cannot be those of a camera",
+        str(facts.path),
+        "wavelength",
+        facts.wavelengths_unclear,
+        f"{least:g} to {most:g} nm, in a unit that the file states",
+        f"Correct the unit in the file, or declare `wavelengths` under [cameras.{camera.name}].",
+    )
+
+
+def _pages_of_colours(camera: Camera, facts: Facts) -> Problem:
+    return Problem(
+        "E_BAND_COUNT",
+        f"{camera.name}: pages of several samples are no bands",
+        str(facts.path),
+        f"cameras.{camera.name}.kind",
+        f"{facts.pages} pages of {facts.shape[2]} samples a pixel",
+        "pages of one sample, or one page",
+        "Save the bands as grey pages of one TIFF.",
+    )
 
 
 def with_declared_centres(camera: Camera, bands: Sequence[Band], path: Path) -> tuple[Band, ...]:
@@ -290,6 +344,8 @@ def bands_by_name(
     keys = _checked(camera, keys, declared, others, folder)
     if by_wavelength:
         centres = [float(k) for k in keys]
+        if not all(map(is_plausible, centres)):
+            raise CaptureRefused(_not_a_wavelength(camera, frames))
         names = camera.bands or _names_of(frames, keys) or tuple(band_labels(centres))
     else:
         names, centres = tuple(str(k) for k in keys), list(camera.centres or [nan] * len(keys))
@@ -377,6 +433,20 @@ def _checked(
 
 def _rounded(key: Key) -> Key:
     return round(key, SAME_DECIMALS) if isinstance(key, float) else key
+
+
+def _not_a_wavelength(camera: Camera, frames: Sequence[FrameRef]) -> Problem:
+    odd = next(f for f in frames if f.wavelength is not None and not is_plausible(f.wavelength))
+    return Problem(
+        "E_VALUE",
+        f"{camera.name}: a file name holds no wavelength of a camera's band",
+        str(odd.path),
+        f"cameras.{camera.name}.files",
+        f"{odd.wavelength:g} nm by {{wavelength}}",
+        f"{RANGE_NM[0]:g} to {RANGE_NM[1]:g} nm",
+        "Write {wavelength} with the unit that the numbers are in, {wavelength}nm or {wavelength}um, and * for a unit "
+        "in the names that is wrong; write {band} for numbers of filters.",
+    )
 
 
 def _listed(keys: Sequence[Key]) -> str:

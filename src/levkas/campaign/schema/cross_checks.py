@@ -24,6 +24,7 @@ from levkas.core.ownership import is_address
 from levkas.core.problems import LONGEST_NAME, MOST_COMPARED, Problem, closest_match
 from levkas.core.text import unusable_name, what_stands_at
 from levkas.readers.compared_facts import FACTS_BY_NAME
+from levkas.readers.wavelengths import RANGE_NM, is_plausible
 
 MOST_LISTED = 20
 MOST_CAMERAS, MOST_LAYERS, MOST_PATTERNS = 1000, 20_000, 1000
@@ -548,6 +549,9 @@ def _wavelengths(where: str, camera: CameraKeys) -> Iterator[Problem]:
         yield value_problem(
             field, "a wavelength is listed twice", Counter(centres).most_common(1)[0][0]
         )
+    elif odd := [nm for nm in centres if not is_plausible(nm)]:
+        expected = f"{RANGE_NM[0]:g} to {RANGE_NM[1]:g}, in nm"
+        yield value_problem(field, "no camera has a band there", odd[0], expected)
     elif camera.bands and len(camera.bands) != len(centres):
         yield Problem(
             "E_BAND_COUNT",

@@ -301,8 +301,9 @@ def _describe(tiff: Path) -> tuple[dict[str, Any], tuple[Band, ...], list[float]
     numbered = centres == list(range(count)) or len(centres) != count
     known = known or ([None] * count if numbered else centres)
     labels = labels or [f"{v:g} nm" if v is not None else str(i) for i, v in enumerate(known)]
+    bad = told.get("bad_bands") or ()
     bands = tuple(
-        Band(str(label), math.nan if w is None else float(w), math.nan if f is None else float(f))
+        Band(str(label), *(math.nan if n is None else float(n) for n in (w, f)), label in bad)
         for label, w, f in zip(labels, known, widths or [None] * count, strict=True)
     )
     return told, bands, [math.nan] * count if numbered else centres
