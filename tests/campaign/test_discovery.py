@@ -597,3 +597,93 @@ def test_files_beside_the_frames_in_another_case_are_no_fault_of_a_capture_that_
         campaign(tmp_path, PHOTO, 'objects = ["icon1"]', reference="photo")
     )
     assert ([c.object for c in captures], refusals) == (["icon1"], {})
+
+
+# --- what files state of their bands -------------------------------------------------------------
+
+
+def labelled(folder, labels):
+    """Write a TIFF whose pages ImageJ has labelled."""
+    path = folder / "raw/icon1.tif"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pages = np.zeros((len(labels), 4, 6), np.uint16)
+    tifffile.imwrite(path, pages, imagej=True, metadata={"Labels": labels})
+
+
+PAGES = CUBE.replace(".hdr", ".tif")
+PAGED = VIS.replace("/{wavelength}nm*", "*")
+
+
+@pytest.mark.parametrize("keys", [PAGES, PAGED], ids=["cube", "bands"])
+def test_wavelengths_of_pages_are_their_own(tmp_path, keys):
+    labelled(tmp_path, ["650 nm", "550 nm", "450 nm"])
+    (capture,) = found_in(tmp_path, keys, "")
+    assert [(b.label, b.wavelength) for b in capture.bands] == [
+        ("650 nm", 650.0),
+        ("550 nm", 550.0),
+        ("450 nm", 450.0),
+    ]
+
+
+@pytest.mark.parametrize("keys", [PAGES, PAGED], ids=["cube", "bands"])
+@pytest.mark.parametrize(
+    "declared", ["wavelengths = [450, 550, 650]", 'bands = ["450 nm", "550", "650nm"]']
+)
+def test_bands_declared_in_another_order_than_the_pages_are_refused(tmp_path, keys, declared):
+    labelled(tmp_path, ["650 nm", "550 nm", "450 nm"])
+    problem = problem_of(tmp_path, f"{keys}{declared}\n", "")
+    assert problem.code == "E_VALUE" and "650 nm" in problem.found and "450 nm" in problem.expected
+
+
+def test_names_declared_in_another_order_than_the_pages_are_refused(tmp_path):
+    labelled(tmp_path, ["IR", "R", "UV"])
+    problem = problem_of(tmp_path, PAGES + 'bands = ["UV", "R", "IR"]\n', "")
+    assert (problem.found, problem.expected) == ("IR, R, UV", "UV, R, IR")
+    found_in(tmp_path, PAGES + 'bands = ["ir", "R", "uv"]\n', "")
+    found_in(tmp_path, PAGES + 'bands = ["long", "middle", "short"]\n', "")
+    found_in(tmp_path, PAGES + 'bands = ["UV", "R", "IR"]\noverrule = ["bands"]\n', "")
+
+
+def test_wavelengths_that_cannot_be_are_refused_unless_others_are_declared(tmp_path):
+    envi(tmp_path, "raw/icon1", (0.01, 0.02, 0.03))
+    problem = problem_of(tmp_path, CUBE, "")
+    assert "0.01 to 0.03" in problem.found and "wavelengths" in problem.fix
+    (capture,) = found_in(tmp_path, CUBE + "wavelengths = [400, 500, 600]\n", "")
+    assert capture.bands[0].wavelength == 400
+
+
+@pytest.mark.parametrize(
+    ("pattern", "names", "centres"),
+    [
+        ("{wavelength}um.tif", ["0.450um.tif", "1.05um.tif"], [450, 1050]),
+        ("{wavelength}nm.tif", ["450nm.tif", "1050nm.tif"], [450, 1050]),
+        ("{wavelength}.tif", ["450.tif", "1050.tif"], [450, 1050]),
+        ("w{wavelength}.tif", ["w0.45.tif", "w1.05.tif"], [450, 1050]),
+    ],
+)
+def test_a_wavelength_in_a_name_is_in_the_unit_behind_it(tmp_path, pattern, names, centres):
+    touch(tmp_path, *(f"raw/icon1/{name}" for name in names))
+    (capture,) = found_in(tmp_path, VIS.replace("{wavelength}nm*.tif", pattern), "")
+    assert [band.wavelength for band in capture.bands] == centres
+
+
+@pytest.mark.parametrize(
+    ("pattern", "name"),
+    [
+        ("{wavelength}um.tif", "450um"),
+        ("{wavelength}nm.tif", "0.45nm"),
+        ("F{wavelength}.tif", "F3"),
+    ],
+)
+def test_a_number_that_is_no_wavelength_in_its_unit_is_refused(tmp_path, pattern, name):
+    touch(tmp_path, f"raw/icon1/{name}.tif")
+    problem = problem_of(tmp_path, VIS.replace("{wavelength}nm*.tif", pattern), "")
+    assert problem.code == "E_VALUE" and name in problem.file and "{band}" in problem.fix
+
+
+def test_pages_of_colours_are_no_bands(tmp_path):
+    path = tmp_path / "raw/icon1.tif"
+    path.parent.mkdir()
+    tifffile.imwrite(path, np.zeros((2, 4, 6, 3), np.uint8), photometric="rgb")
+    problem = problem_of(tmp_path, PAGES, "")
+    assert problem.code == "E_BAND_COUNT" and "2 pages of 3 samples" in problem.found

@@ -14,8 +14,8 @@ PAGE = Path(__file__).resolve().parents[2] / "docs/reference/facts.md"
 HOUSE = Path(levkas.__file__).parent
 READING = ("reading alone", "ignored")
 """What a field is used for of which nobody but a reader knows."""
-OF_AN_ENVI_FILE = {"offset", "header", "scale", "ignore"}
-"""Of `EnviFile` what its own methods need, the fields as text, and what no value depends on yet."""
+OF_AN_ENVI_FILE = {"offset", "header"}
+"""Of `EnviFile` what its own methods need, and the fields as text."""
 
 
 def tables():

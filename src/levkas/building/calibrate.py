@@ -280,10 +280,12 @@ def develop_mosaic(context: SensorContext) -> Noted:
         darks,
         white,
         moved=exposed.moved,
-        board=WhiteBoard(reflectance, pattern, [b.label for b in sensor.bands]),
+        board=WhiteBoard(
+            *(reflectance, pattern, [b.label for b in sensor.bands]),
+            unit=context.unit_of(sensor.object[0]),
+        ),
         noise=noise,
         defects=defects,
-        full=context.full_of(sensor.object[0]),
     )
     notes.extend(flat.notes)
     values, flags, variance = replace_defects(
@@ -409,10 +411,13 @@ def _band(
         darks,
         white,
         moved=exposed.moved,
-        board=WhiteBoard(reflectance, labels=[label]),
+        board=WhiteBoard(
+            reflectance,
+            labels=[label],
+            unit=context.unit_of(next(f for f in sensor.object if f.band == label)),
+        ),
         noise=noise,
         defects=defects_of(darks, white, sensor.pattern),
-        full=context.full_of(next(f for f in sensor.object if f.band == label)),
     )
     plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
     if sensor.pattern is not None:

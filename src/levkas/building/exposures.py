@@ -254,13 +254,12 @@ def flatten(
     noise: NoiseModel | None = None,
     defects: np.ndarray | None = None,
     moved: np.ndarray | None = None,
-    full: tuple[float, ...] | None = None,
 ) -> Calibrated:
     """Flat-field with the files named in every refusal; `moved` is what the exposures showed already."""
     try:
         flat = flat_field(
             shot, dark or None, white,
-            board=board, black=context.black_level, noise=noise, defects=defects, full=full,
+            board=board, black=context.black_level, noise=noise, defects=defects,
         )  # fmt: skip
     except CalibrationRefused as refused:
         frames = context.sensor.white or context.sensor.object
@@ -270,8 +269,9 @@ def flatten(
         context.told.setdefault("exposures_s", {}).update(taken)
     if context.camera.kind != "cube" and not shot.above_dark:
         found = _rounding(context, shot, dark, white, board)
-        if full is not None:
-            found = {label: step / f for (label, step), f in zip(found.items(), full, strict=True)}
+        if board.unit is not None:
+            pairs = zip(found.items(), board.unit, strict=True)
+            found = {label: step / float(unit) for (label, step), unit in pairs}
         context.told.setdefault("rounding", {}).update(found)
     if moved is None:
         moved = _moved(context, shot, dark, noise)

@@ -101,9 +101,9 @@ class Strip:
                 self.reflectance,
                 labels=[band.label for band in context.sensor.bands],
                 checked=start > 0 or isinstance(white, FrameLines),
+                unit=context.unit_of(frame),
             ),
             noise=self.templates.noise,
-            full=context.full_of(frame),
         )
         lost = gaps_of(shot, *darks, lit)
         if lost is None:

@@ -17,6 +17,7 @@ import numpy as np
 from levkas.calibration.code_spacing import Alignment, find_alignment
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.problems import Problem
+from levkas.readers.black_levels import BlackLevels
 from levkas.readers.compared_facts import (
     FACTS,
     FACTS_BY_NAME,
@@ -343,7 +344,9 @@ def _pairs(camera: Camera, sensor: SensorFrames, one: Stated) -> dict[str, tuple
     facts = one.facts
     bits, black, centres = (FACTS_BY_NAME[name] for name in ("bits", "black", "wavelengths"))
     stored = facts.kind != "raw" and facts.bits == 8 * np.dtype(facts.dtype).itemsize
-    declared_black = None if camera.black is None else (camera.black, full_scale(facts))
+    declared_black = None
+    if camera.black is not None:
+        declared_black = camera.black, full_scale(facts), BlackLevels(((camera.black,),))
     return {
         "bits": (camera.bits, None if stored else read_fact(bits, facts)),
         "saturation": (camera.saturation, facts.saturation),

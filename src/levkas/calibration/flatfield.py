@@ -65,7 +65,6 @@ def flat_field(
     black: float | np.ndarray | None = None,
     noise: NoiseModel | None = None,
     defects: np.ndarray | None = None,
-    full: Sequence[float] | np.ndarray | None = None,
 ) -> Calibrated:
     """Turn an object's raw counts into reflectance, or into counts above dark.
 
@@ -78,7 +77,7 @@ def flat_field(
     white : Template, optional
         May be one line high. None: the result is in counts above dark.
     board : WhiteBoard, optional
-        Reflectance of the white, and the channels it is checked in.
+        Reflectance of the white, and the channels it is checked in; or the unit of files of reflectance.
     black : float or ndarray like `shot.mean`, optional
         Black level in counts; subtracted where there is no dark. None: not known. Neither dark nor
         black are subtracted from a shot or a white that is above dark.
@@ -86,8 +85,6 @@ def flat_field(
         Variance of one shot over its signal. Without it stacks speak for themselves.
     defects : ndarray of bool like `shot.mean`, optional
         Pixels to flag as DEFECT.
-    full : sequence of float, optional
-        Of files of reflectance, which have no white: the value of reflectance 1.0, one for all or for each band.
 
     Returns
     -------
@@ -125,7 +122,6 @@ def flat_field(
                 black=black,
                 noise=noise,
                 defects=None if defects is None else defects[..., bands],
-                full=None if full is None else np.broadcast_to(full, shot.mean.shape[2:])[bands],
             )
             for bands in groups
         )
@@ -134,7 +130,8 @@ def flat_field(
     scale = reflectance_table(board.reflectance, shot, board.pattern) * ratio
     bad = under.saturated if defects is None else defects | under.saturated
     if white is None:
-        scale = reflectance_table(1 / np.asarray(1.0 if full is None else full), shot, None)
+        unit = 1.0 if board.unit is None else np.asarray(board.unit)
+        scale = reflectance_table(1 / np.asarray(unit, float), shot, None)
         lit, lit_saturated = exact_side(1.0), np.zeros((1, 1), np.uint8)
     else:
         if not board.checked:
@@ -159,7 +156,7 @@ def flat_field(
     )
     over_rows(lambda y, end: _flatten(y, end, inputs, *made, variance), size[0])
     values, flags = (part.reshape(shape) for part in made)
-    quantity = "counts" if white is None and full is None else "reflectance"
+    quantity = "counts" if white is None and board.unit is None else "reflectance"
     return Calibrated(values, flags, variance.reshape(shape) if known else None, quantity, notes)
 
 

@@ -93,10 +93,9 @@ class SensorContext:
         every = (read_facts(frame.path).reflectance_scale for frame in self.sensor.object)
         return self.camera.kind != "image" and not frames and all(every)
 
-    def full_of(self, frame: FrameRef) -> tuple[float, ...] | None:
+    def unit_of(self, frame: FrameRef) -> tuple[float, ...] | None:
         """Return the value of reflectance 1.0 in every band of a frame of the object; None of counts."""
-        scale = read_facts(frame.path).reflectance_scale if self.holds_reflectance else None
-        return scale if scale is None or frame.page is None else (scale[frame.page],)
+        return facts_of(frame).reflectance_scale if self.holds_reflectance else None
 
     @property
     def black_clip(self) -> float | None:

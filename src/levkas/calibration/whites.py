@@ -31,18 +31,22 @@ class WhiteBoard:
         Names of the bands for messages.
     checked : bool
         Whether the whole frames were checked before: some of their lines are not refused.
+    unit : sequence of float, optional
+        Of files of reflectance, which have no white: the value of reflectance 1.0, one for all bands or for each.
     """
 
     reflectance: float | Sequence[float] | np.ndarray = 1.0
     pattern: str | Sequence[Sequence[str]] | None = None
     labels: Sequence[str] | None = None
     checked: bool = False
+    unit: Sequence[float] | np.ndarray | None = None
 
     def of_bands(self, bands: np.ndarray, shape: tuple[int, ...]) -> WhiteBoard:
         """Return the board in some of the bands, indices into `shape` (bands,)."""
         known = np.broadcast_to(np.asarray(self.reflectance, float), shape)
         labels = [self.labels[band] for band in bands] if self.labels else None
-        return replace(self, reflectance=known[bands], pattern=None, labels=labels)
+        unit = None if self.unit is None else np.broadcast_to(self.unit, shape)[bands]
+        return replace(self, reflectance=known[bands], pattern=None, labels=labels, unit=unit)
 
 
 PERFECT = WhiteBoard()

@@ -39,14 +39,14 @@ class Mark:
 
 
 MARKS = {
-    Flag.DEFECT: Mark("defect, replaced", "a defect, replaced from its neighbours", (38, 166, 154), True),
+    Flag.DEFECT: Mark("defect, replaced", "a defect, replaced from its neighbours; or the whole band, which its file calls bad", (38, 166, 154), True),
     Flag.NEAR: Mark("near a flag", "interpolated from a flagged pixel", (120, 144, 156)),
     Flag.BLACK: Mark("clipped at black", "clipped at black", (92, 107, 192)),
     Flag.VEILED: Mark("veiled", "veiled: brighter than under the default lighting by the same amount in every band; " "the paint is visible", (144, 202, 249)),
     Flag.MOVED: Mark("moved", "moved between shots", (171, 71, 188)),
     Flag.GLARE: Mark("glare", "glare: reflection of the lamp in varnish or gold", (255, 202, 40)),
     Flag.SATURATED: Mark("saturated", "saturated", (239, 83, 80)),
-    Flag.OUTSIDE: Mark("outside", "outside the camera's frame; the value is NaN", (70, 72, 76)),
+    Flag.OUTSIDE: Mark("outside", "outside the camera's frame, or the file holds nothing there; the value is NaN", (70, 72, 76)),
 }  # fmt: skip
 """Least first: a map shows the gravest flag that any band of a pixel has."""
 

@@ -58,6 +58,22 @@ class BlackLevels:
         """Whether two sensels have levels that differ."""
         return any(len(set(part)) > 1 for part in self._parts)
 
+    def distance(self, other: BlackLevels) -> float:
+        """Return the most that a sensel's black may differ in two files of one frame size, counts.
+
+        >>> BlackLevels(((60.0, 64.0),)).distance(BlackLevels(((64.0, 60.0),)))
+        4.0
+        """
+        sizes = [(len(one.pattern), len(one.pattern[0])) for one in (self, other)]
+        size = tuple(int(np.lcm(*side)) for side in zip(*sizes, strict=True))
+        bare = (BlackLevels(one.pattern).plane(size) for one in (self, other))
+        apart = float(np.abs(np.subtract(*bare)).max())
+        for a, b in ((self.rows, other.rows), (self.columns, other.columns)):
+            if a and b and len(a) != len(b):
+                return float("inf")
+            apart += float(np.abs(np.subtract(a or 0.0, b or 0.0)).max())
+        return apart
+
     def plane(self, shape: Sequence[int]) -> np.ndarray:
         """Return the black of every sensel of a frame of (height, width, …), (height, width), float32."""
         height, width = shape[:2]

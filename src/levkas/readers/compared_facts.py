@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from levkas.readers.black_levels import BlackLevels
 from levkas.readers.facts import Facts
 
 Severity = Literal["same", "noted", "refused"]
@@ -73,7 +74,9 @@ def read_fact(fact: ComparedFact, facts: Facts) -> Any:
     if fact.name == "bits" and np.dtype(facts.dtype).kind != "u":
         return None
     if fact.name == "black":
-        return None if facts.black is None else (facts.black, full_scale(facts))
+        if facts.black is None:
+            return None
+        return facts.black, full_scale(facts), facts.blacks or BlackLevels(((facts.black,),))
     return getattr(facts, fact.fields[0])
 
 
@@ -97,7 +100,7 @@ def describe_value(fact: ComparedFact, value: Any) -> str:
             return ", ".join(f"{v:g}" for v in value) + " nm"
         return f"{value[0]:g} to {value[-1]:g} nm ({len(value)})"
     if fact.name == "black":
-        return f"{value[0]:g}"
+        return f"{value[0]:g}" + (", not even" if value[2].varies else "")
     if fact.name == "bands":
         return ", ".join(value[:4]) + (" …" if len(value) > 4 else "")
     if fact.name in ("gain", "binning", "region"):
@@ -165,9 +168,11 @@ def compare_types(a: str, b: str) -> Severity:
     return "same" if one.itemsize == other.itemsize else "refused"
 
 
-def compare_black(a: tuple[float, float], b: tuple[float, float]) -> Severity:
-    """Compare two black levels, counts, each with the full scale of its file."""
-    apart, full = abs(a[0] - b[0]), max(a[1], b[1])
+def compare_black(
+    a: tuple[float, float, BlackLevels], b: tuple[float, float, BlackLevels]
+) -> Severity:
+    """Compare two black levels, counts, by their means and sensel by sensel, each with the full scale of its file."""
+    apart, full = max(abs(a[0] - b[0]), a[2].distance(b[2])), max(a[1], b[1])
     if apart <= max(BLACK_NOTED * full, 0.5):
         return "same"
     return "noted" if apart <= BLACK_REFUSED * full else "refused"
@@ -198,7 +203,7 @@ FACTS = (
     ComparedFact("code_spacing", "alignment of codes", (), ALL, compare_equal, False, SAVED),
     ComparedFact("bits", "bits of a code", ("bits",), ALL, compare_equal, False, SAVED),
     ComparedFact("saturation", "full scale", ("saturation",), ALL, compare_ratio(1.001)),
-    ComparedFact("black", "black level", ("black",), ALL, compare_black),
+    ComparedFact("black", "black level", ("black", "blacks"), ALL, compare_black),
     ComparedFact("pattern", "mosaic pattern", ("pattern",), ALL, compare_equal),
     ComparedFact("iso", "ISO", ("iso",), ALL, compare_ratio(ISO_RATIO), True, ALIKE),
     ComparedFact("gain", "gain", ("gain",), ALL, compare_settings, True, ALIKE),

@@ -128,6 +128,13 @@ class Facts:
     notes: tuple[str, ...] = ()
 
 
+LISTS = (
+    *("wavelengths", "fwhm", "band_names", "page_labels"),
+    *("band_times_s", "reflectance_scale"),
+)
+"""Fields of one item a band."""
+
+
 def facts_of_bands(facts: Facts, places: Sequence[int]) -> Facts:
     """Return facts whose lists are of some bands of the file, in the order of `places`, from 0.
 
@@ -138,15 +145,14 @@ def facts_of_bands(facts: Facts, places: Sequence[int]) -> Facts:
     (650.0, 450.0)
     """
     count = facts.shape[2] if len(facts.shape) == 3 else facts.pages
-    lists = ("wavelengths", "fwhm", "band_names", "band_times_s")
-    found = {name: getattr(facts, name) for name in lists}
+    found = {name: getattr(facts, name) for name in LISTS}
     picked: dict[str, Any] = {
         name: tuple(values[i] for i in places)
         for name, values in found.items()
         if values and len(values) == count
     }
-    without = replace(facts, wavelengths=None, fwhm=None, band_names=None, band_times_s=None)
-    return replace(without, **picked)
+    nothing: dict[str, Any] = dict.fromkeys(LISTS)
+    return replace(facts, **{**nothing, **picked})
 
 
 def unreadable(

@@ -64,13 +64,11 @@ def band_facts(tiff: Any, pages: Sequence[Any], samples: int) -> dict[str, Any]:
     return {**found, "notes": [note] if note else []}
 
 
-def _of_centres(
-    values: Sequence[float], unit: str, fwhm: Sequence[float] | None = None, **more: Any
-) -> Found:
+def _of_centres(values: Sequence[float], unit: str, fwhm: Sequence[float] | None = None) -> Found:
     found = read_centres(values, unit, fwhm)
     unclear = found.unclear or None
     centres = {"wavelengths": found.nm, "fwhm": found.fwhm, "wavelengths_unclear": unclear}
-    return {**centres, "note": found.note, **more}
+    return {**centres, "note": found.note}
 
 
 def _spectral(pages: Sequence[Any], count: int) -> Found:
@@ -86,7 +84,7 @@ def _spectral(pages: Sequence[Any], count: int) -> Found:
     record = record if isinstance(record, dict) else {}
     names = record.get("bands")
     known = isinstance(names, list) and len(names) == count
-    more = {"band_names": tuple(map(str, names))} if known and isinstance(names, list) else {}
+    more: Found = {"band_names": tuple(map(str, names or ()))} if known else {}
     full = {"f": 1.0, "u": REFLECTANCE_CODES}.get(pages[0].dtype.kind)
     if (
         record.get("quantity", "reflectance") == "reflectance"
@@ -95,7 +93,7 @@ def _spectral(pages: Sequence[Any], count: int) -> Found:
     ):
         more["reflectance_scale"] = (full,) * count
     numbered = all(wavelength is None for wavelength in record.get("wavelength") or [0])
-    return more if numbered else _of_centres(values, "nm", **more)
+    return more if numbered else {**_of_centres(values, "nm"), **more}
 
 
 def _camera_bands(pages: Sequence[Any], count: int) -> Found:

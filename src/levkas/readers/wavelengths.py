@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 RANGE_NM = (150.0, 20_000.0)
@@ -117,13 +117,7 @@ def centres_in_names(names: Sequence[str]) -> tuple[float, ...] | None:
     """
     if not names or any(len(name) > LONGEST_NAME for name in names):
         return None
-    return _distinct(names, _centre_in) or _distinct(names, _bare_centre)
-
-
-def _distinct(
-    names: Sequence[str], read: Callable[[str], float | None]
-) -> tuple[float, ...] | None:
-    found = tuple(nm for name in names if (nm := read(name)) is not None)
+    found = tuple(nm for name in names if (nm := _centre_in(name) or bare_centre(name)) is not None)
     return found if len(found) == len(names) == len(set(found)) else None
 
 
@@ -135,8 +129,12 @@ def _centre_in(name: str) -> float | None:
     return nm
 
 
-def _bare_centre(name: str) -> float | None:
-    """Return a number that stands alone, or in brackets at the end, as ENVI names bands of no unit; not a band's own."""
+def bare_centre(name: str) -> float | None:
+    """Return a wavelength without a unit that stands alone, or in brackets at the end, nm; a band's own number is none.
+
+    >>> bare_centre("Band 1 (450.0)"), bare_centre("0.45"), bare_centre("3")
+    (450.0, 450.0, None)
+    """
     found = re.fullmatch(r"(?:.*\()?\s*(\d{3,}(?:\.\d+)?|\d+\.\d+)\s*\)?", name.strip())
     (nm,) = (read_centres([float(found[1])]).nm if found else None) or (None,)
     return nm

@@ -9,7 +9,7 @@ from math import isqrt, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from levkas.campaign.discovery.captures import CaptureRefused, FrameRef, Rows
+from levkas.campaign.discovery.captures import Capture, CaptureRefused, FrameRef, Rows
 from levkas.campaign.discovery.patterns import natural
 from levkas.core.cube import Band, band_labels
 from levkas.core.problems import Problem
@@ -80,9 +80,8 @@ def bands_in_file(
         Whether bands are pages of a TIFF, not samples of a pixel.
     """
     samples = facts.shape[2] if len(facts.shape) == 3 else 1
-    pages = pages or (
-        camera.kind == "cube" and facts.kind != "envi" and max(facts.pages, samples) > samples
-    )
+    mixed = samples > 1 and facts.pages > 1 and (pages or camera.kind == "cube")
+    pages = pages or (camera.kind == "cube" and samples == 1 and facts.kind != "envi")
     count = facts.pages if pages else samples
     where, unit = str(facts.path), "pages" if pages else "bands"
     if camera.kind == "image" and count not in (1, 3):
@@ -102,7 +101,7 @@ def bands_in_file(
     for field, declared in (("wavelengths", centres), ("bands", names)):
         if declared and len(declared) != count:
             raise CaptureRefused(count_problem(camera, field, len(declared), count, unit, where))
-    if pages and facts.pages > 1 and samples > 1:
+    if mixed:
         raise CaptureRefused(_pages_of_colours(camera, facts))
     header = facts.wavelengths if facts.wavelengths and len(facts.wavelengths) == count else None
     for stated in (centres, centres_in_names(names or ())):
@@ -237,6 +236,17 @@ def _unclear(camera: Camera, facts: Facts) -> Problem:
         facts.wavelengths_unclear,
         f"{least:g} to {most:g} nm, in a unit that the file states",
         f"Correct the unit in the file, or declare `wavelengths` under [cameras.{camera.name}].",
+    )
+
+
+def bad_reference(band: str, capture: Capture) -> Problem:
+    """Return the problem of a declared reference band that its own file calls bad."""
+    return Problem(
+        "E_BAND_MISSING",
+        f"{capture.camera}: the reference band is bad by its own file",
+        found=f"{band} in {capture.sensors[0].object[0].path.name}",
+        expected="a band that its file does not call bad",
+        fix="Name another band, or correct the list of bad bands (bbl) in the header.",
     )
 
 

@@ -10,6 +10,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from levkas.campaign.discovery.bands import (
+    bad_reference,
     band_key,
     bands_by_name,
     bands_in_file,
@@ -305,20 +306,10 @@ def _check_reference_bands(campaign: Campaign, capture: Capture) -> None:
         try:
             labels, centres = zip(*((b.label, b.wavelength) for b in capture.bands), strict=True)
             if capture.bands[find_band(labels, band, centres)].bad:
-                raise CaptureRefused(_bad_reference(band, capture))
+                raise CaptureRefused(bad_reference(band, capture))
         except Refused as refused:
             problems = (replace(p, file=str(campaign.path), field=where) for p in refused.problems)
             raise CaptureRefused(*problems) from None
-
-
-def _bad_reference(band: str, capture: Capture) -> Problem:
-    return Problem(
-        "E_BAND_MISSING",
-        f"{capture.camera}: the reference band is bad by its own file",
-        found=f"{band} in {capture.sensors[0].object[0].path.name}",
-        expected="a band that its file does not call bad",
-        fix="Name another band, or correct the list of bad bands (bbl) in the header.",
-    )
 
 
 def frames_of_sensors(

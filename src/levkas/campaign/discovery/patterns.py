@@ -9,7 +9,7 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 from levkas.core.problems import Problem, Refused
-from levkas.readers.wavelengths import LENGTHS, read_centres
+from levkas.readers.wavelengths import LENGTHS, bare_centre
 
 MOST_STEPS = 200_000
 """Steps for one name; only repeated placeholders with many readings of the first come near it."""
@@ -356,24 +356,24 @@ class Pattern:
     def _values(self, texts: dict[str, str]) -> dict[str, Any]:
         values: dict[str, Any] = dict(texts)
         if "wavelength" in values:
-            values["wavelength"] = _nanometres(float(values["wavelength"]), self.text)
+            values["wavelength"] = _nanometres(values["wavelength"], self.text)
         if "exposure" in values:
             seconds = float(values.pop("exposure")) * SECONDS[exposure_unit(self.text)]
             values["exposure_s"] = float(f"{seconds:.12g}")
         return values
 
 
-def _nanometres(number: float, pattern: str) -> float:
+def _nanometres(number: str, pattern: str) -> float:
     """Return a wavelength in a name, nm: in the unit behind ``{wavelength}``, else by what is plausible.
 
-    >>> _nanometres(0.55, "{wavelength}um.tif"), _nanometres(0.55, "w{wavelength}.tif"), _nanometres(0.55, "{wavelength}nm.tif")
+    >>> _nanometres("0.55", "{wavelength}um.tif"), _nanometres("0.55", "w{wavelength}.tif"), _nanometres("0.55", "{wavelength}nm.tif")
     (550.0, 550.0, 0.55)
     """
     found = re.search(r"\{wavelength\}([^\W\d_]*)", pattern)
     unit = found.group(1).lower() if found else ""
     if unit in ("nm", "um", "µm", "μm"):
-        return round(number * LENGTHS[unit], 6)
-    return (read_centres([number]).nm or (number,))[0]
+        return round(float(number) * LENGTHS[unit], 6)
+    return bare_centre(number) or float(number)
 
 
 def exposure_unit(pattern: str) -> str:

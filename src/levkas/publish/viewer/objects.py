@@ -303,10 +303,14 @@ def _describe(tiff: Path) -> tuple[dict[str, Any], tuple[Band, ...], list[float]
     labels = labels or [f"{v:g} nm" if v is not None else str(i) for i, v in enumerate(known)]
     bad = told.get("bad_bands") or ()
     bands = tuple(
-        Band(str(label), *(math.nan if n is None else float(n) for n in (w, f)), label in bad)
+        Band(str(label), _number(w), _number(f), label in bad)
         for label, w, f in zip(labels, known, widths or [None] * count, strict=True)
     )
     return told, bands, [math.nan] * count if numbered else centres
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
 
 
 def _broad_channels(path: Path, bands: tuple[Band, ...]) -> list[tuple[float, float]]:
