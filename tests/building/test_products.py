@@ -141,6 +141,15 @@ def test_a_dark_of_a_cube_without_white_leaves_counts(tmp_path):
     assert any("this is not used" in warning for warning in native.warnings)
 
 
+def test_a_factor_of_a_raw_scan_without_a_white_can_be_overruled(tmp_path):
+    folder = product(tmp_path / "c")
+    campaign(folder, more='overrule = ["reflectance_scale"]')
+    native = developed(folder)
+    assert native.cubes[""].quantity == "counts"
+    assert any("this is not used" in warning for warning in native.warnings)
+    assert not any("no effect" in warning for warning in native.warnings)
+
+
 def test_bad_bands_are_kept_and_used_for_nothing(tmp_path):
     bbl = "bbl = {1, 1, 1, 0, 1, 1, 1}"  # the middle one, which would be the reference
     folder = product(tmp_path / "c", extra=bbl)

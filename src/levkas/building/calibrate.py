@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.building.above_white import count_above, describe_above
 from levkas.building.build_records import Written
 from levkas.building.capture_statistics import focus_of, note_light, note_sensels
 from levkas.building.chart_white import lights_by_chart
@@ -185,8 +186,10 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
             if light is not None and cube.sigma is not None:
                 shared = light_variance(cube.values, light.sigmas(), cube.labels)
                 cube = replace(cube, sigma=round_root(cube.sigma**2 + shared))
-            cubes[sensor.name] = mark_glare_in(cube)
+            cube = cubes[sensor.name] = mark_glare_in(cube)
             notes += found
+            if camera.kind != "cube":  # of a scan it is among what its lines show
+                notes += describe_above(count_above(cube), cube.labels)
             learnt[sensor.name] = context.told
     except (UnreadableCapture, CodesRefused) as refused:
         raise type(refused)(*_all_problems(capture, campaign, templates, refused)) from None

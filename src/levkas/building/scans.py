@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from levkas.building.above_white import count_above, describe_above
 from levkas.building.capture_statistics import Middle
 from levkas.building.exposures import cube_of, mark_glare_in
 from levkas.building.scan_lines import FlatLines, Strip, describe_loss
@@ -272,26 +273,31 @@ class Scan:
 class ScanPass:
     """One pass over lines of a scan, which counts what frames lost and what denoising takes away.
 
-    `lost` are the values of each band, (bands,), that are no finite numbers.
+    `lost` are the values of each band, (bands,), that are no finite numbers, `above` what `count_above` gives.
     """
 
     def __init__(self, scan: Scan) -> None:
         self._scan = scan
         self.lost = np.zeros(scan.shape[2], np.int64)
+        self.above = np.zeros((2, scan.shape[2]), np.int64)
         self._projecting = Projecting(scan.subspace) if scan.subspace else None
 
     def blocks(self, start: int = 0, stop: int | None = None) -> Iterator[Cube]:
         """Yield lines `start` to `stop`, default all, calibrated, some at a time."""
         for block in self._scan._flat_blocks(start, stop or self._scan.shape[0]):
             self.lost += block.lost
-            yield self._scan._finished(block.flat, self._projecting)
+            cube = self._scan._finished(block.flat, self._projecting)
+            self.above += count_above(cube)
+            yield cube
+            del cube  # its memory is that of the lines, which may have been done with
 
     def notes(self) -> tuple[str, ...]:
         """Say what was lost and taken away; raises CalibrationRefused where a band has no finite value."""
         notes = describe_loss(self._scan.context, self.lost, self._scan.shape)
         if (made := self._projecting) is not None:
             notes.append(describe_removed(made.subspace, made.removed, made.most))
-        return tuple(notes)
+        labels = [band.label for band in self._scan.bands]
+        return (*notes, *describe_above(self.above, labels))
 
 
 class LinesSeen:
@@ -319,11 +325,13 @@ class LinesSeen:
     def arrays(self) -> dict[str, np.ndarray]:
         """Return what the lines have shown, for `join`."""
         middle = self._middle.arrays(*self._lines)
-        return {"lost": self._pass.lost, **self._pictures.arrays(), **middle}
+        counts = {"lost": self._pass.lost, "above": self._pass.above}
+        return {**counts, **self._pictures.arrays(), **middle}
 
     def join(self, lines: Lines, arrays: Mapping[str, np.ndarray]) -> None:
         """Take lines that passed elsewhere, as `arrays` gave them there; not of a scan that is denoised."""
         self._pass.lost += arrays["lost"]
+        self._pass.above += arrays["above"]
         self._pictures.join(lines, arrays)
         self._middle.join(arrays, *lines)
 

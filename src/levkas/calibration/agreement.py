@@ -21,6 +21,7 @@ from levkas.readers.black_levels import BlackLevels
 from levkas.readers.compared_facts import (
     FACTS,
     FACTS_BY_NAME,
+    SCALE,
     NEAREST_NM,
     ComparedFact,
     Severity,
@@ -172,6 +173,8 @@ def compare_facts(camera: Camera, sensor: SensorFrames, alignments: Sequence[Ali
     notes = [one.describe() for one in found if not _is_fatal(camera, one)]
     refused = [one for one in found if _is_fatal(camera, one)]
     accepted = {one.fact.name for one in refused} & set(camera.overrule)
+    if any(one.facts.reflectance_scale for one in every):
+        accepted.add(SCALE)
     if fatal := [one for one in refused if one.fact.name not in accepted]:
         raise CalibrationRefused(*(one.problem(camera.name) for one in fatal))
     notes += [f"{one.describe()}; `overrule` accepts it, no value is corrected" for one in refused]

@@ -21,6 +21,7 @@ from levkas.calibration.templates import (
     close_gaps,
 )
 from levkas.core.problems import Problem
+from levkas.readers.compared_facts import SCALE
 from levkas.readers.frames import Facts, read_facts, read_frame, read_plane
 from levkas.readers.raw import SUFFIXES as RAW_SUFFIXES
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import FrameRef, SensorFrames
 
 GLIMPSE_LINES = 64
+AS_LIGHT = "they are taken as proportional to light: export linear frames"
 MOST_GLIMPSED = 2
 """Frames of a role of which some rows are looked at."""
 
@@ -90,8 +92,9 @@ class SensorContext:
     def holds_reflectance(self) -> bool:
         """Whether the object's files state their reflectance, and nothing else is there to make it."""
         frames = (*self.sensor.white, *self.sensor.chart, *self.sensor.dark)
-        every = (read_facts(frame.path).reflectance_scale for frame in self.sensor.object)
-        return self.camera.kind != "image" and not frames and all(every)
+        if self.camera.kind == "image" or frames or SCALE in self.camera.overrule:
+            return False
+        return all(read_facts(frame.path).reflectance_scale for frame in self.sensor.object)
 
     def unit_of(self, frame: FrameRef) -> tuple[float, ...] | None:
         """Return the value of reflectance 1.0 in every band of a frame of the object; None of counts."""
@@ -250,7 +253,8 @@ def _note_scale(context: SensorContext) -> list[str]:
     stated = f"{context.camera.name}: by the file reflectance 1.0 is {_span(scale)}"
     if context.holds_reflectance:
         return [
-            f"{stated}: its values are taken as reflectance, for neither dark nor white is there"
+            f"{stated}: its values are taken as reflectance, for neither dark nor white is there; if they are raw, "
+            f'write `overrule = ["{SCALE}"]`'
         ]
     return [f"{stated}: this is not used, the values are taken as counts"]
 
@@ -279,8 +283,10 @@ def _notes_of_files(context: SensorContext) -> list[str]:
             continue
         facts = read_facts(frame.path)
         unread = facts.pages > 1 and frame.page is None and context.camera.kind != "cube"
-        pages = [f"the first of {facts.pages} pages is used, the others are not"] if unread else []
-        for note in (*facts.notes, *pages):
+        more = [f"the first of {facts.pages} pages is used, the others are not"] if unread else []
+        if facts.encoded and context.camera.kind != "image":
+            more.append(f"by the file its codes have a tone curve ({facts.encoded}); {AS_LIGHT}")
+        for note in (*facts.notes, *more):
             found.setdefault(note, {})[frame.path] = None
     name = context.camera.name
     return [f"{name}: {note} ({files_named(tuple(paths))})" for note, paths in found.items()]

@@ -230,3 +230,6 @@ FACTS = (
 )
 """Bits, full scale, black level and pattern are one for all bands of a sensor."""
 FACTS_BY_NAME = {fact.name: fact for fact in FACTS}
+SCALE = "reflectance_scale"
+OVERRULED = (*FACTS_BY_NAME, SCALE)
+"""Names that `overrule` takes: of what is compared, and of the scale of reflectance, which raw scans may state too."""

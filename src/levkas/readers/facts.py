@@ -87,6 +87,8 @@ class Facts:
     page_labels : tuple of str or None
         Labels of pages that are no names of bands, but may be: those of files, as ImageJ writes them.
     interleave : str or None
+    encoded : str or None
+        Tone curve that the file states of its codes, which are not proportional to light then.
     notes : tuple of str
         What of the file is not used, or taken otherwise than it states.
     """
@@ -125,6 +127,7 @@ class Facts:
     band_names: tuple[str, ...] | None = None
     page_labels: tuple[str, ...] | None = None
     interleave: str | None = None
+    encoded: str | None = None
     notes: tuple[str, ...] = ()
 
 

@@ -13,6 +13,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from levkas.readers.encoding import gamma_of_png
 from levkas.readers.facts import (
     Facts,
     check_expansion,
@@ -31,6 +32,7 @@ WITH_ALPHA = (4, 6)
 ALPHA = "an alpha channel (transparency) is not used"
 DEFLATE_RATIO = 1040
 LONGEST_CHUNK = 64 << 20
+READ_CHUNKS = (b"IHDR", b"sBIT", b"eXIf", b"gAMA", b"sRGB", b"iCCP")
 JPEG = b"\xff\xd8\xff"
 SCAN, END = b"\xff\xda", b"\xff\xd9"
 JPEG_RATIO = 4000
@@ -99,6 +101,7 @@ def read_png_facts(path: Path) -> Facts:
         bits=bits,
         saturation=float((2**bits - 1) << (full - bits)) if bits < full else None,
         notes=(ALPHA,) if colour in WITH_ALPHA else (),
+        encoded=gamma_of_png(chunks),
         **more,
     )
 
@@ -140,7 +143,7 @@ def _png_chunks(path: Path) -> tuple[bytes, dict[bytes, bytes], int]:
                 return head, wanted, size
             if (name == b"IHDR") != (not head) or handle.tell() + length > size:
                 break
-            if name in (b"IHDR", b"sBIT", b"eXIf") and length < LONGEST_CHUNK:
+            if name in READ_CHUNKS and length < LONGEST_CHUNK:
                 wanted[name] = handle.read(length)
                 head = wanted[b"IHDR"] if len(wanted[b"IHDR"]) == 13 else b""
                 handle.seek(4, 1)
@@ -219,7 +222,7 @@ def _jpeg_facts(path: Path, frame: tuple[int, int, int, int], exif: bytes, size:
     check_ratio(path, prod(shape), size, ratio=JPEG_RATIO)
     check_expansion(path, prod(shape), 1, size, most=JPEG_EXPANSION)
     more = read_exif(BytesIO(exif)) if exif else {}
-    return Facts(path=path, kind="jpeg", shape=shape, dtype="uint8", bits=8, **more)
+    return Facts(path=path, kind="jpeg", shape=shape, dtype="uint8", bits=8, encoded="JPEG", **more)
 
 
 # --- sizes in headers of compressed images ----------------------------------------------------

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from levkas.readers.black_levels import black_facts
+from levkas.readers.encoding import has_curve
 from levkas.readers.facts import (
     Facts,
     check_expansion,
@@ -49,7 +50,9 @@ CODECS = {
 SLACK = 4096
 """Bytes by which a strip may exceed twice its pixels: tables of JPEG, tails of writers."""
 COLOURS = {0: "zero is white", 1: "gray", 2: "colours", 32803: "mosaic", 34892: "linear"}
-YCBCR = 6
+YCBCR, MOSAIC = 6, 32803
+SRGB = 1
+"""Of the EXIF tag ColorSpace."""
 ALPHAS = (1, 2)
 """Of tag ExtraSamples: colours are multiplied by the sample, or not; 0 is any other sample, such as a further band."""
 MICASENSE_FULL = 65520.0
@@ -426,7 +429,18 @@ def _describe(page: Any, shape: tuple[int, ...]) -> dict[str, Any]:
         "focal_mm": positive_number(find("FocalLength")),
         "lens": exif_text(find("LensModel")),
         "white_balance": white_balance(find("WhiteBalance")),
+        "encoded": _encoding(page, find("ColorSpace")),
     }
+
+
+def _encoding(page: Any, space: Any) -> str | None:
+    """Return the tone curve that profile or EXIF state of the codes; of a mosaic they speak of its picture."""
+    if page.photometric == MOSAIC:
+        return None
+    profile = value_of(page.tags, "InterColorProfile")
+    if isinstance(profile, bytes) and profile:
+        return "an ICC profile with a tone curve" if has_curve(profile) else None
+    return "sRGB" if space == SRGB else None
 
 
 def _bayer(pattern: Any, dims: Any) -> str | None:

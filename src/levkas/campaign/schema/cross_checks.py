@@ -23,7 +23,7 @@ from levkas.campaign.schema.tables import (
 from levkas.core.ownership import is_address
 from levkas.core.problems import LONGEST_NAME, MOST_COMPARED, Problem, closest_match
 from levkas.core.text import unusable_name, what_stands_at
-from levkas.readers.compared_facts import FACTS_BY_NAME
+from levkas.readers.compared_facts import OVERRULED
 from levkas.readers.wavelengths import RANGE_NM, is_plausible
 
 MOST_LISTED = 20
@@ -426,13 +426,13 @@ def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
             f"< {camera.saturation:g}",
         )
     for name in camera.overrule:
-        if name not in FACTS_BY_NAME:
+        if name not in OVERRULED:
             yield value_problem(
                 f"{where}.overrule",
                 "this is no fact that files are compared by",
                 name,
-                f"one of {listed(FACTS_BY_NAME)}",
-                closest_match(name, FACTS_BY_NAME),
+                f"one of {listed(OVERRULED)}",
+                closest_match(name, OVERRULED),
             )
     dark, white = set(camera.dark or ()), set(camera.white_names or ())
     if dark & white:

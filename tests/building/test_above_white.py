@@ -1,0 +1,74 @@
+"""An object that is brighter than its white, by more than gold and gloss explain."""
+
+import numpy as np
+import pytest
+import tifffile
+
+from levkas.building.calibrate import develop
+from levkas.building.scans import open_scan
+from levkas.building.template_cache import TemplateCache
+from levkas.campaign.campaign import load_campaign
+from levkas.campaign.discovery.find_captures import find_captures
+
+SIZE, NM = (60, 80), (450, 550, 650)
+CAMPAIGN = """
+[campaign]
+reference = { camera = "cam" }
+[cameras.cam]
+kind = "KIND"
+files = "raw/{target}FILES"
+[targets]
+dark = "dark"
+white = "white"
+objects = ["panel"]
+"""
+PATTERNS = {"bands": "_{wavelength}nm.tif", "cube": ".hdr"}
+
+
+def make(folder, kind, bright, spots=0.0):
+    """Write a panel of 0.2 to 0.8 whose middle band is `bright` times as bright, with a share of 1.5 in spots."""
+    rng = np.random.default_rng(5)
+    panel = np.broadcast_to(np.linspace(0.2, 0.8, SIZE[1])[:, None], (*SIZE, 3)) * [1, bright, 1]
+    panel = np.where(rng.random((*SIZE, 1)) < spots, 1.5, panel)
+    (folder / "raw").mkdir(parents=True)
+    for target, light in (("dark", 0 * panel), ("white", 1 + 0 * panel), ("panel", panel)):
+        counts = np.rint(60 + 2000 * light + rng.normal(0, 2, panel.shape)).astype("<u2")
+        if kind == "bands":
+            for k, nm in enumerate(NM):
+                tifffile.imwrite(folder / f"raw/{target}_{nm}nm.tif", counts[..., k])
+            continue
+        (folder / f"raw/{target}.raw").write_bytes(counts.transpose(0, 2, 1).tobytes())
+        (folder / f"raw/{target}.hdr").write_text(
+            f"ENVI\nlines = {SIZE[0]}\nsamples = {SIZE[1]}\nbands = 3\ndata type = 12\ninterleave = bil\n"
+            "wavelength units = nm\nwavelength = {450, 550, 650}\n"
+        )
+    text = CAMPAIGN.replace("KIND", kind).replace("FILES", PATTERNS[kind])
+    (folder / "campaign.toml").write_text(text)
+    campaign = load_campaign(folder)
+    (capture,), refused = find_captures(campaign)
+    assert not refused
+    return capture, campaign, TemplateCache(folder, None, shared=False)
+
+
+def said(warnings):
+    return [warning for warning in warnings if "brighter than a perfect white" in warning]
+
+
+@pytest.mark.parametrize("kind", ["bands", "cube"])
+def test_the_share_above_the_white_is_said_with_its_bands(tmp_path, kind):
+    (warning,) = said(develop(*make(tmp_path / "c", kind, 1.5)).warnings)
+    beyond = np.mean(np.linspace(0.2, 0.8, SIZE[1]) * 1.5 > 1.02)  # 23 per cent
+    assert f"{100 * beyond:.2g} % of the object" in warning
+    assert "550 nm (1 of 3 bands)" in warning
+
+
+def test_lines_that_pass_by_say_the_same(tmp_path):
+    scan = open_scan(*make(tmp_path / "c", "cube", 1.5))
+    assert not said(scan.warnings)
+    assert scan.summary.pictures
+    assert "550 nm (1 of 3 bands)" in said(scan.warnings)[0]
+
+
+@pytest.mark.parametrize("kind", ["bands", "cube"])
+def test_an_ordinary_object_with_some_gold_is_not_spoken_of(tmp_path, kind):
+    assert not said(develop(*make(tmp_path / "c", kind, 1.2, spots=0.02)).warnings)
