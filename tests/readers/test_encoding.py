@@ -32,7 +32,10 @@ def png(path, *chunks):
     data = imagecodecs.png_encode(PLANE)
     head = 8 + 25
     more = b"".join(
-        struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
+        struct.pack(">I", len(content))
+        + name
+        + content
+        + struct.pack(">I", zlib.crc32(name + content))
         for name, content in chunks
     )
     path.write_bytes(data[:head] + more + data[head:])

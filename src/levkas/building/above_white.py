@@ -14,11 +14,14 @@ ABOVE = 1.02
 FEW = 0.03
 """Share of a band that may be brighter, of gold and gloss that is no glare."""
 NAMED = 3
+SURE = 2.0
+"""Standard deviations by which a value has to be above, so that noise of weak bands counts as nothing: at 1 a sixth of it
+does, at 3 a light that is 5 per cent too bright hides in noise of 1 per cent."""
 LEFT_OUT = Flag.OUTSIDE | Flag.DEFECT | Flag.GLARE
 
 
 def count_above(cube: Cube) -> np.ndarray:
-    """Count values above the perfect diffuser, and all, band by band, without glare and defects.
+    """Count values above the perfect diffuser by more than their noise, and all, band by band, without glare and defects.
 
     Returns
     -------
@@ -35,7 +38,8 @@ def count_above(cube: Cube) -> np.ndarray:
     counts = np.zeros((2, len(cube.bands)), np.int64)
     if cube.quantity == "reflectance":
         seen = ~is_flagged(cube.flags, LEFT_OUT)
-        counts[0] = np.count_nonzero(seen & (cube.values > ABOVE), axis=(0, 1))
+        least = ABOVE if cube.sigma is None else ABOVE + SURE * cube.sigma
+        counts[0] = np.count_nonzero(seen & (cube.values > least), axis=(0, 1))
         counts[1] = np.count_nonzero(seen, axis=(0, 1))
     return counts
 

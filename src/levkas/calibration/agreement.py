@@ -21,8 +21,8 @@ from levkas.readers.black_levels import BlackLevels
 from levkas.readers.compared_facts import (
     FACTS,
     FACTS_BY_NAME,
-    SCALE,
     NEAREST_NM,
+    SCALE,
     ComparedFact,
     Severity,
     compare_black,
@@ -178,15 +178,21 @@ def compare_facts(camera: Camera, sensor: SensorFrames, alignments: Sequence[Ali
     if fatal := [one for one in refused if one.fact.name not in accepted]:
         raise CalibrationRefused(*(one.problem(camera.name) for one in fatal))
     notes += [f"{one.describe()}; `overrule` accepts it, no value is corrected" for one in refused]
-    for one in every:
-        if one.frame.order:
-            name = one.frame.path.name
-            notes.append(
-                f"the bands of {name} stand in another order, matched by wavelength or name"
-            )
+    moved = dict.fromkeys(one.frame.path.name for one in every if _is_moved(sensor, one.frame))
+    notes += [
+        f"the bands of {name} stand in another order, matched by wavelength or name"
+        for name in moved
+    ]
     if idle := [name for name in camera.overrule if name not in accepted]:
         notes.append(f"`overrule` of {', '.join(idle)} has no effect: these files agree")
     return [f"{camera.name}: {note}" for note in notes]
+
+
+def _is_moved(sensor: SensorFrames, frame: FrameRef) -> bool:
+    """Whether the bands of a frame's file stand in another order than the object's; a page is that of its band."""
+    if frame.page is None or frame.band is None:
+        return bool(frame.order)
+    return frame.page != [band.label for band in sensor.bands].index(frame.band)
 
 
 def _is_fatal(camera: Camera, one: Contradiction) -> bool:

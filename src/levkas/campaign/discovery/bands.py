@@ -175,7 +175,7 @@ def page_of(frame: FrameRef, number: int, band: Band) -> FrameRef:
 
 
 def order_of(own: Facts, other: Facts) -> tuple[int, ...] | None:
-    """Return where a file has each of another's bands, by their wavelengths, else by their names.
+    """Return where a file has each of another's bands, by their wavelengths, else by their names or the labels of pages.
 
     None where they stand in the same order, or are not the same bands.
 
@@ -186,7 +186,8 @@ def order_of(own: Facts, other: Facts) -> tuple[int, ...] | None:
     """
     if own.wavelengths and other.wavelengths:
         return _matched(own.wavelengths, other.wavelengths)
-    return _matched_names(own.band_names or (), other.band_names or ())
+    named = _matched_names(own.band_names or (), other.band_names or ())
+    return named or _matched_names(own.page_labels or (), other.page_labels or ())
 
 
 def _matched(own: Sequence[float], other: Sequence[float]) -> tuple[int, ...] | None:
