@@ -63,9 +63,9 @@ class Camera:
         fixed = np.random.default_rng(99).standard_normal((2, *shape))
         self.response, self.black = 1 + PRNU * fixed[0], black + OFFSETS * fixed[1]
 
-    def frame(self, reflectance, seconds, light=LIGHT):
-        """Return codes of one shot."""
-        electrons = light * reflectance * self.response
+    def frame(self, reflectance, seconds, light=LIGHT, lamp=1.0):
+        """Return codes of one shot; `lamp` is its light over the mean."""
+        electrons = light * lamp * reflectance * self.response
         dark = self.rng.poisson(CURRENT * seconds, self.shape)
         counts = self.gain * (self.rng.poisson(electrons) + dark)
         raw = np.rint(counts + self.rng.normal(self.black, self.read, self.shape))
@@ -89,27 +89,38 @@ def targets(truth, shots, whites, darks):
     yield "panel", truth, shots
 
 
-def write_campaign(folder, kind, camera, truth, *, shots=1, whites=4, darks=8, times=TIMES):
-    """Write a campaign of one camera and one panel."""
+def steady(name, shot, band=0):
+    """Return the light of a shot of a target in a band, over the mean."""
+    return 1.0
+
+
+def write_campaign(
+    folder, kind, camera, truth, *, shots=1, whites=4, darks=8, times=TIMES, lamp=steady
+):
+    """Write a campaign of one camera and one panel under a lamp."""
     raw = folder / "raw"
     raw.mkdir(parents=True)
     for name, reflectance, count in targets(truth, shots, whites, darks):
         if kind == "cube":
-            lines = camera.shape[0]
-            cube = [camera.frame(reflectance, times[0]) for _ in WAVELENGTHS]
-            write_envi(raw / name, np.stack(cube, -1)[: lines if name == "panel" else 100])
+            lines = np.arange(camera.shape[0])
+            level = [np.array([lamp(name, y, b) for y in lines])[:, None] for b in range(4)]
+            cube = [camera.frame(reflectance, times[0], lamp=one) for one in level]
+            write_envi(raw / name, np.stack(cube, -1)[: None if name == "panel" else 100])
             continue
         for i in range(count):
             if kind == "bands":
-                for wavelength, time in zip(WAVELENGTHS, times, strict=True):
+                for b, (wavelength, time) in enumerate(zip(WAVELENGTHS, times, strict=True)):
                     path = raw / f"{name}_{wavelength}nm_{1000 * time:g}ms_{i}.tif"
-                    tifffile.imwrite(path, camera.frame(reflectance, time))
+                    level = lamp(name, i, b)
+                    tifffile.imwrite(path, camera.frame(reflectance, time, lamp=level))
             elif kind == "image":
                 if name == "panel":
-                    tifffile.imwrite(raw / f"{name}_{i}.tif", camera.frame(reflectance, times[0]))
+                    level = lamp(name, i)
+                    frame = camera.frame(reflectance, times[0], lamp=level)
+                    tifffile.imwrite(raw / f"{name}_{i}.tif", frame)
             else:
                 path = raw / f"{name}_{1000 * times[1]:g}ms_{i}.tif"
-                tifffile.imwrite(path, camera.frame(reflectance, times[1]))
+                tifffile.imwrite(path, camera.frame(reflectance, times[1], lamp=lamp(name, i)))
     bits = 8 if camera.top == 255 else 16 if camera.step > 1 else 12
     full = f"bits = {bits}\nsaturation = {camera.top * camera.step}\n"
     (folder / "campaign.toml").write_text(HEAD + full + KEYS[kind])

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
+from levkas.calibration.drift import CellMeans, measure_drift
 from levkas.calibration.motion import find_moved
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
 from levkas.calibration.templates import average
-from levkas.quality.emva1288.blocks import CellMeans, measure_drift
 
 
 def series(scales, seed=1):

@@ -43,7 +43,9 @@ class Exposed:
     note: str = ""
 
 
-def average_shots(context: SensorContext, frames: Sequence[FrameRef]) -> list[Template]:
+def average_shots(
+    context: SensorContext, frames: Sequence[FrameRef], darks: Sequence[Template]
+) -> list[Template]:
     """Average the object's shots, exposure by exposure."""
     times = sorted({exposure_of(f) for f in frames}, key=lambda t: (t is not None, t or 0.0))
     if len(times) > 1 and context.camera.exposures == "one":
@@ -58,7 +60,7 @@ def average_shots(context: SensorContext, frames: Sequence[FrameRef]) -> list[Te
                 'Write exposures = "best" (the longest unsaturated) or "merge".',
             )
         )
-    return [context.average([f for f in frames if exposure_of(f) == t]) for t in times]
+    return [context.average([f for f in frames if exposure_of(f) == t], darks) for t in times]
 
 
 def expose(
@@ -135,7 +137,7 @@ def white_of(
         return context.light.white((height, width), labels)
     if not frames:
         return None
-    whites = context.templates(frames)
+    whites = context.templates(frames, darks)
     if len(whites) == 1:
         return whites[0]
     return _merge(context, whites, darks, noise).template if merged else best_exposure(whites)

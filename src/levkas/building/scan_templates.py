@@ -7,6 +7,7 @@ Behind a mirror every line sees other light: dark and white are as large as the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -14,9 +15,9 @@ import numpy as np
 from levkas.building.capture_statistics import note_light, note_noise
 from levkas.building.exposures import noise_of, require_same_size
 from levkas.calibration.darks import level_under
+from levkas.calibration.drift import average_steady
 from levkas.calibration.exposures import best_exposure
 from levkas.calibration.noise_fit import fit_noise
-from levkas.calibration.pushbroom import average_lines
 from levkas.calibration.sensor_context import (
     Times,
     by_exposure,
@@ -198,19 +199,30 @@ def templates_of_scan(context: SensorContext, shape: tuple[int, int, int]) -> Sc
 
 
 def _of_pushbroom(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
-
-    def make(frames: Sequence[FrameRef]) -> Template:
-        files = [ScanFile.open(frame) for frame in frames]
-        blocks = (context.checked(block, file.frame) for file in files for block in file.blocks())
-        return context.whole(average_lines(blocks, saturation=context.saturation), frames)
-
     sensor = context.sensor
-    darks, whites = (templates_by_exposure(f, make) for f in (sensor.dark, sensor.white))
+    darks = templates_by_exposure(sensor.dark, partial(average_lines, context))
+    whites = templates_by_exposure(sensor.white, partial(average_lines, context, darks=darks))
     require_same_size(context, shape, darks, whites)
     white = whites[best_white(whites)] if whites else None
     note_light(context.told, white, darks, None, [band.label for band in sensor.bands])
     noise = noise_of(context, [], [white] if white else [], darks)
     return ScanTemplates(tuple(darks), white, noise)
+
+
+def average_lines(
+    context: SensorContext, frames: Sequence[FrameRef], darks: Sequence[Template] = ()
+) -> Template:
+    """Average the dark or white of a push-broom camera along the scan, (1, samples, bands): each line is a shot."""
+    files = [ScanFile.open(frame) for frame in frames]
+
+    def lines() -> Iterator[np.ndarray]:
+        for file in files:
+            for block in file.blocks():
+                yield from context.checked(block, file.frame)[:, None]
+
+    level = context.level_under(frames, darks)
+    made = average_steady(lines, level, saturation=context.saturation)
+    return context.whole(made, frames)
 
 
 def _of_mirror(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:

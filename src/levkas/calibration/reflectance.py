@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps, gaps_of
+from levkas.calibration.drift import average_steady
+from levkas.calibration.patterns import as_pattern
+from levkas.calibration.templates import CalibrationRefused, Template, close_gaps, gaps_of
 from levkas.core.cube import Band, Cube, Flag, band_labels
 from levkas.core.problems import Problem
 
@@ -96,15 +98,17 @@ def calibrate(
     if saturation is not None:
         saturation = float(_numbers(saturation, "saturation", "counts, a number")[0])
     board = WhiteBoard(_numbers(reflectance, "reflectance", "numbers above 0"), pattern)
-    shot, codes = _template(raw, "raw", saturation, times[0])
     under, black = None, None
     if isinstance(dark, (int, float, np.number)):
         black = float(_numbers(dark, "dark", "a finite black level, counts")[0])
     elif dark is not None:
-        under = _as_high(_template(dark, "dark", saturation, times[1])[0], shot)
+        under = _template(dark, "dark", saturation, times[1], None, pattern)[0]
+    level = (black or 0.0) if under is None else under.mean
+    shot, codes = _template(raw, "raw", saturation, times[0], level, pattern)
+    under = None if under is None else _as_high(under, shot)
     lit = None
     if white is not None:
-        lit, seen = _template(white, "white", saturation, times[2])
+        lit, seen = _template(white, "white", saturation, times[2], level, pattern)
         lit, codes = _as_high(lit, shot), [*codes, *seen]
     bands = _bands(shot, pattern, wavelengths)
     _check_shapes(shot, {"dark": under, "white": lit})
@@ -125,9 +129,17 @@ def calibrate(
 
 
 def _template(
-    frames: Frames, name: str, saturation: float | None, exposure_s: float | None
+    frames: Frames,
+    name: str,
+    saturation: float | None,
+    exposure_s: float | None,
+    level: np.ndarray | float | None,
+    pattern: Pattern | None,
 ) -> tuple[Template, list[np.ndarray]]:
-    """Average the shots of `name`; return them too. Raises CalibrationRefused with the argument's name."""
+    """Average the shots of `name` over `level`, counts, None of darks; return them too.
+
+    Raises CalibrationRefused with the argument's name.
+    """
     given = frames if isinstance(frames, (list, tuple)) else [frames]
     shots = [np.asarray(one) for one in given if hasattr(one, "__array__")]
     masked = any(isinstance(one, np.ma.MaskedArray) for one in given)
@@ -139,8 +151,16 @@ def _template(
         )
     if saturation is None and shots and shots[0].dtype.kind in "ui":
         saturation = float(np.iinfo(shots[0].dtype).max)
+    rows = as_pattern(pattern) if isinstance(pattern, Sequence) else ((None,),)
     try:
-        made = close_gaps(average(shots, saturation=saturation, exposure_s=exposure_s))
+        made = average_steady(
+            lambda: shots,
+            level,
+            period=(len(rows), len(rows[0])),
+            saturation=saturation,
+            exposure_s=exposure_s,
+        )
+        made = close_gaps(made)
     except CalibrationRefused as refused:
         problems = (
             replace(p, message=f"{name}: {p.message}", field=name) for p in refused.problems
@@ -276,7 +296,6 @@ def _with_moved(
 ) -> np.ndarray:
     """Return the flags with MOVED where the shots of the object disagree by more than their noise."""
     from levkas.calibration.motion import find_moved
-    from levkas.calibration.patterns import as_pattern
 
     if shot.count < 2 or noise is None or noise.source != "temporal":
         return flat.flags

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -12,14 +14,9 @@ import numpy as np
 
 from levkas.calibration.agreement import Aligned, check_alike, facts_of
 from levkas.calibration.code_spacing import find_alignment, find_step
-from levkas.calibration.darks import SAME_TIME
-from levkas.calibration.templates import (
-    CalibrationRefused,
-    Template,
-    as_absent,
-    average,
-    close_gaps,
-)
+from levkas.calibration.darks import SAME_TIME, level_under
+from levkas.calibration.drift import average_steady
+from levkas.calibration.templates import CalibrationRefused, Template, close_gaps
 from levkas.core.problems import Problem
 from levkas.readers.compared_facts import SCALE
 from levkas.readers.frames import Facts, read_facts, read_frame, read_plane
@@ -137,31 +134,50 @@ class SensorContext:
                     found.append(Aligned(role, frame.path, one))
         return found
 
-    def average(self, frames: Sequence[FrameRef], *, kept: bool = False) -> Template:
-        """Average shots of one exposure; templates are kept for the other objects."""
+    def average(
+        self, frames: Sequence[FrameRef], darks: Sequence[Template] = (), *, kept: bool = False
+    ) -> Template:
+        """Average shots of one exposure above their `darks`; templates are kept for the other objects."""
+        level = self.level_under(frames, darks) if len(frames) > 1 else 0.0
         if not kept or self.cache is None:
-            return self.whole(self._averaged(frames), frames)
+            return self.whole(self._averaged(frames, level), frames)
         made = self.cache.template(
             frames,
-            partial(self._averaged, frames),
+            partial(self._averaged, frames, level),
             saturation=self.saturation,
             exposure=exposure_of(frames[0]),
             bits=self.camera.bits,
             overrule=self.camera.overrule,
+            level=None if level is None else hashlib.sha256(np.float32(level)).hexdigest(),
         )
         return self.whole(made, frames)
 
-    def _averaged(self, frames: Sequence[FrameRef]) -> Template:
-        exposure = exposure_of(frames[0])
+    def _averaged(self, frames: Sequence[FrameRef], level: np.ndarray | float | None) -> Template:
+        pattern = self.sensor.pattern
         try:
-            return average(
-                self.read(frames),
+            return average_steady(
+                lambda: self.read(frames),
+                level,
+                period=(len(pattern), len(pattern[0])) if pattern else (1, 1),
                 saturation=self.saturation,
-                black_clip=self.black_clip,
-                exposure_s=exposure,
+                exposure_s=exposure_of(frames[0]),
+                times_s=capture_times(frames),
             )
         except CalibrationRefused as refused:
             raise type(refused)(*(placed(p, frames) for p in refused.problems)) from None
+
+    def level_under(
+        self, frames: Sequence[FrameRef], darks: Sequence[Template]
+    ) -> np.ndarray | float | None:
+        """Return counts without light of frames of one exposure; None where they are darks themselves."""
+        if frames[0] in self.sensor.dark:
+            return None
+        if not darks:
+            return self.black or 0.0
+        try:
+            return level_under(timed(darks[0], times_of(frames[0])), darks, black=self.black)
+        except CalibrationRefused:  # as whoever subtracts it will find
+            return darks[0].mean
 
     def read(self, frames: Iterable[FrameRef]) -> Iterator[np.ndarray]:
         """Read frame by frame, codes checked against the bits that are declared, and against the other frames."""
@@ -192,16 +208,33 @@ class SensorContext:
             raise CalibrationRefused(*(placed(p, frames) for p in refused.problems)) from None
         return as_absent(closed) if read_facts(frames[0].path).nodata is not None else closed
 
-    def templates(self, frames: Sequence[FrameRef]) -> list[Template]:
-        """Average frames exposure by exposure, shortest first."""
+    def templates(
+        self, frames: Sequence[FrameRef], darks: Sequence[Template] = ()
+    ) -> list[Template]:
+        """Average frames exposure by exposure, shortest first, above their `darks`."""
         times = sorted({exposure_of(f) for f in frames}, key=lambda t: (t is not None, t or 0.0))
-        return [self.average([f for f in frames if exposure_of(f) == t], kept=True) for t in times]
+        return [
+            self.average([f for f in frames if exposure_of(f) == t], darks, kept=True)
+            for t in times
+        ]
 
 
 def exposure_of(frame: FrameRef) -> float | None:
     """Exposure from the file's name or the manifest, else from its EXIF or header, s; None of a list by bands."""
     times = times_of(frame)
     return None if isinstance(times, tuple) else times
+
+
+def capture_times(frames: Sequence[FrameRef]) -> tuple[float, ...] | None:
+    """Return when frames were captured, s since 1970, by their files; None where one does not state it."""
+    moments = []
+    for frame in frames:
+        try:
+            moment = datetime.fromisoformat(read_facts(frame.path).captured or "")
+        except ValueError:
+            return None
+        moments.append(moment if moment.tzinfo else moment.replace(tzinfo=UTC))
+    return tuple(moment.timestamp() for moment in moments)
 
 
 def read_cube(frame: FrameRef) -> np.ndarray:

@@ -25,6 +25,25 @@ class CalibrationRefused(Refused):
     """Frames from which no trustworthy values can be had."""
 
 
+@dataclass(frozen=True, eq=False)
+class ShotLevels:
+    """How bright each shot of a stack is, channel by channel: a channel is a phase of the mosaic, and a band of it.
+
+    Parameters
+    ----------
+    levels : ndarray, (shots, channels)
+        Light of each shot over the mean of all; of darks the counts by which each lies above the mean.
+    error : ndarray, (channels,)
+        Standard deviation that noise alone gives to a level; infinite where the stack has no light.
+    times_s : tuple of float, optional
+        When each shot was captured, s from any origin; None where its file does not state it.
+    """
+
+    levels: np.ndarray
+    error: np.ndarray
+    times_s: tuple[float, ...] | None = None
+
+
 @dataclass(frozen=True)
 class Template:
     """The average of some shots, with what each of them did.
@@ -49,6 +68,8 @@ class Template:
         zero for it.
     band_times_s : tuple of float, optional
         Exposure of every band, where a scan has one of its own each; `exposure_s` is None then.
+    shots : ShotLevels, optional
+        How bright each shot is; None where nobody measured it.
 
     Examples
     --------
@@ -66,7 +87,7 @@ class Template:
     lost: np.ndarray | None = None
     above_dark: bool = False
     band_times_s: tuple[float, ...] | None = None
-    absent: np.ndarray | None = None
+    shots: ShotLevels | None = None
 
     def __post_init__(self) -> None:
         arrays = [self.mean, self.saturated, self.black]
@@ -87,8 +108,10 @@ def bands_alike(*templates: Template | None) -> list[np.ndarray] | None:
 
 def pick_bands(template: Template, bands: np.ndarray) -> Template:
     """Return some bands of a template, all of one exposure, as a template of that exposure."""
-    times, variance = template.band_times_s, template.variance
-    lost, absent = template.lost, template.absent
+    times, variance, lost = template.band_times_s, template.variance, template.lost
+    shots = template.shots
+    if shots is not None:
+        shots = replace(shots, levels=shots.levels[:, bands], error=shots.error[bands])
     return replace(
         template,
         mean=template.mean[..., bands],
@@ -99,6 +122,7 @@ def pick_bands(template: Template, bands: np.ndarray) -> Template:
         absent=None if absent is None else absent[..., bands],
         exposure_s=times[bands[0]] if times else template.exposure_s,
         band_times_s=None,
+        shots=shots,
     )
 
 

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.calibration.code_spacing import Levels
+from levkas.calibration.drift import Drift
 from levkas.calibration.linearity import Linearity
 from levkas.calibration.patterns import channel_table, split
 from levkas.calibration.sensor_context import SensorContext, exposure_of
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.quality.emva1288.blocks import Blocks, Drift, block_statistics
+from levkas.quality.emva1288.blocks import Blocks, block_statistics
 from levkas.quality.emva1288.darks import Dark, DarkLevel, fit_clipped_dark, is_clipped, model_darks
 
 if TYPE_CHECKING:

@@ -15,17 +15,15 @@ import numpy as np
 
 from levkas.calibration.agreement import compare_facts
 from levkas.calibration.code_spacing import MOST_CODES, count_codes, find_levels
+from levkas.calibration.drift import CellMeans, Drift, measure_drift
 from levkas.calibration.linearity import RECIPROCAL, Linearity, check_linearity
 from levkas.calibration.sensor_context import SensorContext, exposure_of, read_cube
 from levkas.calibration.templates import Template, average
 from levkas.quality.emva1288.blocks import (
     SIDE,
     Blocks,
-    CellMeans,
-    Drift,
     block_statistics,
     cut_blocks,
-    measure_drift,
     pair_blocks,
 )
 from levkas.quality.emva1288.darks import Dark, model_darks
