@@ -12,7 +12,7 @@ import numpy as np
 
 from levkas.building.above_white import count_above, describe_above
 from levkas.building.build_records import Written
-from levkas.building.capture_statistics import focus_of, note_light, note_sensels
+from levkas.building.capture_statistics import describe_lamp, focus_of, note_light, note_sensels
 from levkas.building.chart_white import lights_by_chart
 from levkas.building.exposures import (
     average_shots,
@@ -193,6 +193,7 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
             learnt[sensor.name] = context.told
     except (UnreadableCapture, CodesRefused) as refused:
         raise type(refused)(*_all_problems(capture, campaign, templates, refused)) from None
+    notes += describe_lamp(learnt)
     aligns = {sensor.name: sensor.align for sensor in capture.sensors}
     where = f"{capture.object}/{capture.layer}"
     told = tuple(dict.fromkeys(f"{where}: {note}" for note in notes if note))

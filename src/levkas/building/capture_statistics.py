@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.building.native_cubes import Native
+    from levkas.calibration.drift import LampChange
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.calibration.templates import Template
     from levkas.core.cube import Band, Cube
@@ -184,6 +185,88 @@ def levels_of(record: Mapping[str, Any]) -> np.ndarray:
     """Return the levels of a recorded light field, (rows, columns), 0 … 1."""
     stored = np.frombuffer(base64.b64decode(record["levels"]), "<u2")
     return stored.reshape(record["shape"]) / LEVELS
+
+
+LAMP = "lamp"
+"""Among what is learnt of a sensor: how its lamp and its black level changed, band by band."""
+LAMP_DOUBT, BLACK_DOUBT = 0.005, 0.0005
+"""Standard deviation, relative and in reflectance, from which a build warns: half a per cent of the light, and a quarter
+of the darkest paint, 0.002."""
+
+
+def note_lamp(
+    told: dict[str, Any],
+    labels: Sequence[str],
+    lamp: LampChange,
+    dark: LampChange | None = None,
+    per_count: Sequence[float] = (),
+) -> None:
+    """Note how lamp and black level changed between darks, white and object in `told`, band by band.
+
+    `dark` is the wander of the black level, counts; `per_count` is the reflectance of a count in each band.
+    """
+    notes = told.setdefault(LAMP, {})
+    for i, label in enumerate(labels):
+        numbers = {
+            "white": lamp.white[i],
+            "object": lamp.shot[i],
+            "flicker": lamp.flicker[i],
+            "factor": lamp.factor[i],
+            "sigma": lamp.sigma[i],
+            "black": np.nan if dark is None else dark.white[i],
+            "black_sigma": 0.0 if dark is None else dark.sigma[i] * per_count[i],
+        }
+        notes[label] = {name: as_number(float(value)) for name, value in numbers.items()}
+        notes[label]["interpolated"] = lamp.timed
+
+
+def describe_lamp(learnt: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Say how well the light is known between white and object, of what was learnt of each sensor."""
+    bands = {label: one for told in learnt.values() for label, one in told.get(LAMP, {}).items()}
+    notes = []
+    worst = max(bands, key=lambda label: bands[label]["sigma"], default="")
+    factors = {label: one["factor"] for label, one in bands.items() if one["interpolated"]}
+    if factors and any(factor != 1 for factor in factors.values()):
+        low, high = (100 * (pick(factors.values()) - 1) for pick in (min, max))
+        notes.append(
+            "the lamp changed between the whites before and after the object and is interpolated to its time of capture: "
+            f"{low:+.2g} to {high:+.2g} % against the mean of the whites"
+        )
+    if bands and bands[worst]["sigma"] >= LAMP_DOUBT:
+        one = bands[worst]
+        changes = [
+            f"{100 * one[name]:+.2g} % within the {name}"
+            for name in ("white", "object")
+            if one[name]
+        ]
+        if not changes:
+            changes = [f"{100 * (one['flicker'] or 0):.2g} % rms from shot to shot"]
+        notes.append(
+            f"the lamp is known between white and object to {100 * one['sigma']:.2g} % (one standard deviation, common to all "
+            f"pixels; {worst}), because it changed by {' and '.join(changes)}; sigma of pixels does not include this. Let "
+            "lamps warm up, and capture whites before and after the object with the time in their files"
+        )
+    dark = max(bands, key=lambda label: bands[label]["black_sigma"], default="")
+    if bands and bands[dark]["black_sigma"] >= BLACK_DOUBT:
+        notes.append(
+            f"the black level wanders from dark to dark: values are known to {bands[dark]['black_sigma']:.2g} by it (one "
+            f"standard deviation, common to all pixels; {dark}), which sigma of pixels does not include"
+        )
+    return notes
+
+
+def common_uncertainty(learnt: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return what sigma of pixels does not contain, by source and by what shares it, as records of a budget."""
+    bands = {label: one for told in learnt.values() for label, one in told.get(LAMP, {}).items()}
+    sources = (
+        ("lamp between white and object", "sigma", "relative"),
+        ("black level between dark and object", "black_sigma", "of the values"),
+    )
+    return [
+        {"source": source, "common_to": "all pixels of a band", "unit": unit, "bands": found}
+        for source, name, unit in sources
+        if any(found := {label: one[name] for label, one in bands.items() if one[name]})
+    ]
 
 
 # --- a layer on the grid ------------------------------------------------------------------------

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.capture_statistics import note_noise
+from levkas.building.capture_statistics import note_lamp, note_noise
 from levkas.calibration.darks import SAME_TIME
 from levkas.calibration.defects import find_defects
+from levkas.calibration.drift import black_between, lamp_between
 from levkas.calibration.exposures import best_exposure, merge_exposures
 from levkas.calibration.flatfield import Calibrated, flat_field, pair_darks
 from levkas.calibration.linearity import check_linearity, require_reciprocity
@@ -258,6 +259,8 @@ def flatten(
     moved: np.ndarray | None = None,
 ) -> Calibrated:
     """Flat-field with the files named in every refusal; `moved` is what the exposures showed already."""
+    if white is not None and context.camera.kind != "cube":
+        board = _with_lamp(context, shot, dark, white, board)
     try:
         flat = flat_field(
             shot, dark or None, white,
@@ -270,11 +273,11 @@ def flatten(
         taken = dict.fromkeys(board.labels or (), shot.exposure_s)
         context.told.setdefault("exposures_s", {}).update(taken)
     if context.camera.kind != "cube" and not shot.above_dark:
-        found = _rounding(context, shot, dark, white, board)
-        if board.unit is not None:
-            pairs = zip(found.items(), board.unit, strict=True)
-            found = {label: step / float(unit) for (label, step), unit in pairs}
-        context.told.setdefault("rounding", {}).update(found)
+        steps = {
+            label: float(f"{context.step * one:.4g}")
+            for label, one in _per_count(context, shot, dark, white, board).items()
+        }
+        context.told.setdefault("rounding", {}).update(steps)
     if moved is None:
         moved = _moved(context, shot, dark, noise)
     flat = _with_movement(context, flat, moved)
@@ -305,36 +308,57 @@ def _with_gaps(
     return replace(flat, values=values, variance=variance, flags=flags, notes=notes)
 
 
-def _without(flat: Calibrated, absent: np.ndarray) -> Calibrated:
-    """Return calibrated values with nothing, flagged as outside, where the object is absent."""
-    nothing = np.float32(np.nan)
-    values, variance = np.where(absent, nothing, flat.values), flat.variance
-    variance = None if variance is None else np.where(absent, nothing, variance)
-    flags = np.where(absent, np.uint8(Flag.OUTSIDE), flat.flags)
-    return replace(flat, values=values, variance=variance, flags=flags)
+def _with_lamp(
+    context: SensorContext,
+    shot: Template,
+    dark: list[Template],
+    white: Template,
+    board: WhiteBoard,
+) -> WhiteBoard:
+    """Note how the lamp changed, and return the board as bright as it was at the time of the object."""
+    if white.shots is None or shot.shots is None:
+        return board
+    labels = list(board.labels or ())
+    lamp = lamp_between(white.shots, shot.shots)
+    channels = len(lamp.factor)
+    # Of a tunable filter before a mosaic, all phases see one band.
+    which = np.arange(channels) if channels == len(labels) else np.zeros(channels, int)
+    if board.pattern is not None:
+        which = channel_table(board.pattern, labels).ravel()
+    lamp = lamp.in_groups(which, len(labels))
+    wander = [
+        black_between(one.shots).in_groups(which, len(labels))
+        for one in dark
+        if one.shots is not None and one.count > 1
+    ]
+    worst = max(wander, key=lambda one: float(one.sigma.max()), default=None)
+    per_count = _per_count(context, shot, dark, white, board).values()
+    note_lamp(context.told, labels, lamp, worst, [*per_count])
+    known = np.broadcast_to(np.asarray(board.reflectance, float), len(labels))
+    return board if np.all(lamp.factor == 1) else replace(board, reflectance=known / lamp.factor)
 
 
-def _rounding(
+def _per_count(
     context: SensorContext,
     shot: Template,
     dark: list[Template],
     white: Template | None,
     board: WhiteBoard,
 ) -> dict[str, float]:
-    """Return what a step from code to code is of the values of each band, where the light is middling."""
+    """Return what a count is of the values of each band, where the light is middling."""
     labels, pattern = list(board.labels or ()), board.pattern
     if white is None:
-        return dict.fromkeys(labels, context.step)
-    pair = pair_darks(shot, dark or None, white, context.black_level)
+        return dict.fromkeys(labels, 1.0)
+    pair = pair_darks(shot, dark or None, white, context.black)
     lit, ratio = white.mean - pair[1].mean, pair[2]
     table = np.zeros((1, 1), int) if pattern is None else channel_table(pattern, labels)
-    reflectance = reflectance_table(board.reflectance, shot, pattern)
+    reflectance = reflectance_table(board, shot)
     scale = np.broadcast_to(reflectance, table.shape) * ratio
     found = {}
     for i, label in enumerate(labels):
         y, x = (int(n) for n in np.argwhere(table == i)[0])
         level = level_of(lit[y :: table.shape[0], x :: table.shape[1]])
-        found[label] = float(f"{context.step * scale[y, x] / max(level, 1e-9):.4g}")
+        found[label] = float(scale[y, x] / max(level, 1e-9))
     return found
 
 

@@ -12,22 +12,23 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from levkas.building.capture_statistics import note_light, note_noise
+from levkas.building.capture_statistics import note_lamp, note_light, note_noise
 from levkas.building.exposures import noise_of, require_same_size
 from levkas.calibration.darks import level_under
-from levkas.calibration.drift import average_steady
+from levkas.calibration.drift import average_steady, lamp_between
 from levkas.calibration.exposures import best_exposure
 from levkas.calibration.noise_fit import fit_noise
 from levkas.calibration.sensor_context import (
     Times,
     by_exposure,
+    capture_times,
     placed,
     read_cube,
     templates_by_exposure,
     timed,
     times_of,
 )
-from levkas.calibration.templates import CalibrationRefused, Template, average
+from levkas.calibration.templates import CalibrationRefused, ShotLevels, Template, average
 from levkas.calibration.whites import check_white, thinning
 from levkas.core.machine import tile_rows
 from levkas.core.problems import Problem
@@ -160,13 +161,18 @@ class FrameLines:
         shots = (self.context.checked(file.read(start, stop), file.frame) for file in self.files)
         return timed(gaps_marked(average(shots, saturation=self.context.saturation)), self.times)
 
-    def thinned(self, step: int) -> Template:
-        """Average every `step`-th sample of every `step`-th line, gaps closed."""
-        shots = (
-            np.concatenate([lines[:, ::step] for lines in self._thin(file, step)])
-            for file in self.files
+    def thinned(self, step: int, darks: Sequence[Template] = ()) -> Template:
+        """Average every `step`-th sample of every `step`-th line, gaps closed; `darks` are thinned like it."""
+        level = self.context.level_under(self.frames, darks)
+        made = average_steady(
+            lambda: (
+                np.concatenate([lines[:, ::step] for lines in self._thin(file, step)])
+                for file in self.files
+            ),
+            level,
+            saturation=self.context.saturation,
+            times_s=capture_times(self.frames),
         )
-        made = average(shots, saturation=self.context.saturation)
         return timed(self.context.whole(made, self.frames), self.times)
 
     def _thin(self, file: ScanFile, step: int) -> Iterator[np.ndarray]:
@@ -204,9 +210,21 @@ def _of_pushbroom(context: SensorContext, shape: tuple[int, int, int]) -> ScanTe
     whites = templates_by_exposure(sensor.white, partial(average_lines, context, darks=darks))
     require_same_size(context, shape, darks, whites)
     white = whites[best_white(whites)] if whites else None
+    if white is not None:
+        _note_lamp_of(context, white)
     note_light(context.told, white, darks, None, [band.label for band in sensor.bands])
     noise = noise_of(context, [], [white] if white else [], darks)
     return ScanTemplates(tuple(darks), white, noise)
+
+
+def _note_lamp_of(context: SensorContext, white: Template) -> None:
+    """Note how the lamp changed within the white, (lines, samples, bands); a scan tells nothing of its own."""
+    if white.shots is None:
+        return
+    labels = [band.label for band in context.sensor.bands]
+    times = capture_times(context.sensor.object)
+    single = ShotLevels(np.ones((1, len(labels))), np.zeros(len(labels)), times)
+    note_lamp(context.told, labels, lamp_between(white.shots, single))
 
 
 def average_lines(
@@ -234,9 +252,11 @@ def _of_mirror(context: SensorContext, shape: tuple[int, int, int]) -> ScanTempl
     white = None
     if whites:
         step = thinning(shape[:2])
-        looked = [one.thinned(step) for one in whites]
+        under = [dark.thinned(step) for dark in darks]
+        looked = [one.thinned(step, under) for one in whites]
         chosen = best_white(looked)
-        white, seen, under = whites[chosen], looked[chosen], [dark.thinned(step) for dark in darks]
+        white, seen = whites[chosen], looked[chosen]
+        _note_lamp_of(context, seen)
         try:
             check_white(seen, level_under(seen, under, black=context.black), None, labels)
         except CalibrationRefused as refused:

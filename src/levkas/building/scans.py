@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from levkas.building.above_white import count_above, describe_above
-from levkas.building.capture_statistics import Middle
+from levkas.building.capture_statistics import Middle, describe_lamp
 from levkas.building.exposures import cube_of, mark_glare_in
 from levkas.building.scan_lines import FlatLines, Strip, describe_loss
 from levkas.building.scan_templates import block_lines
@@ -126,7 +125,8 @@ class Scan:
 
     @cached_property
     def _doubts(self) -> tuple[str, ...]:
-        return (*self.stated, *doubts_of(self.context), *self.source.notes)
+        doubts = (*self.stated, *doubts_of(self.context), *self.source.notes)
+        return (*doubts, *describe_lamp(self.learnt))
 
     @property
     def shape(self) -> tuple[int, int, int]:

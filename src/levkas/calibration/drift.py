@@ -54,8 +54,8 @@ class CellMeans:
     def watch(self, frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
         """Hand frames on and keep the means of their cells."""
         for frame in frames:
+            yield frame  # and whoever takes it refuses what is no frame
             self.shots.append(cell_means(frame, self.period))
-            yield frame
 
     @property
     def channels(self) -> np.ndarray:
@@ -80,9 +80,12 @@ def cell_means(frame: np.ndarray, period: tuple[int, int] = (1, 1)) -> np.ndarra
         if len(plane) == 1:  # a line of many bands
             wide = max(wide, plane.shape[1] // CELLS)
         rows, columns = plane.shape[0] // tall, plane.shape[1] // wide
-        parts = plane[: rows * tall, : columns * wide]
-        parts = parts.reshape(rows, tall, columns, wide, -1).mean((1, 3), dtype=np.float64)
-        found.append(parts.reshape(rows * columns, -1).T)
+        bands, codes = plane.shape[2], plane.dtype in (np.uint8, np.uint16)
+        parts = plane[: rows * tall, : columns * wide].reshape(rows, tall, -1)
+        # Down first, where neighbours lie in one stretch of memory; codes add up exactly.
+        down = np.add.reduce(parts, axis=1, dtype=np.uint32 if codes else np.float64)
+        sums = down.reshape(rows * columns, wide, bands).sum(1, dtype=np.float64)
+        found.append(sums.T / (tall * wide))
     cells = min(part.shape[1] for part in found)
     return np.concatenate([part[:, :cells] for part in found])
 
@@ -107,9 +110,11 @@ def measure_light(cells: np.ndarray, dark: np.ndarray | float = 0.0) -> ShotLeve
     levels, errors = np.ones(light.shape[:2]), np.full(light.shape[1], np.inf)
     for channel in range(light.shape[1]):
         part = light[:, channel]
+        part = part[:, np.isfinite(part).all(0)]
         mean = part.mean(0)
-        bright = mean > DIM * np.quantile(mean, 0.98)
-        if np.quantile(mean, 0.98) > 0 and bright.any():
+        full = np.quantile(mean, 0.98) if mean.size else 0.0
+        bright = mean > DIM * full
+        if full > 0:
             found, errors[channel] = _levels(part[:, bright] / mean[bright], mean[bright])
             levels[:, channel] = found / found.mean()
     return ShotLevels(levels, errors)
@@ -122,11 +127,14 @@ def measure_offsets(cells: np.ndarray) -> ShotLevels:
     [[-1.0], [1.0]]
     """
     apart = np.asarray(cells, float) - cells.mean(0)
-    found = [
-        _levels(apart[:, channel], np.ones(apart.shape[2])) for channel in range(len(cells[0]))
-    ]
-    levels, errors = zip(*found, strict=True)
-    return ShotLevels(np.stack([one - one.mean() for one in levels], 1), np.array(errors))
+    levels, errors = np.zeros(apart.shape[:2]), np.full(apart.shape[1], np.inf)
+    for channel in range(apart.shape[1]):
+        part = apart[:, channel]
+        part = part[:, np.isfinite(part).all(0)]
+        if part.size:
+            found, errors[channel] = _levels(part, np.ones(part.shape[1]))
+            levels[:, channel] = found - found.mean()
+    return ShotLevels(levels, errors)
 
 
 def _levels(values: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, float]:
@@ -326,9 +334,9 @@ def _explained(
         if level is None:
             shares.append(of_lamp / max(float(np.mean(spread)), 1e-9))
         elif of_lamp > 0:
-            bright = light >= np.quantile(light, 0.75)
-            lamp = of_lamp * float(np.mean(light[bright].astype(float) ** 2))
-            shares.append(lamp / max(float(np.median(spread[bright])), 1e-9))
+            bright = light > np.median(light)
+            squares = np.square(light[bright], dtype=np.float64)
+            shares.append(of_lamp * float(np.median(squares / np.maximum(spread[bright], 1e-9))))
     return float(np.nanmax(shares))
 
 
@@ -377,6 +385,22 @@ class LampChange(NamedTuple):
     flicker: np.ndarray
     timed: bool
 
+    def in_groups(self, which: np.ndarray, count: int) -> LampChange:
+        """Return means over channels that belong together: `which` group each is of, 0 to `count` − 1."""
+        parts = [which == group for group in range(count)]
+
+        def mean(values: np.ndarray) -> np.ndarray:
+            return np.array([values[part].mean() for part in parts])
+
+        return LampChange(
+            mean(self.factor),
+            mean(self.sigma),
+            mean(self.white),
+            mean(self.shot),
+            mean(self.flicker),
+            self.timed,
+        )
+
 
 def lamp_between(white: ShotLevels, shot: ShotLevels) -> LampChange:
     """Estimate how the lamp changed between the stacks of a white and of an object.
@@ -390,8 +414,8 @@ def lamp_between(white: ShotLevels, shot: ShotLevels) -> LampChange:
     -----
     A lamp that changed by Δ within a stack may have changed as much again until the other one: u = |Δ|. Where files
     state when they were captured u = |Δ| √(gap/span), as far as a lamp wanders, up to 10 |Δ|. Between whites before
-    and after the object the level is interpolated, at a share x of the way, with u = |Δ| x (1 − x)/√3: the straight
-    line is off by |Δ| x (1 − x) where the lamp comes to rest at one end. Flicker f of single shots adds f²/n of each stack.
+    and after the object the level is interpolated, at a share x of the way, with u = |Δ| x (1 − x): so far is the
+    straight line off where the lamp comes to rest at one end. Flicker f of single shots adds f² w² of each.
 
     Examples
     --------
@@ -402,36 +426,48 @@ def lamp_between(white: ShotLevels, shot: ShotLevels) -> LampChange:
     >>> timed = replace(two, times_s=(0.0, 60.0)), replace(one, times_s=(15.0,))
     >>> found = lamp_between(*timed)
     >>> found.factor.round(3).tolist(), found.sigma.round(4).tolist()
-    ([1.01], [0.0043])
+    ([1.01], [0.0075])
     """
-    trends = [_trend(one) for one in (white, shot)]
-    changes = [np.nan_to_num(trend.change) for trend in trends]
-    freedom = np.array([max(len(one.levels) - 2, 0) for one in (white, shot)])
+    stacks = white, shot
+    trends = [_trend(one) for one in stacks]
+    freedom = np.array([max(len(one.levels) - 2, 0) for one in stacks])
     squares = sum(n * np.nan_to_num(t.flicker) ** 2 for n, t in zip(freedom, trends, strict=True))
     flicker = np.sqrt(squares / max(int(freedom.sum()), 1))
-    parts = 1 / len(white.levels) + 1 / len(shot.levels)
-    factor, bridge = _bridged(white, shot)
-    if bridge is None:
-        reach = [_reach(one, white, shot) for one in (white, shot)]
-        drift = np.max([np.abs(c) * r for c, r in zip(changes, reach, strict=True)], axis=0)
+    factor, drift, weights = np.ones(white.levels.shape[1]), 0.0 * flicker, 1 / len(white.levels)
+    if (bridge := _bridge(white, shot)) is not None:
+        factor, drift, weights = bridge
     else:
-        drift = bridge
-    sigma = np.sqrt(drift**2 + flicker**2 * parts)
-    none = np.full(len(flicker), np.nan)
+        for trend, stack in zip(trends, stacks, strict=True):
+            drift = np.maximum(drift, trend.reach * _reach(stack, white, shot))
     return LampChange(
         factor,
-        sigma,
+        np.sqrt(drift**2 + flicker**2 * (weights + 1 / len(shot.levels))),
         trends[0].change,
         trends[1].change,
-        flicker if freedom.any() else none,
+        flicker if freedom.any() else np.full(len(flicker), np.nan),
         bridge is not None,
     )
 
 
+def black_between(dark: ShotLevels) -> LampChange:
+    """Estimate how the black level changed between darks, whose levels are counts, and one shot of an object.
+
+    >>> wander = ShotLevels(np.array([[-1.0], [0.5], [0.5]]), np.array([0.01]))
+    >>> black_between(wander).sigma.round(2).tolist()
+    [0.71]
+    """
+    one = np.zeros((1, dark.levels.shape[1]))
+    return lamp_between(replace(dark, times_s=None), ShotLevels(one, one[0]))
+
+
 class _Trend(NamedTuple):
-    """Change of a stack's level from first to last along a line, 0 where chance explains it, and the rms about it."""
+    """Change of a stack's level from first to last along a line, NaN of one shot; how far it reaches; rms about it.
+
+    Where flicker explains the change, it is 0. `reach` is its size with the error that noise gives it.
+    """
 
     change: np.ndarray
+    reach: np.ndarray
     flicker: np.ndarray
 
 
@@ -439,24 +475,22 @@ def _trend(stack: ShotLevels) -> _Trend:
     count, channels = stack.levels.shape
     none = np.full(channels, np.nan)
     if count < 2:
-        return _Trend(none, none)
-    at = np.arange(count, dtype=float)
-    levels = stack.levels
+        return _Trend(none, np.zeros(channels), none)
+    at, levels = np.arange(count, dtype=float), stack.levels
     if (times := _times(stack)) is not None:
         order = np.argsort(times, kind="stable")
         at, levels = times[order], levels[order]
     at = at - at.mean()
-    slope, span = at @ levels / (at @ at), at[-1] - at[0]
-    rest = levels - levels.mean(0) - np.outer(at, slope)
-    noise = np.where(np.isfinite(stack.error), stack.error, np.inf)
-    least = SIGMAS * noise * span / np.sqrt(at @ at)
+    span, spread = at[-1] - at[0], np.sqrt(at @ at)
+    change = at @ levels / spread**2 * span
+    rest = levels - levels.mean(0) - np.outer(at / span, change)
+    noise = np.where(np.isfinite(stack.error), stack.error, 0.0)
     flicker = none
     if count > 2:
-        rms = (rest**2).sum(0) / (count - 2)
-        flicker = np.sqrt(np.maximum(rms - noise**2, 0))
-        least = np.maximum(least, 2 * np.sqrt(rms) * span / np.sqrt(at @ at))
-    change = slope * span
-    return _Trend(np.where(np.abs(change) > least, change, 0.0), flicker)
+        square = (rest**2).sum(0) / (count - 2)
+        flicker = np.where(square > 4 * noise**2, np.sqrt(np.maximum(square - noise**2, 0)), 0.0)
+        change = np.where(np.abs(change) > 2 * np.sqrt(square) * span / spread, change, 0.0)
+    return _Trend(change, np.hypot(change, noise * span / spread), flicker)
 
 
 def _times(stack: ShotLevels) -> np.ndarray | None:
@@ -475,23 +509,29 @@ def _reach(stack: ShotLevels, white: ShotLevels, shot: ShotLevels) -> float:
     return min(float(np.sqrt(gap / span)), LONG) if span > 0 else 1.0
 
 
-def _bridged(white: ShotLevels, shot: ShotLevels) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return light on the object over that on the white by whites before and after it, and its uncertainty.
+def _bridge(white: ShotLevels, shot: ShotLevels) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """Interpolate the white to the time of the object; None where no whites lie before and after it.
 
-    None, with 1, where there are no such whites.
+    Returns
+    -------
+    factor, sigma : ndarray, (channels,)
+        Light on the object over the mean of the white.
+    weights : float
+        Sum of the squared weights of the whites.
     """
-    even = np.ones(white.levels.shape[1])
     times = _times(white)
     if times is None or shot.times_s is None:
-        return even, None
+        return None
     moment = float(np.mean(shot.times_s))
     before, after = times < moment, times > moment
     if not before.any() or not after.any():
-        return even, None
-    ends = [(times[part].mean(), white.levels[part].mean(0)) for part in (before, after)]
-    (start, first), (end, last) = ends
+        return None
+    (start, first), (end, last) = (
+        (times[part].mean(), white.levels[part].mean(0)) for part in (before, after)
+    )
     share = (moment - start) / (end - start)
-    known = np.abs(last - first) > SIGMAS * np.nan_to_num(white.error, posinf=np.inf)
-    factor = np.where(known, first + share * (last - first), even)
-    apart = np.where(known, np.abs(last - first), 0.0)
-    return factor, apart * share * (1 - share) / np.sqrt(3)
+    noise = np.where(np.isfinite(white.error), white.error, np.inf)
+    known = np.abs(last - first) > SIGMAS * noise
+    factor = np.where(known, first + share * (last - first), 1.0)
+    sigma = np.abs(last - first) * np.where(known, share * (1 - share), 1.0)
+    return factor, sigma, (1 - share) ** 2 / before.sum() + share**2 / after.sum()

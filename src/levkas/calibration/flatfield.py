@@ -127,7 +127,7 @@ def flat_field(
         )
         return _join_bands(groups, parts, shot.mean.shape)
     under, white_under, ratio, notes = pair_darks(shot, dark, white, black)
-    scale = reflectance_table(board.reflectance, shot, board.pattern) * ratio
+    scale = reflectance_table(board, shot) * ratio
     bad = under.saturated if defects is None else defects | under.saturated
     if white is None:
         unit = 1.0 if board.unit is None else np.asarray(board.unit)

@@ -148,7 +148,7 @@ class SensorContext:
             exposure=exposure_of(frames[0]),
             bits=self.camera.bits,
             overrule=self.camera.overrule,
-            level=None if level is None else hashlib.sha256(np.float32(level)).hexdigest(),
+            level=_digest(level),
         )
         return self.whole(made, frames)
 
@@ -217,6 +217,12 @@ class SensorContext:
             self.average([f for f in frames if exposure_of(f) == t], darks, kept=True)
             for t in times
         ]
+
+
+def _digest(level: np.ndarray | float | None) -> str:
+    return (
+        "" if level is None else hashlib.sha256(np.asarray(level, np.float32).tobytes()).hexdigest()
+    )
 
 
 def exposure_of(frame: FrameRef) -> float | None:
