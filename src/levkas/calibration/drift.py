@@ -330,14 +330,17 @@ def _explained(
         _channels(above, period), _channels(stack.variance, period), common, strict=True
     ):
         step = max(1, int(np.sqrt(light.size / SAMPLE)))
-        light, spread = light[::step, ::step], spread[::step, ::step]
+        light, spread = light[::step, ::step].ravel(), spread[::step, ::step].ravel()
+        known = np.isfinite(light) & np.isfinite(spread)
+        light, spread = light[known].astype(np.float64), np.maximum(spread[known], 1e-9)
+        if not light.size or not of_lamp > 0:
+            continue
         if level is None:
-            shares.append(of_lamp / max(float(np.mean(spread)), 1e-9))
-        elif of_lamp > 0:
-            bright = light > np.median(light)
-            squares = np.square(light[bright], dtype=np.float64)
-            shares.append(of_lamp * float(np.median(squares / np.maximum(spread[bright], 1e-9))))
-    return float(np.nanmax(shares))
+            shares.append(of_lamp / float(np.mean(spread)))
+        else:
+            bright = light >= np.median(light)
+            shares.append(of_lamp * float(np.median(light[bright] ** 2 / spread[bright])))
+    return max(shares)
 
 
 def _steadied(
