@@ -284,6 +284,30 @@ def test_a_mosaic_is_calibrated_through_its_sensitivities_or_by_its_greys_alone(
         assert made.learnt[""][KEY]["bands"]["G"]["order"] == 0
 
 
+def test_a_mosaic_whose_channels_nobody_knows_is_scaled_by_greys_even_in_the_infrared(tmp_path):
+    rng = np.random.default_rng(4)
+    deep = np.array([[690.0, 700.0, 710.0], [720.0, 730.0, 690.0], [700.0, 710.0, 720.0]])
+    patches = PUBLISHED.at(deep.ravel())
+    chart, panel = np.full((HEIGHT, WIDTH, 9), 0.15), np.full((HEIGHT, WIDTH, 9), 0.4)
+    for patch, (c, r) in zip(patches, CLASSIC.centres.astype(int), strict=True):
+        chart[43 + 40 * r : 78 + 40 * r, 53 + 40 * c : 88 + 40 * c] = patch
+    which = (3 * (Y % 3) + X % 3)[..., None]
+    for name, scene in (("dark", 0 * chart), ("macbeth", chart), ("panel", panel)):
+        (tmp_path / "raw" / name).mkdir(parents=True)
+        level = 3000 * np.take_along_axis(scene, which, 2)[..., 0]
+        for shot in range(2):
+            noisy = 60 + level + np.sqrt(4 + 0.2 * level) * rng.standard_normal(level.shape)
+            frame = np.clip(np.rint(noisy), 0, 4095).astype(np.uint16)
+            tifffile.imwrite(tmp_path / "raw" / name / f"{shot}.tif", frame)
+    rows = [[f"B{3 * row + k + 1}" for k in range(3)] for row in range(3)]
+    text = MOSAIC.replace('sensitivity = "rgb.csv"\n', "").replace('"RGGB"', json.dumps(rows))
+    (tmp_path / "campaign.toml").write_text(text.replace('band = "G"', 'band = "B5"'))
+    made = developed(tmp_path)
+    assert np.abs(made.cubes[""].values[ON_CHART].mean(0) / 0.4 - 1).max() < 0.03
+    (note,) = [w for w in made.warnings if "no sensitivity is known" in w]
+    assert "B1, B2" in note and "`wavelengths`" in note
+
+
 # --- refusals -----------------------------------------------------------------------------------
 
 

@@ -201,7 +201,8 @@ def known_reflectance(
             wide, weight = np.array([band.wavelength]), np.ones(1)
         else:
             why[band.label] = (
-                "its sensitivity is unknown, so only the grey patches can be used; declare `sensitivity`"
+                "no sensitivity is known, so only the grey patches can be used; declare `sensitivity`, or "
+                "`wavelengths` of narrow bands"
             )
             greys = list(chart.greys)
             found[greys, i] = np.nanmean(reference.at(GREY_NM)[greys], axis=1)
@@ -460,9 +461,12 @@ def _notes(fitted: SensorLight, record: Mapping[str, Any], reference: ChartRefer
         )
     if reference.note:
         notes.append(f"chart: {reference.note}")
+    alike: dict[tuple[str, str], list[str]] = {}
     for label, why in fitted.why.items():
-        shape = f"; its light field is that of {fitted.lent[label]}" if fitted.lent[label] else ""
-        notes.append(f"{label}: {why}{shape}")
+        alike.setdefault((why, fitted.lent[label]), []).append(label)
+    for (why, lent), labels in alike.items():
+        shape = f"; the light field is that of {lent}" if lent else ""
+        notes.append(f"{', '.join(labels)}: {why}{shape}")
     if record["beyond_the_chart"] > 0:
         most = max(band["sigma_most"] for band in bands.values())
         told = "unknown in some places" if most >= 1 else f"known to {100 * most:.2g} % or better"
