@@ -35,7 +35,7 @@ from levkas.building.native_cubes import (
 )
 from levkas.building.scan_parts import PARTS, pictures_of, write_scan
 from levkas.building.scans import Scan, develop_scan, is_streamed, open_scan
-from levkas.building.spectra import broad_centroids, read_sensitivity, white_reflectance
+from levkas.building.spectra import board_of, broad_centroids, read_sensitivity
 from levkas.calibration.agreement import compare_facts
 from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA, light_variance
 from levkas.calibration.defects import replace_defects
@@ -159,17 +159,17 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
     learnt: dict[str, dict[str, Any]] = {}
     lights = _lights_of(capture, campaign, templates)
     try:
-        contexts = [
-            SensorContext(
-                campaign,
-                camera,
-                sensor,
-                read_facts(sensor.object[0].path),
-                templates,
-                light=lights.get(sensor.name),
+        contexts = []
+        for sensor in capture.sensors:
+            board, facts = board_of(campaign, capture, sensor), read_facts(sensor.object[0].path)
+            contexts.append(
+                SensorContext(
+                    *(campaign, camera, sensor, facts, templates),
+                    light=lights.get(sensor.name),
+                    reflectance=board.reflectance,
+                    doubts=board.notes,
+                )
             )
-            for sensor in capture.sensors
-        ]
         notes += _compare_all(contexts)
         for context in contexts:
             sensor, light = context.sensor, context.light
@@ -277,17 +277,13 @@ def develop_mosaic(context: SensorContext) -> Noted:
     pattern = sensor.pattern
     note_light(context.told, white, darks, pattern, [b.label for b in sensor.bands])
     defects = defects_of(darks, white, pattern)
-    reflectance = white_reflectance(context.campaign, sensor.bands)
     flat = flatten(
         context,
         exposed.shot,
         darks,
         white,
         moved=exposed.moved,
-        board=WhiteBoard(
-            *(reflectance, pattern, [b.label for b in sensor.bands]),
-            unit=context.unit_of(sensor.object[0]),
-        ),
+        board=WhiteBoard(context.reflectance, pattern, [b.label for b in sensor.bands]),
         noise=noise,
         defects=defects,
     )
@@ -353,8 +349,7 @@ GROUP, ROWS = 8, 16
 def develop_bands(context: SensorContext) -> Noted:
     """One file a band: each with its own templates; behind narrow filters a mosaic is equalised."""
     bands = context.sensor.bands
-    reflectances = np.broadcast_to(white_reflectance(context.campaign, bands), len(bands))
-    _require_one_size(context)
+    reflectances = np.broadcast_to(context.reflectance, len(bands))
     noise = _noise_of_bands(context)
     shape = (*context.facts.shape[:2], len(bands))
     values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from levkas.building.spectra import read_sensitivity, read_table
+from levkas.building.spectra import COVERED, BandWeights, weights_of_bands
 from levkas.calibration.chart_light import (
     ChartLight,
     ChartOutline,
@@ -41,8 +41,6 @@ if TYPE_CHECKING:
 
 LEAST_GREYS = 3
 """Grey patches that a level needs: two would hide a third that is dirty."""
-LEAST_COVERED = 0.98
-"""Share of a channel's sensitivity over which the chart must be known."""
 ABOVE_DARK = 3.0
 """Standard deviations that the mean of a patch must lie above dark."""
 GREY_NM = np.arange(420.0, 701.0, 10.0)
@@ -175,44 +173,27 @@ def known_reflectance(
     a table only the grey patches are known, whose spectra are flat.
     """
     grid = np.arange(reference.wavelengths[0], reference.wavelengths[-1] + 0.5, 1.0)
-    spectra = reference.at(grid)
-    declared = campaign.cameras[capture.camera].sensitivity
+    spectra, greys = reference.at(grid), list(chart.greys)
     found = np.full((len(chart.patches), len(bands)), np.nan)
     why: dict[str, str] = {}
-    table = None
-    if declared:
-        labels = [band.label for band in capture.bands]
-        wavelengths, columns = read_sensitivity(campaign.root / declared, labels)
-        table = {
-            label: (wavelengths, column) for label, column in zip(labels, columns.T, strict=True)
-        }
-    light = _spectrum_of_light(campaign, capture.setup)
-    for i, band in enumerate(bands):
-        if table is not None:
-            wavelengths, weights = table[band.label]
-            wide = np.arange(wavelengths[0], wavelengths[-1] + 0.5, 1.0)
-            weight = np.maximum(np.interp(wide, wavelengths, weights), 0) * light(wide)
-        elif np.isfinite(band.wavelength) and np.isfinite(band.fwhm):
-            wide = band.wavelength + np.arange(-1.5, 1.51, 0.05) * band.fwhm
-            weight = np.exp(-4 * np.log(2) * ((wide - band.wavelength) / band.fwhm) ** 2) * light(
-                wide
-            )
-        elif np.isfinite(band.wavelength):
-            wide, weight = np.array([band.wavelength]), np.ones(1)
-        else:
+    for i, (band, weights) in enumerate(
+        zip(bands, weights_of_bands(campaign, capture, bands), strict=True)
+    ):
+        if weights is None:
             why[band.label] = (
                 "no sensitivity is known, so only the grey patches can be used; declare `sensitivity`, or "
                 "`wavelengths` of narrow bands"
             )
-            greys = list(chart.greys)
             found[greys, i] = np.nanmean(reference.at(GREY_NM)[greys], axis=1)
-            continue
-        inside = reference.covers(wide)
-        if weight[inside].sum() < LEAST_COVERED * weight.sum() or not weight.sum():
-            why[band.label] = _beyond(reference, float(np.average(wide, weights=weight + 1e-12)))
-            continue
-        near = np.array([np.interp(wide[inside], grid, row) for row in spectra])
-        found[:, i] = near @ weight[inside] / weight[inside].sum()
+        elif weights.weights[reference.covers(weights.wavelengths)].sum() < (
+            COVERED * weights.weights.sum()
+        ):
+            centre = float(np.average(weights.wavelengths, weights=weights.weights))
+            why[band.label] = _beyond(reference, centre)
+        else:
+            inside = reference.covers(weights.wavelengths)
+            within = BandWeights(weights.wavelengths[inside], weights.weights[inside])
+            found[:, i] = within.mean_of(grid, spectra)
     return KnownReflectance(found, why)
 
 
@@ -220,15 +201,6 @@ def _beyond(reference: ChartReference, nm: float) -> str:
     first, last = reference.wavelengths[0], reference.wavelengths[-1]
     where = "infrared" if nm > (first + last) / 2 else "ultraviolet"
     return f"no reference in the {where}: the chart's spectra ({reference.source}) cover {first:g} to {last:g} nm"
-
-
-def _spectrum_of_light(campaign: Campaign, setup: str) -> Any:
-    """Return the relative power of a setup's light over wavelength, as a function; 1 where none is declared."""
-    declared = campaign.setups.get(setup or campaign.campaign.setup or "default")
-    if declared is None or declared.spectrum is None:
-        return lambda nm: np.ones(len(nm))
-    table = read_table(campaign.root / declared.spectrum)
-    return lambda nm: np.interp(nm, table[:, 0], table[:, 1])
 
 
 # --- the fit ------------------------------------------------------------------------------------

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from levkas.building.scan_templates import (
     gaps_marked,
     lines_of,
 )
-from levkas.building.spectra import white_reflectance
 from levkas.calibration.flatfield import Calibrated, describe_darks
 from levkas.calibration.sensor_context import (
     SensorContext,
@@ -61,11 +59,6 @@ class Strip:
         """(lines, samples, bands)."""
         return self.file.shape
 
-    @cached_property
-    def reflectance(self) -> Any:
-        """Of the white, a number or one a band."""
-        return white_reflectance(self.context.campaign, self.context.sensor.bands)
-
     @property
     def notes(self) -> tuple[str, ...]:
         """What exposures leave in doubt, known before a line is calibrated."""
@@ -98,7 +91,7 @@ class Strip:
             darks,
             lit,
             board=WhiteBoard(
-                self.reflectance,
+                context.reflectance,
                 labels=[band.label for band in context.sensor.bands],
                 checked=start > 0 or isinstance(white, FrameLines),
                 unit=context.unit_of(frame),

@@ -13,6 +13,7 @@ from levkas.building.capture_statistics import Middle, describe_lamp
 from levkas.building.exposures import cube_of, mark_glare_in
 from levkas.building.scan_lines import FlatLines, Strip, describe_loss
 from levkas.building.scan_templates import block_lines
+from levkas.building.spectra import board_of
 from levkas.building.strips import JoinedStrips, lines_of_scan
 from levkas.calibration.agreement import compare_facts
 from levkas.calibration.denoising import Projecting, Subspace, describe_removed, find_subspace
@@ -397,7 +398,12 @@ def open_scan(capture: Capture, campaign: Campaign, templates: TemplateCache) ->
     sensor = capture.sensors[0]
     facts = read_facts(sensor.object[0].path)
     camera = campaign.cameras[capture.camera]
-    context = SensorContext(campaign, camera, sensor, facts, templates)
+    board = board_of(campaign, capture, sensor)
+    context = SensorContext(
+        *(campaign, camera, sensor, facts, templates),
+        reflectance=board.reflectance,
+        doubts=board.notes,
+    )
     stated = tuple(compare_facts(camera, sensor, context.alignments))
     require_exposures(context)
     require_black(context)

@@ -30,6 +30,8 @@ class MatchedDark:
     saturated : ndarray like `mean`, bool
     note : str
         What was done where nothing matched; empty where it did.
+    parts : tuple of (Template, float)
+        Darks that `mean` is made of, with the standard deviation that each gives it over that of one shot.
     """
 
     mean: np.ndarray
@@ -38,6 +40,19 @@ class MatchedDark:
     count: int
     saturated: np.ndarray
     note: str = ""
+    parts: tuple[tuple[Template, float], ...] = ()
+
+
+def dark_correlation(one: MatchedDark, other: MatchedDark) -> float:
+    """Return the correlation of the errors of two darks, −1 … 1: of frames that both are made of.
+
+    >>> dark = Template(np.full((1, 1), 70, "f4"), None, 4, *2 * [np.zeros((1, 1), bool)], 1.0)
+    >>> dark_correlation(match_dark(dark, 1.0), match_dark(dark, 4.0, black=64.0))
+    1.0
+    """
+    common = sum(a * b for first, a in one.parts for second, b in other.parts if first is second)
+    sizes = [float(np.sqrt(sum(a * a for _, a in dark.parts))) for dark in (one, other)]
+    return float(common / (sizes[0] * sizes[1])) if all(sizes) else 0.0
 
 
 def dark_under(
@@ -140,7 +155,10 @@ def _time(dark: Template) -> float:
 
 
 def _as_it_is(dark: Template, note: str = "") -> MatchedDark:
-    return MatchedDark(dark.mean, dark.variance, 1.0 / dark.count, dark.count, dark.saturated, note)
+    parts = ((dark, float(dark.count**-0.5)),)
+    return MatchedDark(
+        dark.mean, dark.variance, 1.0 / dark.count, dark.count, dark.saturated, note, parts
+    )
 
 
 def _only(darks: list[Template]) -> MatchedDark:
@@ -178,6 +196,7 @@ def _on_line(timed: list[Template], exposure_s: float) -> MatchedDark:
         min(first.count, second.count),
         first.saturated | second.saturated,
         f"{note}{_time(second):g} s",
+        ((first, (1 - part) * first.count**-0.5), (second, part * second.count**-0.5)),
     )
 
 
@@ -187,5 +206,8 @@ def _scaled(dark: Template, exposure_s: float, black: float | np.ndarray | None)
         return _as_it_is(dark, note)
     scale = exposure_s / max(_time(dark), 1e-9)
     mean = (black + (dark.mean - np.float32(black)) * np.float32(scale)).astype(np.float32)
-    note = f"dark of {_time(dark):g} s scaled to {exposure_s:g} s about black {np.mean(black):g}"
-    return MatchedDark(mean, dark.variance, scale**2 / dark.count, dark.count, dark.saturated, note)
+    note = f"dark of {_time(dark):g} s scaled to {exposure_s:g} s about black {black:g}"
+    parts = ((dark, scale * dark.count**-0.5),)
+    return MatchedDark(
+        mean, dark.variance, scale**2 / dark.count, dark.count, dark.saturated, note, parts
+    )

@@ -1,8 +1,8 @@
 """Flat field: raw counts to reflectance, on the mosaic, before anything mixes sensels.
 
 r = (S − D)/(W − D′) · tW/tS · Rw, with the dark D of the object's exposure and D′ of the white's.
-Variance, first order, with shares 1/n of the averages (Eq. in brackets for one shared dark):
-u² = [vS/nS + vD/nD + r²(vW/nW + vD′/nD′)]/(W − D′)²   ([vS/nS + r² vW/nW + (1 − r)² vD/nD]/…).
+Variance, first order, with shares 1/n of the averages and the correlation ρ of the two darks:
+u² = [vS/nS + vD/nD + r²(vW/nW + vD′/nD′) − 2 r ρ √(vD/nD · vD′/nD′)]/(W − D′)²; of one dark, ρ = 1, (1 − r)² vD/nD is left.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from levkas.calibration.darks import MatchedDark, dark_under, match_dark
+from levkas.calibration.darks import MatchedDark, dark_correlation, dark_under, match_dark
 from levkas.calibration.noise_fit import HIDES, PRIOR, WORKED_OUT, NoiseModel
 from levkas.calibration.templates import (
     CalibrationRefused,
@@ -151,7 +151,7 @@ def flat_field(
         _Marks(*(_widened(mark, width) for mark in marks)),
         _widened(np.asarray(scale, np.float64), width),
         model,
-        under.mean is white_under.mean,
+        dark_correlation(under, white_under),
         _shares_of_line(wide, model) if known else np.empty((3, 0)),
     )
     over_rows(lambda y, end: _flatten(y, end, inputs, *made, variance), size[0])
@@ -330,12 +330,12 @@ def _flatten(start, stop, inputs, values, flags, variance):  # type: ignore[no-u
     inputs : (sides, marks, table, model, shared, shares)
         Four `Side`, as wide as the shot, of shot, dark, white and the white's dark; the `_Marks`; white
         reflectance times the ratio of exposures, (rows, w), repeated over the rows; gain (below 0: no
-        model), variances without light of object and white, step; whether one dark serves both; what
+        model), variances without light of object and white, step; the correlation of the two darks; what
         `_shares_of_line` gives.
     values, flags, variance : ndarray, (h, w)
         No variance is worked out where its size is 0.
     """
-    sides, marks, table, model, shared, shares = inputs
+    sides, marks, table, model, common, shares = inputs
     alike = shares.size > 0
     own = np.empty((3, 0 if alike or variance.size == 0 else values.shape[1]))
     for y in range(start, stop):
@@ -343,7 +343,7 @@ def _flatten(start, stop, inputs, values, flags, variance):  # type: ignore[no-u
         if variance.size > 0:
             if not alike:
                 fill_shares(y, sides, model, own)
-            propagate_line(y, sides, table, model, shared, shares if alike else own, variance[y])
+            propagate_line(y, sides, table, model, common, shares if alike else own, variance[y])
 
 
 @njit
@@ -444,8 +444,8 @@ def fill_shares(y, sides, model, shares):  # type: ignore[no-untyped-def]
 
 
 @njit
-def propagate_line(y, sides, table, model, shared, shares, variance):  # type: ignore[no-untyped-def]
-    """Fill the variance of the values of row `y`."""
+def propagate_line(y, sides, table, model, common, shares, variance):  # type: ignore[no-untyped-def]
+    """Fill the variance of the values of row `y`; `common` is the correlation of the two darks."""
     shot, dark, white, white_dark = sides
     gain, read, _, step = model
     seen, back, spread = row_of(shot.mean, y), row_of(dark.mean, y), row_of(shot.variance, y)
@@ -459,10 +459,8 @@ def propagate_line(y, sides, table, model, shared, shares, variance):  # type: i
         else:
             own = of_mean(shot.share, signal, np.float64(spread[x]), shot.freedom, gain, read, step)
         r = signal / light
-        rest = 1.0 - r if shared else 1.0
-        total = own + r * r * shares[0, x] + rest * rest * shares[1, x]
-        if not shared:
-            total += r * r * shares[2, x]
+        total = own + r * r * (shares[0, x] + shares[2, x]) + shares[1, x]
+        total -= 2.0 * r * common * np.sqrt(shares[1, x] * shares[2, x])
         variance[x] = total * (scale[x] / light) ** 2 if light > 0.0 else np.nan
 
 

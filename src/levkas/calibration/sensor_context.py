@@ -55,6 +55,10 @@ class SensorContext:
     """What is learnt of sensor and light on the way, for the reports."""
     light: ChartLight | None = None
     """By a chart, in place of a white."""
+    reflectance: float | np.ndarray = 1.0
+    """Of the white board, one number or one a band of the sensor."""
+    doubts: tuple[str, ...] = ()
+    """Of that reflectance."""
     _glimpses: dict[str, list[np.ndarray]] = field(default_factory=dict, repr=False)
 
     @property
@@ -264,7 +268,7 @@ def placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
 def doubts_of(context: SensorContext) -> list[str]:
     """What a person should know before believing the values."""
     camera = context.camera
-    doubts = [*_notes_of_files(context), *_doubt_bits(context)]
+    doubts = [*_doubt_bits(context), *context.doubts]
     targets = context.campaign.targets
     if camera.kind == "image":
         return doubts
