@@ -15,6 +15,7 @@ from levkas.calibration.chart_light import (
     LightFit,
     LightMap,
     Patches,
+    PatchScatter,
     fit_light,
 )
 from levkas.calibration.patterns import channel_table
@@ -61,10 +62,13 @@ class KnownReflectance(NamedTuple):
         NaN where nobody knows.
     why : dict of label to str
         Of bands in which only the grey patches, or none, are known: why.
+    spread : dict of label to float
+        By how much greys differ over the wavelengths that a band may see, relative, where nobody knows them.
     """
 
     reflectance: np.ndarray
     why: dict[str, str]
+    spread: dict[str, float]
 
 
 def lights_by_chart(capture: Capture, campaign: Campaign, made: Native) -> dict[str, ChartLight]:
@@ -176,6 +180,7 @@ def known_reflectance(
     spectra, greys = reference.at(grid), list(chart.greys)
     found = np.full((len(chart.patches), len(bands)), np.nan)
     why: dict[str, str] = {}
+    spread: dict[str, float] = {}
     for i, (band, weights) in enumerate(
         zip(bands, weights_of_bands(campaign, capture, bands), strict=True)
     ):
@@ -184,7 +189,10 @@ def known_reflectance(
                 "no sensitivity is known, so only the grey patches can be used; declare `sensitivity`, or "
                 "`wavelengths` of narrow bands"
             )
-            found[greys, i] = np.nanmean(reference.at(GREY_NM)[greys], axis=1)
+            published = reference.at(GREY_NM)[greys]
+            found[greys, i] = np.nanmean(published, axis=1)
+            level = np.nanmean(published / found[greys, i][:, None], axis=0)
+            spread[band.label] = float(np.nanstd(level))
         elif weights.weights[reference.covers(weights.wavelengths)].sum() < (
             COVERED * weights.weights.sum()
         ):
@@ -194,7 +202,7 @@ def known_reflectance(
             inside = reference.covers(weights.wavelengths)
             within = BandWeights(weights.wavelengths[inside], weights.weights[inside])
             found[:, i] = within.mean_of(grid, spectra)
-    return KnownReflectance(found, why)
+    return KnownReflectance(found, why, spread)
 
 
 def _beyond(reference: ChartReference, nm: float) -> str:
@@ -216,6 +224,7 @@ class SensorLight(NamedTuple):
     why: dict[str, str]
     lent: dict[str, str]
     unevenness: dict[str, float]
+    scatter: dict[str, PatchScatter]
     size: tuple[int, int]
 
 
@@ -259,8 +268,35 @@ def _fit_bands(
     uneven = {
         b.label: _unevenness(cube, i, found, patches, table) for i, b in enumerate(cube.bands)
     }
+    scatter = {}
+    for i, (label, column) in enumerate(zip(labels, known.reflectance.T, strict=True)):
+        one = _scatter(found, patches, i, column, fits[label], used_patches[label], chart)
+        relative = float(np.hypot(one.relative, known.spread.get(label, 0.0)))
+        scatter[label] = one._replace(relative=relative)
     size = (cube.values.shape[0], cube.values.shape[1])
-    return SensorLight(chart, outline, fits, used_patches, why, lent, uneven, size)
+    return SensorLight(chart, outline, fits, used_patches, why, lent, uneven, scatter, size)
+
+
+def _scatter(
+    found: Located,
+    patches: PatchTable,
+    i: int,
+    reflectance: np.ndarray,
+    fit: LightFit,
+    used: np.ndarray,
+    chart: Chart,
+) -> PatchScatter:
+    """Return what patches of a band miss beyond light and noise, those too that its light is not fitted to.
+
+    Of a filter that leaks the greys tell the level, and the coloured patches what the leak does to paints.
+    """
+    there = _usable(patches, i) & np.isfinite(reflectance)
+    part = _of_band(found, patches, i, there, reflectance, chart)
+    light = np.maximum(fit(part.places), 1e-9)
+    errors = part.levels / light - part.reflectance
+    errors[np.isin(np.flatnonzero(there), np.flatnonzero(used))] = fit.errors
+    expected = part.variance / light**2 + (part.reflectance * fit.sigma(part.places)) ** 2
+    return PatchScatter.fit(errors, part.reflectance, expected)
 
 
 def _is_mosaic(sensor: SensorFrames) -> bool:
@@ -390,7 +426,9 @@ def _light(
     }
     notes = tuple(_notes(fitted, record, reference))
     pattern = sensor.pattern if _is_mosaic(sensor) else None
-    return ChartLight(maps, times, fitted.unevenness, pattern, fitted.size, notes, record)
+    return ChartLight(
+        maps, times, fitted.unevenness, fitted.scatter, pattern, fitted.size, notes, record
+    )
 
 
 def _record(fitted: SensorLight, label: str, light: LightMap) -> dict[str, Any]:
@@ -408,6 +446,7 @@ def _record(fitted: SensorLight, label: str, light: LightMap) -> dict[str, Any]:
         "sigma_at_edge_of_chart": _digits(float(on_chart.max())),
         "sigma_most": _digits(float(light.sigma.values.max())),
         "uneven_sensels": _digits(fitted.unevenness[label]),
+        "sigma_of_patches": [_digits(part) for part in fitted.scatter[label]],
         "light_of": fitted.lent.get(label, ""),
         "why": fitted.why.get(label, ""),
     }

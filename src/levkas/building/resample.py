@@ -23,7 +23,7 @@ from levkas.building.native_cubes import FiledSigma, Native, PackedSigma, least_
 from levkas.building.reference import ReferenceFrame, maps_of
 from levkas.building.spectra import broad_centroids
 from levkas.building.streaming import Passing, resample_scan, white_of
-from levkas.calibration.chart_light import LightNodes, light_variance
+from levkas.calibration.chart_light import LightNodes, light_variance, variance_under_light
 from levkas.calibration.mosaic import interpolate, method_of
 from levkas.core.cube import Cube, Flag, is_flagged
 from levkas.core.disk import require_space
@@ -271,7 +271,8 @@ def _light_on_grid(
     for i, (label, one) in enumerate(zip(labels, maps, strict=True)):
         there = np.nan_to_num(one(points), nan=-1.0)
         share = LightNodes.from_record(sigmas[label]).near(there).reshape(len(y), len(x))
-        found[..., i] = (values[..., i] * LightNodes(x, y, share).at(rows, columns)) ** 2
+        share = LightNodes(x, y, share).at(rows, columns)
+        found[..., i] = variance_under_light(values[..., i], share, sigmas[label])
     return found
 
 
