@@ -65,6 +65,7 @@ class Sighting:
     """Of a finished photograph, whose values are light by it."""
     edges: tuple[EdgePlace, ...] = ()
     """Slanted edges that were named; without them the borders of grey patches are looked at."""
+    common: np.ndarray | None = None
 
 
 def decode_sighting(seen: Sighting, chart: Chart, top: float) -> Sighting:
@@ -92,6 +93,7 @@ def decode_sighting(seen: Sighting, chart: Chart, top: float) -> Sighting:
         shots=shots,
         steps=curve.steps(means, round(top)),
         curve=curve,
+        common=None,
     )
 
 
@@ -215,7 +217,24 @@ def measure(
     notes: Sequence[str] = (),
 ) -> ChartMeasure:
     """Measure a chart where it was seen."""
-    table = _join_tables(seen)
+
+    tables = [
+        measure_patches(
+            *(s.cube.values, s.cube.flags, s.located.areas),
+            shots=s.shots,
+            steps=s.steps,
+            count=s.count,
+            pattern=s.pattern,
+            common=s.common,
+        )
+        for s in seen
+    ]
+    mean, noise, saturated, quantised = (
+        np.concatenate([getattr(t, part) for t in tables], 1)
+        for part in ("mean", "noise", "saturated", "quantised")
+    )
+    temporal = all(t.temporal for t in tables)
+    table = PatchTable(mean, noise, saturated, tables[0].pixels, temporal, quantised)
     bands = tuple(band for s in seen for band in s.cube.bands)
     preblurs = [p for s in seen for p in _preblurs(s)]
     wavelengths = np.array([band.wavelength for band in bands], float)
