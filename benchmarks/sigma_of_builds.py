@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 import tifffile
 
-from levkas.building.resample import Mosaic, shared_noise
 from levkas.building.run import build
+from levkas.building.shared_noise import Mosaic, shared_noise
 from levkas.calibration.patterns import channel_table
 from levkas.database.spectral_tiff import read_tiff_pages
 from levkas.geometry.resample import warp

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from levkas.building.resample import Mosaic, shared_noise
+from levkas.building.shared_noise import Mosaic, shared_noise
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.wiener_mosaic import wiener_method
