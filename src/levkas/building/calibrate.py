@@ -24,6 +24,7 @@ from levkas.building.exposures import (
     mark_glare_in,
     noise_of,
     require_same_size,
+    white_area_of,
     white_of,
 )
 from levkas.building.native_cubes import (
@@ -53,6 +54,7 @@ from levkas.calibration.sensor_context import (
     require_exposures,
 )
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps
+from levkas.calibration.white_area import WhiteArea, joined_area
 from levkas.calibration.whites import WhiteBoard
 from levkas.calibration.wiener_mosaic import correlate_channels, wiener_method
 from levkas.core.cube import Cube, Flag
@@ -273,10 +275,12 @@ def develop_mosaic(context: SensorContext) -> Noted:
     exposed = expose(context, shots, darks, noise)
     if exposed.shot.above_dark:
         white = white_of(context, sensor.white, darks, noise=noise, merged=True)
+    area = white_area_of(context, exposed.shot, white, darks)
     notes = [check_scaling(context, exposed, white, (shots, whites), darks), exposed.note]
+    notes += area.notes
     pattern = sensor.pattern
     note_light(context.told, white, darks, pattern, [b.label for b in sensor.bands])
-    defects = defects_of(darks, white, pattern)
+    defects = defects_of(darks, white, pattern, area.uncovered)
     flat = flatten(
         context,
         exposed.shot,
@@ -295,7 +299,7 @@ def develop_mosaic(context: SensorContext) -> Noted:
         deep = values.shape if values.ndim == 3 else (*values.shape, 1)
         variance = None if variance is None else variance.reshape(deep)
         deepened = (values.reshape(deep), flags.reshape(deep), variance)
-        return cube_of(context, *deepened, flat.quantity), notes
+        return cube_of(context, *deepened, flat.quantity, area.uncovered), notes
     note_sensels(context.told, values, flags, variance, pattern, [b.label for b in sensor.bands])
     made = demosaic(
         values,
@@ -305,7 +309,7 @@ def develop_mosaic(context: SensorContext) -> Noted:
         method=demosaicing_of(context.campaign, camera, sensor),
         channels=[b.label for b in sensor.bands],
     )
-    return cube_of(context, *made, flat.quantity), notes
+    return cube_of(context, *made, flat.quantity, area.uncovered), notes
 
 
 def demosaicing_of(campaign: Campaign, camera: Camera, sensor: SensorFrames) -> str | Method | None:
@@ -350,17 +354,19 @@ def develop_bands(context: SensorContext) -> Noted:
     """One file a band: each with its own templates; behind narrow filters a mosaic is equalised."""
     bands = context.sensor.bands
     reflectances = np.broadcast_to(context.reflectance, len(bands))
-    noise = _noise_of_bands(context)
+    noise, area = _noise_of_bands(context)
     shape = (*context.facts.shape[:2], len(bands))
     values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
     variance: np.ndarray | None = np.empty(shape, np.float32)
-    notes: list[str] = []
+    notes: list[str] = [*area.notes]
     quantity = "reflectance"
     for start in range(0, len(bands), GROUP):
         some = slice(start, start + GROUP)
         labels = [band.label for band in bands[some]]
-        group = each(partial(_band, context, noise), labels, reflectances[some].tolist())
-        for flat in group:
+        group = each(
+            partial(_band, context, noise, area.uncovered), labels, reflectances[some].tolist()
+        )
+        for label, flat in zip(labels, group, strict=True):
             notes.extend(flat.notes)
             quantity = flat.quantity
         _interleave([flat.values for flat in group], values, start)
@@ -371,7 +377,7 @@ def develop_bands(context: SensorContext) -> Noted:
         else:
             variance = None
     _put_in_order(context.told, [band.label for band in bands])
-    return cube_of(context, values, flags, variance, quantity), notes
+    return cube_of(context, values, flags, variance, quantity, area.uncovered), notes
 
 
 def _put_in_order(told: dict[str, Any], labels: Sequence[str]) -> None:
@@ -389,7 +395,11 @@ def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, start: int) -> N
 
 
 def _band(
-    context: SensorContext, noise: NoiseModel | None, label: str, reflectance: float
+    context: SensorContext,
+    noise: NoiseModel | None,
+    uncovered: np.ndarray | None,
+    label: str,
+    reflectance: float,
 ) -> Calibrated:
     """One band of one file, or of one file an exposure."""
     sensor = context.sensor
@@ -416,7 +426,7 @@ def _band(
             unit=context.unit_of(next(f for f in sensor.object if f.band == label)),
         ),
         noise=noise,
-        defects=defects_of(darks, white, sensor.pattern),
+        defects=defects_of(darks, white, sensor.pattern, uncovered),
     )
     plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
     if sensor.pattern is not None:
@@ -469,11 +479,15 @@ def _require_one_size(context: SensorContext) -> None:
         raise CalibrationRefused(*problems[:MOST_PROBLEMS])
 
 
-def _noise_of_bands(context: SensorContext) -> NoiseModel | None:
-    """Fit the sensor's noise once, on a few bands spread over the range: it is the same sensor."""
+def _noise_of_bands(context: SensorContext) -> tuple[NoiseModel | None, WhiteArea]:
+    """Fit the sensor's noise once, on a few bands spread over the range: it is the same sensor.
+
+    The same bands tell where the white shows the object in place of the board.
+    """
     bands = context.sensor.bands
     chosen = sorted({len(bands) // 4, len(bands) // 2, (3 * len(bands)) // 4})
     shots, whites, darks = [], [], list[Template]()
+    areas = []
     for i in chosen:
         label = bands[i].label
         frames = [f for f in context.sensor.object if f.band == label]
@@ -483,8 +497,9 @@ def _noise_of_bands(context: SensorContext) -> NoiseModel | None:
         white = white_of(context, _of_band(context.sensor.white, label), own, band=label)
         require_same_size(context, shots[-1].mean.shape, own, [white] if white else [])
         whites.append(white)
+        areas.append(white_area_of(context, shots[-1], white, own))
         darks += own if any(f.band for f in context.sensor.dark) or not darks else []
-    return noise_of(context, shots, whites, darks)
+    return noise_of(context, shots, whites, darks), joined_area(areas)
 
 
 DEVELOPERS = {

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 from levkas import __version__
 from levkas.building import fingerprints
 from levkas.building.build_records import BuildRecords, Key, Written, key_of
-from levkas.building.capture_statistics import FEW_BANDS, LAMP, SENSELS, levels_of
+from levkas.building.capture_statistics import FEW_BANDS, SENSELS, levels_of
 from levkas.building.charts import edges_of
 from levkas.building.fingerprints import digest, written
 from levkas.building.graph import cameras_with_pages, page_key
 from levkas.building.sources import made_with
 from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA
-from levkas.calibration.drift import NOTICED
+from levkas.calibration.drift import LAMP, NOTICED
 from levkas.campaign.discovery.find_captures import find_charts
 from levkas.core.disk import WriteRefused
 from levkas.core.files import make_folder, write_json, write_text

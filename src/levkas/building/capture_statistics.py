@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.calibration.drift import LAMP
 from levkas.core.cube import Flag, is_flagged
 
 if TYPE_CHECKING:
@@ -187,8 +188,6 @@ def levels_of(record: Mapping[str, Any]) -> np.ndarray:
     return stored.reshape(record["shape"]) / LEVELS
 
 
-LAMP = "lamp"
-"""Among what is learnt of a sensor: how its lamp and its black level changed, band by band."""
 LAMP_DOUBT, BLACK_DOUBT = 0.005, 0.0005
 """Standard deviation, relative and in reflectance, from which a build warns: half a per cent of the light, and a quarter
 of the darkest paint, 0.002."""
@@ -253,20 +252,6 @@ def describe_lamp(learnt: Mapping[str, Mapping[str, Any]]) -> list[str]:
             f"standard deviation, common to all pixels; {dark}), which sigma of pixels does not include"
         )
     return notes
-
-
-def common_uncertainty(learnt: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return what sigma of pixels does not contain, by source and by what shares it, as records of a budget."""
-    bands = {label: one for told in learnt.values() for label, one in told.get(LAMP, {}).items()}
-    sources = (
-        ("lamp between white and object", "sigma", "relative"),
-        ("black level between dark and object", "black_sigma", "of the values"),
-    )
-    return [
-        {"source": source, "common_to": "all pixels of a band", "unit": unit, "bands": found}
-        for source, name, unit in sources
-        if any(found := {label: one[name] for label, one in bands.items() if one[name]})
-    ]
 
 
 # --- a layer on the grid ------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.building.capture_statistics import note_lamp, note_noise
-from levkas.calibration.darks import SAME_TIME
+from levkas.calibration.darks import SAME_TIME, level_under
 from levkas.calibration.defects import find_defects
 from levkas.calibration.drift import black_between, lamp_between
 from levkas.calibration.exposures import best_exposure, merge_exposures
@@ -18,8 +18,15 @@ from levkas.calibration.linearity import check_linearity, require_reciprocity
 from levkas.calibration.motion import find_moved
 from levkas.calibration.noise_fit import fit_noise_of_frames, level_of
 from levkas.calibration.patterns import channel_table
-from levkas.calibration.sensor_context import SensorContext, doubt_scaling, exposure_of, placed
+from levkas.calibration.sensor_context import (
+    SensorContext,
+    doubt_scaling,
+    exposure_of,
+    placed,
+    placing,
+)
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
+from levkas.calibration.white_area import WhiteArea, board_alone, find_white_area
 from levkas.calibration.whites import WhiteBoard, reflectance_table
 from levkas.campaign.discovery.captures import CaptureRefused
 from levkas.core.cube import Cube, Flag, is_flagged
@@ -181,6 +188,17 @@ def check_scaling(
             require_reciprocity(found)
             return ""
     return doubt_scaling(context, taken, other)
+
+
+def white_area_of(
+    context: SensorContext, shot: Template, white: Template | None, darks: list[Template]
+) -> WhiteArea:
+    """Find where the white shows the object in place of the board; raises CalibrationRefused with the files."""
+    if white is None or context.light is not None:
+        return WhiteArea()
+    levels = [level_under(one, darks, black=context.black) for one in (shot, white)]
+    with placing(context.sensor.white):
+        return find_white_area(shot, white, (levels[0], levels[1]), context.sensor.pattern)
 
 
 def noise_of(
@@ -394,8 +412,14 @@ def cube_of(
     flags: np.ndarray,
     variance: np.ndarray | None,
     quantity: str,
+    uncovered: np.ndarray | None = None,
 ) -> Cube:
-    """Return values, flags and sigma of one sensor, rounded; what is not known is 0 and flagged."""
+    """Return values, flags and sigma of one sensor, rounded; what is not known is 0 and flagged.
+
+    `uncovered`, (h, w), is where the white does not show the board.
+    """
+    if uncovered is not None:
+        values = np.where(uncovered[..., None], np.float32(np.nan), values)
     sigma = None
     if variance is not None:
         sigma = round_root(variance, out=variance if variance.dtype == np.float32 else None)
@@ -411,11 +435,17 @@ def cube_of(
     return Cube(values, flags, sigma, context.sensor.bands, quantity)
 
 
-def defects_of(darks: list[Template], white: Template | None, pattern: Any) -> np.ndarray | None:
-    """Hot sensels of the longest dark and dead ones of the white."""
+def defects_of(
+    darks: list[Template],
+    white: Template | None,
+    pattern: Any,
+    uncovered: np.ndarray | None = None,
+) -> np.ndarray | None:
+    """Hot sensels of the longest dark and dead ones of the white, where it shows the board."""
     if not darks and white is None:
         return None
-    return find_defects(darks[-1] if darks else None, white, pattern)
+    board = None if white is None else board_alone(white, uncovered)
+    return find_defects(darks[-1] if darks else None, board, pattern)
 
 
 def mark_glare_in(cube: Cube) -> Cube:

@@ -12,11 +12,11 @@ import numpy as np
 from levkas import __version__
 from levkas.building import fingerprints
 from levkas.building.build_records import Key, key_of
-from levkas.building.capture_statistics import common_uncertainty
 from levkas.building.fingerprints import written
 from levkas.building.graph import keys_of
 from levkas.building.sources import LIBRARIES
 from levkas.calibration.chart_light import CHART_WHITE
+from levkas.calibration.drift import common_uncertainty
 from levkas.calibration.sensor_context import Times, times_of
 from levkas.campaign.schema.toml import to_toml
 from levkas.core.files import make_folder, together, write_json, write_text

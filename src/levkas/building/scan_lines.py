@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -34,6 +34,7 @@ from levkas.calibration.templates import (
     single_shot,
 )
 from levkas.calibration.whites import WhiteBoard
+from levkas.core.cube import Flag
 
 if TYPE_CHECKING:
     pass
@@ -68,7 +69,11 @@ class Strip:
         doubt = doubt_scaling(context, times, times_in(white)) if white is not None else ""
         none = np.zeros((1, 1, len(context.sensor.bands)), bool)
         shot = timed(Template(none.astype(np.float32), None, 1, none, none), times)
-        notes = (doubt, *describe_darks(shot, darks, white, context.black))
+        notes = (
+            doubt,
+            *describe_darks(shot, darks, white, context.black),
+            *self.templates.area.notes,
+        )
         return tuple(note for note in notes if note)
 
     def flat(self, start: int, stop: int) -> FlatLines:
@@ -98,6 +103,11 @@ class Strip:
             ),
             noise=self.templates.noise,
         )
+        uncovered = self.templates.uncovered(start, stop)
+        if uncovered is not None:  # where the white shows no board nothing is known
+            values = np.where(uncovered[..., None], np.float32(np.nan), flat.values)
+            flags = np.where(uncovered[..., None], flat.flags | Flag.OUTSIDE, flat.flags)
+            flat = replace(flat, values=values, flags=flags.astype(np.uint8))
         lost = gaps_of(shot, *darks, lit)
         if lost is None:
             return FlatLines(flat, np.zeros(shape[2], np.int64))

@@ -22,13 +22,14 @@ from levkas.calibration.sensor_context import (
     Times,
     by_exposure,
     capture_times,
-    placed,
+    placing,
     read_cube,
     templates_by_exposure,
     timed,
     times_of,
 )
 from levkas.calibration.templates import CalibrationRefused, ShotLevels, Template, average
+from levkas.calibration.white_area import WhiteArea, find_white_area, find_white_line
 from levkas.calibration.whites import check_white, thinning
 from levkas.core.machine import tile_rows
 from levkas.core.problems import Problem
@@ -189,6 +190,12 @@ class ScanTemplates(NamedTuple):
     darks: tuple[Template | FrameLines, ...]
     white: Template | FrameLines | None
     noise: NoiseModel | None
+    area: WhiteArea = WhiteArea()
+
+    def uncovered(self, start: int, stop: int) -> np.ndarray | None:
+        """Return where lines `start` to `stop` have no white board, (lines or 1, samples); None where all have."""
+        mask = self.area.uncovered
+        return mask if mask is None or len(mask) == 1 else mask[start:stop]
 
 
 def templates_of_scan(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
@@ -214,7 +221,11 @@ def _of_pushbroom(context: SensorContext, shape: tuple[int, int, int]) -> ScanTe
         _note_lamp_of(context, white)
     note_light(context.told, white, darks, None, [band.label for band in sensor.bands])
     noise = noise_of(context, [], [white] if white else [], darks)
-    return ScanTemplates(tuple(darks), white, noise)
+    area = WhiteArea()
+    if white is not None:
+        with placing(sensor.white):
+            area = find_white_line(white, level_under(white, darks, black=context.black))
+    return ScanTemplates(tuple(darks), white, noise, area)
 
 
 def _note_lamp_of(context: SensorContext, white: Template) -> None:
@@ -257,13 +268,35 @@ def _of_mirror(context: SensorContext, shape: tuple[int, int, int]) -> ScanTempl
         chosen = best_white(looked)
         white, seen = whites[chosen], looked[chosen]
         _note_lamp_of(context, seen)
-        try:
-            check_white(seen, level_under(seen, under, black=context.black), None, labels)
-        except CalibrationRefused as refused:
-            raise CalibrationRefused(*(placed(p, sensor.white) for p in refused.problems)) from None
+        level = level_under(seen, under, black=context.black)
+        with placing(sensor.white):
+            check_white(seen, level, None, labels)
+            area = _area_behind_mirror(context, seen, level, step, shape)
         note_light(context.told, seen, under, None, labels, period=(step, step))
     noise = noise_behind_mirror(context, white.frames[0] if white else None)
-    return ScanTemplates(tuple(darks), white, noise)
+    return ScanTemplates(tuple(darks), white, noise, area)
+
+
+def _area_behind_mirror(
+    context: SensorContext,
+    white: Template,
+    level: np.ndarray,
+    step: int,
+    shape: tuple[int, int, int],
+) -> WhiteArea:
+    """Find where a mirror scanner's white shows the object, in every `step`-th line and sample of both."""
+    file = ScanFile.open(context.sensor.object[0])
+    if file.shape != shape:
+        return WhiteArea()
+    shot = FrameLines(context, (file,), times_of(file.frame)).thinned(step)
+    found = find_white_area(shot, white, (level, level), spacing=step)
+    if found.uncovered is None:
+        return found
+    rows, columns = (
+        np.minimum(np.arange(n) // step, m - 1)
+        for n, m in zip(shape, found.uncovered.shape, strict=False)
+    )
+    return found.at(rows, columns)
 
 
 def lines_of(template: Template | FrameLines, start: int, stop: int) -> Template:

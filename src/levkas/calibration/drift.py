@@ -8,9 +8,9 @@ offset instead, x_k = D + o_k + noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,12 @@ DIM = 0.02  # of the brightest cells: darker ones hold noise alone
 EXPLAINED = (
     0.01  # of the variance of bright pixels over time: beyond it shots are brought to one level
 )
+LAMP = "lamp"
+"""Among what is learnt of a sensor: how its lamp and its black level changed, band by band."""
+STEADY = (
+    0.7,
+    1.4,
+)  # least and greatest light of a shot that is a lamp's: a white that ends in the scan is none
 SAMPLE = 200_000  # pixels of a channel that are looked at
 LONG = 10.0  # times its change within a stack: lamps settle, and what one did in a second tells little of a day
 
@@ -283,7 +289,8 @@ def average_steady(
         shots = measure_light(light.channels, cell_means(level, period))
     if times_s is not None and len(times_s) == made.count:
         shots = replace(shots, times_s=tuple(times_s))
-    if _explained(made, shots, level, period) > EXPLAINED:
+    lamp = level is None or STEADY[0] < shots.levels.min() <= shots.levels.max() < STEADY[1]
+    if lamp and _explained(made, shots, level, period) > EXPLAINED:
         steadied = (
             _steadied(frame, found, level, period)
             for frame, found in zip(read(), shots.levels, strict=True)
@@ -538,3 +545,17 @@ def _bridge(white: ShotLevels, shot: ShotLevels) -> tuple[np.ndarray, np.ndarray
     factor = np.where(known, first + share * (last - first), 1.0)
     sigma = np.abs(last - first) * np.where(known, share * (1 - share), 1.0)
     return factor, sigma, (1 - share) ** 2 / before.sum() + share**2 / after.sum()
+
+
+def common_uncertainty(learnt: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return what sigma of pixels does not contain, by source and by what shares it, as records of a budget."""
+    bands = {label: one for told in learnt.values() for label, one in told.get(LAMP, {}).items()}
+    sources = (
+        ("lamp between white and object", "sigma", "relative"),
+        ("black level between dark and object", "black_sigma", "of the values"),
+    )
+    return [
+        {"source": source, "common_to": "all pixels of a band", "unit": unit, "bands": found}
+        for source, name, unit in sources
+        if any(found := {label: one[name] for label, one in bands.items() if one[name]})
+    ]

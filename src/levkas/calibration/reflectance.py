@@ -63,15 +63,15 @@ def calibrate(
     cube : Cube
         `values` (h, w, bands), float32: reflectance (1.0 is the perfect diffuser, not clipped to 0–1), or
         counts above dark without a white; NaN where no neighbour of a defect is sound. `flags`: SATURATED,
-        BLACK, DEFECT (replaced from neighbours), MOVED (several shots disagree), NEAR. `sigma`: one standard
+        BLACK, DEFECT (replaced from neighbours), OUTSIDE (the white shows the object there, not the board), MOVED (several shots disagree), NEAR. `sigma`: one standard
         deviation of the random part, in the unit of the values; None where the noise cannot be estimated.
 
     Raises
     ------
     CalibrationRefused
         ``E_NO_FRAMES``, ``E_SIZE``, ``E_VALUE``, ``E_EXPOSURES`` or ``E_BAND_COUNT`` where frames or
-        arguments do not fit; ``E_WHITE_DARK``, ``E_WHITE_SATURATED`` where more than half of a
-        white is not above dark, or is full.
+        arguments do not fit; ``E_WHITE_DARK``, ``E_WHITE_SATURATED``, ``E_WHITE_DETAIL`` where more than half of a
+        white is not above dark, is full, or shows the object.
 
     Notes
     -----
@@ -92,6 +92,7 @@ def calibrate(
     from levkas.calibration.defects import find_defects, replace_defects
     from levkas.calibration.flatfield import flat_field
     from levkas.calibration.mosaic import demosaic
+    from levkas.calibration.white_area import board_alone, find_white_area
     from levkas.calibration.whites import WhiteBoard
 
     times = _times(exposure_s)
@@ -114,8 +115,13 @@ def calibrate(
     _check_shapes(shot, {"dark": under, "white": lit})
     noise = _noise(shot, lit, under, black or 0.0, pattern, codes)
     defects = gaps_of(shot, under, lit)
+    uncovered = None
+    if lit is not None:
+        plane = np.full((1, 1), black or 0.0, np.float32) if under is None else under.mean
+        uncovered = find_white_area(shot, lit, (plane, plane), pattern).uncovered
     if under is not None or lit is not None:
-        found = find_defects(under, lit, pattern)
+        covered = None if lit is None else board_alone(lit, uncovered)
+        found = find_defects(under, covered, pattern)
         defects = found if defects is None else found | defects
     board = replace(board, labels=[band.label for band in bands])
     flat = flat_field(shot, under, lit, board=board, black=black, noise=noise, defects=defects)
@@ -124,8 +130,13 @@ def calibrate(
     if pattern is not None:
         values, flags, variance = demosaic(values, flags, variance, pattern)
     deep = (*shot.mean.shape[:2], len(bands))
+    values, flags = values.reshape(deep), flags.reshape(deep)
+    if uncovered is not None:
+        lost = uncovered[..., None]
+        values = np.where(lost, np.float32(np.nan), values)
+        flags = np.where(lost, flags | (Flag.OUTSIDE | Flag.DEFECT), flags).astype(np.uint8)
     sigma = None if variance is None else np.sqrt(np.maximum(variance, 0)).reshape(deep)
-    return Cube(values.reshape(deep), flags.reshape(deep), sigma, bands, flat.quantity)
+    return Cube(values, flags, sigma, bands, flat.quantity)
 
 
 def _template(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property, partial
@@ -263,6 +264,15 @@ def placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
     """Name the folder of the frames where the kernels, which know no files, could not."""
     names = ", ".join(f.path.name for f in frames[:3]) + (" …" if len(frames) > 3 else "")
     return problem if problem.file else replace(problem, file=f"{frames[0].path.parent}: {names}")
+
+
+@contextmanager
+def placing(frames: Sequence[FrameRef]) -> Iterator[None]:
+    """Name the folder of the frames in the refusals of kernels, which know no files."""
+    try:
+        yield
+    except CalibrationRefused as refused:
+        raise type(refused)(*(placed(p, frames) for p in refused.problems)) from None
 
 
 def doubts_of(context: SensorContext) -> list[str]:

@@ -218,17 +218,7 @@ def measure(
 ) -> ChartMeasure:
     """Measure a chart where it was seen."""
 
-    tables = [
-        measure_patches(
-            *(s.cube.values, s.cube.flags, s.located.areas),
-            shots=s.shots,
-            steps=s.steps,
-            count=s.count,
-            pattern=s.pattern,
-            common=s.common,
-        )
-        for s in seen
-    ]
+    tables = [_patches_of(one) for one in seen]
     mean, noise, saturated, quantised = (
         np.concatenate([getattr(t, part) for t in tables], 1)
         for part in ("mean", "noise", "saturated", "quantised")
@@ -375,6 +365,17 @@ def _unknown_bands(bands: Sequence[Band], reference: ChartReference | None) -> l
                 "comparison; give a CSV that covers this range"
             )
     return said
+
+
+def _patches_of(seen: Sighting) -> PatchTable:
+    return measure_patches(
+        *(seen.cube.values, seen.cube.flags, seen.located.areas),
+        shots=seen.shots,
+        steps=seen.steps,
+        count=seen.count,
+        pattern=seen.pattern,
+        common=seen.common,
+    )
 
 
 def _preblurs(seen: Sighting) -> list[Preblur | None]:
