@@ -47,6 +47,7 @@ from levkas.calibration.noise_fit import mean_variance
 from levkas.calibration.sensor_context import (
     CodesRefused,
     SensorContext,
+    describe_sensor,
     doubts_of,
     exposure_of,
     placed,
@@ -188,10 +189,8 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
             if light is not None and cube.sigma is not None:
                 shared = light_variance(cube.values, light.sigmas(), cube.labels)
                 cube = replace(cube, sigma=round_root(cube.sigma**2 + shared))
-            cube = cubes[sensor.name] = mark_glare_in(cube)
-            notes += found
-            if camera.kind != "cube":  # of a scan it is among what its lines show
-                notes += describe_above(count_above(cube), cube.labels)
+            cubes[sensor.name] = mark_glare_in(cube)
+            notes += [*found, *describe_sensor(context)]
             learnt[sensor.name] = context.told
     except (UnreadableCapture, CodesRefused) as refused:
         raise type(refused)(*_all_problems(capture, campaign, templates, refused)) from None
@@ -266,9 +265,9 @@ def _all_problems(
 def develop_mosaic(context: SensorContext) -> Noted:
     """A mosaic: flat field on the mosaic, then demosaic; or a sensor without one."""
     sensor, camera = context.sensor, context.camera
-    darks = context.templates(sensor.dark)
-    shots = average_shots(context, sensor.object, darks)
-    whites = context.templates(sensor.white, darks) if sensor.white else []
+    darks = context.darks(sensor.dark)
+    shots = average_shots(context, sensor.object)
+    whites = context.templates(sensor.white) if sensor.white else []
     require_same_size(context, shots[0].mean.shape, darks, whites)
     white = white_of(context, sensor.white, darks)
     noise = noise_of(context, shots, [white] * len(shots), darks)
@@ -403,8 +402,8 @@ def _band(
 ) -> Calibrated:
     """One band of one file, or of one file an exposure."""
     sensor = context.sensor
-    darks = context.templates(_of_band(sensor.dark, label))
-    shots = average_shots(context, [f for f in sensor.object if f.band == label], darks)
+    darks = context.darks(_of_band(sensor.dark, label))
+    shots = average_shots(context, [f for f in sensor.object if f.band == label])
     frames = _require(_of_band(sensor.white, label), context, label)
     whites = context.templates(frames, darks) if frames else []
     require_same_size(context, shots[0].mean.shape, darks, whites)
@@ -492,8 +491,8 @@ def _noise_of_bands(context: SensorContext) -> tuple[NoiseModel | None, WhiteAre
         label = bands[i].label
         frames = [f for f in context.sensor.object if f.band == label]
         alike = [f for f in frames if exposure_of(f) == exposure_of(frames[0])]
-        own = context.templates(_of_band(context.sensor.dark, label))
-        shots.append(context.average(alike, own))
+        shots.append(context.average(alike))
+        own = context.darks(_of_band(context.sensor.dark, label))
         white = white_of(context, _of_band(context.sensor.white, label), own, band=label)
         require_same_size(context, shots[-1].mean.shape, own, [white] if white else [])
         whites.append(white)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.calibration.drift import LAMP
+from levkas.calibration.clipped_darks import MANY_ZEROS
 from levkas.core.cube import Flag, is_flagged
 
 if TYPE_CHECKING:
@@ -29,8 +29,6 @@ FEW_BANDS = 5
 LEVELS = 65535
 SENSELS = "sensels"
 """Among what is learnt of a sensor: of the object's picture, not of the camera."""
-CLIPPED = 0.02
-"""Share of zeros from which a dark was clipped, and its spread is not noise."""
 
 
 # --- the sensor ---------------------------------------------------------------------------------
@@ -72,7 +70,9 @@ def _noise_in_the_dark(dark: Template | None, step: float) -> float | None:
 
     if dark is None or dark.mean.size < 1000:
         return None
-    if float(dark.mean.min()) <= 0 and float(np.mean(dark.black | (dark.mean <= 0))) > CLIPPED:
+    if dark.fit is not None:
+        return float(np.sqrt(dark.fit.noise**2 + step**2 / 12))
+    if float(dark.mean.min()) <= 0 and float(np.mean(dark.black | (dark.mean <= 0))) > MANY_ZEROS:
         return None
     if dark.count > 1 and dark.variance is not None:
         found = float(np.median(dark.variance) if dark.count > 20 else np.mean(dark.variance))

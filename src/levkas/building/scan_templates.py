@@ -14,6 +14,7 @@ import numpy as np
 
 from levkas.building.capture_statistics import note_lamp, note_light, note_noise
 from levkas.building.exposures import noise_of, require_same_size
+from levkas.calibration.clipped_darks import MANY_ZEROS, pairs_of_lines
 from levkas.calibration.darks import level_under
 from levkas.calibration.drift import average_steady, lamp_between
 from levkas.calibration.exposures import best_exposure
@@ -24,6 +25,7 @@ from levkas.calibration.sensor_context import (
     capture_times,
     placing,
     read_cube,
+    spread,
     templates_by_exposure,
     timed,
     times_of,
@@ -45,6 +47,8 @@ if TYPE_CHECKING:
 
 BLOCK_SAMPLES = 4_000_000
 """Samples of a block of lines, where $LEVKAS_TILE does not say how many lines."""
+MOST_LINES = 256
+"""Of a mirror scanner's dark that was clipped: its levels are then known to a sixteenth of its noise."""
 TRIPLES = 64
 """Threes of neighbouring lines of a mirror scanner's dark and white that tell its noise."""
 MOST_VALUES = 2_000_000
@@ -212,9 +216,20 @@ def templates_of_scan(context: SensorContext, shape: tuple[int, int, int]) -> Sc
 
 
 def _of_pushbroom(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
+
+    def make(frames: Sequence[FrameRef]) -> Template:
+        files = [ScanFile.open(frame) for frame in frames]
+        blocks = (context.checked(block, file.frame) for file in files for block in file.blocks())
+        return context.whole(average_lines(blocks, saturation=context.saturation), frames)
+
+    def make_dark(frames: Sequence[FrameRef]) -> Template:
+        return context.unclipped(make(frames), _pairs(frames[0]))
+
     sensor = context.sensor
-    darks = templates_by_exposure(sensor.dark, partial(average_lines, context))
-    whites = templates_by_exposure(sensor.white, partial(average_lines, context, darks=darks))
+    darks = templates_by_exposure(sensor.dark, make_dark)
+    whites = templates_by_exposure(sensor.white, make)
+    for dark in darks:
+        context.note_dark(dark)
     require_same_size(context, shape, darks, whites)
     white = whites[best_white(whites)] if whites else None
     if white is not None:
@@ -254,49 +269,56 @@ def average_lines(
     return context.whole(made, frames)
 
 
+def _pairs(frame: FrameRef) -> list[np.ndarray]:
+    """Return pairs of neighbouring lines of a dark, (1, samples, bands) each."""
+    file = ScanFile.open(frame)
+    return [file.read(y, y + 1) for y in pairs_of_lines(file.shape[0])]
+
+
 def _of_mirror(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
     """Open dark and white; the white is checked by every so-many-th pixel."""
     sensor = context.sensor
     labels = [band.label for band in sensor.bands]
-    darks = FrameLines.by_exposure(context, "dark", shape)
+    step = thinning(shape[:2])
+    frames = FrameLines.by_exposure(context, "dark", shape)
+    darks = [_of_one_line(dark, step) for dark in frames]
     whites = FrameLines.by_exposure(context, "white", shape)
     white = None
     if whites:
-        step = thinning(shape[:2])
-        under = [dark.thinned(step) for dark in darks]
-        looked = [one.thinned(step, under) for one in whites]
+        looked = [one.thinned(step) for one in whites]
         chosen = best_white(looked)
         white, seen = whites[chosen], looked[chosen]
-        _note_lamp_of(context, seen)
-        level = level_under(seen, under, black=context.black)
-        with placing(sensor.white):
-            check_white(seen, level, None, labels)
-            area = _area_behind_mirror(context, seen, level, step, shape)
+        under = [d.thinned(step) if isinstance(d, FrameLines) else _columns(d, step) for d in darks]
+        try:
+            check_white(seen, level_under(seen, under, black=context.black), None, labels)
+        except CalibrationRefused as refused:
+            raise CalibrationRefused(*(placed(p, sensor.white) for p in refused.problems)) from None
         note_light(context.told, seen, under, None, labels, period=(step, step))
-    noise = noise_behind_mirror(context, white.frames[0] if white else None)
-    return ScanTemplates(tuple(darks), white, noise, area)
+    noise = noise_behind_mirror(context, white.frames[0] if white else None, darks)
+    return ScanTemplates(tuple(darks), white, noise)
 
 
-def _area_behind_mirror(
-    context: SensorContext,
-    white: Template,
-    level: np.ndarray,
-    step: int,
-    shape: tuple[int, int, int],
-) -> WhiteArea:
-    """Find where a mirror scanner's white shows the object, in every `step`-th line and sample of both."""
-    file = ScanFile.open(context.sensor.object[0])
-    if file.shape != shape:
-        return WhiteArea()
-    shot = FrameLines(context, (file,), times_of(file.frame)).thinned(step)
-    found = find_white_area(shot, white, (level, level), spacing=step)
-    if found.uncovered is None:
-        return found
-    rows, columns = (
-        np.minimum(np.arange(n) // step, m - 1)
-        for n, m in zip(shape, found.uncovered.shape, strict=False)
-    )
-    return found.at(rows, columns)
+def _of_one_line(dark: FrameLines, step: int) -> Template | FrameLines:
+    """Return a mirror scanner's dark that was clipped as one line, of many: no single line shows its level.
+
+    Every `step`-th line and sample tells whether it was.
+    """
+    if np.mean(dark.thinned(step).black) <= MANY_ZEROS:
+        return dark
+    context, file = dark.context, dark.files[0]
+    starts = spread(range(0, file.shape[0]), MOST_LINES)
+    lines = (context.checked(file.read(y, y + 1), file.frame) for y in starts)
+    line = average(lines, saturation=context.saturation)
+    made = context.unclipped(context.whole(line, dark.frames), _pairs(file.frame))
+    made = timed(made, dark.times)
+    context.note_dark(made)
+    return dark if made.fit is None else made
+
+
+def _columns(line: Template, step: int) -> Template:
+    """Return every `step`-th sample of one line."""
+    arrays = {name: getattr(line, name)[:, ::step] for name in ("mean", "saturated", "black")}
+    return replace(line, variance=None, fit=None, **arrays)
 
 
 def lines_of(template: Template | FrameLines, start: int, stop: int) -> Template:
@@ -331,7 +353,11 @@ def gaps_marked(shot: Template) -> Template:
     )
 
 
-def noise_behind_mirror(context: SensorContext, white_frame: FrameRef | None) -> NoiseModel | None:
+def noise_behind_mirror(
+    context: SensorContext,
+    white_frame: FrameRef | None,
+    darks: Sequence[Template | FrameLines] = (),
+) -> NoiseModel | None:
     """Fit the noise of a mirror scanner to neighbouring lines of its white and its dark.
 
     A mirror leads the view over the board: lines have other light, and the sensels of (sample, band) are
@@ -341,11 +367,15 @@ def noise_behind_mirror(context: SensorContext, white_frame: FrameRef | None) ->
     if white_frame is None:
         return None
     dark_frame = _dark_like(context, white_frame)
-    dark = _triples(context, dark_frame) if dark_frame else None
+    clipped = [dark for dark in darks if isinstance(dark, Template)]
+    dark = clipped[0] if clipped else _triples(context, dark_frame) if dark_frame else None
     white = _triples(context, white_frame)
     black = context.black or 0.0
     stacks, level = [white] if white else [], None
-    if dark is not None:
+    if clipped:
+        level = clipped[0]
+        stacks += clipped
+    elif dark is not None:
         level = _mean_line(dark)
         # At no light at all: sorted by their signal, its lines would be sorted by their noise.
         stacks.append(replace(dark, mean=np.broadcast_to(level.mean, dark.mean.shape)))

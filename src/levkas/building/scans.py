@@ -20,8 +20,8 @@ from levkas.calibration.denoising import Projecting, Subspace, describe_removed,
 from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.sensor_context import (
     SensorContext,
+    describe_sensor,
     doubts_of,
-    require_black,
     require_exposures,
 )
 from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
@@ -126,8 +126,8 @@ class Scan:
 
     @cached_property
     def _doubts(self) -> tuple[str, ...]:
-        doubts = (*self.stated, *doubts_of(self.context), *self.source.notes)
-        return (*doubts, *describe_lamp(self.learnt))
+        notes = (*self.stated, *doubts_of(self.context), *describe_sensor(self.context))
+        return (*notes, *self.source.notes)
 
     @property
     def shape(self) -> tuple[int, int, int]:

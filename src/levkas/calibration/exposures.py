@@ -375,7 +375,7 @@ def _sums(
         sums = _Sums(rate, total, weights, clipped)
         for shot, under, read, marks in zip(timed, unders, reads, left_out, strict=True):
             planes = as_rows(shot.mean), as_rows(under.mean), as_marks(marks), as_marks(shot.black)
-            scalars = shot.exposure_s or 0.0, read, 1.0 / shot.count, under.share
+            scalars = shot.exposure_s or 0.0, read, 1.0 / shot.count, under.share_of(read)
             parts: list[Any] = [*map(read_only, planes), *map(float, scalars)]
             numbers = float(full), float(offset), float(gain)
             in_threads(_add_exposure, shape[0], _Frame(*parts), sums, numbers, worth=total.size)

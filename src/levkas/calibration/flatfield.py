@@ -202,6 +202,7 @@ class Side(NamedTuple):
     def of_dark(cls, dark: MatchedDark) -> Side:
         """Return the side of what is subtracted."""
         freedom = 0.0 if dark.variance is None else max(dark.count - 1.0, 0.0)
+        freedom = WORKED_OUT if dark.worked_out else freedom
         return cls._of(dark.mean, dark.variance, freedom, dark.share)
 
     @classmethod

@@ -89,6 +89,7 @@ def calibrate(
     >>> cube.quantity, cube.values.shape, round(float(cube.values[0, 0, 0]), 3)
     ('reflectance', (4, 6, 1), 0.49)
     """
+    from levkas.calibration.code_spacing import find_step
     from levkas.calibration.defects import find_defects, replace_defects
     from levkas.calibration.flatfield import flat_field
     from levkas.calibration.mosaic import demosaic
@@ -99,21 +100,19 @@ def calibrate(
     if saturation is not None:
         saturation = float(_numbers(saturation, "saturation", "counts, a number")[0])
     board = WhiteBoard(_numbers(reflectance, "reflectance", "numbers above 0"), pattern)
-    under, black = None, None
-    if isinstance(dark, (int, float, np.number)):
-        black = float(_numbers(dark, "dark", "a finite black level, counts")[0])
-    elif dark is not None:
-        under = _template(dark, "dark", saturation, times[1], None, pattern)[0]
-    level = (black or 0.0) if under is None else under.mean
-    shot, codes = _template(raw, "raw", saturation, times[0], level, pattern)
-    under = None if under is None else _as_high(under, shot)
+    shot, codes = _template(raw, "raw", saturation, times[0])
     lit = None
     if white is not None:
         lit, seen = _template(white, "white", saturation, times[2], level, pattern)
         lit, codes = _as_high(lit, shot), [*codes, *seen]
+    under, black, step = None, None, find_step(codes)
+    if isinstance(dark, (int, float, np.number)):
+        black = float(_numbers(dark, "dark", "a finite black level, counts")[0])
+    elif dark is not None:
+        under = _as_high(_dark(dark, saturation, times[1], pattern, step), shot)
     bands = _bands(shot, pattern, wavelengths)
     _check_shapes(shot, {"dark": under, "white": lit})
-    noise = _noise(shot, lit, under, black or 0.0, pattern, codes)
+    noise = _noise(shot, lit, under, black or 0.0, pattern, step)
     defects = gaps_of(shot, under, lit)
     uncovered = None
     if lit is not None:
@@ -180,6 +179,25 @@ def _template(
     return made, shots
 
 
+def _dark(
+    frames: Frames,
+    saturation: float | None,
+    exposure_s: float | None,
+    pattern: Pattern | None,
+    step: float,
+) -> Template:
+    """Average darks; where they were clipped at zero, as if they had not been."""
+    from levkas.calibration.clipped_darks import unclip
+    from levkas.calibration.patterns import channel_table
+
+    made, shots = _template(frames, "dark", saturation, exposure_s)
+    period = (1, 1) if pattern is None else channel_table(pattern).shape[:2]
+    try:
+        return unclip(made, shots[:4], period=(period[0], period[1]), step=step or 1.0)
+    except CalibrationRefused:
+        return made  # so few codes are above zero that their mean is next to black
+
+
 def _as_high(template: Template, shot: Template) -> Template:
     """Return a template of one line repeated for all lines of the shot; others as they are."""
     if len(template.mean) > 1 or len(shot.mean) == 1:
@@ -188,7 +206,10 @@ def _as_high(template: Template, shot: Template) -> Template:
     names = ("mean", "variance", "saturated", "black", "lost")
     arrays = {name: getattr(template, name) for name in names}
     high = {k: np.broadcast_to(a, shape).copy() for k, a in arrays.items() if a is not None}
-    return replace(template, **high)  # type: ignore[arg-type]
+    fit = template.fit
+    if fit is not None:
+        fit = fit._replace(variance=np.broadcast_to(fit.variance, shape))
+    return replace(template, fit=fit, **high)  # type: ignore[arg-type]
 
 
 def _times(exposure_s: tuple[float, float, float] | None) -> tuple[float | None, ...]:
@@ -272,10 +293,9 @@ def _noise(
     dark: Template | None,
     black: float,
     pattern: Pattern | None,
-    codes: Sequence[np.ndarray],
+    step: float,
 ) -> NoiseModel | None:
     """Estimate the noise of the sensor; the bands of a cube count as phases of a mosaic of one row."""
-    from levkas.calibration.code_spacing import find_step
     from levkas.calibration.noise_fit import fit_noise_of_frames
 
     if shot.mean.ndim == 3:
@@ -283,7 +303,7 @@ def _noise(
     darks = [] if dark is None else [_interleaved(dark)]
     whites = [None if white is None else _interleaved(white)]
     return fit_noise_of_frames(
-        *([_interleaved(shot)], whites, darks), black=black, pattern=pattern, step=find_step(codes)
+        *([_interleaved(shot)], whites, darks), black=black, pattern=pattern, step=step
     )
 
 
@@ -294,7 +314,10 @@ def _interleaved(template: Template) -> Template:
     names = ("mean", "variance", "saturated", "black")
     arrays = {name: getattr(template, name) for name in names}
     flat = {k: a.reshape(len(a), -1) for k, a in arrays.items() if a is not None}
-    return replace(template, lost=None, **flat)
+    fit = template.fit
+    if fit is not None:
+        fit = fit._replace(variance=fit.variance.reshape(len(fit.variance), -1))
+    return replace(template, lost=None, fit=fit, **flat)
 
 
 def _with_moved(

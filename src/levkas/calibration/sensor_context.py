@@ -8,12 +8,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property, partial
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from levkas.calibration.agreement import Aligned, check_alike, facts_of
+from levkas.calibration.clipped_darks import MANY_ZEROS, is_clipped, unclip
 from levkas.calibration.code_spacing import find_alignment, find_step
 from levkas.calibration.darks import SAME_TIME, level_under
 from levkas.calibration.drift import average_steady
@@ -32,6 +34,10 @@ GLIMPSE_LINES = 64
 AS_LIGHT = "they are taken as proportional to light: export linear frames"
 MOST_GLIMPSED = 2
 """Frames of a role of which some rows are looked at."""
+SHOTS = 4
+"""Of a dark that was clipped: what they show of noise and fixed pattern suffices."""
+CLIPPED_DARKS = "clipped_darks"
+"""Name, among what is measured of a sensor, of darks that were clipped."""
 
 
 class Averages(Protocol):
@@ -77,6 +83,12 @@ class SensorContext:
     def unmended(self) -> bool:
         """Whether defects are left out instead of replaced from their neighbours."""
         return self.camera.kind == "cube"
+
+    @property
+    def period(self) -> tuple[int, int]:
+        """Rows and columns of the mosaic's pattern."""
+        pattern = self.sensor.pattern
+        return (len(pattern), len(pattern[0])) if pattern else (1, 1)
 
     @property
     def black(self) -> float | None:
@@ -140,25 +152,41 @@ class SensorContext:
         return found
 
     def average(
-        self, frames: Sequence[FrameRef], darks: Sequence[Template] = (), *, kept: bool = False
+        self, frames: Sequence[FrameRef], *, kept: bool = False, dark: bool = False
     ) -> Template:
-        """Average shots of one exposure above their `darks`; templates are kept for the other objects."""
-        level = self.level_under(frames, darks) if len(frames) > 1 else 0.0
+        """Average shots of one exposure; templates are kept for the other objects.
+
+        A dark that was clipped at black comes as if it had not been, where enough of it is above.
+        """
+        make = partial(self._dark if dark else self._averaged, frames)
         if not kept or self.cache is None:
-            return self.whole(self._averaged(frames, level), frames)
+            return self.whole(make(), frames)
         made = self.cache.template(
             frames,
-            partial(self._averaged, frames, level),
+            make,
             saturation=self.saturation,
             exposure=exposure_of(frames[0]),
             bits=self.camera.bits,
             overrule=self.camera.overrule,
-            level=_digest(level),
+            **({"dark": (self.step, self.period)} if dark else {}),
         )
         return self.whole(made, frames)
 
-    def _averaged(self, frames: Sequence[FrameRef], level: np.ndarray | float | None) -> Template:
-        pattern = self.sensor.pattern
+    def _dark(self, frames: Sequence[FrameRef]) -> Template:
+        shots = islice(self.read(frames), SHOTS)
+        return self.unclipped(self._averaged(frames), shots)
+
+    def unclipped(self, dark: Template, shots: Iterable[np.ndarray]) -> Template:
+        """Return a dark as if it had not been clipped, by some of its shots; as it is where these do not show it."""
+        if np.mean(dark.black) <= MANY_ZEROS:
+            return dark
+        try:
+            return unclip(dark, [*shots], period=self.period, step=self.step or 1.0)
+        except CalibrationRefused:
+            return dark
+
+    def _averaged(self, frames: Sequence[FrameRef]) -> Template:
+        exposure = exposure_of(frames[0])
         try:
             return average_steady(
                 lambda: self.read(frames),
@@ -213,21 +241,30 @@ class SensorContext:
             raise CalibrationRefused(*(placed(p, frames) for p in refused.problems)) from None
         return as_absent(closed) if read_facts(frames[0].path).nodata is not None else closed
 
-    def templates(
-        self, frames: Sequence[FrameRef], darks: Sequence[Template] = ()
-    ) -> list[Template]:
-        """Average frames exposure by exposure, shortest first, above their `darks`."""
+    def templates(self, frames: Sequence[FrameRef], *, dark: bool = False) -> list[Template]:
+        """Average frames exposure by exposure, shortest first."""
         times = sorted({exposure_of(f) for f in frames}, key=lambda t: (t is not None, t or 0.0))
         return [
-            self.average([f for f in frames if exposure_of(f) == t], darks, kept=True)
+            self.average([f for f in frames if exposure_of(f) == t], kept=True, dark=dark)
             for t in times
         ]
 
+    def darks(self, frames: Sequence[FrameRef]) -> list[Template]:
+        """Average darks exposure by exposure, shortest first, and note those that were clipped."""
+        made = self.templates(frames, dark=True)
+        for dark in made:
+            self.note_dark(dark, frames[0].band or "")
+        return made
 
-def _digest(level: np.ndarray | float | None) -> str:
-    return (
-        "" if level is None else hashlib.sha256(np.asarray(level, np.float32).tobytes()).hexdigest()
-    )
+    def note_dark(self, dark: Template, band: str = "") -> None:
+        """Note black and noise of a dark that was clipped, or that they cannot be had, in `told`."""
+        name = f"{band} {f'{dark.exposure_s:g} s' if dark.exposure_s else ''}".strip()
+        if dark.fit is not None:
+            blacks = [round(black, 4) for black in dark.fit.blacks]
+            found = {"black": blacks, "noise": dark.fit.noise, "zeros": dark.fit.zeros}
+            self.told.setdefault(CLIPPED_DARKS, {})[name] = found
+        elif np.mean(dark.black) > MANY_ZEROS and is_clipped(dark.mean):
+            self.told.setdefault(CLIPPED_DARKS, {})[name] = {"zeros": float(np.mean(dark.black))}
 
 
 def exposure_of(frame: FrameRef) -> float | None:
@@ -266,13 +303,33 @@ def placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
     return problem if problem.file else replace(problem, file=f"{frames[0].path.parent}: {names}")
 
 
-@contextmanager
-def placing(frames: Sequence[FrameRef]) -> Iterator[None]:
-    """Name the folder of the frames in the refusals of kernels, which know no files."""
-    try:
-        yield
-    except CalibrationRefused as refused:
-        raise type(refused)(*(placed(p, frames) for p in refused.problems)) from None
+def describe_sensor(context: SensorContext) -> list[str]:
+    """Say what was measured of a sensor that a person should know: darks that were clipped."""
+    darks: dict[str, dict[str, Any]] = context.told.get(CLIPPED_DARKS, {})
+    if not darks:
+        return []
+    name, zeros = context.camera.name, max(one["zeros"] for one in darks.values())
+    blacks = [black for one in darks.values() for black in one.get("black", ())]
+    lost = [time for time, one in darks.items() if "black" not in one]
+    notes = []
+    if blacks:
+        noise = max(one.get("noise", 0.0) for one in darks.values())
+        notes.append(
+            f"{name}: darks were clipped at zero (up to {zeros:.0%} of the pixels) and are fitted as censored: black "
+            f"{_range(blacks, '.2f')} counts, noise {noise:.2g}"
+        )
+    if lost:
+        some = f" of {', '.join(filter(None, lost[:NAMED]))}" if any(lost) else ""
+        notes.append(
+            f"{name}: darks{some} are clipped too strongly to show the black level: dark values can be wrong by as "
+            "much; raise the camera's black level (offset), or capture an exposure series"
+        )
+    return notes
+
+
+def _range(numbers: Sequence[float], form: str) -> str:
+    low, high = (format(n, form) for n in (min(numbers), max(numbers)))
+    return low if low == high else f"{low} to {high}"
 
 
 def doubts_of(context: SensorContext) -> list[str]:

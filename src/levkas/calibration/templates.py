@@ -7,7 +7,7 @@ sums are whole numbers, so the result does not depend on the order of the shots 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -25,23 +25,25 @@ class CalibrationRefused(Refused):
     """Frames from which no trustworthy values can be had."""
 
 
-@dataclass(frozen=True, eq=False)
-class ShotLevels:
-    """How bright each shot of a stack is, channel by channel: a channel is a phase of the mosaic, and a band of it.
+class DarkFit(NamedTuple):
+    """How a clipped dark was fitted.
 
     Parameters
     ----------
-    levels : ndarray, (shots, channels)
-        Light of each shot over the mean of all; of darks the counts by which each lies above the mean.
-    error : ndarray, (channels,)
-        Standard deviation that noise alone gives to a level; infinite where the stack has no light.
-    times_s : tuple of float, optional
-        When each shot was captured, s from any origin; None where its file does not state it.
+    variance : ndarray like the dark's mean, float32
+        Of the mean about each sensel's own level, counts².
+    blacks : tuple of float, counts
+        Of each phase of a mosaic, or band of a cube; one of all where bands are many.
+    noise : float, counts
+        Standard deviation of one shot, rounding not included; of a single shot also from sensel to sensel.
+    zeros : float
+        Share of pixels at 0.
     """
 
-    levels: np.ndarray
-    error: np.ndarray
-    times_s: tuple[float, ...] | None = None
+    variance: np.ndarray
+    blacks: tuple[float, ...]
+    noise: float
+    zeros: float
 
 
 @dataclass(frozen=True)
@@ -68,8 +70,8 @@ class Template:
         zero for it.
     band_times_s : tuple of float, optional
         Exposure of every band, where a scan has one of its own each; `exposure_s` is None then.
-    shots : ShotLevels, optional
-        How bright each shot is; None where nobody measured it.
+    fit : DarkFit, optional
+        Of a dark that was clipped at black: `mean` is what `clipped_darks.unclip` makes of it.
 
     Examples
     --------
@@ -87,7 +89,7 @@ class Template:
     lost: np.ndarray | None = None
     above_dark: bool = False
     band_times_s: tuple[float, ...] | None = None
-    shots: ShotLevels | None = None
+    fit: DarkFit | None = None
 
     def __post_init__(self) -> None:
         arrays = [self.mean, self.saturated, self.black]
@@ -109,9 +111,7 @@ def bands_alike(*templates: Template | None) -> list[np.ndarray] | None:
 def pick_bands(template: Template, bands: np.ndarray) -> Template:
     """Return some bands of a template, all of one exposure, as a template of that exposure."""
     times, variance, lost = template.band_times_s, template.variance, template.lost
-    shots = template.shots
-    if shots is not None:
-        shots = replace(shots, levels=shots.levels[:, bands], error=shots.error[bands])
+    fit = template.fit
     return replace(
         template,
         mean=template.mean[..., bands],
@@ -122,7 +122,7 @@ def pick_bands(template: Template, bands: np.ndarray) -> Template:
         absent=None if absent is None else absent[..., bands],
         exposure_s=times[bands[0]] if times else template.exposure_s,
         band_times_s=None,
-        shots=shots,
+        fit=None if fit is None else fit._replace(variance=fit.variance[..., bands]),
     )
 
 

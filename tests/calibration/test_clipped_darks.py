@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from levkas.calibration.clipped_darks import fit_clipped_dark, is_clipped
 from levkas.calibration.templates import CalibrationRefused
-from levkas.quality.emva1288.darks import fit_clipped_dark, is_clipped
 
 
 def darks(black, noise, fixed, count=2, seed=1, hot=60):
