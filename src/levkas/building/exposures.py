@@ -286,7 +286,8 @@ def flatten(
         )  # fmt: skip
     except CalibrationRefused as refused:
         frames = context.sensor.white or context.sensor.object
-        raise CalibrationRefused(*(placed(p, frames) for p in refused.problems)) from None
+        problems = (context.with_full_scale(p) for p in refused.problems)
+        raise CalibrationRefused(*(placed(p, frames) for p in problems)) from None
     if white is None and context.camera.white_chart is not None:
         taken = dict.fromkeys(board.labels or (), shot.exposure_s)
         context.told.setdefault("exposures_s", {}).update(taken)

@@ -292,7 +292,8 @@ def _of_mirror(context: SensorContext, shape: tuple[int, int, int]) -> ScanTempl
         try:
             check_white(seen, level_under(seen, under, black=context.black), None, labels)
         except CalibrationRefused as refused:
-            raise CalibrationRefused(*(placed(p, sensor.white) for p in refused.problems)) from None
+            problems = (context.with_full_scale(p) for p in refused.problems)
+            raise CalibrationRefused(*(placed(p, sensor.white) for p in problems)) from None
         note_light(context.told, seen, under, None, labels, period=(step, step))
     noise = noise_behind_mirror(context, white.frames[0] if white else None, darks)
     return ScanTemplates(tuple(darks), white, noise)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from levkas.calibration.patterns import thin_periods
 from levkas.calibration.templates import CalibrationRefused, DarkFit, Template
 from levkas.core.problems import Problem
 
@@ -261,7 +262,7 @@ def unclip(
     >>> bool(clipped.mean.mean() > 0.9), abs(float(unclip(clipped, shots).mean.mean())) < 0.02
     (True, True)
     """
-    thin = [_thin(np.asarray(frame), period[0]) for frame in frames]
+    thin = [thin_periods(np.asarray(frame), period[0], MOST_PIXELS) for frame in frames]
     if not thin or thin[0].dtype.kind not in "ui" or not is_clipped(thin[0]):
         return dark
     mean, variance = dark.mean.copy(), np.empty_like(dark.mean)
@@ -342,12 +343,6 @@ def _parts(shape: tuple[int, ...], period: tuple[int, int]) -> list[tuple]:
     if shape[2] > MOST_BANDS:
         return [(every, every, every)]
     return [(every, every, band) for band in range(shape[2])]
-
-
-def _thin(frame: np.ndarray, rows: int) -> np.ndarray:
-    """Return periods of rows, evenly over a frame, of about `MOST_PIXELS`."""
-    apart = -(-frame.size // MOST_PIXELS)
-    return frame[(np.arange(len(frame)) // rows) % apart == 0]
 
 
 def pairs_of_lines(count: int) -> list[int]:

@@ -107,3 +107,13 @@ def merge(phases: Sequence[np.ndarray], rows: int, columns: int) -> np.ndarray:
     for part, phase in zip(split(frame, rows, columns), phases, strict=True):
         part[...] = phase
     return frame
+
+
+def thin_periods(frame: np.ndarray, rows: int, most: int) -> np.ndarray:
+    """Return whole periods of `rows` rows, evenly over a frame, of about `most` values.
+
+    >>> thin_periods(np.arange(12).reshape(12, 1), 2, 6).ravel().tolist()
+    [0, 1, 4, 5, 8, 9]
+    """
+    apart = -(-frame.size // most)
+    return frame[(np.arange(len(frame)) // rows) % apart == 0]

@@ -17,13 +17,12 @@ import numpy as np
 from levkas.calibration.agreement import Aligned, check_alike, facts_of
 from levkas.calibration.clipped_darks import MANY_ZEROS, is_clipped, unclip
 from levkas.calibration.code_spacing import find_alignment, find_step
-from levkas.calibration.darks import SAME_TIME, level_under
-from levkas.calibration.drift import average_steady
-from levkas.calibration.templates import CalibrationRefused, Template, close_gaps
+from levkas.calibration.darks import SAME_TIME
+from levkas.calibration.full_scale import Frames, FullScale, find_full_scale, stated_full_scale
+from levkas.calibration.patterns import thin_periods
+from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps
 from levkas.core.problems import Problem
-from levkas.readers.compared_facts import SCALE
-from levkas.readers.frames import Facts, read_facts, read_frame, read_plane
-from levkas.readers.raw import SUFFIXES as RAW_SUFFIXES
+from levkas.readers.frames import Facts, read_facts, read_frame, read_sample
 
 if TYPE_CHECKING:
     from levkas.calibration.chart_light import ChartLight
@@ -36,8 +35,10 @@ MOST_GLIMPSED = 2
 """Frames of a role of which some rows are looked at."""
 SHOTS = 4
 """Of a dark that was clipped: what they show of noise and fixed pattern suffices."""
-CLIPPED_DARKS = "clipped_darks"
-"""Name, among what is measured of a sensor, of darks that were clipped."""
+CLIPPED_DARKS, FULL_SCALE = "clipped_darks", "full_scale"
+"""Names, among what is measured of a sensor, of darks that were clipped and of the code at which it is full."""
+SAMPLED, PERIODS = 1 << 18, 20
+"""Values of a frame by which the full scale is looked for, and rows that are taken together: whole mosaics' of up to 5."""
 
 
 class Averages(Protocol):
@@ -68,16 +69,37 @@ class SensorContext:
     """Of that reflectance."""
     _glimpses: dict[str, list[np.ndarray]] = field(default_factory=dict, repr=False)
 
-    @property
+    @cached_property
     def saturation(self) -> float | None:
-        """Code at which a sensel is full: declared, the file's own, or the full scale of `bits`."""
-        declared = self.camera.saturation or self.facts.saturation
-        if declared:
-            return float(declared)
-        bits = self.camera.bits or (
-            self.facts.bits if np.dtype(self.facts.dtype).kind == "u" else None
-        )
-        return float(2**bits - 1) if bits else None
+        """Code at which a sensel is full: where its frames pile up, at most what is declared."""
+        found, stated = self._measured_full_scale(), self.stated
+        if found is None:
+            return stated.counts if stated else None
+        record = {"counts": found.counts, "source": found.source}
+        self.told[FULL_SCALE] = {**record, "stated": stated.source if stated else None}
+        return found.counts
+
+    @property
+    def stated(self) -> FullScale | None:
+        """Full scale that campaign or file state."""
+        camera = self.camera
+        return stated_full_scale(self.facts, saturation=camera.saturation, bits=camera.bits)
+
+    def _measured_full_scale(self) -> FullScale | None:
+        """Return the full scale by the frames of object and white, where it lies below what is declared."""
+        if self.camera.kind == "image" or np.dtype(self.facts.dtype).kind != "u":
+            return None
+        sensor = self.sensor
+        strips = self.camera.kind == "cube"
+        lit = [
+            Frames([*map(_sample, some)], role == "white")
+            for role, frames in (("object", sensor.object), ("white", sensor.white))
+            for some in ([[f] for f in frames] if strips else _repeats(frames))
+        ]
+        darks = [_sample(some[0]) for some in _repeats(sensor.dark)[:SHOTS]]
+        found = find_full_scale(lit, darks, period=self.period[1])
+        stated = self.stated
+        return found if found and (stated is None or found.counts < stated.counts) else None
 
     @property
     def unmended(self) -> bool:
@@ -150,6 +172,12 @@ class SensorContext:
                 if one is not None and one.spacing is not None:
                     found.append(Aligned(role, frame.path, one))
         return found
+
+    def with_full_scale(self, problem: Problem) -> Problem:
+        """Return the refusal of a saturated white with the counts at which the sensor is full."""
+        if problem.code != "E_WHITE_SATURATED" or self.saturation is None:
+            return problem
+        return replace(problem, found=f"{problem.found} at {self.saturation:g} counts or more")
 
     def average(
         self, frames: Sequence[FrameRef], *, kept: bool = False, dark: bool = False
@@ -304,7 +332,23 @@ def placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
 
 
 def describe_sensor(context: SensorContext) -> list[str]:
-    """Say what was measured of a sensor that a person should know: darks that were clipped."""
+    """Say what was measured of a sensor that a person should know: where it is full, darks that were clipped."""
+    return [*_describe_full_scale(context), *_describe_darks(context)]
+
+
+def _describe_full_scale(context: SensorContext) -> list[str]:
+    found = context.told.get(FULL_SCALE)
+    if not found:
+        return []
+    counts, stated = f"{found['counts']:g}", found["stated"]
+    than = f" ({stated} would be more)" if stated else ""
+    return [
+        f"{context.camera.name}: the sensor is full at {counts} counts: {found['source']}{than}; values from there on are "
+        f"flagged as saturated. `saturation = {counts}` in campaign.toml states it"
+    ]
+
+
+def _describe_darks(context: SensorContext) -> list[str]:
     darks: dict[str, dict[str, Any]] = context.told.get(CLIPPED_DARKS, {})
     if not darks:
         return []
@@ -418,6 +462,31 @@ def _doubt_bits(context: SensorContext) -> list[str]:
         return []
     frames = [*spread(context.sensor.object, 3), *spread(context.sensor.white, 3)]
     return [f"{context.camera.name}: {d}" for d in doubt_codes(map(_glimpse, frames), bits, full)]
+
+
+def _repeats(frames: Sequence[FrameRef]) -> list[list[FrameRef]]:
+    """Return two shots of each scene, band and exposure, where there are as many."""
+    groups: dict[object, list[FrameRef]] = {}
+    for frame in frames:
+        groups.setdefault((frame.band, frame.page, times_of(frame)), []).append(frame)
+    return [group[:2] for group in groups.values()]
+
+
+def _sample(frame: FrameRef) -> np.ndarray:
+    """Read a frame; of it, or of a line scan, lines evenly over all, about `SAMPLED` values."""
+    facts = read_facts(frame.path)
+    if facts.kind != "envi":
+        if facts.pages == 1:
+            return read_sample(frame.path, most=SAMPLED)
+        whole = read_cube(frame) if frame.page is None else read_frame(frame.path, page=frame.page)
+        return thin_periods(whole, PERIODS, SAMPLED)
+    from levkas.readers.envi import open_envi
+
+    scan = open_envi(frame.path)
+    lines, samples, bands = scan.facts.shape
+    count = max(1, min(lines, SAMPLED // (samples * bands)))
+    places = np.linspace(0, lines - 1, count).round().astype(int).tolist()
+    return np.concatenate([scan.read_lines(y, y + 1) for y in dict.fromkeys(places)])
 
 
 def _glimpse(frame: FrameRef) -> np.ndarray:
