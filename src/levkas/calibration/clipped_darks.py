@@ -209,6 +209,10 @@ def _errors(loss: object, best: np.ndarray) -> np.ndarray:
 
 MOST_PIXELS = 1_000_000  # of a dark, in the likelihood
 MOST_BANDS = 16  # of a cube, each with a black of its own; of more the sensels' own levels tell it
+SMOOTH = 25  # sensels a side of a neighbourhood: its mean is known to a twenty-fifth of the noise
+GLOWS = 5.0  # deviations by which these means vary by more than noise makes them, from which on a dark glows
+ALIKE = 0.25  # share of the sensels of a glowing dark that noise and pattern are fitted to: those of middle level
+MOST_BASES = 40  # levels of a glowing dark at which the table is worked out, half a noise apart where that is fewer
 HOT = 5.0  # deviations of a sensel's mean beyond which its level is its own
 PAIRS = 4  # of lines of a scan's dark
 LEVELS, MEANS = (
@@ -252,6 +256,7 @@ def unclip(
     A sensel's level is normal about the black of its phase, the mean of its clipped shots normal about what
     clipping leaves of that level. Its expected level is the posterior mean of that (empirical Bayes, [efron1973]_,
     doi:10.1080/01621459.1973.10481350): with few shots close to black, with many its own. Hot sensels keep theirs.
+    Where a dark glows, black is that of its neighbourhood.
 
     Examples
     --------
@@ -268,8 +273,15 @@ def unclip(
     mean, variance = dark.mean.copy(), np.empty_like(dark.mean)
     levels = []
     for part in _parts(dark.mean.shape, period):
-        level = fit_clipped_dark([np.ravel(frame[part]) for frame in thin], step=step)
-        mean[part], variance[part] = _own_levels(dark.mean[part], dark.count, level, step)
+        smooth = _smooth_light(dark.mean[part])
+        alike = np.ones(dark.mean.shape, bool)
+        if smooth is not None:
+            apart = np.abs(smooth - np.median(smooth))
+            alike[part] = apart <= np.quantile(apart, ALIKE)
+        chosen = thin_periods(alike, period[0], MOST_PIXELS)[part]
+        level = fit_clipped_dark([frame[part][chosen] for frame in thin], step=step)
+        base = np.array(level.black) if smooth is None else _unclipped(smooth, level, step)
+        mean[part], variance[part] = _own_levels(dark.mean[part], dark.count, level, base, step)
         levels.append(level)
     noise, zeros = (
         float(np.mean([level.noise**2 for level in levels]) ** 0.5),
@@ -305,29 +317,83 @@ def clipped_moments(levels: np.ndarray, noise: float) -> tuple[np.ndarray, np.nd
     return mean, np.maximum(((2 * codes - 1) * reached).sum(1) - mean**2, 1e-9)
 
 
+def _smooth_light(plane: np.ndarray) -> np.ndarray | None:
+    """Return the means about each sensel of a plane, (h, w), where they vary by more than noise: glow."""
+    import cv2
+
+    if plane.ndim != 2 or min(plane.shape) < 2 * SMOOTH:
+        return None
+    cool = np.minimum(plane, np.float32(np.quantile(plane, 0.995)))
+    smooth = cv2.blur(np.ascontiguousarray(cool, np.float32), (SMOOTH, SMOOTH))
+    by_chance = float(np.std(cool - smooth)) / SMOOTH
+    unsure = SMOOTH / np.sqrt(2 * plane.size)  # of a standard deviation of so many neighbourhoods
+    return smooth if float(np.std(smooth)) > (1 + GLOWS * unsure) * by_chance else None
+
+
+def _unclipped(smooth: np.ndarray, level: DarkLevel, step: float) -> np.ndarray:
+    """Return the level whose clipped codes have some mean, noise and fixed pattern being those of a fit."""
+    total = float(np.hypot(level.noise, np.nan_to_num(level.fixed)))
+    levels = np.linspace(level.black - 3 * total, max(smooth.max(), level.black) + total, LEVELS)
+    expected = clipped_moments(levels / step, total / step)[0] * step
+    return np.interp(smooth, expected, levels)
+
+
 def _own_levels(
-    mean: np.ndarray, count: int, level: DarkLevel, step: float
+    mean: np.ndarray, count: int, level: DarkLevel, base: np.ndarray, step: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the expected level of each sensel from the mean of its `count` clipped shots, and its variance."""
+    """Return the expected level of each sensel from the mean of its `count` clipped shots, and its variance.
+
+    `base` is the level about which the sensels of a neighbourhood, or of all, are spread.
+    """
     fixed = level.fixed if np.isfinite(level.fixed) else 0.0
-    deviations = np.linspace(-4.5, 4.5, LEVELS)
-    levels = level.black + fixed * deviations
-    expected, spread = clipped_moments(levels / step, level.noise / step)
-    expected, spread = expected * step, spread * step**2 / count
-    middle = LEVELS // 2
-    most = expected[middle] + HOT * float(np.sqrt(spread[middle] + fixed**2))
-    seen = np.linspace(0, most, MEANS)
-    chance = -((seen[:, None] - expected) ** 2) / (2 * spread) - deviations**2 / 2
-    chance = np.exp(chance - chance.max(1, keepdims=True)) / np.sqrt(spread)
-    chance /= chance.sum(1, keepdims=True)
-    own = chance @ levels
-    variance = np.maximum(chance @ levels**2 - own**2, 0.0) + level.black_error**2
-    hot = mean > most
-    found = np.where(hot, mean, np.interp(mean, seen, own))
+    apart = max(level.noise / 2, float(np.ptp(base)) / MOST_BASES, 1e-9)
+    bases = float(base.min()) + apart * np.arange(int(np.ptp(base) / apart) + 2)
+    most, seen, tables = _posterior(bases, count, level, fixed, step)
+    place = (base - bases[0]) / apart + np.zeros(mean.shape)
+    first = place.astype(int)
+    part = place - first
+    at = np.minimum(mean / (seen[1] - seen[0]), len(seen) - 1.0)
+    own, variance = (
+        (1 - part) * _look_up(table, first, at) + part * _look_up(table, first + 1, at)
+        for table in tables
+    )
+    hot = mean > np.interp(base, bases, most)
     # Of few shots the mean is not normal: what that leaves is the same everywhere.
     if not hot.all():
-        found = np.where(hot, mean, found + (level.black - found[~hot].mean()))
-    return found, np.where(hot, level.noise**2 / count, np.interp(mean, seen, variance))
+        own = own + np.mean((base - own)[~hot])
+    found = np.where(hot, mean, own)
+    return found, np.where(hot, level.noise**2 / count, variance + level.black_error**2)
+
+
+def _posterior(
+    bases: np.ndarray, count: int, level: DarkLevel, fixed: float, step: float
+) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Return, for some bases: the mean of clipped shots that is hot; means, and level and variance at each."""
+    deviations = np.linspace(-4.5, 4.5, LEVELS)
+    levels = bases[:, None] + fixed * deviations
+    expected, spread = (
+        moment.reshape(levels.shape)
+        for moment in clipped_moments(levels.ravel() / step, level.noise / step)
+    )
+    expected, spread = expected * step, spread * step**2 / count
+    middle = LEVELS // 2
+    most = expected[:, middle] + HOT * np.sqrt(spread[:, middle] + fixed**2)
+    seen = np.linspace(0, float(most.max()), MEANS)
+    own, variance = np.empty((len(bases), MEANS)), np.empty((len(bases), MEANS))
+    for k, (mean, noise) in enumerate(zip(expected, spread, strict=True)):
+        chance = -((seen[:, None] - mean) ** 2) / (2 * noise) - deviations**2 / 2
+        chance = np.exp(chance - chance.max(1, keepdims=True)) / np.sqrt(noise)
+        chance /= chance.sum(1, keepdims=True)
+        own[k] = chance @ levels[k]
+        variance[k] = np.maximum(chance @ levels[k] ** 2 - own[k] ** 2, 0.0)
+    return most, seen, (own, variance)
+
+
+def _look_up(table: np.ndarray, row: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return the values of rows of a table between its columns."""
+    left = np.minimum(at.astype(int), table.shape[1] - 2)
+    share = at - left
+    return np.asarray((1 - share) * table[row, left] + share * table[row, left + 1])
 
 
 def _parts(shape: tuple[int, ...], period: tuple[int, int]) -> list[tuple]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,8 +30,8 @@ class MatchedDark:
     saturated : ndarray like `mean`, bool
     note : str
         What was done where nothing matched; empty where it did.
-    parts : tuple of (Template, float)
-        Darks that `mean` is made of, with the standard deviation that each gives it over that of one shot.
+    stretch : float
+        Of a dark of another time that could not be scaled: by how much of itself its dark current is wrong, t/tD − 1.
     """
 
     mean: np.ndarray
@@ -40,19 +40,7 @@ class MatchedDark:
     count: int
     saturated: np.ndarray
     note: str = ""
-    parts: tuple[tuple[Template, float], ...] = ()
-
-
-def dark_correlation(one: MatchedDark, other: MatchedDark) -> float:
-    """Return the correlation of the errors of two darks, −1 … 1: of frames that both are made of.
-
-    >>> dark = Template(np.full((1, 1), 70, "f4"), None, 4, *2 * [np.zeros((1, 1), bool)], 1.0)
-    >>> dark_correlation(match_dark(dark, 1.0), match_dark(dark, 4.0, black=64.0))
-    1.0
-    """
-    common = sum(a * b for first, a in one.parts for second, b in other.parts if first is second)
-    sizes = [float(np.sqrt(sum(a * a for _, a in dark.parts))) for dark in (one, other)]
-    return float(common / (sizes[0] * sizes[1])) if all(sizes) else 0.0
+    stretch: float = 0.0
 
     @property
     def worked_out(self) -> bool:
@@ -132,8 +120,8 @@ def match_dark(
     dark : MatchedDark
         The dark within 1 % of the time as it is. Else, of two or more, the line through the two
         nearest times, pixel by pixel. A single one is scaled about `black` where that is known,
-        black + (D − black)·t/tD, and used as it is where not: scaling an unknown offset would
-        be far worse than leaving the dark current of another time.
+        black + (D − black)·t/tD, and used as it is where not, with its `stretch`: `flatfield.require_dark`
+        refuses it where the dark current may matter.
 
     Raises
     ------
@@ -226,10 +214,13 @@ def _spread_on_line(
 
 
 def _scaled(dark: Template, exposure_s: float, black: float | None) -> MatchedDark:
-    if black is None:
-        note = f"the dark of {_time(dark):g} s is used for {exposure_s:g} s, because the black level is unknown"
-        return _as_it_is(dark, note)
     scale = exposure_s / max(_time(dark), 1e-9)
+    if black is None:
+        note = (
+            f"the dark of {_time(dark):g} s is used for {exposure_s:g} s as it is: the black level is unknown, and "
+            "what dark current there may be lies below the noise"
+        )
+        return replace(_as_it_is(dark, note), stretch=scale - 1)
     mean = (black + (dark.mean - np.float32(black)) * np.float32(scale)).astype(np.float32)
     note = f"dark of {_time(dark):g} s scaled to {exposure_s:g} s about black {black:g}"
     variance, share, count = _spread_of(dark)

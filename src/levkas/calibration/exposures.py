@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from levkas.calibration.darks import MatchedDark, dark_under
+from levkas.calibration.flatfield import require_dark
 from levkas.calibration.linearity import PERIOD, RECIPROCAL, Linearity, check_linearity
 from levkas.calibration.motion import find_moved_between
 from levkas.calibration.noise_fit import NoiseModel
@@ -166,6 +167,8 @@ def merge_exposures(
     left_out = tuple(s.exposure_s or 0.0 for s in timed if all(s is not k for k in kept))
     timed = kept
     unders = [dark_under(shot, darks, black=black) for shot in timed]
+    for shot, under in zip(timed, unders, strict=True):
+        require_dark(shot, under, noise)
     levels = [under.mean + np.float32(scaling.offset) for under in unders]
     early = _full_early(timed, levels, saturation)
     apart = [_beside_full(s, USABLE * saturation) | e for s, e in zip(timed, early, strict=True)]

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from levkas.calibration.darks import MatchedDark, dark_correlation, dark_under, match_dark
-from levkas.calibration.noise_fit import HIDES, PRIOR, WORKED_OUT, NoiseModel
+from levkas.calibration.darks import MatchedDark, dark_under, match_dark
+from levkas.calibration.noise_fit import HIDES, PRIOR, WORKED_OUT, NoiseModel, level_of
 from levkas.calibration.templates import (
     CalibrationRefused,
     Template,
@@ -95,8 +95,8 @@ def flat_field(
     Raises
     ------
     CalibrationRefused
-        E_SIZE, E_VALUE; E_WHITE_DARK where white is darker than dark, E_WHITE_SATURATED where it
-        is saturated, over more than half of any channel.
+        E_SIZE, E_VALUE; E_EXPOSURES as `require_dark`; E_WHITE_DARK where white is darker than dark,
+        E_WHITE_SATURATED where it is saturated, over more than half of any channel.
 
     Notes
     -----
@@ -127,7 +127,10 @@ def flat_field(
         )
         return _join_bands(groups, parts, shot.mean.shape)
     under, white_under, ratio, notes = pair_darks(shot, dark, white, black)
-    scale = reflectance_table(board, shot) * ratio
+    require_dark(shot, under, noise)
+    if white is not None and white_under is not under:
+        require_dark(white, white_under, noise, lit=True)
+    scale = reflectance_table(board.reflectance, shot, board.pattern) * ratio
     bad = under.saturated if defects is None else defects | under.saturated
     if white is None:
         unit = 1.0 if board.unit is None else np.asarray(board.unit)
@@ -266,6 +269,67 @@ def pair_darks(
             "the exposure of the object or the white is unknown: they are assumed to be equal"
         )
     return under, white_under, ratio, tuple(dict.fromkeys(notes))
+
+
+def require_dark(
+    frame: Template, under: MatchedDark, noise: NoiseModel | None, *, lit: bool = False
+) -> None:
+    """Refuse a dark of another time whose black level is unknown where its dark current may exceed the noise.
+
+    Parameters
+    ----------
+    frame : Template
+        From which it is subtracted.
+    under : MatchedDark
+    noise : NoiseModel, optional
+        Of one shot. None: the noise is taken for one count.
+    lit : bool
+        Whether the frame is a white, whose light has noise too; else its darkest pixels are judged.
+
+    Raises
+    ------
+    CalibrationRefused
+        E_EXPOSURES.
+
+    Notes
+    -----
+    The current of a dark of time tD is at most all of its counts, and at most read²/gain, for it has shot noise:
+    of a frame of time t it is wrong by up to that times t/tD − 1.
+
+    Examples
+    --------
+    A dark of 0.1 s under a frame of 0.4 s, noise of 2 counts: 16 counts of current, or 48.
+
+    >>> none = np.zeros((1, 1), bool)
+    >>> dark, frame = (Template(np.full((1, 1), 64, "f4"), None, 1, none, none, t) for t in (0.1, 0.4))
+    >>> require_dark(frame, match_dark(dark, 0.4), NoiseModel(0.25, 4.0))
+    Traceback (most recent call last):
+    levkas.calibration.templates.CalibrationRefused: ...
+    """
+    if not under.stretch:
+        return
+    level, variance = level_of(under.mean), 1.0
+    current = max(level, 0.0)
+    if noise is not None:
+        variance = noise.read_variance
+        current = min(current, variance / max(noise.gain, 1e-12))
+        if lit:
+            variance += noise.gain * max(level_of(frame.mean) - level, 0.0)
+    wrong, sigma = abs(under.stretch) * current, float(np.sqrt(variance))
+    if wrong <= sigma:
+        return
+    time = frame.exposure_s or 0.0
+    raise CalibrationRefused(
+        Problem(
+            "E_EXPOSURES",
+            f"the dark of {time / (1 + under.stretch):g} s does not serve frames of {time:g} s: the black level is unknown",
+            field="black",
+            found=f"dark current of up to {wrong:.2g} counts, noise of {sigma:.2g}",
+            expected="a dark of the same time, darks of two times, or the black level",
+            fix=f"Capture darks of {time:g} s, or write `black` of the camera in campaign.toml: what a dark of a very "
+            "short time shows.",
+        )
+    )
 
 
 def describe_darks(

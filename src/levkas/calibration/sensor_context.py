@@ -365,8 +365,8 @@ def _describe_darks(context: SensorContext) -> list[str]:
     if lost:
         some = f" of {', '.join(filter(None, lost[:NAMED]))}" if any(lost) else ""
         notes.append(
-            f"{name}: darks{some} are clipped too strongly to show the black level: dark values can be wrong by as "
-            "much; raise the camera's black level (offset), or capture an exposure series"
+            f"{name}: darks{some} are clipped too strongly, hardly a value is above zero: what the black level hides is "
+            "unknown, and dark values may be wrong by it. Raise the camera's black level (offset)"
         )
     return notes
 
