@@ -55,8 +55,9 @@ def make(
     odd=(),
     darks=(),
     current=0.0,
+    curve=lambda counts: counts,
 ):
-    """Write a campaign; darks of each time, or of `darks`, s, with a current in counts a second; `late` is what the longest white really took, over what its name says.
+    """Write a campaign; darks of each time, or of `darks`, s, with a current in counts a second; counts through a curve; `late` is what the longest white really took, over what its name says.
 
     Exposures of the panel in `odd` took a third more than their names say.
 
@@ -78,7 +79,7 @@ def make(
                 real = time * (late if target == "white" and time == max(white) else 1.0)
                 real *= 4 / 3 if target == "panel" and time in odd else 1.0
                 light = GAIN * rng.poisson(14_000 * real * seen * response + current * time / GAIN)
-                raw = np.rint(light + rng.normal(BLACK, READ, SHAPE)).clip(0, 4095)
+                raw = np.rint(curve(light) + rng.normal(BLACK, READ, SHAPE)).clip(0, 4095)
                 name = f"{target}_550nm_{1000 * time:g}ms_{shot}.tif"
                 tifffile.imwrite(folder / "raw" / name, raw.astype(np.uint16), extratags=tags)
     text = KINDS[kind] + (f"\nblack = {BLACK:g}" if black == "file" else "")
@@ -214,6 +215,47 @@ def test_a_dark_of_nearly_the_time_is_used_and_said(tmp_path):
     more = {"panel": (0.25,), "white": (0.25,), "darks": (0.24,)}
     made = developed(make(tmp_path / "c", "one", **more))
     assert any("0.24 s is used for 0.25 s" in warning for warning in made.warnings)
+
+
+def bent(counts):
+    """A sensor that loses 6 % at its end."""
+    return counts - 0.06 * counts**2 / 4000
+
+
+def knee(counts):
+    return np.where(counts < 1500, counts, 1500 + (counts - 1500) * 0.8)
+
+
+@pytest.mark.parametrize(
+    ("kind", "how", "white"),
+    [("bands", "merge", (1.0,)), ("mosaic", "merge", (1.0,)), ("bands", "merge", (0.25, 1.0)), ("bands", "best", (1.0,))],
+    ids=["bands", "mosaic", "merged whites", "best"],
+)  # fmt: skip
+def test_the_curve_of_a_sensor_that_is_not_linear_is_taken_out(tmp_path, kind, how, white):
+    panel = (0.25, 0.5, 1.0)
+    made = developed(make(tmp_path / "c", how, panel=panel, white=white, kind=kind, curve=bent))
+    cube = made.cubes[""]
+    values = cube.values[..., 0] if kind == "bands" else own_sensels(cube.values)
+    sigma = cube.sigma[..., 0] if kind == "bands" else own_sensels(cube.sigma)
+    for low, high in ((0.0, 0.1), (0.1, 0.3), (0.3, 0.6), (0.6, 1.0)):
+        part = (low < SCENE) & (high > SCENE)
+        assert values[part].mean() == pytest.approx(SCENE[part].mean(), rel=0.003), low
+        assert 0.93 < ((values - SCENE) / sigma)[part].std() < 1.07, low
+    assert not any("are left out" in w or "only" in w for w in made.warnings)
+    assert any("the sensor is not linear" in w for w in made.warnings)
+    assert made.learnt[""]["response"]["error"] < 0.003
+
+
+def own_sensels(cube):
+    y, x = np.indices(SHAPE)
+    return np.take_along_axis(cube, ((y % 2) * 2 + x % 2)[..., None], 2)[..., 0]
+
+
+def test_a_curve_that_cannot_be_told_is_refused(tmp_path):
+    folder = make(tmp_path / "c", "merge", panel=(0.25, 0.5, 1.0), white=(1.0,), curve=knee)
+    with pytest.raises(Refused, match="not linear") as refused:
+        developed(folder)
+    assert refused.value.problems[0].code == "E_EXPOSURES"
 
 
 def write_png(path, level, seconds):

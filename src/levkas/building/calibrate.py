@@ -26,6 +26,7 @@ from levkas.building.exposures import (
     require_same_size,
     white_area_of,
     white_of,
+    whites_of,
 )
 from levkas.building.native_cubes import (
     Native,
@@ -266,8 +267,8 @@ def develop_mosaic(context: SensorContext) -> Noted:
     """A mosaic: flat field on the mosaic, then demosaic; or a sensor without one."""
     sensor, camera = context.sensor, context.camera
     darks = context.darks(sensor.dark)
-    shots = average_shots(context, sensor.object)
-    whites = context.templates(sensor.white) if sensor.white else []
+    shots = average_shots(context, sensor.object, darks)
+    whites = whites_of(context, sensor.white, darks)
     require_same_size(context, shots[0].mean.shape, darks, whites)
     white = white_of(context, sensor.white, darks)
     noise = noise_of(context, shots, [white] * len(shots), darks)
@@ -403,9 +404,9 @@ def _band(
     """One band of one file, or of one file an exposure."""
     sensor = context.sensor
     darks = context.darks(_of_band(sensor.dark, label))
-    shots = average_shots(context, [f for f in sensor.object if f.band == label])
+    shots = average_shots(context, [f for f in sensor.object if f.band == label], darks)
     frames = _require(_of_band(sensor.white, label), context, label)
-    whites = context.templates(frames, darks) if frames else []
+    whites = whites_of(context, frames, darks)
     require_same_size(context, shots[0].mean.shape, darks, whites)
     exposed = expose(context, shots, darks, noise)
     white = white_of(
@@ -491,8 +492,8 @@ def _noise_of_bands(context: SensorContext) -> tuple[NoiseModel | None, WhiteAre
         label = bands[i].label
         frames = [f for f in context.sensor.object if f.band == label]
         alike = [f for f in frames if exposure_of(f) == exposure_of(frames[0])]
-        shots.append(context.average(alike))
         own = context.darks(_of_band(context.sensor.dark, label))
+        shots += average_shots(context, alike, own)
         white = white_of(context, _of_band(context.sensor.white, label), own, band=label)
         require_same_size(context, shots[-1].mean.shape, own, [white] if white else [])
         whites.append(white)

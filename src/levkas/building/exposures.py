@@ -54,7 +54,7 @@ class Exposed:
 def average_shots(
     context: SensorContext, frames: Sequence[FrameRef], darks: Sequence[Template]
 ) -> list[Template]:
-    """Average the object's shots, exposure by exposure."""
+    """Average the object's shots, exposure by exposure, as a linear sensor had recorded them."""
     times = sorted({exposure_of(f) for f in frames}, key=lambda t: (t is not None, t or 0.0))
     if len(times) > 1 and context.camera.exposures == "one":
         raise CaptureRefused(
@@ -68,7 +68,15 @@ def average_shots(
                 'Write exposures = "best" (the longest unsaturated) or "merge".',
             )
         )
-    return [context.average([f for f in frames if exposure_of(f) == t], darks) for t in times]
+    shots = [context.average([f for f in frames if exposure_of(f) == t]) for t in times]
+    return [context.straighten(shot, darks) for shot in shots]
+
+
+def whites_of(
+    context: SensorContext, frames: Sequence[FrameRef], darks: Sequence[Template]
+) -> list[Template]:
+    """Average whites, exposure by exposure, as a linear sensor had recorded them."""
+    return [context.straighten(white, darks) for white in context.templates(frames)]
 
 
 def expose(
@@ -87,7 +95,8 @@ def _merge(
     context: SensorContext, shots: list[Template], darks: list[Template], noise: NoiseModel | None
 ) -> Merged:
     """An exposure series in counts a second above dark."""
-    if context.saturation is None:
+    saturation = context.straight_saturation(darks)
+    if saturation is None:
         raise CalibrationRefused(
             Problem(
                 "E_VALUE",
@@ -100,8 +109,8 @@ def _merge(
     more: dict[str, Any] = {"period": (len(pattern), len(pattern[0]))} if pattern else {}
     return merge_exposures(
         *(shots, darks),
-        saturation=context.saturation,
-        black=context.black_level,
+        saturation=saturation,
+        black=context.black,
         noise=noise,
         choose=True,
         **more,
@@ -145,7 +154,7 @@ def white_of(
         return context.light.white((height, width), labels)
     if not frames:
         return None
-    whites = context.templates(frames, darks)
+    whites = whites_of(context, frames, darks)
     if len(whites) == 1:
         return whites[0]
     return _merge(context, whites, darks, noise).template if merged else best_exposure(whites)
@@ -174,13 +183,14 @@ def check_scaling(
     more: dict[str, Any] = {"period": (len(pattern), len(pattern[0]))} if pattern else {}
     hidden = bool(darks) and all(np.mean(dark.black) > 0.5 for dark in darks)
     for shots in series:
-        if len(shots) < 2 or context.saturation is None:
+        saturation = context.straight_saturation(darks)
+        if len(shots) < 2 or saturation is None:
             continue
         found = check_linearity(
             shots,
             darks,
-            saturation=context.saturation,
-            black=context.black_level,
+            saturation=saturation,
+            black=context.black,
             fit_offset=hidden,
             **more,
         )
@@ -300,21 +310,11 @@ def flatten(
     if moved is None:
         moved = _moved(context, shot, dark, noise)
     flat = _with_movement(context, flat, moved)
-    return _with_gaps(context, flat, (shot, *dark, white), list(board.labels or ()))
-
-
-def _with_gaps(
-    context: SensorContext,
-    flat: Calibrated,
-    templates: Sequence[Template | None],
-    labels: Sequence[str],
-) -> Calibrated:
-    """Flag as defects what templates have lost, where the object, the first of them, is there."""
-    lost, absent = gaps_of(*templates), templates[0].absent if templates[0] else None
-    if lost is not None and absent is not None:
-        flat = _without(flat, absent)
-        lost = lost & ~absent
-    if lost is None or not lost.any():
+    if context.response is not None and flat.variance is not None:
+        unsure = np.square(flat.values * np.float32(context.response.error))
+        flat = replace(flat, variance=flat.variance + unsure)
+    lost = gaps_of(shot, *dark, white)
+    if lost is None:
         return flat
     lost = np.broadcast_to(lost, flat.values.shape)
     note = describe_gaps(lost, labels[0] if len(labels) == 1 else context.camera.name)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
@@ -17,9 +15,11 @@ import numpy as np
 from levkas.calibration.agreement import Aligned, check_alike, facts_of
 from levkas.calibration.clipped_darks import MANY_ZEROS, is_clipped, unclip
 from levkas.calibration.code_spacing import find_alignment, find_step
-from levkas.calibration.darks import SAME_TIME
+from levkas.calibration.darks import SAME_TIME, dark_under
 from levkas.calibration.full_scale import Frames, FullScale, find_full_scale, stated_full_scale
+from levkas.calibration.linearity import PERIOD, Point, find_points
 from levkas.calibration.patterns import thin_periods
+from levkas.calibration.response import ALIKE, Response, find_response
 from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps
 from levkas.core.problems import Problem
 from levkas.readers.frames import Facts, read_facts, read_frame, read_sample
@@ -35,8 +35,10 @@ MOST_GLIMPSED = 2
 """Frames of a role of which some rows are looked at."""
 SHOTS = 4
 """Of a dark that was clipped: what they show of noise and fixed pattern suffices."""
-CLIPPED_DARKS, FULL_SCALE = "clipped_darks", "full_scale"
-"""Names, among what is measured of a sensor, of darks that were clipped and of the code at which it is full."""
+CLIPPED_DARKS, FULL_SCALE, RESPONSE = "clipped_darks", "full_scale", "response"
+"""Names, among what is measured of a sensor, of darks that were clipped, the code at which it is full, and its curve."""
+SERIES = 3
+"""Bands of a tunable filter whose exposure series show the sensor's curve: it is the same sensor."""
 SAMPLED, PERIODS = 1 << 18, 20
 """Values of a frame by which the full scale is looked for, and rows that are taken together: whole mosaics' of up to 5."""
 
@@ -172,6 +174,64 @@ class SensorContext:
                 if one is not None and one.spacing is not None:
                     found.append(Aligned(role, frame.path, one))
         return found
+
+    @cached_property
+    def response(self) -> Response | None:
+        """Curve of a sensor that is not linear, by the exposure series of objects and whites; None where they show a line."""
+        if self.camera.kind in ("cube", "image") or self.saturation is None:
+            return None
+        points: list[Point] = []
+        levels = [self.black or 0.0]
+        for shots, darks in self._series():
+            if darks and all(np.mean(dark.black) > 0.5 for dark in darks):
+                return None  # their level is fitted to the series itself
+            found = find_points(
+                *(shots, darks),
+                saturation=self.saturation,
+                black=self.black,
+                period=self.period if self.sensor.pattern else PERIOD,
+                contrast=ALIKE,
+            )
+            first = points[-1].group + 1 if points else 0
+            points += [point._replace(group=point.group + first) for point in found]
+            levels += [float(np.median(dark.mean)) for dark in darks[:1]]
+        found_curve = find_response(points, self.saturation - levels[-1])
+        if found_curve is not None:
+            self.told[RESPONSE] = asdict(found_curve)
+        return found_curve
+
+    def _series(self) -> Iterator[tuple[list[Template], list[Template]]]:
+        """Yield exposures of some scenes that have several, with their darks."""
+        sensor = self.sensor
+        for frames in (sensor.object, sensor.white):
+            bands: dict[str | None, list[FrameRef]] = {}
+            for frame in frames:
+                bands.setdefault(frame.band, []).append(frame)
+            several = [
+                band
+                for band, some in bands.items()
+                if len({exposure_of(f) for f in some} - {None}) > 1
+            ]
+            for band in spread(several, SERIES):
+                own = [f for f in sensor.dark if f.band == band]
+                darks = self.templates(own or [f for f in sensor.dark if f.band is None], dark=True)
+                groups = [g for time, g in by_exposure(bands[band]) if isinstance(time, float)]
+                shots = [self.average(group) for group in groups]
+                if len({template.mean.shape for template in (*shots, *darks)}) == 1:
+                    yield shots, darks
+
+    def straighten(self, frames: Template, darks: Sequence[Template]) -> Template:
+        """Return a template as a linear sensor had recorded it, where this one has a curve that is known."""
+        if self.response is None:
+            return frames
+        return self.response.straighten(frames, dark_under(frames, darks, black=self.black).mean)
+
+    def straight_saturation(self, darks: Sequence[Template]) -> float | None:
+        """Return the code at which a sensel is full in templates that were straightened."""
+        if self.response is None or self.saturation is None:
+            return self.saturation
+        level = float(np.median(darks[0].mean)) if darks else self.black or 0.0
+        return level + float(self.response.light(np.array(self.saturation - level)))
 
     def with_full_scale(self, problem: Problem) -> Problem:
         """Return the refusal of a saturated white with the counts at which the sensor is full."""
@@ -332,8 +392,24 @@ def placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
 
 
 def describe_sensor(context: SensorContext) -> list[str]:
-    """Say what was measured of a sensor that a person should know: where it is full, darks that were clipped."""
-    return [*_describe_full_scale(context), *_describe_darks(context)]
+    """Say what was measured of a sensor that a person should know: where it is full, its curve, darks that were clipped."""
+    return [
+        *_describe_full_scale(context),
+        *_describe_darks(context),
+        *_describe_response(context),
+    ]
+
+
+def _describe_response(context: SensorContext) -> list[str]:
+    found = context.told.get(RESPONSE)
+    if not found:
+        return []
+    most = abs(float(sum(found["terms"])))
+    return [
+        f"{context.camera.name}: the sensor is not linear: its exposure series deviate by {100 * found['rms_line']:.1f} % rms "
+        f"from a line, at full scale by {100 * most:.1f} %. Frames of object and white are corrected by the curve that they "
+        f"show, which leaves {100 * found['rms']:.2f} % and is known to {100 * found['error']:.2g} %"
+    ]
 
 
 def _describe_full_scale(context: SensorContext) -> list[str]:
