@@ -40,21 +40,21 @@ from levkas.building.scans import Scan, develop_scan, is_streamed, open_scan
 from levkas.building.spectra import board_of, broad_centroids, read_sensitivity
 from levkas.calibration.agreement import compare_facts
 from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA, light_variance
+from levkas.calibration.code_checks import CodesRefused
 from levkas.calibration.defects import replace_defects
 from levkas.calibration.equalising import equalise_phases
 from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import mean_variance
 from levkas.calibration.sensor_context import (
-    CodesRefused,
     SensorContext,
-    describe_sensor,
     doubts_of,
     exposure_of,
     placed,
     require_black,
     require_exposures,
 )
+from levkas.calibration.sensor_notes import describe_sensor
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps
 from levkas.calibration.white_area import WhiteArea, joined_area
 from levkas.calibration.whites import WhiteBoard

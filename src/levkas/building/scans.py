@@ -20,10 +20,10 @@ from levkas.calibration.denoising import Projecting, Subspace, describe_removed,
 from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.sensor_context import (
     SensorContext,
-    describe_sensor,
     doubts_of,
     require_exposures,
 )
+from levkas.calibration.sensor_notes import describe_sensor
 from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
 from levkas.core.files import replacing
 from levkas.core.rounding import round_root

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from itertools import islice
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from levkas.calibration.agreement import Aligned, check_alike, facts_of
 from levkas.calibration.clipped_darks import MANY_ZEROS, is_clipped, unclip
+from levkas.calibration.code_checks import FEW_CODES, check_codes, doubt_codes, thin_rows
 from levkas.calibration.code_spacing import find_alignment, find_step
 from levkas.calibration.darks import SAME_TIME, dark_under
 from levkas.calibration.full_scale import Frames, FullScale, find_full_scale, stated_full_scale
@@ -391,67 +391,6 @@ def placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
     return problem if problem.file else replace(problem, file=f"{frames[0].path.parent}: {names}")
 
 
-def describe_sensor(context: SensorContext) -> list[str]:
-    """Say what was measured of a sensor that a person should know: where it is full, its curve, darks that were clipped."""
-    return [
-        *_describe_full_scale(context),
-        *_describe_darks(context),
-        *_describe_response(context),
-    ]
-
-
-def _describe_response(context: SensorContext) -> list[str]:
-    found = context.told.get(RESPONSE)
-    if not found:
-        return []
-    most = abs(float(sum(found["terms"])))
-    return [
-        f"{context.camera.name}: the sensor is not linear: its exposure series deviate by {100 * found['rms_line']:.1f} % rms "
-        f"from a line, at full scale by {100 * most:.1f} %. Frames of object and white are corrected by the curve that they "
-        f"show, which leaves {100 * found['rms']:.2f} % and is known to {100 * found['error']:.2g} %"
-    ]
-
-
-def _describe_full_scale(context: SensorContext) -> list[str]:
-    found = context.told.get(FULL_SCALE)
-    if not found:
-        return []
-    counts, stated = f"{found['counts']:g}", found["stated"]
-    than = f" ({stated} would be more)" if stated else ""
-    return [
-        f"{context.camera.name}: the sensor is full at {counts} counts: {found['source']}{than}; values from there on are "
-        f"flagged as saturated. `saturation = {counts}` in campaign.toml states it"
-    ]
-
-
-def _describe_darks(context: SensorContext) -> list[str]:
-    darks: dict[str, dict[str, Any]] = context.told.get(CLIPPED_DARKS, {})
-    if not darks:
-        return []
-    name, zeros = context.camera.name, max(one["zeros"] for one in darks.values())
-    blacks = [black for one in darks.values() for black in one.get("black", ())]
-    lost = [time for time, one in darks.items() if "black" not in one]
-    notes = []
-    if blacks:
-        noise = max(one.get("noise", 0.0) for one in darks.values())
-        notes.append(
-            f"{name}: darks were clipped at zero (up to {zeros:.0%} of the pixels) and are fitted as censored: black "
-            f"{_range(blacks, '.2f')} counts, noise {noise:.2g}"
-        )
-    if lost:
-        some = f" of {', '.join(filter(None, lost[:NAMED]))}" if any(lost) else ""
-        notes.append(
-            f"{name}: darks{some} are clipped too strongly, hardly a value is above zero: what the black level hides is "
-            "unknown, and dark values may be wrong by it. Raise the camera's black level (offset)"
-        )
-    return notes
-
-
-def _range(numbers: Sequence[float], form: str) -> str:
-    low, high = (format(n, form) for n in (min(numbers), max(numbers)))
-    return low if low == high else f"{low} to {high}"
-
-
 def doubts_of(context: SensorContext) -> list[str]:
     """What a person should know before believing the values."""
     camera = context.camera
@@ -580,95 +519,6 @@ def _glimpse(frame: FrameRef) -> np.ndarray:
     return values if facts.nodata is None else values[np.isfinite(values)].astype(facts.dtype)
 
 
-SAMPLE = 1 << 20
-FEW_CODES = 1 << 16
-"""Values of every frame whose alignment is looked at."""
-LEAST_LEVELS = 16
-"""Fewer different codes say nothing of their spacing: a dark frame has three."""
-EVEN = 0.9
-"""Of the spacing that 8 bits have when they are stretched; rounding makes some steps shorter."""
-
-
-class CodesRefused(CalibrationRefused):
-    """Frames whose codes do not have the bits that are declared."""
-
-
-def check_codes(values: np.ndarray, path: Path, camera: str, bits: int, full: float | None) -> None:
-    """Refuse a frame that cannot have, or does not keep to, the bits that are declared.
-
-    Parameters
-    ----------
-    values : ndarray
-    path : Path
-    camera : str
-    bits : int
-        Declared.
-    full : float, optional
-        Declared saturation: 4095 · 16 where 12 bits stand at the upper end of 16.
-
-    Raises
-    ------
-    CodesRefused
-        ``E_BITS`` for 8-bit frames where more bits are declared, and for codes beyond both full scales.
-    """
-    if values.dtype.kind not in "ui":
-        return
-    stored = 8 * values.dtype.itemsize
-    if stored < bits and stored == 8:
-        raise CodesRefused(
-            Problem(
-                "E_BITS",
-                f"{camera}: the frame has 8 bits, and {bits} are declared",
-                str(path),
-                f"cameras.{camera}.bits",
-                f"{values.dtype} codes up to {int(values.max(initial=0))}",
-                f"codes of {bits} bits, up to {2**bits - 1}",
-                "Export the frames again in 16 bits; write `bits = 8` only if the camera has no more.",
-            )
-        )
-    most = max(2**bits - 1, full or 0)
-    if (top := int(values.max(initial=0))) > most:
-        raise CodesRefused(
-            Problem(
-                "E_BITS",
-                f"{camera}: codes exceed {bits} bits",
-                str(path),
-                f"cameras.{camera}.bits",
-                top,
-                f"at most {most:g}",
-                f"Write `bits = {top.bit_length()}`. If the {bits} bits are stored in the upper bits "
-                "of a code, write `saturation` in stored codes.",
-            )
-        )
-
-
-def doubt_codes(frames: Iterable[np.ndarray], bits: int, full: float) -> list[str]:
-    """Return what speaks against `bits`, looking at some bright frames of one sensor.
-
-    Examples
-    --------
-    >>> stretched = np.round(np.arange(256) * 4095 / 255).astype(np.uint16)
-    >>> doubt_codes([stretched.reshape(16, 16)], 12, 4095)
-    ['only 256 codes, 16 or more apart: 8 bits were stretched to 12, and the tones between are lost']
-    """
-    codes = [np.unique(thin_rows(values)) for values in frames if values.dtype.kind in "ui"]
-    seen = np.unique(np.concatenate(codes)) if codes else np.empty(0, int)
-    if bits <= 8 or seen.size < LEAST_LEVELS:
-        return []
-    if seen[-1] <= 255:
-        return [
-            f"no code exceeds {int(seen[-1])}, and {bits} bits are declared: the frames may have "
-            "8 bits, or very little light"
-        ]
-    gap = int(np.diff(seen.astype(np.int64)).min())
-    if seen.size <= 256 and gap >= EVEN * full / 255:
-        return [
-            f"only {seen.size} codes, {gap} or more apart: 8 bits were stretched to {bits}, and "
-            "the tones between are lost"
-        ]
-    return []
-
-
 def spread(items: Sequence, count: int) -> list:
     """Return up to `count` items spread over a sequence, none twice.
 
@@ -678,12 +528,6 @@ def spread(items: Sequence, count: int) -> list:
     last = len(items) - 1
     places = {round(i * last / max(count - 1, 1)) for i in range(count)} if items else set()
     return [items[place] for place in sorted(places)]
-
-
-def thin_rows(values: np.ndarray, most: int = SAMPLE) -> np.ndarray:
-    """Whole rows of a frame, about `most` values."""
-    step = max(1, values.size // most)
-    return values[:: min(step, max(values.shape[0] // 8, 1))]
 
 
 Times = float | tuple[float, ...] | None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.calibration.sensor_context import describe_sensor
+from levkas.calibration.sensor_notes import describe_sensor
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.problems import Problem, Refused, unknown_name
 from levkas.quality.emva1288.facts import FrameFacts, describe_files, describe_frame
