@@ -7,6 +7,7 @@ import tifffile
 from levkas.building.calibrate import develop
 from levkas.building.hashes import HASHES, Hashes
 from levkas.building.template_cache import TemplateCache
+from levkas.calibration.reflectance import calibrate
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.cube import Flag
@@ -106,3 +107,13 @@ def test_radiometry_takes_the_full_scale_that_the_frames_show(tmp_path):
     assert channel.full_well.value == pytest.approx((3600 - BLACK) / GAIN, rel=0.03)
     assert any("full at 3600" in note for note in sensor.notes)
     assert not any("no shot saturates" in note for note in sensor.notes)
+
+
+def test_arrays_are_full_where_those_of_a_build_are(tmp_path):
+    write(tmp_path, "bands", full=3600)
+    panel, dark, white = (
+        tifffile.imread(tmp_path / "raw" / f"{name}_550nm_0.tif")
+        for name in ("panel", "dark", "white")
+    )
+    flags = calibrate(panel, dark, white).flags[..., 0] & Flag.SATURATED > 0
+    assert flags[GOLD].mean() > 0.98 and flags[~GOLD].mean() < 0.01

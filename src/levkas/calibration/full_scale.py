@@ -232,7 +232,8 @@ def _least_variance(shown: Sequence[_Apart], foot: float) -> float:
 
 def _over_time(lit: Sequence[Frames]) -> list[_Apart]:
     """Compare two shots of each scene."""
-    return [_compare(*frames.shots[:2]) for frames in lit if len(frames.shots) > 1]
+    pairs = [frames.shots[:2] for frames in lit if len(frames.shots) > 1]
+    return [_compare(*pair) for pair in pairs if pair[0].shape == pair[1].shape]
 
 
 def _between(lit: Sequence[Frames], foot: float) -> Iterator[_Apart]:

@@ -15,11 +15,15 @@ from levkas.calibration.templates import CalibrationRefused, Template, close_gap
 from levkas.core.cube import Band, Cube, Flag, band_labels
 from levkas.core.problems import Problem
 
+ROWS, MOST_VALUES = 20, 1 << 18
+"""Rows that are taken together, whole mosaics' of up to 5, and values of a frame by which the full scale is looked for."""
+
 if TYPE_CHECKING:
     from levkas.calibration.flatfield import Calibrated
     from levkas.calibration.noise_fit import NoiseModel
 
     Frames = np.ndarray | Sequence[np.ndarray]
+    """Of one or more shots."""
     Pattern = str | Sequence[Sequence[str]]
 
 
@@ -54,7 +58,8 @@ def calibrate(
         Of a mosaic, from the top left sensel: ``"RGGB"`` or ``[["B1", "B2"], ["B3", "B4"]]``. The
         frames are then (h, w), and the bands are interpolated after the flat field.
     saturation : float, optional
-        Counts at which a sensel is full. Default: the full scale of integers, none for floats.
+        Counts at which a sensel is full. Default: the full scale of integers, none for floats. Where integers pile up
+        below it, they are full there.
     wavelengths : sequence of float, optional
         Centre of each band, nm; it labels the bands. Default: the names of `pattern`, else 1, 2, …
 
@@ -99,6 +104,7 @@ def calibrate(
     times = _times(exposure_s)
     if saturation is not None:
         saturation = float(_numbers(saturation, "saturation", "counts, a number")[0])
+    saturation = _full_scale(raw, dark, white, pattern, saturation)
     board = WhiteBoard(_numbers(reflectance, "reflectance", "numbers above 0"), pattern)
     shot, codes = _template(raw, "raw", saturation, times[0])
     lit = None
@@ -177,6 +183,31 @@ def _template(
         )
         raise CalibrationRefused(*problems) from None
     return made, shots
+
+
+def _full_scale(
+    raw: Frames,
+    dark: Frames | float | None,
+    white: Frames | None,
+    pattern: Pattern | None,
+    stated: float | None,
+) -> float | None:
+    """Return the counts at which the frames pile up, where these are below what is stated, else that."""
+    from levkas.calibration.full_scale import Frames as Shots
+    from levkas.calibration.full_scale import find_full_scale
+    from levkas.calibration.patterns import channel_table, thin_periods
+
+    def planes(frames: Frames | float | None) -> list[np.ndarray]:
+        given = frames if isinstance(frames, (list, tuple)) else [frames]
+        shots = [one for one in given[:2] if isinstance(one, np.ndarray) and one.ndim > 1]
+        return [thin_periods(one, ROWS, MOST_VALUES) for one in shots if one.dtype.kind in "ui"]
+
+    lit = [
+        Shots(some, even) for some, even in ((planes(raw), False), (planes(white), True)) if some
+    ]
+    period = int(channel_table(pattern).shape[1]) if isinstance(pattern, Sequence) else 1
+    found = find_full_scale(lit, planes(dark), period=period) if lit else None
+    return found.counts if found and (stated is None or found.counts < stated) else stated
 
 
 def _dark(
