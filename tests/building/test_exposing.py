@@ -211,6 +211,16 @@ def test_a_dark_of_another_time_is_refused_where_nothing_tells_its_current(tmp_p
         assert cube.values[..., 0][dim].mean() == pytest.approx(SCENE[dim].mean(), rel=0.005)
 
 
+def test_the_black_level_of_an_exposure_series_serves_to_scale_a_dark(tmp_path):
+    panel = (0.25, 0.5, 1.0)
+    more = {"panel": panel, "white": (1.0,), "darks": (0.25,), "current": 60.0}
+    made = developed(make(tmp_path / "c", "merge", **more))
+    assert any("the black level is 6" in warning for warning in made.warnings), made.warnings
+    assert made.learnt[""]["black"]["counts"] == pytest.approx(BLACK, abs=0.5)
+    values, dim = made.cubes[""].values[..., 0], SCENE < 0.1
+    assert values[dim].mean() == pytest.approx(SCENE[dim].mean(), rel=0.01)
+
+
 def test_a_dark_of_nearly_the_time_is_used_and_said(tmp_path):
     more = {"panel": (0.25,), "white": (0.25,), "darks": (0.24,)}
     made = developed(make(tmp_path / "c", "one", **more))

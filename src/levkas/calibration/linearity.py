@@ -55,6 +55,8 @@ class Linearity:
         Counts at exposure 0 above what was subtracted; 0 where it was not fitted.
     points : int
         Groups times exposures behind the numbers; 0: nothing could be compared.
+    offset_error : float
+        One standard error of `offset`; NaN where it was not fitted.
     """
 
     rms: float
@@ -63,6 +65,7 @@ class Linearity:
     offset: float
     points: int
     worst_level: float = float("nan")
+    offset_error: float = float("nan")
 
 
 def check_linearity(
@@ -263,5 +266,11 @@ def _fit(rows: list[Point], fit_offset: bool) -> Linearity:
     worst = int(np.abs(miss).argmax())
     offset = float(solved[-1]) if fit_offset else 0.0
     rms = float(np.sqrt(np.mean(miss**2)))
+    error = float("nan")
+    if fit_offset:
+        freedom = max(len(rows) - design.shape[1], 1)
+        scaled = design / signal[:, None]
+        spread = np.linalg.pinv(scaled.T @ scaled)[-1, -1] * np.sum(miss**2) / freedom
+        error = float(np.sqrt(spread))
     at = float(times[worst]), offset, len(rows), float(signal[worst])
-    return Linearity(rms, float(miss[worst]), *at)
+    return Linearity(rms, float(miss[worst]), *at, error)

@@ -17,9 +17,9 @@ from levkas.calibration.code_checks import FEW_CODES, check_codes, doubt_codes, 
 from levkas.calibration.code_spacing import find_alignment, find_step
 from levkas.calibration.darks import SAME_TIME, dark_under
 from levkas.calibration.full_scale import Frames, FullScale, find_full_scale, stated_full_scale
-from levkas.calibration.linearity import PERIOD, Point, find_points
+from levkas.calibration.linearity import PERIOD, Point, check_linearity, find_points
 from levkas.calibration.patterns import thin_periods
-from levkas.calibration.response import ALIKE, Response, find_response
+from levkas.calibration.response import ALIKE, CURVED, Response, find_response
 from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps
 from levkas.core.problems import Problem
 from levkas.readers.frames import Facts, read_facts, read_frame, read_sample
@@ -37,6 +37,8 @@ SHOTS = 4
 """Of a dark that was clipped: what they show of noise and fixed pattern suffices."""
 CLIPPED_DARKS, FULL_SCALE, RESPONSE = "clipped_darks", "full_scale", "response"
 """Names, among what is measured of a sensor, of darks that were clipped, the code at which it is full, and its curve."""
+BLACK, BLACK_ERROR = "black", 0.5
+"""Name, among the same, of a black level by an exposure series; and its standard error, counts, at most: a quarter of a small read noise."""
 SERIES = 3
 """Bands of a tunable filter whose exposure series show the sensor's curve: it is the same sensor."""
 SAMPLED, PERIODS = 1 << 18, 20
@@ -114,10 +116,27 @@ class SensorContext:
         pattern = self.sensor.pattern
         return (len(pattern), len(pattern[0])) if pattern else (1, 1)
 
-    @property
+    @cached_property
     def black(self) -> float | None:
-        """Declared, else the file's own black level, the mean over the frame, counts; None where nobody says."""
-        return self.camera.black if self.camera.black is not None else self.facts.black
+        """Declared, else the file's own black level, else that of an exposure series if it is needed, counts; None if not known."""
+        stated = self.camera.black if self.camera.black is not None else self.facts.black
+        return self._black_of_series() if stated is None else stated
+
+    def _black_of_series(self) -> float | None:
+        """Return the counts at no time at all by which exposures of a scene lie on a line, where darks are of one other time."""
+        sensor, full = self.sensor, self.saturation
+        darks = {times_of(frame) for frame in sensor.dark}
+        lit = {times_of(frame) for frame in (*sensor.object, *sensor.white)}
+        if len(darks) != 1 or full is None or lit <= darks or self.camera.kind == "cube":
+            return None
+        for shots, under in self._series():
+            found = check_linearity(shots, saturation=full, fit_offset=True, period=PERIOD)
+            highest = float(np.median(under[0].mean)) if under else 0.0
+            sure = found.rms <= CURVED and found.offset_error <= BLACK_ERROR
+            if len(shots) > 2 and sure and found.offset <= highest + 3 * BLACK_ERROR:
+                self.told[BLACK] = {"counts": found.offset, "error": found.offset_error}
+                return found.offset
+        return None
 
     @cached_property
     def black_level(self) -> float | np.ndarray | None:

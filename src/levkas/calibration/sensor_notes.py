@@ -5,18 +5,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from levkas.calibration.sensor_context import CLIPPED_DARKS, FULL_SCALE, NAMED, RESPONSE
+from levkas.calibration.sensor_context import BLACK, CLIPPED_DARKS, FULL_SCALE, NAMED, RESPONSE
 
 if TYPE_CHECKING:
     from levkas.calibration.sensor_context import SensorContext
 
 
 def describe_sensor(context: SensorContext) -> list[str]:
-    """Say what was measured of a sensor that a person should know: where it is full, its curve, darks that were clipped."""
+    """Say what was measured of a sensor that a person should know: where it is full, its black, its curve, darks that were clipped."""
     return [
         *_describe_full_scale(context),
         *_describe_darks(context),
         *_describe_response(context),
+        *_describe_black(context),
+    ]
+
+
+def _describe_black(context: SensorContext) -> list[str]:
+    found = context.told.get(BLACK)
+    if not found:
+        return []
+    return [
+        f"{context.camera.name}: the black level is {found['counts']:.1f} ± {found['error']:.1f} counts, by exposures of one scene: "
+        "darks of one time alone do not show it. `black` in campaign.toml states it"
     ]
 
 
