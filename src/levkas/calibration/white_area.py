@@ -206,10 +206,14 @@ def _reduced(plane: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def _detail(plane: np.ndarray) -> np.ndarray:
-    """Return the relative detail of a plane between two scales, (h, w)."""
+    """Return the relative detail of a plane between two scales, (h, w); light goes on beyond the border as it falls off."""
     import cv2
 
-    fine, coarse = (cv2.GaussianBlur(plane, (0, 0), sigma) for sigma in (FINE, COARSE))
+    rim = int(4 * COARSE)
+    wide = np.pad(plane, rim, mode="reflect", reflect_type="odd")
+    fine, coarse = (
+        cv2.GaussianBlur(wide, (0, 0), sigma)[rim:-rim, rim:-rim] for sigma in (FINE, COARSE)
+    )
     least = max(1e-3 * float(np.median(np.abs(coarse))), 1e-9)
     return np.asarray((fine - coarse) / np.maximum(np.abs(coarse), least))
 
