@@ -145,3 +145,17 @@ def test_arrays_are_calibrated_as_a_build_does():
     for name, _, codes in frames("bands", 0.0, 2):
         some[name].append(codes)
     check(calibrate(some["panel"], some["dark"], some["white"], saturation=4095))
+
+
+def test_means_of_shots_that_were_clipped_are_no_brighter_than_the_object(tmp_path):
+    dim = SCENE * (SCENE > 0.5)  # no light at all on five sixths
+    folder = write(tmp_path, "bands", 0.0)
+    rng = np.random.default_rng(8)
+    for shot in range(8):
+        codes = rng.poisson(WHITE / GAIN * dim) * GAIN + rng.normal(0, READ, SHAPE)
+        codes = np.rint(codes).clip(0, 4095).astype(np.uint16)
+        tifffile.imwrite(folder / "raw" / f"panel_550nm_{shot}.tif", codes)
+    cube = developed(folder).cubes[""]
+    dark = dim == 0
+    assert abs((cube.values / cube.sigma)[..., 0][dark].mean()) < 0.4
+    assert (cube.flags[..., 0][dark] & Flag.BLACK > 0).mean() > 0.95

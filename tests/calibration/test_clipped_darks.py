@@ -1,7 +1,12 @@
 import numpy as np
 import pytest
 
-from levkas.calibration.clipped_darks import fit_clipped_dark, is_clipped, unclip
+from levkas.calibration.clipped_darks import (
+    fit_clipped_dark,
+    is_clipped,
+    pairs_of_lines,
+    unclip,
+)
 from levkas.calibration.templates import CalibrationRefused, average
 
 
@@ -94,3 +99,14 @@ def test_a_dark_that_glows_keeps_its_glow(count):
     miss = unclipped(offset, 2.5, count).mean - offset
     assert abs(miss.reshape(8, 30, 320).mean((1, 2))).max() < 0.08
     assert miss.std() < 0.6
+
+
+@pytest.mark.parametrize("noise", [0.7, 1.0])
+def test_little_noise_of_a_narrow_scan_is_fitted(noise):
+    rng = np.random.default_rng(6)
+    level = 0.4 * rng.standard_normal((1, 1, 120, 1))
+    lines = np.rint(level + rng.normal(0, noise, (96, 1, 120, 1))).clip(0).astype(np.uint16)
+    dark = average(list(lines))
+    made = unclip(dark, [lines[y] for y in pairs_of_lines(96, 120)])
+    assert made.fit is not None and made.fit.noise == pytest.approx(noise, rel=0.06)
+    assert abs(float(np.mean(made.mean - level[0]))) < 0.05 < float(np.mean(dark.mean - level[0]))

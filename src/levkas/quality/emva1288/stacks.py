@@ -221,7 +221,7 @@ def gather_lines(sensor: SensorStacks, frames: SensorFrames) -> None:
 def _dark_of(sensor: SensorStacks, shots: Sequence[FrameRef], time: float | None) -> Dark:
     """Reduce the dark of one exposure; one that was clipped is fitted, where enough of it is above zero."""
     cube = read_cube(shots[0])
-    pairs = [cube[y].ravel() for y in pairs_of_lines(len(cube))]
+    pairs = [cube[y].ravel() for y in pairs_of_lines(*cube.shape[:2])]
     if pairs[0].dtype.kind == "u" and is_clipped(np.concatenate(pairs)):
         fitted = fit_clipped(sensor, {CHANNEL: pairs}, time)
         if fitted:
