@@ -105,10 +105,11 @@ def write_campaign(
     raw.mkdir(parents=True)
     for name, reflectance, count in targets(truth, shots, whites, darks):
         if kind in ("cube", "mirror"):
-            lines = camera.shape[0]
-            cube = [camera.frame(reflectance, times[0]) for _ in WAVELENGTHS]
+            lines = np.arange(camera.shape[0])
+            level = [np.array([lamp(name, y, b) for y in lines])[:, None] for b in range(4)]
+            cube = [camera.frame(reflectance, times[0], lamp=one) for one in level]
             whole = name == "panel" or kind == "mirror"
-            write_envi(raw / name, np.stack(cube, -1)[: lines if whole else 100])
+            write_envi(raw / name, np.stack(cube, -1)[: None if whole else 100])
             continue
         for i in range(count):
             if kind == "bands":

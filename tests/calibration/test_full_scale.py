@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from levkas.calibration.full_scale import Frames, find_full_scale
+from levkas.calibration.full_scale import SceneShots, find_full_scale
 
 H, W, BLACK, READ, FULL = 96, 160, 60.0, 2.5, 3600
 RNG = np.random.default_rng(4)
@@ -24,7 +24,7 @@ def shot(light, end="hard", *, gain=0.25, read=READ, black=BLACK, full=FULL, top
 
 
 def frames(light, count=1, *, even=False, **more):
-    return Frames([shot(light, **more) for _ in range(count)], even)
+    return SceneShots([shot(light, **more) for _ in range(count)], even)
 
 
 def dark(**more):
@@ -95,7 +95,7 @@ def test_bands_whose_whites_are_all_exposed_to_one_level_have_no_full_scale():
 
 def test_an_object_that_moved_between_its_shots_does_not_make_a_white_full():
     some = {"end": "soft", "full": 1e9}
-    moved = Frames([shot(2600 * TEXTURE, **some), shot(2600 * np.roll(TEXTURE, 2, 1), **some)])
+    moved = SceneShots([shot(2600 * TEXTURE, **some), shot(2600 * np.roll(TEXTURE, 2, 1), **some)])
     white = frames(2600 * SHADE, 2, even=True, **some)
     assert found(moved, white) is None and found(moved, white, darks=[dark()]) is None
 
@@ -105,16 +105,16 @@ def test_what_was_drawn_without_noise_has_no_full_scale():
     for plane in (wedge, 3000 * PATCHES, np.full((H, W), 2660.0), 3000 * SHADE, np.zeros((H, W))):
         codes = np.rint(plane).astype(np.uint16)
         for darks in ([], [np.full((H, W), 60, np.uint16)], [np.zeros((H, W), np.uint16)]):
-            white = Frames([np.full((H, W), 2660, np.uint16)], True)
-            assert found(Frames([codes, codes]), white, darks=darks) is None
+            white = SceneShots([np.full((H, W), 2660, np.uint16)], True)
+            assert found(SceneShots([codes, codes]), white, darks=darks) is None
 
 
 def test_a_constant_frame_is_full_where_darks_have_noise_or_it_is_the_highest_code_of_some_bits():
-    constant = Frames([np.full((H, W), FULL, np.uint16)], True)
+    constant = SceneShots([np.full((H, W), FULL, np.uint16)], True)
     assert found(frames(3000 * TEXTURE), constant, darks=[dark()]) == FULL
     assert found(frames(3000 * TEXTURE), constant) is None
-    assert found(Frames([np.full((H, W), 4095, np.uint16)], True)) == 4095
-    assert found(Frames([np.full((H, W), 3000, np.uint16)], True)) is None
+    assert found(SceneShots([np.full((H, W), 4095, np.uint16)], True)) == 4095
+    assert found(SceneShots([np.full((H, W), 3000, np.uint16)], True)) is None
 
 
 def test_codes_on_a_compression_curve_pile_up_as_others_do():
@@ -125,7 +125,7 @@ def test_codes_on_a_compression_curve_pile_up_as_others_do():
         return curve[np.searchsorted((curve[1:] + curve[:-1]) / 2, codes)].astype(np.uint16)
 
     def some(light, full):
-        return Frames([squeezed(shot(light, full=full))])
+        return SceneShots([squeezed(shot(light, full=full))])
 
     assert found(some(3000 * PATCHES, 4095), some(3300 * SHADE, 4095)) is None
     top = found(some(3000 * PATCHES, 3600), some(5000 * SHADE, 3600), darks=[dark()])
@@ -138,23 +138,23 @@ def test_eight_bits_through_a_tone_curve_have_no_full_scale_of_their_own():
         shoulder = 250 * (1 - np.exp(-3.5 * linear / 3000))
         return np.rint(shoulder).astype(np.uint8)
 
-    lit = Frames([photograph(3000 * PATCHES) for _ in range(2)])
-    assert found(lit, Frames([photograph(3000 * SHADE) for _ in range(2)], True)) is None
+    lit = SceneShots([photograph(3000 * PATCHES) for _ in range(2)])
+    assert found(lit, SceneShots([photograph(3000 * SHADE) for _ in range(2)], True)) is None
 
 
 def test_codes_in_the_upper_bits_and_phases_of_a_mosaic_are_no_piles():
     colours = np.where(X % 2, 0.5, 1.0)
     panel, white = shot(3000 * PATCHES * colours), shot(3000 * SHADE * colours)
-    assert found(Frames([16 * panel]), Frames([16 * white], True), period=2) is None
+    assert found(SceneShots([16 * panel]), SceneShots([16 * white], True), period=2) is None
     full = shot(5000 * SHADE * colours)
-    assert found(Frames([16 * panel]), Frames([16 * full], True), period=2) == 16 * FULL
+    assert found(SceneShots([16 * panel]), SceneShots([16 * full], True), period=2) == 16 * FULL
 
 
 def test_cosmic_rays_and_hot_sensels_above_it_do_not_hide_a_full_scale():
     white = shot(5000 * SHADE)
     white[::31, ::29] = 65535
-    assert found(frames(3000 * PATCHES), Frames([white], True), darks=[dark()]) == FULL
+    assert found(frames(3000 * PATCHES), SceneShots([white], True), darks=[dark()]) == FULL
 
 
 def test_reals_have_no_full_scale():
-    assert found(Frames([np.minimum(SHADE, 0.9)])) is None
+    assert found(SceneShots([np.minimum(SHADE, 0.9)])) is None

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.calibration.clipped_darks import MANY_ZEROS
+from levkas.calibration.drift import LAMP
 from levkas.core.cube import Flag, is_flagged
 
 if TYPE_CHECKING:
@@ -188,8 +189,8 @@ def levels_of(record: Mapping[str, Any]) -> np.ndarray:
     return stored.reshape(record["shape"]) / LEVELS
 
 
-LAMP_DOUBT, BLACK_DOUBT = 0.005, 0.0005
-"""Standard deviation, relative and in reflectance, from which a build warns: half a per cent of the light, and a quarter
+LAMP_DOUBT, BLACK_DOUBT = 0.005, 0.0001
+"""Standard deviation, relative and in reflectance, from which a build warns: half a per cent of the light, and a twentieth
 of the darkest paint, 0.002."""
 
 

@@ -11,12 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.chart_files import (
-    Subject,
-    greatest_code,
-    is_database,
-    subjects_of,
-)
+from levkas.building.chart_files import Subject, greatest_code, is_database, subjects_of
 from levkas.core.cube import Cube
 from levkas.core.problems import Problem, Refused, unknown_name
 from levkas.quality.image_quality.slanted_edge import EdgeRefused
@@ -352,8 +347,8 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
     }
     count = 2 * min(_shots_of(parts[0]))
     steps = _steps_of(whole)
-    captured = whole.captured or ""
-    return Developed(dict(whole.cubes), shots, patterns, captured, steps, count, top, edges, common)
+    made = (dict(whole.cubes), shots, patterns, whole.captured or "")
+    return Developed(*made, steps, count, top, edges, common)
 
 
 def _joined(first: Capture, second: Capture) -> Capture:

@@ -68,7 +68,7 @@ def average_shots(
                 'Write exposures = "best" (the longest unsaturated) or "merge".',
             )
         )
-    shots = [context.average([f for f in frames if exposure_of(f) == t]) for t in times]
+    shots = [context.average([f for f in frames if exposure_of(f) == t], darks) for t in times]
     return [context.straighten(shot, darks) for shot in shots]
 
 
@@ -76,7 +76,7 @@ def whites_of(
     context: SensorContext, frames: Sequence[FrameRef], darks: Sequence[Template]
 ) -> list[Template]:
     """Average whites, exposure by exposure, as a linear sensor had recorded them."""
-    return [context.straighten(white, darks) for white in context.templates(frames)]
+    return [context.straighten(white, darks) for white in context.templates(frames, darks)]
 
 
 def expose(

@@ -216,20 +216,15 @@ def templates_of_scan(context: SensorContext, shape: tuple[int, int, int]) -> Sc
 
 
 def _of_pushbroom(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
-
-    def make(frames: Sequence[FrameRef]) -> Template:
-        files = [ScanFile.open(frame) for frame in frames]
-        blocks = (context.checked(block, file.frame) for file in files for block in file.blocks())
-        return context.whole(average_lines(blocks, saturation=context.saturation), frames)
+    sensor = context.sensor
 
     def make_dark(frames: Sequence[FrameRef]) -> Template:
-        return context.unclipped(make(frames), _pairs(frames[0]))
+        return context.unclipped(average_lines(context, frames), _pairs(frames[0]))
 
-    sensor = context.sensor
     darks = templates_by_exposure(sensor.dark, make_dark)
-    whites = templates_by_exposure(sensor.white, make)
     for dark in darks:
         context.note_dark(dark)
+    whites = templates_by_exposure(sensor.white, partial(average_lines, context, darks=darks))
     require_same_size(context, shape, darks, whites)
     white = whites[best_white(whites)] if whites else None
     if white is not None:
@@ -272,7 +267,7 @@ def average_lines(
 def _pairs(frame: FrameRef) -> list[np.ndarray]:
     """Return pairs of neighbouring lines of a dark, (1, samples, bands) each."""
     file = ScanFile.open(frame)
-    return [file.read(y, y + 1) for y in pairs_of_lines(file.shape[0])]
+    return [file.read(y, y + 1) for y in pairs_of_lines(*file.shape[:2])]
 
 
 def _of_mirror(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
@@ -283,20 +278,46 @@ def _of_mirror(context: SensorContext, shape: tuple[int, int, int]) -> ScanTempl
     frames = FrameLines.by_exposure(context, "dark", shape)
     darks = [_of_one_line(dark, step) for dark in frames]
     whites = FrameLines.by_exposure(context, "white", shape)
-    white = None
+    white, area = None, WhiteArea()
     if whites:
-        looked = [one.thinned(step) for one in whites]
+        under = [d.thinned(step) if isinstance(d, FrameLines) else _columns(d, step) for d in darks]
+        looked = [one.thinned(step, under) for one in whites]
         chosen = best_white(looked)
         white, seen = whites[chosen], looked[chosen]
-        under = [d.thinned(step) if isinstance(d, FrameLines) else _columns(d, step) for d in darks]
-        try:
-            check_white(seen, level_under(seen, under, black=context.black), None, labels)
-        except CalibrationRefused as refused:
-            problems = (context.with_full_scale(p) for p in refused.problems)
-            raise CalibrationRefused(*(placed(p, sensor.white) for p in problems)) from None
+        _note_lamp_of(context, seen)
+        level = level_under(seen, under, black=context.black)
+        with placing(sensor.white):
+            try:
+                check_white(seen, level, None, labels)
+            except CalibrationRefused as refused:
+                problems = map(context.with_full_scale, refused.problems)
+                raise CalibrationRefused(*problems) from None
+            area = _area_behind_mirror(context, seen, level, step, shape)
         note_light(context.told, seen, under, None, labels, period=(step, step))
     noise = noise_behind_mirror(context, white.frames[0] if white else None, darks)
-    return ScanTemplates(tuple(darks), white, noise)
+    return ScanTemplates(tuple(darks), white, noise, area)
+
+
+def _area_behind_mirror(
+    context: SensorContext,
+    white: Template,
+    level: np.ndarray,
+    step: int,
+    shape: tuple[int, int, int],
+) -> WhiteArea:
+    """Find where a mirror scanner's white shows the object, in every `step`-th line and sample of both."""
+    file = ScanFile.open(context.sensor.object[0])
+    if file.shape != shape:
+        return WhiteArea()
+    shot = FrameLines(context, (file,), times_of(file.frame)).thinned(step)
+    found = find_white_area(shot, white, (level, level), spacing=step)
+    if found.uncovered is None:
+        return found
+    rows, columns = (
+        np.minimum(np.arange(n) // step, m - 1)
+        for n, m in zip(shape, found.uncovered.shape, strict=False)
+    )
+    return found.at(rows, columns)
 
 
 def _of_one_line(dark: FrameLines, step: int) -> Template | FrameLines:

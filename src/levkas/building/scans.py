@@ -126,8 +126,8 @@ class Scan:
 
     @cached_property
     def _doubts(self) -> tuple[str, ...]:
-        notes = (*self.stated, *doubts_of(self.context), *describe_sensor(self.context))
-        return (*notes, *self.source.notes)
+        doubts = (*self.stated, *doubts_of(self.context), *describe_sensor(self.context))
+        return (*doubts, *self.source.notes, *describe_lamp(self.learnt))
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -32,6 +32,8 @@ class MatchedDark:
         What was done where nothing matched; empty where it did.
     stretch : float
         Of a dark of another time that could not be scaled: by how much of itself its dark current is wrong, t/tD − 1.
+    parts : tuple of (Template, float)
+        Darks that `mean` is made of, with the standard deviation that each gives it over that of one shot.
     """
 
     mean: np.ndarray
@@ -52,6 +54,20 @@ class MatchedDark:
         if self.variance is None or not self.worked_out:
             return self.share
         return self.share * float(np.median(self.variance)) / max(read_variance, 1e-12)
+
+    parts: tuple[tuple[Template, float], ...] = ()
+
+
+def dark_correlation(one: MatchedDark, other: MatchedDark) -> float:
+    """Return the correlation of the errors of two darks, −1 … 1: of frames that both are made of.
+
+    >>> dark = Template(np.full((1, 1), 70, "f4"), None, 4, *2 * [np.zeros((1, 1), bool)], 1.0)
+    >>> dark_correlation(match_dark(dark, 1.0), match_dark(dark, 4.0, black=64.0))
+    1.0
+    """
+    common = sum(a * b for first, a in one.parts for second, b in other.parts if first is second)
+    sizes = [float(np.sqrt(sum(a * a for _, a in dark.parts))) for dark in (one, other)]
+    return float(common / (sizes[0] * sizes[1])) if all(sizes) else 0.0
 
 
 def dark_under(
@@ -154,7 +170,8 @@ def _time(dark: Template) -> float:
 
 
 def _as_it_is(dark: Template, note: str = "") -> MatchedDark:
-    return MatchedDark(dark.mean, *_spread_of(dark), dark.saturated, note)
+    parts = ((dark, float(dark.count**-0.5)),)
+    return MatchedDark(dark.mean, *_spread_of(dark), dark.saturated, note, parts=parts)
 
 
 def _spread_of(dark: Template) -> tuple[np.ndarray | None, float, int]:
@@ -193,7 +210,7 @@ def _on_line(timed: list[Template], exposure_s: float) -> MatchedDark:
         *_spread_on_line(first, second, part),
         first.saturated | second.saturated,
         f"{note}{_time(second):g} s",
-        ((first, (1 - part) * first.count**-0.5), (second, part * second.count**-0.5)),
+        parts=((first, (1 - part) * first.count**-0.5), (second, part * second.count**-0.5)),
     )
 
 
@@ -224,4 +241,5 @@ def _scaled(dark: Template, exposure_s: float, black: float | None) -> MatchedDa
     mean = (black + (dark.mean - np.float32(black)) * np.float32(scale)).astype(np.float32)
     note = f"dark of {_time(dark):g} s scaled to {exposure_s:g} s about black {black:g}"
     variance, share, count = _spread_of(dark)
-    return MatchedDark(mean, variance, scale**2 * share, count, dark.saturated, note)
+    parts = ((dark, scale * dark.count**-0.5),)
+    return MatchedDark(mean, variance, scale**2 * share, count, dark.saturated, note, parts=parts)

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from levkas.calibration.darks import MatchedDark, dark_under, match_dark
+from levkas.calibration.clipped_darks import unclip_means
+from levkas.calibration.darks import MatchedDark, dark_correlation, dark_under, match_dark
 from levkas.calibration.noise_fit import HIDES, PRIOR, WORKED_OUT, NoiseModel, level_of
 from levkas.calibration.templates import (
     CalibrationRefused,
@@ -130,7 +131,13 @@ def flat_field(
     require_dark(shot, under, noise)
     if white is not None and white_under is not under:
         require_dark(white, white_under, noise, lit=True)
-    scale = reflectance_table(board.reflectance, shot, board.pattern) * ratio
+    if noise is not None and not shot.above_dark:
+        read = noise.read_under(under) - noise.step**2 / 12
+        level = level_of(under.mean)
+        shot = unclip_means(
+            shot, level, gain=noise.gain, read_variance=read, step=noise.step or 1.0
+        )
+    scale = reflectance_table(board, shot) * ratio
     bad = under.saturated if defects is None else defects | under.saturated
     if white is None:
         unit = 1.0 if board.unit is None else np.asarray(board.unit)

@@ -35,7 +35,7 @@ ROUNDS = 5  # of leaving out what is no part of a hill
 MOST_PAIRS = 40  # of frames that are compared
 
 
-class Frames(NamedTuple):
+class SceneShots(NamedTuple):
     """Shots of one scene at one exposure, all scenes thinned alike, by whole rows.
 
     Parameters
@@ -110,13 +110,13 @@ def stated_full_scale(
 
 
 def find_full_scale(
-    lit: Sequence[Frames], darks: Sequence[np.ndarray] = (), *, period: int = 1
+    lit: Sequence[SceneShots], darks: Sequence[np.ndarray] = (), *, period: int = 1
 ) -> FullScale | None:
     """Return the code at which frames of one sensor pile up; None where no frame is full, or that is not plain.
 
     Parameters
     ----------
-    lit : sequence of Frames
+    lit : sequence of SceneShots
         Objects and whites, of any exposure and band.
     darks : sequence of ndarray
         Frames without light: any lit sensel that is not full has as much noise.
@@ -135,7 +135,7 @@ def find_full_scale(
     >>> rng = np.random.default_rng(1)
     >>> light = np.linspace(500, 5000, 200) * np.ones((100, 1))
     >>> codes = rng.normal(light, 30).clip(0, 3600).astype(np.uint16)
-    >>> find_full_scale([Frames([codes])]).counts, find_full_scale([Frames([codes[:, :100]])])
+    >>> find_full_scale([SceneShots([codes])]).counts, find_full_scale([SceneShots([codes[:, :100]])])
     (3600.0, None)
     """
     whole = [frames for frames in lit if all(shot.dtype.kind in "ui" for shot in frames.shots)]
@@ -147,7 +147,9 @@ def find_full_scale(
 # --- a hard end ---------------------------------------------------------------------------------
 
 
-def _hard_end(lit: Sequence[Frames], darks: Sequence[np.ndarray], period: int) -> FullScale | None:
+def _hard_end(
+    lit: Sequence[SceneShots], darks: Sequence[np.ndarray], period: int
+) -> FullScale | None:
     shots = [shot for frames in lit for shot in frames.shots]
     codes, counts = _count(shots)
     above = counts[::-1].cumsum()[::-1] - counts
@@ -199,7 +201,7 @@ class _Apart(NamedTuple):
         return float((1.4826 * np.median(np.abs(self.difference[part]))) ** 2)
 
 
-def _hill(lit: Sequence[Frames], darks: Sequence[np.ndarray], period: int) -> FullScale | None:
+def _hill(lit: Sequence[SceneShots], darks: Sequence[np.ndarray], period: int) -> FullScale | None:
     # Eight bits often went through a tone curve, under which noise does fall with the light.
     lit = [frames for frames in lit if frames.shots[0].dtype.itemsize > 1]
     if not lit:
@@ -230,13 +232,13 @@ def _least_variance(shown: Sequence[_Apart], foot: float) -> float:
     return min((v for v in found if np.isfinite(v)), default=np.inf)
 
 
-def _over_time(lit: Sequence[Frames]) -> list[_Apart]:
+def _over_time(lit: Sequence[SceneShots]) -> list[_Apart]:
     """Compare two shots of each scene."""
     pairs = [frames.shots[:2] for frames in lit if len(frames.shots) > 1]
     return [_compare(*pair) for pair in pairs if pair[0].shape == pair[1].shape]
 
 
-def _between(lit: Sequence[Frames], foot: float) -> Iterator[_Apart]:
+def _between(lit: Sequence[SceneShots], foot: float) -> Iterator[_Apart]:
     """Compare frames of different scenes that both reach a zone: sensels that are full return to their own code."""
     reach = [f.shots[0] for f in lit if np.count_nonzero(f.shots[0] >= foot) >= 5 * FEWEST]
     for first, second in islice(combinations(reach, 2), MOST_PAIRS):

@@ -106,16 +106,20 @@ def calibrate(
         saturation = float(_numbers(saturation, "saturation", "counts, a number")[0])
     saturation = _full_scale(raw, dark, white, pattern, saturation)
     board = WhiteBoard(_numbers(reflectance, "reflectance", "numbers above 0"), pattern)
-    shot, codes = _template(raw, "raw", saturation, times[0])
+    under, black = None, None
+    if isinstance(dark, (int, float, np.number)):
+        black = float(_numbers(dark, "dark", "a finite black level, counts")[0])
+    elif dark is not None:
+        under, shots = _template(dark, "dark", saturation, times[1], None, pattern)
+    level = (black or 0.0) if under is None else under.mean
+    shot, codes = _template(raw, "raw", saturation, times[0], level, pattern)
     lit = None
     if white is not None:
         lit, seen = _template(white, "white", saturation, times[2], level, pattern)
         lit, codes = _as_high(lit, shot), [*codes, *seen]
-    under, black, step = None, None, find_step(codes)
-    if isinstance(dark, (int, float, np.number)):
-        black = float(_numbers(dark, "dark", "a finite black level, counts")[0])
-    elif dark is not None:
-        under = _as_high(_dark(dark, saturation, times[1], pattern, step), shot)
+    step = find_step(codes)
+    if under is not None:
+        under = _as_high(_unclipped(under, shots, pattern, step), shot)
     bands = _bands(shot, pattern, wavelengths)
     _check_shapes(shot, {"dark": under, "white": lit})
     noise = _noise(shot, lit, under, black or 0.0, pattern, step)
@@ -193,8 +197,7 @@ def _full_scale(
     stated: float | None,
 ) -> float | None:
     """Return the counts at which the frames pile up, where these are below what is stated, else that."""
-    from levkas.calibration.full_scale import Frames as Shots
-    from levkas.calibration.full_scale import find_full_scale
+    from levkas.calibration.full_scale import SceneShots, find_full_scale
     from levkas.calibration.patterns import channel_table, thin_periods
 
     def planes(frames: Frames | float | None) -> list[np.ndarray]:
@@ -203,30 +206,27 @@ def _full_scale(
         return [thin_periods(one, ROWS, MOST_VALUES) for one in shots if one.dtype.kind in "ui"]
 
     lit = [
-        Shots(some, even) for some, even in ((planes(raw), False), (planes(white), True)) if some
+        SceneShots(some, even)
+        for some, even in ((planes(raw), False), (planes(white), True))
+        if some
     ]
     period = int(channel_table(pattern).shape[1]) if isinstance(pattern, Sequence) else 1
     found = find_full_scale(lit, planes(dark), period=period) if lit else None
     return found.counts if found and (stated is None or found.counts < stated) else stated
 
 
-def _dark(
-    frames: Frames,
-    saturation: float | None,
-    exposure_s: float | None,
-    pattern: Pattern | None,
-    step: float,
+def _unclipped(
+    dark: Template, shots: list[np.ndarray], pattern: Pattern | None, step: float
 ) -> Template:
-    """Average darks; where they were clipped at zero, as if they had not been."""
+    """Return a dark of some shots; where they were clipped at zero, as if they had not been."""
     from levkas.calibration.clipped_darks import unclip
     from levkas.calibration.patterns import channel_table
 
-    made, shots = _template(frames, "dark", saturation, exposure_s)
     period = (1, 1) if pattern is None else channel_table(pattern).shape[:2]
     try:
-        return unclip(made, shots[:4], period=(period[0], period[1]), step=step or 1.0)
+        return unclip(dark, shots[:4], period=(period[0], period[1]), step=step or 1.0)
     except CalibrationRefused:
-        return made  # so few codes are above zero that their mean is next to black
+        return dark  # so few codes are above zero that their mean is next to black
 
 
 def _as_high(template: Template, shot: Template) -> Template:

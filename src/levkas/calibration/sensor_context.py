@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
 from functools import cached_property, partial
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Protocol
@@ -15,12 +17,13 @@ from levkas.calibration.agreement import Aligned, check_alike, facts_of
 from levkas.calibration.clipped_darks import MANY_ZEROS, is_clipped, unclip
 from levkas.calibration.code_checks import FEW_CODES, check_codes, doubt_codes, thin_rows
 from levkas.calibration.code_spacing import find_alignment, find_step
-from levkas.calibration.darks import SAME_TIME, dark_under
-from levkas.calibration.full_scale import Frames, FullScale, find_full_scale, stated_full_scale
+from levkas.calibration.darks import SAME_TIME, dark_under, level_under
+from levkas.calibration.drift import average_steady
+from levkas.calibration.full_scale import FullScale, SceneShots, find_full_scale, stated_full_scale
 from levkas.calibration.linearity import PERIOD, Point, check_linearity, find_points
 from levkas.calibration.patterns import thin_periods
 from levkas.calibration.response import ALIKE, CURVED, Response, find_response
-from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps
+from levkas.calibration.templates import CalibrationRefused, Template, close_gaps
 from levkas.core.problems import Problem
 from levkas.readers.frames import Facts, read_facts, read_frame, read_sample
 
@@ -96,7 +99,7 @@ class SensorContext:
         sensor = self.sensor
         strips = self.camera.kind == "cube"
         lit = [
-            Frames([*map(_sample, some)], role == "white")
+            SceneShots([*map(_sample, some)], role == "white")
             for role, frames in (("object", sensor.object), ("white", sensor.white))
             for some in ([[f] for f in frames] if strips else _repeats(frames))
         ]
@@ -119,8 +122,12 @@ class SensorContext:
     @cached_property
     def black(self) -> float | None:
         """Declared, else the file's own black level, else that of an exposure series if it is needed, counts; None if not known."""
-        stated = self.camera.black if self.camera.black is not None else self.facts.black
+        stated = self._stated_black
         return self._black_of_series() if stated is None else stated
+
+    @property
+    def _stated_black(self) -> float | None:
+        return self.camera.black if self.camera.black is not None else self.facts.black
 
     def _black_of_series(self) -> float | None:
         """Return the counts at no time at all by which exposures of a scene lie on a line, where darks are of one other time."""
@@ -233,9 +240,10 @@ class SensorContext:
             ]
             for band in spread(several, SERIES):
                 own = [f for f in sensor.dark if f.band == band]
-                darks = self.templates(own or [f for f in sensor.dark if f.band is None], dark=True)
+                darks = self.templates(own or [f for f in sensor.dark if f.band is None])
                 groups = [g for time, g in by_exposure(bands[band]) if isinstance(time, float)]
-                shots = [self.average(group) for group in groups]
+                level = darks[0].mean if darks else self._stated_black or 0.0
+                shots = [self.whole(self._averaged(group, level), group) for group in groups]
                 if len({template.mean.shape for template in (*shots, *darks)}) == 1:
                     yield shots, darks
 
@@ -259,13 +267,15 @@ class SensorContext:
         return replace(problem, found=f"{problem.found} at {self.saturation:g} counts or more")
 
     def average(
-        self, frames: Sequence[FrameRef], *, kept: bool = False, dark: bool = False
+        self, frames: Sequence[FrameRef], darks: Sequence[Template] = (), *, kept: bool = False
     ) -> Template:
-        """Average shots of one exposure; templates are kept for the other objects.
+        """Average shots of one exposure above their `darks`; templates are kept for the other objects.
 
         A dark that was clipped at black comes as if it had not been, where enough of it is above.
         """
-        make = partial(self._dark if dark else self._averaged, frames)
+        dark = frames[0] in self.sensor.dark
+        level = self.level_under(frames, darks) if dark or len(frames) > 1 else 0.0
+        make = partial(self._dark, frames) if dark else partial(self._averaged, frames, level)
         if not kept or self.cache is None:
             return self.whole(make(), frames)
         made = self.cache.template(
@@ -275,13 +285,13 @@ class SensorContext:
             exposure=exposure_of(frames[0]),
             bits=self.camera.bits,
             overrule=self.camera.overrule,
+            level=_digest(level),
             **({"dark": (self.step, self.period)} if dark else {}),
         )
         return self.whole(made, frames)
 
     def _dark(self, frames: Sequence[FrameRef]) -> Template:
-        shots = islice(self.read(frames), SHOTS)
-        return self.unclipped(self._averaged(frames), shots)
+        return self.unclipped(self._averaged(frames, None), islice(self.read(frames), SHOTS))
 
     def unclipped(self, dark: Template, shots: Iterable[np.ndarray]) -> Template:
         """Return a dark as if it had not been clipped, by some of its shots; as it is where these do not show it."""
@@ -292,13 +302,12 @@ class SensorContext:
         except CalibrationRefused:
             return dark
 
-    def _averaged(self, frames: Sequence[FrameRef]) -> Template:
-        exposure = exposure_of(frames[0])
+    def _averaged(self, frames: Sequence[FrameRef], level: np.ndarray | float | None) -> Template:
         try:
             return average_steady(
                 lambda: self.read(frames),
                 level,
-                period=(len(pattern), len(pattern[0])) if pattern else (1, 1),
+                period=self.period,
                 saturation=self.saturation,
                 exposure_s=exposure_of(frames[0]),
                 times_s=capture_times(frames),
@@ -348,17 +357,19 @@ class SensorContext:
             raise CalibrationRefused(*(placed(p, frames) for p in refused.problems)) from None
         return as_absent(closed) if read_facts(frames[0].path).nodata is not None else closed
 
-    def templates(self, frames: Sequence[FrameRef], *, dark: bool = False) -> list[Template]:
-        """Average frames exposure by exposure, shortest first."""
+    def templates(
+        self, frames: Sequence[FrameRef], darks: Sequence[Template] = ()
+    ) -> list[Template]:
+        """Average frames exposure by exposure, shortest first, above their `darks`."""
         times = sorted({exposure_of(f) for f in frames}, key=lambda t: (t is not None, t or 0.0))
         return [
-            self.average([f for f in frames if exposure_of(f) == t], kept=True, dark=dark)
+            self.average([f for f in frames if exposure_of(f) == t], darks, kept=True)
             for t in times
         ]
 
     def darks(self, frames: Sequence[FrameRef]) -> list[Template]:
         """Average darks exposure by exposure, shortest first, and note those that were clipped."""
-        made = self.templates(frames, dark=True)
+        made = self.templates(frames)
         for dark in made:
             self.note_dark(dark, frames[0].band or "")
         return made
@@ -370,8 +381,16 @@ class SensorContext:
             blacks = [round(black, 4) for black in dark.fit.blacks]
             found = {"black": blacks, "noise": dark.fit.noise, "zeros": dark.fit.zeros}
             self.told.setdefault(CLIPPED_DARKS, {})[name] = found
-        elif np.mean(dark.black) > MANY_ZEROS and is_clipped(dark.mean):
+        elif np.mean(dark.black) > MANY_ZEROS and (
+            is_clipped(dark.mean) or np.median(dark.mean) < (self.step or 1.0) / 2
+        ):
             self.told.setdefault(CLIPPED_DARKS, {})[name] = {"zeros": float(np.mean(dark.black))}
+
+
+def _digest(level: np.ndarray | float | None) -> str:
+    return (
+        "" if level is None else hashlib.sha256(np.asarray(level, np.float32).tobytes()).hexdigest()
+    )
 
 
 def exposure_of(frame: FrameRef) -> float | None:
@@ -408,6 +427,15 @@ def placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
     """Name the folder of the frames where the kernels, which know no files, could not."""
     names = ", ".join(f.path.name for f in frames[:3]) + (" …" if len(frames) > 3 else "")
     return problem if problem.file else replace(problem, file=f"{frames[0].path.parent}: {names}")
+
+
+@contextmanager
+def placing(frames: Sequence[FrameRef]) -> Iterator[None]:
+    """Name the folder of the frames in the refusals of kernels, which know no files."""
+    try:
+        yield
+    except CalibrationRefused as refused:
+        raise type(refused)(*(placed(p, frames) for p in refused.problems)) from None
 
 
 def doubts_of(context: SensorContext) -> list[str]:

@@ -46,6 +46,25 @@ class DarkFit(NamedTuple):
     zeros: float
 
 
+@dataclass(frozen=True, eq=False)
+class ShotLevels:
+    """How bright each shot of a stack is, channel by channel: a channel is a phase of the mosaic, and a band of it.
+
+    Parameters
+    ----------
+    levels : ndarray, (shots, channels)
+        Light of each shot over the mean of all; of darks the counts by which each lies above the mean.
+    error : ndarray, (channels,)
+        Standard deviation that noise alone gives to a level; infinite where the stack has no light.
+    times_s : tuple of float, optional
+        When each shot was captured, s from any origin; None where its file does not state it.
+    """
+
+    levels: np.ndarray
+    error: np.ndarray
+    times_s: tuple[float, ...] | None = None
+
+
 @dataclass(frozen=True)
 class Template:
     """The average of some shots, with what each of them did.
@@ -72,6 +91,8 @@ class Template:
         Exposure of every band, where a scan has one of its own each; `exposure_s` is None then.
     fit : DarkFit, optional
         Of a dark that was clipped at black: `mean` is what `clipped_darks.unclip` makes of it.
+    shots : ShotLevels, optional
+        How bright each shot is; None where nobody measured it.
 
     Examples
     --------
@@ -90,6 +111,7 @@ class Template:
     above_dark: bool = False
     band_times_s: tuple[float, ...] | None = None
     fit: DarkFit | None = None
+    shots: ShotLevels | None = None
 
     def __post_init__(self) -> None:
         arrays = [self.mean, self.saturated, self.black]
@@ -112,6 +134,9 @@ def pick_bands(template: Template, bands: np.ndarray) -> Template:
     """Return some bands of a template, all of one exposure, as a template of that exposure."""
     times, variance, lost = template.band_times_s, template.variance, template.lost
     fit = template.fit
+    shots = template.shots
+    if shots is not None:
+        shots = replace(shots, levels=shots.levels[:, bands], error=shots.error[bands])
     return replace(
         template,
         mean=template.mean[..., bands],
@@ -123,6 +148,7 @@ def pick_bands(template: Template, bands: np.ndarray) -> Template:
         exposure_s=times[bands[0]] if times else template.exposure_s,
         band_times_s=None,
         fit=None if fit is None else fit._replace(variance=fit.variance[..., bands]),
+        shots=shots,
     )
 
 

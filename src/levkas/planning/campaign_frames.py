@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from levkas.calibration.full_scale import Frames, FullScale, find_full_scale, stated_full_scale
+from levkas.calibration.full_scale import FullScale, SceneShots, find_full_scale, stated_full_scale
 from levkas.calibration.patterns import channel_table, thin_periods
+from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps
 from levkas.core.problems import Problem, Refused
 from levkas.readers.frames import Facts, read_frame
 
@@ -112,7 +114,7 @@ def scale_of(
     for values in map(read_frame, files):
         top = max(top, int(values.max(initial=0)))
         shots.append(thin_periods(values, ROWS, SAMPLED))
-    found = find_full_scale([Frames([shot], white) for shot in shots], period=PERIOD)
+    found = find_full_scale([SceneShots([shot], white) for shot in shots], period=PERIOD)
     if found and (stated is None or found.counts < stated.counts):
         return Scale(found, black)
     if stated is not None and stated.source == "16 bits in the file":

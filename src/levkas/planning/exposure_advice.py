@@ -17,7 +17,7 @@ from levkas.calibration.noise_model import Sensor
 from levkas.calibration.patterns import channel_names, channel_table, split
 from levkas.calibration.templates import Template
 from levkas.core.problems import Problem, Refused
-from levkas.planning.campaign_frames import files_of, not_known, scale_of, split_sensors
+from levkas.planning.campaign_frames import files_of, not_known, scale_of, split_sensors, stack_of
 from levkas.planning.exposure_levels import (
     Advice,
     Reading,

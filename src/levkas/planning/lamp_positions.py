@@ -12,7 +12,7 @@ import numpy as np
 from levkas.calibration.templates import Template
 from levkas.core.problems import Problem, Refused, unknown_name
 from levkas.core.text import counted
-from levkas.planning.campaign_frames import files_of, not_known, scale_of
+from levkas.planning.campaign_frames import files_of, not_known, scale_of, stack_of
 from levkas.planning.framing import plan_framing
 from levkas.planning.lamp_fit import SPREAD, FittedLamps, fit_lamps
 from levkas.planning.loading import load_setup
@@ -295,7 +295,7 @@ def average_whites(
     if scale is None and np.dtype(facts.dtype).kind in "ui":
         raise WhiteRefused(not_known(files[0], facts))
     full = scale.full.counts if scale else None
-    stack = average((read_frame(f) for f in files), saturation=full)
+    stack = stack_of(files, saturation=full)
     if not darks:
         levels = (black, scale.black if scale else None, facts.black)
         return stack, next((level for level in levels if level is not None), 0.0)

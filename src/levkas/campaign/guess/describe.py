@@ -23,6 +23,8 @@ from levkas.readers.spectra import parse_spectra
 if TYPE_CHECKING:
     from levkas.calibration.full_scale import FullScale
 
+LISTED = 6
+"""Values that a question names."""
 READ_BYTES, ROWS = 20_000, 8
 """Of a table that is looked at."""
 WAVELENGTHS_NM = (200.0, 3000.0)

@@ -9,8 +9,15 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from levkas.calibration.full_scale import Frames, find_full_scale
+from levkas.calibration.full_scale import SceneShots, find_full_scale
 from levkas.calibration.patterns import thin_periods
+from levkas.campaign.guess.detail import (
+    Detail,
+    compare_detail,
+    find_detail,
+    show_the_same,
+    structured_share,
+)
 from levkas.core.problems import Refused
 
 if TYPE_CHECKING:
@@ -35,6 +42,8 @@ MOST_SAMPLED = 6
 """Frames of one kind that are decoded."""
 BLOCK, MOST_CODES = 60, 1 << 17
 """Rows that are taken together, whole mosaics', and values of a frame by which the full scale is looked for."""
+SHOWN = 0.3
+"""Share of a frame's tiles with structure from which it shows an object: whites and darks have 0 to 0.25."""
 LINES = 64
 """Of a cube: read from its middle, fewer where they would be more than `MOST_SEEN` values."""
 
@@ -364,6 +373,7 @@ class Samples:
     def __init__(self) -> None:
         self._known: dict[Path, Statistics | None] = {}
         self._codes: dict[Path, np.ndarray] = {}
+        self._details: dict[Path, Detail | None] = {}
         self.refused: dict[str, str] = {}
 
     def of(self, capture: CaptureFile) -> Statistics | None:
@@ -430,7 +440,9 @@ class Samples:
             for role in ("object", "chart", "white", "dark")
         }
         dark = looked.pop("dark")
-        lit = [Frames([codes], role == "white") for role, some in looked.items() for codes in some]
+        lit = [
+            SceneShots([codes], role == "white") for role, some in looked.items() for codes in some
+        ]
         return find_full_scale(lit, dark, period=BLOCK)
 
     def spectrum_of(self, capture: CaptureFile) -> np.ndarray | None:

@@ -15,7 +15,7 @@ from levkas.calibration.linearity import Linearity
 from levkas.calibration.patterns import channel_table, split
 from levkas.calibration.sensor_context import SHOTS, SensorContext, exposure_of
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.quality.emva1288.blocks import Blocks, Drift, block_statistics
+from levkas.quality.emva1288.blocks import Blocks, block_statistics
 from levkas.quality.emva1288.darks import Dark, model_darks
 
 if TYPE_CHECKING:

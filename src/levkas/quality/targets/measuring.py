@@ -217,14 +217,7 @@ def measure(
     notes: Sequence[str] = (),
 ) -> ChartMeasure:
     """Measure a chart where it was seen."""
-
-    tables = [_patches_of(one) for one in seen]
-    mean, noise, saturated, quantised = (
-        np.concatenate([getattr(t, part) for t in tables], 1)
-        for part in ("mean", "noise", "saturated", "quantised")
-    )
-    temporal = all(t.temporal for t in tables)
-    table = PatchTable(mean, noise, saturated, tables[0].pixels, temporal, quantised)
+    table = _join_tables(seen)
     bands = tuple(band for s in seen for band in s.cube.bands)
     preblurs = [p for s in seen for p in _preblurs(s)]
     wavelengths = np.array([band.wavelength for band in bands], float)
@@ -281,16 +274,7 @@ def measure(
 
 def _join_tables(seen: Sequence[Sighting]) -> PatchTable:
     """Measure the patches in the cube of every sensor; return them over all bands."""
-    tables = [
-        measure_patches(
-            *(s.cube.values, s.cube.flags, s.located.areas),
-            shots=s.shots,
-            steps=s.steps,
-            count=s.count,
-            pattern=s.pattern,
-        )
-        for s in seen
-    ]
+    tables = [_patches_of(one) for one in seen]
     mean, noise, saturated, quantised = (
         np.concatenate([getattr(t, part) for t in tables], 1)
         for part in ("mean", "noise", "saturated", "quantised")
