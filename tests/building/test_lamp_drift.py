@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 import tifffile
 
+from levkas.building.capture_statistics import describe_lamp
+from levkas.calibration.drift import LAMP
+
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from sigma_of_builds import LIGHT, Camera, built, scene, spreads, write_campaign
 
@@ -121,3 +124,12 @@ def test_a_black_level_that_wanders_is_no_noise_and_is_in_the_budget(tmp_path):
     (black,) = [one for one in step["uncertainty"] if one["source"].startswith("black level")]
     expected = wander.std(ddof=1) * np.sqrt(1 + 1 / 8) / (0.25 * LIGHT)
     assert black["bands"]["550 nm"] == pytest.approx(expected, rel=0.35)
+
+
+def test_noise_of_a_weak_band_is_no_change_of_the_lamp():
+    none = {"white": 0.0, "object": None, "flicker": 0.0, "factor": 1.0, "sigma": 0.007}
+    weak = none | {"black": None, "black_sigma": 0.0, "interpolated": False}
+    assert describe_lamp({"": {LAMP: {"1000 nm": weak}}}) == []
+    strong = weak | {"white": -0.006, "sigma": 0.006}
+    (note,) = describe_lamp({"": {LAMP: {"1000 nm": weak, "900 nm": strong}}})
+    assert "900 nm" in note and "-0.6 % within the white" in note

@@ -224,7 +224,10 @@ def describe_lamp(learnt: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Say how well the light is known between white and object, of what was learnt of each sensor."""
     bands = {label: one for told in learnt.values() for label, one in told.get(LAMP, {}).items()}
     notes = []
-    worst = max(bands, key=lambda label: bands[label]["sigma"], default="")
+    # Of a weak band noise alone leaves the drift in doubt: that is no change of the lamp.
+    measured = ("white", "object", "flicker")
+    changed = [label for label, one in bands.items() if any(one[name] for name in measured)]
+    worst = max(changed, key=lambda label: bands[label]["sigma"], default="")
     factors = {label: one["factor"] for label, one in bands.items() if one["interpolated"]}
     if factors and any(factor != 1 for factor in factors.values()):
         low, high = (100 * (pick(factors.values()) - 1) for pick in (min, max))
@@ -232,7 +235,7 @@ def describe_lamp(learnt: Mapping[str, Mapping[str, Any]]) -> list[str]:
             "the lamp changed between the whites before and after the object and is interpolated to its time of capture: "
             f"{low:+.2g} to {high:+.2g} % against the mean of the whites"
         )
-    if bands and bands[worst]["sigma"] >= LAMP_DOUBT:
+    if changed and bands[worst]["sigma"] >= LAMP_DOUBT:
         one = bands[worst]
         changes = [
             f"{100 * one[name]:+.2g} % within the {name}"
