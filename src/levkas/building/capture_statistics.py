@@ -189,8 +189,8 @@ def levels_of(record: Mapping[str, Any]) -> np.ndarray:
     return stored.reshape(record["shape"]) / LEVELS
 
 
-LAMP_DOUBT, BLACK_DOUBT = 0.005, 0.0001
-"""Standard deviation, relative and in reflectance, from which a build warns: half a per cent of the light, and a twentieth
+LAMP_DOUBT, BLACK_DOUBT = 0.005, 0.0002
+"""Standard deviation, relative and in reflectance, from which a build warns: half a per cent of the light, and a tenth
 of the darkest paint, 0.002."""
 
 
