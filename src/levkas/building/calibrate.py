@@ -48,13 +48,11 @@ from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import mean_variance
 from levkas.calibration.sensor_context import (
     SensorContext,
-    doubts_of,
     exposure_of,
     placed,
-    require_black,
-    require_exposures,
 )
-from levkas.calibration.sensor_notes import describe_sensor
+from levkas.calibration.sensor_notes import describe_sensor, doubts_of
+from levkas.calibration.stated_exposures import require_black, require_exposures
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps
 from levkas.calibration.white_area import WhiteArea, joined_area
 from levkas.calibration.whites import WhiteBoard
@@ -190,8 +188,10 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
             if light is not None and cube.sigma is not None:
                 shared = light_variance(cube.values, light.sigmas(), cube.labels)
                 cube = replace(cube, sigma=round_root(cube.sigma**2 + shared))
-            cubes[sensor.name] = mark_glare_in(cube)
+            cube = cubes[sensor.name] = mark_glare_in(cube)
             notes += [*found, *describe_sensor(context)]
+            if camera.kind != "cube":  # of a scan it is among what its lines show
+                notes += describe_above(count_above(cube), cube.labels)
             learnt[sensor.name] = context.told
     except (UnreadableCapture, CodesRefused) as refused:
         raise type(refused)(*_all_problems(capture, campaign, templates, refused)) from None
@@ -287,7 +287,10 @@ def develop_mosaic(context: SensorContext) -> Noted:
         darks,
         white,
         moved=exposed.moved,
-        board=WhiteBoard(context.reflectance, pattern, [b.label for b in sensor.bands]),
+        board=WhiteBoard(
+            *(context.reflectance, pattern, [b.label for b in sensor.bands]),
+            unit=context.unit_of(sensor.object[0]),
+        ),
         noise=noise,
         defects=defects,
     )
@@ -354,6 +357,7 @@ def develop_bands(context: SensorContext) -> Noted:
     """One file a band: each with its own templates; behind narrow filters a mosaic is equalised."""
     bands = context.sensor.bands
     reflectances = np.broadcast_to(context.reflectance, len(bands))
+    _require_one_size(context)
     noise, area = _noise_of_bands(context)
     shape = (*context.facts.shape[:2], len(bands))
     values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
@@ -366,7 +370,7 @@ def develop_bands(context: SensorContext) -> Noted:
         group = each(
             partial(_band, context, noise, area.uncovered), labels, reflectances[some].tolist()
         )
-        for label, flat in zip(labels, group, strict=True):
+        for flat in group:
             notes.extend(flat.notes)
             quantity = flat.quantity
         _interleave([flat.values for flat in group], values, start)

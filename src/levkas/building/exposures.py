@@ -20,11 +20,11 @@ from levkas.calibration.noise_fit import fit_noise_of_frames, level_of
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.sensor_context import (
     SensorContext,
-    doubt_scaling,
     exposure_of,
     placed,
     placing,
 )
+from levkas.calibration.stated_exposures import doubt_scaling
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
 from levkas.calibration.white_area import WhiteArea, board_alone, find_white_area
 from levkas.calibration.whites import WhiteBoard, reflectance_table
@@ -110,7 +110,7 @@ def _merge(
     return merge_exposures(
         *(shots, darks),
         saturation=saturation,
-        black=context.black,
+        black=context.black_level,
         noise=noise,
         choose=True,
         **more,
@@ -190,7 +190,7 @@ def check_scaling(
             shots,
             darks,
             saturation=saturation,
-            black=context.black,
+            black=context.black_level,
             fit_offset=hidden,
             **more,
         )
@@ -206,7 +206,7 @@ def white_area_of(
     """Find where the white shows the object in place of the board; raises CalibrationRefused with the files."""
     if white is None or context.light is not None:
         return WhiteArea()
-    levels = [level_under(one, darks, black=context.black) for one in (shot, white)]
+    levels = [level_under(one, darks, black=context.black_level) for one in (shot, white)]
     with placing(context.sensor.white):
         return find_white_area(shot, white, (levels[0], levels[1]), context.sensor.pattern)
 
@@ -302,19 +302,35 @@ def flatten(
         taken = dict.fromkeys(board.labels or (), shot.exposure_s)
         context.told.setdefault("exposures_s", {}).update(taken)
     if context.camera.kind != "cube" and not shot.above_dark:
-        steps = {
+        found = {
             label: float(f"{context.step * one:.4g}")
             for label, one in _per_count(context, shot, dark, white, board).items()
         }
-        context.told.setdefault("rounding", {}).update(steps)
+        if board.unit is not None:
+            pairs = zip(found.items(), board.unit, strict=True)
+            found = {label: step / float(unit) for (label, step), unit in pairs}
+        context.told.setdefault("rounding", {}).update(found)
     if moved is None:
         moved = _moved(context, shot, dark, noise)
     flat = _with_movement(context, flat, moved)
     if context.response is not None and flat.variance is not None:
         unsure = np.square(flat.values * np.float32(context.response.error))
         flat = replace(flat, variance=flat.variance + unsure)
-    lost = gaps_of(shot, *dark, white)
-    if lost is None:
+    return _with_gaps(context, flat, (shot, *dark, white), list(board.labels or ()))
+
+
+def _with_gaps(
+    context: SensorContext,
+    flat: Calibrated,
+    templates: Sequence[Template | None],
+    labels: Sequence[str],
+) -> Calibrated:
+    """Flag as defects what templates have lost, where the object, the first of them, is there."""
+    lost, absent = gaps_of(*templates), templates[0].absent if templates[0] else None
+    if lost is not None and absent is not None:
+        flat = _without(flat, absent)
+        lost = lost & ~absent
+    if lost is None or not lost.any():
         return flat
     lost = np.broadcast_to(lost, flat.values.shape)
     note = describe_gaps(lost, labels[0] if len(labels) == 1 else context.camera.name)
@@ -325,6 +341,15 @@ def flatten(
     flags = np.where(lost, flat.flags | np.uint8(Flag.DEFECT), flat.flags)
     notes = (*flat.notes, note)
     return replace(flat, values=values, variance=variance, flags=flags, notes=notes)
+
+
+def _without(flat: Calibrated, absent: np.ndarray) -> Calibrated:
+    """Return calibrated values with nothing, flagged as outside, where the object is absent."""
+    nothing = np.float32(np.nan)
+    values, variance = np.where(absent, nothing, flat.values), flat.variance
+    variance = None if variance is None else np.where(absent, nothing, variance)
+    flags = np.where(absent, np.uint8(Flag.OUTSIDE), flat.flags)
+    return replace(flat, values=values, variance=variance, flags=flags)
 
 
 def _with_lamp(
@@ -368,7 +393,7 @@ def _per_count(
     labels, pattern = list(board.labels or ()), board.pattern
     if white is None:
         return dict.fromkeys(labels, 1.0)
-    pair = pair_darks(shot, dark or None, white, context.black)
+    pair = pair_darks(shot, dark or None, white, context.black_level)
     lit, ratio = white.mean - pair[1].mean, pair[2]
     table = np.zeros((1, 1), int) if pattern is None else channel_table(pattern, labels)
     reflectance = reflectance_table(board, shot)

@@ -18,12 +18,12 @@ from levkas.building.scan_templates import (
 from levkas.calibration.flatfield import Calibrated, describe_darks
 from levkas.calibration.sensor_context import (
     SensorContext,
-    doubt_scaling,
     placed,
     timed,
     times_in,
     times_of,
 )
+from levkas.calibration.stated_exposures import doubt_scaling
 from levkas.calibration.templates import (
     CalibrationRefused,
     Template,

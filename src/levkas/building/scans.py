@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from levkas.building.above_white import count_above, describe_above
 from levkas.building.capture_statistics import Middle, describe_lamp
 from levkas.building.exposures import cube_of, mark_glare_in
 from levkas.building.scan_lines import FlatLines, Strip, describe_loss
@@ -20,10 +21,9 @@ from levkas.calibration.denoising import Projecting, Subspace, describe_removed,
 from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.sensor_context import (
     SensorContext,
-    doubts_of,
-    require_exposures,
 )
-from levkas.calibration.sensor_notes import describe_sensor
+from levkas.calibration.sensor_notes import describe_sensor, doubts_of
+from levkas.calibration.stated_exposures import require_black, require_exposures
 from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
 from levkas.core.files import replacing
 from levkas.core.rounding import round_root

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from levkas.building.hashes import Hashes
-from levkas.building.sources import code_version
+from levkas.building.sources import made_with
 from levkas.calibration.templates import DarkFit, ShotLevels, Template
 from levkas.campaign.discovery.captures import FrameRef
 from levkas.core.files import make_folder, replacing

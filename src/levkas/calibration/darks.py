@@ -230,7 +230,7 @@ def _spread_on_line(
     return variance, float((1 - part) ** 2 * share + part**2 * more), min(count, fewer)
 
 
-def _scaled(dark: Template, exposure_s: float, black: float | None) -> MatchedDark:
+def _scaled(dark: Template, exposure_s: float, black: float | np.ndarray | None) -> MatchedDark:
     scale = exposure_s / max(_time(dark), 1e-9)
     if black is None:
         note = (
@@ -239,7 +239,7 @@ def _scaled(dark: Template, exposure_s: float, black: float | None) -> MatchedDa
         )
         return replace(_as_it_is(dark, note), stretch=scale - 1)
     mean = (black + (dark.mean - np.float32(black)) * np.float32(scale)).astype(np.float32)
-    note = f"dark of {_time(dark):g} s scaled to {exposure_s:g} s about black {black:g}"
+    note = f"dark of {_time(dark):g} s scaled to {exposure_s:g} s about black {np.mean(black):g}"
     variance, share, count = _spread_of(dark)
     parts = ((dark, scale * dark.count**-0.5),)
     return MatchedDark(mean, variance, scale**2 * share, count, dark.saturated, note, parts=parts)

@@ -248,6 +248,7 @@ def average_steady(
     *,
     period: tuple[int, int] = (1, 1),
     saturation: float | None = None,
+    black_clip: float | None = 0.0,
     exposure_s: float | None = None,
     times_s: Sequence[float] | None = None,
 ) -> Template:
@@ -262,7 +263,7 @@ def average_steady(
         Counts without light. None: the frames are darks, which are brought to their mean by an offset.
     period : (rows, columns)
         Of a mosaic: each phase has a level of its own.
-    saturation, exposure_s
+    saturation, black_clip, exposure_s
         As of `templates.average`; saturation is judged on the codes of the file.
     times_s : sequence of float, optional
         When each shot was captured.
@@ -281,7 +282,8 @@ def average_steady(
     (10, [[0.975], [1.025]])
     """
     light = CellMeans(period)
-    made = average(light.watch(read()), saturation=saturation, exposure_s=exposure_s)
+    clips: dict[str, float | None] = {"saturation": saturation, "black_clip": black_clip}
+    made = average(light.watch(read()), exposure_s=exposure_s, **clips)
     if level is None:
         shots = measure_offsets(light.channels)
     else:

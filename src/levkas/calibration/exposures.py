@@ -435,13 +435,13 @@ def _bends(
     timed: list[Template],
     darks: Template | Sequence[Template] | None,
     saturation: float,
-    black: float | None,
+    black: float | np.ndarray | None,
     period: tuple[int, int],
 ) -> bool:
     """Tell whether exposures do not scale because the sensor is not linear."""
     more: dict[str, Any] = {"saturation": saturation, "black": black, "period": period}
     points = find_points(timed, darks, contrast=ALIKE, **more)
-    return bends(points, saturation - (black or 0.0))
+    return bends(points, saturation - (0.0 if black is None else float(np.mean(black))))
 
 
 def _does_not_scale(scaling: Linearity, *, bent: bool = False) -> Problem:

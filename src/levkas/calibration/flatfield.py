@@ -8,7 +8,7 @@ u² = [vS/nS + vD/nD + r²(vW/nW + vD′/nD′) − 2 r ρ √(vD/nD · vD′/nD
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -141,7 +141,8 @@ def flat_field(
     bad = under.saturated if defects is None else defects | under.saturated
     if white is None:
         unit = 1.0 if board.unit is None else np.asarray(board.unit)
-        scale = reflectance_table(1 / np.asarray(unit, float), shot, None)
+        of_unit = replace(board, reflectance=1 / np.asarray(unit, float), pattern=None)
+        scale = reflectance_table(of_unit, shot)
         lit, lit_saturated = exact_side(1.0), np.zeros((1, 1), np.uint8)
     else:
         if not board.checked:

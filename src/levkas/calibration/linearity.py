@@ -111,7 +111,7 @@ def find_points(
     darks: Template | Sequence[Template] | None = None,
     *,
     saturation: float,
-    black: float | None = None,
+    black: float | np.ndarray | None = None,
     period: tuple[int, int] = PERIOD,
     contrast: float = np.inf,
 ) -> list[Point]:

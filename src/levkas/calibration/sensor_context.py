@@ -15,17 +15,18 @@ import numpy as np
 
 from levkas.calibration.agreement import Aligned, check_alike, facts_of
 from levkas.calibration.clipped_darks import MANY_ZEROS, is_clipped, unclip
-from levkas.calibration.code_checks import FEW_CODES, check_codes, doubt_codes, thin_rows
+from levkas.calibration.code_checks import FEW_CODES, check_codes, thin_rows
 from levkas.calibration.code_spacing import find_alignment, find_step
-from levkas.calibration.darks import SAME_TIME, dark_under, level_under
+from levkas.calibration.darks import dark_under, level_under
 from levkas.calibration.drift import average_steady
 from levkas.calibration.full_scale import FullScale, SceneShots, find_full_scale, stated_full_scale
 from levkas.calibration.linearity import PERIOD, Point, check_linearity, find_points
 from levkas.calibration.patterns import thin_periods
 from levkas.calibration.response import ALIKE, CURVED, Response, find_response
-from levkas.calibration.templates import CalibrationRefused, Template, close_gaps
+from levkas.calibration.templates import CalibrationRefused, Template, as_absent, close_gaps
 from levkas.core.problems import Problem
-from levkas.readers.frames import Facts, read_facts, read_frame, read_sample
+from levkas.readers.compared_facts import SCALE
+from levkas.readers.frames import Facts, read_facts, read_frame, read_plane, read_sample
 
 if TYPE_CHECKING:
     from levkas.calibration.chart_light import ChartLight
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import FrameRef, SensorFrames
 
 GLIMPSE_LINES = 64
-AS_LIGHT = "they are taken as proportional to light: export linear frames"
 MOST_GLIMPSED = 2
 """Frames of a role of which some rows are looked at."""
 SHOTS = 4
@@ -121,7 +121,7 @@ class SensorContext:
 
     @cached_property
     def black(self) -> float | None:
-        """Declared, else the file's own black level, else that of an exposure series if it is needed, counts; None if not known."""
+        """Declared, else the file's own black level, the mean over the frame, else that of an exposure series if it is needed, counts; None if not known."""
         stated = self._stated_black
         return self._black_of_series() if stated is None else stated
 
@@ -179,7 +179,7 @@ class SensorContext:
         if role not in self._glimpses:
             most = 1 if self.facts.kind == "raw" else MOST_GLIMPSED
             frames = spread(getattr(self.sensor, role), most)
-            self._glimpses[role] = [thin_rows(_glimpse(frame)).copy() for frame in frames]
+            self._glimpses[role] = [thin_rows(glimpse(frame)).copy() for frame in frames]
         return self._glimpses[role]
 
     @cached_property
@@ -251,7 +251,8 @@ class SensorContext:
         """Return a template as a linear sensor had recorded it, where this one has a curve that is known."""
         if self.response is None:
             return frames
-        return self.response.straighten(frames, dark_under(frames, darks, black=self.black).mean)
+        under = dark_under(frames, darks, black=self.black_level)
+        return self.response.straighten(frames, under.mean)
 
     def straight_saturation(self, darks: Sequence[Template]) -> float | None:
         """Return the code at which a sensel is full in templates that were straightened."""
@@ -309,6 +310,7 @@ class SensorContext:
                 level,
                 period=self.period,
                 saturation=self.saturation,
+                black_clip=self.black_clip,
                 exposure_s=exposure_of(frames[0]),
                 times_s=capture_times(frames),
             )
@@ -322,9 +324,9 @@ class SensorContext:
         if frames[0] in self.sensor.dark:
             return None
         if not darks:
-            return self.black or 0.0
+            return 0.0 if self.black_level is None else self.black_level
         try:
-            return level_under(timed(darks[0], times_of(frames[0])), darks, black=self.black)
+            return level_under(timed(darks[0], times_of(frames[0])), darks, black=self.black_level)
         except CalibrationRefused:  # as whoever subtracts it will find
             return darks[0].mean
 
@@ -438,94 +440,6 @@ def placing(frames: Sequence[FrameRef]) -> Iterator[None]:
         raise type(refused)(*(placed(p, frames) for p in refused.problems)) from None
 
 
-def doubts_of(context: SensorContext) -> list[str]:
-    """What a person should know before believing the values."""
-    camera = context.camera
-    doubts = [*_doubt_bits(context), *context.doubts]
-    targets = context.campaign.targets
-    if camera.kind == "image":
-        return doubts
-    doubts += [*context.sensor.remarks, *_note_scale(context), *_note_bad_bands(context)]
-    if context.light is not None:
-        doubts += context.light.notes
-    elif not context.sensor.white and not context.holds_reflectance:
-        doubts.append("no white is declared: the cube remains in counts")
-    elif context.sensor.white and targets.white and not isinstance(targets.white.reflectance, str):
-        given = targets.white.reflectance
-        doubts.append(
-            f"the reflectance of the white is assumed to be {1.0 if given is None else given:g} "
-            "at every wavelength; give a CSV of its spectrum in targets.white.reflectance"
-        )
-    return doubts
-
-
-def _note_scale(context: SensorContext) -> list[str]:
-    """Say whether the scale of reflectance that a file of the object states is used."""
-    scale = next(
-        (s for f in context.sensor.object if (s := read_facts(f.path).reflectance_scale)), None
-    )
-    if scale is None:
-        return []
-    stated = f"{context.camera.name}: by the file reflectance 1.0 is {_span(scale)}"
-    if context.holds_reflectance:
-        return [
-            f"{stated}: its values are taken as reflectance, for neither dark nor white is there; if they are raw, "
-            f'write `overrule = ["{SCALE}"]`'
-        ]
-    return [f"{stated}: this is not used, the values are taken as counts"]
-
-
-def _note_bad_bands(context: SensorContext) -> list[str]:
-    bad = [band.label for band in context.sensor.bands if band.bad]
-    if not bad:
-        return []
-    names = ", ".join(bad[:NAMED]) + (" …" if len(bad) > NAMED else "")
-    return [
-        f"{context.camera.name}: {len(bad)} of {len(context.sensor.bands)} bands are bad by the file (bbl: {names}): "
-        "they are flagged as defects, and have no part in registration and colours"
-    ]
-
-
-def _span(values: Sequence[float]) -> str:
-    return f"{min(values):g}" + (f" to {max(values):g}" if len(set(values)) > 1 else "")
-
-
-def _notes_of_files(context: SensorContext) -> list[str]:
-    """Return what readers take otherwise than files state it, each once with the first file and how many there are."""
-    sensor = context.sensor
-    found: dict[str, dict[Path, None]] = {}
-    for frame in (*sensor.object, *sensor.white, *sensor.chart, *sensor.dark):
-        if frame.path.suffix.lower() in RAW_SUFFIXES:
-            continue
-        facts = read_facts(frame.path)
-        unread = facts.pages > 1 and frame.page is None and context.camera.kind != "cube"
-        more = [f"the first of {facts.pages} pages is used, the others are not"] if unread else []
-        if facts.encoded and context.camera.kind != "image":
-            more.append(f"by the file its codes have a tone curve ({facts.encoded}); {AS_LIGHT}")
-        for note in (*facts.notes, *more):
-            found.setdefault(note, {})[frame.path] = None
-    name = context.camera.name
-    return [f"{name}: {note} ({files_named(tuple(paths))})" for note, paths in found.items()]
-
-
-def files_named(paths: Sequence[Path]) -> str:
-    """Return a few files in words.
-
-    >>> files_named([Path("raw/a.tif"), Path("raw/b.tif")])
-    'a.tif and 1 more'
-    """
-    return paths[0].name + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
-
-
-def _doubt_bits(context: SensorContext) -> list[str]:
-    """Whether a few frames, whites above all, look like 8 bits where more are declared."""
-    bits, full = context.camera.bits, context.saturation
-    if bits is None or bits <= 8 or full is None or context.facts.kind == "raw":
-        return []
-    frames = [*spread(context.sensor.object, 3), *spread(context.sensor.white, 3)]
-    return [f"{context.camera.name}: {d}" for d in doubt_codes(map(_glimpse, frames), bits, full)]
-
-
 def _repeats(frames: Sequence[FrameRef]) -> list[list[FrameRef]]:
     """Return two shots of each scene, band and exposure, where there are as many."""
     groups: dict[object, list[FrameRef]] = {}
@@ -551,7 +465,7 @@ def _sample(frame: FrameRef) -> np.ndarray:
     return np.concatenate([scan.read_lines(y, y + 1) for y in dict.fromkeys(places)])
 
 
-def _glimpse(frame: FrameRef) -> np.ndarray:
+def glimpse(frame: FrameRef) -> np.ndarray:
     """Read a frame, of a line scan some lines in its middle; where samples may hold nothing the others, in a row."""
     facts = read_facts(frame.path)
     if facts.kind != "envi":
@@ -593,78 +507,12 @@ def times_of(frame: FrameRef) -> Times:
     return facts.band_times_s or facts.exposure_s
 
 
-def require_exposures(context: SensorContext) -> None:
-    """Refuse a sensor some of whose frames state their exposure, and others do not.
-
-    Raises
-    ------
-    CalibrationRefused
-        E_EXPOSURES; also where no frame states it in a known unit, and the numbers without one differ.
-    """
-    sensor = context.sensor
-    frames = list(dict.fromkeys((*sensor.object, *sensor.white, *sensor.dark)))
-    stated = [frame for frame in frames if times_of(frame) is not None]
-    silent = [frame for frame in frames if times_of(frame) is None]
-    if not silent:
-        return
-    said = {
-        frame: facts.exposure_unclear
-        for frame in silent
-        if (facts := read_facts(frame.path)).exposure_unclear
-    }
-    if not stated and len({said.get(frame) for frame in silent}) == 1:
-        return
-    unclear = [f"{frame.path.name}: {text}" for frame, text in said.items()][:NAMED]
-    found = [f"{frame.path.name}: {_shown(times_of(frame))}" for frame in stated[:NAMED]]
-    found += unclear or [f"{frame.path.name}: nothing" for frame in silent[:NAMED]]
-    what = (
-        "the unit of the exposure is unknown"
-        if unclear
-        else f"only {len(stated)} of {len(frames)} frames state their exposure"
-    )
-    raise CalibrationRefused(
-        Problem(
-            "E_EXPOSURES",
-            f"{context.camera.name}: {what}",
-            str(silent[0].path),
-            "exposure",
-            "; ".join(found),
-            "an exposure for every frame of object, white and dark, or for none",
-            "Put {exposure} with its unit into the names and `files`, or list the files in a `manifest` with exposure_s.",
-        )
-    )
-
-
-def require_black(context: SensorContext) -> None:
-    """Refuse a file whose black levels cannot be understood where they would be subtracted.
-
-    Raises
-    ------
-    CalibrationRefused
-        E_VALUE where there is neither a dark nor a declared black.
-    """
-    unclear = context.facts.black_unclear
-    if unclear is None or context.sensor.dark or context.camera.black is not None:
-        return
-    raise CalibrationRefused(
-        Problem(
-            "E_VALUE",
-            f"{context.camera.name}: the black levels of the file cannot be understood",
-            str(context.facts.path),
-            "BlackLevel",
-            unclear,
-            "levels of every sensel of the frame",
-            f"Capture darks, or write `black` under [cameras.{context.camera.name}] where one number serves.",
-        )
-    )
-
-
 def by_exposure(frames: Sequence[FrameRef]) -> list[tuple[Times, list[FrameRef]]]:
     """Group frames of equal exposure, shortest first."""
     groups: dict[Times, list[FrameRef]] = {}
     for frame in frames:
         groups.setdefault(times_of(frame), []).append(frame)
-    return sorted(groups.items(), key=lambda item: _listed(item[0]))
+    return sorted(groups.items(), key=lambda item: listed(item[0]))
 
 
 def timed(template: Template, times: Times) -> Template:
@@ -686,32 +534,8 @@ def templates_by_exposure(
     return [timed(make(group), times) for times, group in by_exposure(frames)]
 
 
-def doubt_scaling(context: SensorContext, taken: Times, other: Times) -> str:
-    """Say that counts are scaled from the white's time to the object's without a series that shows that they scale."""
-    object_times, white_times = _listed(taken), _listed(other)
-    if not object_times or not white_times:
-        return ""
-    wide = max(len(object_times), len(white_times))
-    pairs = zip(_spread(object_times, wide), _spread(white_times, wide), strict=True)
-    if all(abs(mine / its - 1) <= SAME_TIME for mine, its in pairs):
-        return ""
-    return (
-        f"{context.camera.name}: the white was exposed for {_shown(other)}, the object for "
-        f"{_shown(taken)}; without an exposure series the linearity is unknown"
-    )
-
-
-def _spread(times: tuple[float, ...], bands: int) -> tuple[float, ...]:
-    return times * bands if len(times) == 1 else times
-
-
-def _listed(times: Times) -> tuple[float, ...]:
+def listed(times: Times) -> tuple[float, ...]:
+    """Return the exposures of a frame, s; none where it is not known."""
     if times is None:
         return ()
     return times if isinstance(times, tuple) else (times,)
-
-
-def _shown(times: Times) -> str:
-    if isinstance(times, tuple):
-        return f"{min(times):g} to {max(times):g} s, band by band"
-    return f"{times:g} s" if times is not None else "nothing"

@@ -112,6 +112,7 @@ class Template:
     band_times_s: tuple[float, ...] | None = None
     fit: DarkFit | None = None
     shots: ShotLevels | None = None
+    absent: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         arrays = [self.mean, self.saturated, self.black]
@@ -137,6 +138,7 @@ def pick_bands(template: Template, bands: np.ndarray) -> Template:
     shots = template.shots
     if shots is not None:
         shots = replace(shots, levels=shots.levels[:, bands], error=shots.error[bands])
+    lost, absent = template.lost, template.absent
     return replace(
         template,
         mean=template.mean[..., bands],

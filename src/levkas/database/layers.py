@@ -168,7 +168,7 @@ def write_tiffs(
     An older .sigma.tif goes where the noise is not known any more.
     Also for the native files of single sensors.
     """
-    facts = layer.attributes(cube.quantity)
+    facts = layer.attributes(cube.quantity, cube.bands)
     of_values = facts_of_values(facts, rendering, sigma=cube.sigma is not None)
     parts: list[tuple[str, np.ndarray, dict[str, Any]]] = [
         (".tif", cube.values, of_values),
