@@ -1,6 +1,7 @@
 """Whole builds of merged exposures against truth and the Cramér–Rao bound, over three and a half decades.
 
-    python benchmarks/merging.py [--side 256] [--read 2.0] [--whites 16] [--darks 8]
+    python benchmarks/merging.py [--side 256] [--read 2.0] [--whites 16] [--darks 8] [--bend 0.06]
+    python benchmarks/merging.py --painted [--leak 0.0018]   # beside saturated sensels, by the merge alone
     python benchmarks/motion.py   # what is flagged as moved, of cameras as they are
 
 A sensor of 12 bits in 16-bit files (black 50, 2 electrons a count) takes one shot of twelve patches,
@@ -19,11 +20,15 @@ import argparse
 import tempfile
 from pathlib import Path
 
+import cv2
 import numpy as np
 import tifffile
 from results import add_option, record
 
 from levkas.building import build
+from levkas.calibration.exposures import merge_exposures
+from levkas.calibration.noise_fit import NoiseModel
+from levkas.calibration.templates import average
 from levkas.core.cube import Flag
 
 BLACK, GAIN, FULL = 50.0, 0.5, 4095
@@ -91,6 +96,7 @@ def write(folder: Path, kind: str, black: str, told: argparse.Namespace) -> None
         electrons = WHITE * time * seen * response / GAIN
         for shot in range(shots):
             light = GAIN * rng.poisson(electrons)
+            light -= told.bend * light**2 / (FULL - BLACK)
             codes = np.rint(light + rng.normal(BLACK, told.read, panel.shape)).clip(0, FULL)
             path = (
                 folder / "raw" / f"{name}_550nm_{1000 * time:g}ms_{shot}{SUFFIX.get(black, '.tif')}"
@@ -176,6 +182,49 @@ def measured(folder: Path, kind: str, black: str, told: argparse.Namespace) -> n
     return np.array(found)
 
 
+def painted(told: argparse.Namespace) -> None:
+    """Merge a scene of discs of all tones on a sensor that leaks, and print variance over the bound by reflectance."""
+    rng, side = np.random.default_rng(3), 2 * told.side
+    tones = np.full((4 * side, 4 * side), 0.3, np.float32)
+    for _ in range(side * side // 350):
+        tone = float(np.exp(rng.uniform(np.log(0.005), np.log(0.95))))
+        place = rng.integers(0, 4 * side, 2).tolist()
+        cv2.circle(tones, place, int(rng.integers(6, 120)), tone, -1, cv2.LINE_AA)
+    scene = cv2.resize(
+        cv2.GaussianBlur(tones, (0, 0), 2), (side, side), interpolation=cv2.INTER_AREA
+    )
+    kernel = told.leak * np.array([[0.3, 1, 0.3], [1, 0, 1], [0.3, 1, 0.3]])
+    light, noise = WHITE * scene.astype(float) / GAIN, NoiseModel(GAIN, told.read**2 + 1 / 12)
+    shots = []
+    for t in TIMES:
+        lent = cv2.filter2D(np.minimum(light * t, (FULL - BLACK) / GAIN), -1, kernel)
+        codes = GAIN * rng.poisson(light * t + lent) + rng.normal(BLACK, told.read, scene.shape)
+        codes = np.rint(codes).clip(0, FULL).astype(np.uint16)
+        shots.append(average([codes], saturation=FULL, exposure_s=t))
+    merged = merge_exposures(shots, saturation=FULL, black=BLACK, noise=noise).template
+    truth = GAIN * (light + cv2.filter2D(light, -1, kernel))
+    ends = np.array([truth * t + BLACK - 0.98 * FULL for t in TIMES])
+    least = 1 / sum(
+        (e < 0) * t**2 / noise.variance(truth * t) for e, t in zip(ends, TIMES, strict=True)
+    )
+    clear = ~merged.saturated & (np.abs(ends) > 0.03 * FULL).all(0)
+    miss = merged.mean - truth
+    for low, high in (
+        (0.01, 0.03),
+        (0.03, 0.06),
+        (0.06, 0.12),
+        (0.12, 0.25),
+        (0.25, 0.5),
+        (0.5, 1),
+    ):
+        part = clear & (truth >= WHITE * low) & (truth < WHITE * high)
+        over, bias = np.mean(miss[part] ** 2 / least[part]), 100 * np.mean(miss[part] / truth[part])
+        z = np.std(miss[part] / np.sqrt(merged.variance[part]))
+        print(
+            f"R {low:g} to {high:g}: variance/bound {over:.3f}, bias {bias:+.3f} %, (R − truth)/sigma {z:.3f}"
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--side", type=int, default=256, help="of a patch, px")
@@ -183,8 +232,14 @@ def main() -> None:
     parser.add_argument("--whites", type=int, default=16)
     parser.add_argument("--darks", type=int, default=8, help="of each exposure")
     parser.add_argument("--only", default="", help="for example bands:darks")
+    parser.add_argument("--bend", type=float, default=0.0, help="share that is lost at full scale")
+    parser.add_argument("--painted", action="store_true")
+    parser.add_argument("--leak", type=float, default=0.0018, help="share lent to each neighbour")
     add_option(parser)
     told = parser.parse_args()
+    if told.painted:
+        painted(told)
+        return
     figures = {}
     for kind in KINDS:
         for black in ("campaign", "frames", "dng", "darks"):

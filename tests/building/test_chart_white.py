@@ -187,6 +187,18 @@ def test_the_error_of_the_light_is_not_averaged_away_on_the_grid(copy):
     assert np.median(grid[far] / values[far]) > 0.03
 
 
+def test_what_held_out_patches_miss_is_in_sigma(copy):
+    rng = np.random.default_rng(8)
+    scene = chart_picture(NM)
+    for c, r in CLASSIC.centres.astype(int):
+        scene[40 + 40 * r : 80 + 40 * r, 50 + 40 * c : 90 + 40 * c] *= rng.normal(1, 0.05)
+    shutil.rmtree(copy / "raw" / "macbeth")
+    write_frames(copy, {"macbeth": scene}, rng)
+    cube = developed(copy).cubes[""]
+    light = (cube.values > 0.5) & ON_CHART[..., None]
+    assert np.median((cube.sigma / cube.values)[light]) == pytest.approx(0.05, abs=0.02)
+
+
 def test_a_chart_measured_into_the_infrared_serves_every_band(copy):
     write_reference(copy / "chart.csv")
     text = KEYS.replace('chart = "macbeth",', 'chart = "macbeth", reference = "chart.csv",')
@@ -226,6 +238,9 @@ def test_a_leaking_band_is_scaled_by_its_greys_with_the_light_of_another(copy):
     band = made.learnt[""][KEY]["bands"]["450 nm"]
     assert band["light_of"] == "540 nm" and len(band["patches"]) == band["greys"] == 6
     assert "a leaking filter" in band["why"]
+    # Its greys are right, and colours are off by what a leak does to paints: 0.3 rms.
+    assert np.hypot(*band["sigma_of_patches"]) > 0.1
+    assert np.median(made.cubes[""].sigma[..., 0]) > 8 * np.median(made.cubes[""].sigma[..., 1])
     off = made.cubes[""].values[..., 0] - panel_picture(len(NM))[..., 0]
     assert np.sqrt(np.mean(off[ON_CHART] ** 2)) < 0.012
 
@@ -282,6 +297,30 @@ def test_a_mosaic_is_calibrated_through_its_sensitivities_or_by_its_greys_alone(
         assert np.sqrt(np.mean(off**2)) < 0.1  # the gradient is left
         assert any("declare `sensitivity`" in w for w in made.warnings)
         assert made.learnt[""][KEY]["bands"]["G"]["order"] == 0
+
+
+def test_a_mosaic_whose_channels_nobody_knows_is_scaled_by_greys_even_in_the_infrared(tmp_path):
+    rng = np.random.default_rng(4)
+    deep = np.array([[690.0, 700.0, 710.0], [720.0, 730.0, 690.0], [700.0, 710.0, 720.0]])
+    patches = PUBLISHED.at(deep.ravel())
+    chart, panel = np.full((HEIGHT, WIDTH, 9), 0.15), np.full((HEIGHT, WIDTH, 9), 0.4)
+    for patch, (c, r) in zip(patches, CLASSIC.centres.astype(int), strict=True):
+        chart[43 + 40 * r : 78 + 40 * r, 53 + 40 * c : 88 + 40 * c] = patch
+    which = (3 * (Y % 3) + X % 3)[..., None]
+    for name, scene in (("dark", 0 * chart), ("macbeth", chart), ("panel", panel)):
+        (tmp_path / "raw" / name).mkdir(parents=True)
+        level = 3000 * np.take_along_axis(scene, which, 2)[..., 0]
+        for shot in range(2):
+            noisy = 60 + level + np.sqrt(4 + 0.2 * level) * rng.standard_normal(level.shape)
+            frame = np.clip(np.rint(noisy), 0, 4095).astype(np.uint16)
+            tifffile.imwrite(tmp_path / "raw" / name / f"{shot}.tif", frame)
+    rows = [[f"B{3 * row + k + 1}" for k in range(3)] for row in range(3)]
+    text = MOSAIC.replace('sensitivity = "rgb.csv"\n', "").replace('"RGGB"', json.dumps(rows))
+    (tmp_path / "campaign.toml").write_text(text.replace('band = "G"', 'band = "B5"'))
+    made = developed(tmp_path)
+    assert np.abs(made.cubes[""].values[ON_CHART].mean(0) / 0.4 - 1).max() < 0.05
+    (note,) = [w for w in made.warnings if "no sensitivity is known" in w]
+    assert "B1, B2" in note and "`wavelengths`" in note
 
 
 # --- refusals -----------------------------------------------------------------------------------

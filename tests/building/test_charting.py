@@ -83,10 +83,19 @@ def test_a_chart_of_a_campaign_is_measured_from_two_shots(campaign):
     assert report.ok, report.problems
     (made,) = report.measures
     assert made.table.temporal and made.sightings[0].located.agreement > 0.99
-    # The white patch: gain 0.2, two shots of object and white; light falls off towards it.
-    signal = made.table.mean[18, 2] * 3200 * np.exp(-(100**2 + 60**2) / 2e5)
-    expected = np.sqrt(2 * signal**2 / (4 + 0.2 * signal))
-    assert made.table.snr[18, 2] == pytest.approx(expected, rel=0.1)
+    # Gain 0.2, two shots of object, white and dark; light falls off towards the corners.
+    for patch, place in ((18, (75, 185)), (21, (195, 185)), (23, (275, 185))):
+        r = made.table.mean[patch, 2]
+        light = 3200 * np.exp(-((place[0] - 175) ** 2 + (place[1] - 125) ** 2) / 2e5)
+        own, white, dark = 4 + 0.2 * r * light, 4 + 0.2 * light, 4.0
+        noise = np.sqrt((own + r**2 * white + (1 - r) ** 2 * dark) / 2)
+        assert made.table.snr[patch, 2] == pytest.approx(r * light / noise, rel=0.06)
+    # As far as the picture itself is from the truth, white and dark of this one build in it.
+    cube = made.sightings[0].cube
+    inner = np.s_[179:192, 69:82, 2]
+    truth = chart_picture()[inner]
+    found = np.std(cube.values[inner] - truth)
+    assert made.table.noise[18, 2] == pytest.approx(found, rel=0.15)
     assert not any(p.found for p in made.preblurs)
     assert made.rows[0].value < 6  # five bands of 60 nm cannot do better than a few
     assert "macbeth/vis" in report.text

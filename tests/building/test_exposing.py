@@ -42,9 +42,22 @@ KINDS = {
 
 
 def make(
-    folder, how, *, panel, white, late=1.0, moved=False, kind="bands", black="", dim=1.0, odd=()
+    folder,
+    how,
+    *,
+    panel,
+    white,
+    late=1.0,
+    moved=False,
+    kind="bands",
+    black="",
+    dim=1.0,
+    odd=(),
+    darks=(),
+    current=0.0,
+    curve=lambda counts: counts,
 ):
-    """Write a campaign; `late` is what the longest white really took, over what its name says.
+    """Write a campaign; darks of each time, or of `darks`, s, with a current in counts a second; counts through a curve; `late` is what the longest white really took, over what its name says.
 
     Exposures of the panel in `odd` took a third more than their names say.
 
@@ -56,7 +69,7 @@ def make(
     (folder / "raw").mkdir(parents=True)
     times = sorted({*panel, *white})
     for target, taken, scene in (
-        ("dark", times, 0 * SCENE), ("white", white, 0 * SCENE + 1), ("panel", panel, dim * SCENE),
+        ("dark", darks or times, 0 * SCENE), ("white", white, 0 * SCENE + 1), ("panel", panel, dim * SCENE),
     ):  # fmt: skip
         for time in taken:
             for shot in range(6 if target != "panel" else 1):
@@ -65,8 +78,8 @@ def make(
                     seen[80:96, 96:112] *= 0.3
                 real = time * (late if target == "white" and time == max(white) else 1.0)
                 real *= 4 / 3 if target == "panel" and time in odd else 1.0
-                light = GAIN * rng.poisson(14_000 * real * seen * response)
-                raw = np.rint(light + rng.normal(BLACK, READ, SHAPE)).clip(0, 4095)
+                light = GAIN * rng.poisson(14_000 * real * seen * response + current * time / GAIN)
+                raw = np.rint(curve(light) + rng.normal(BLACK, READ, SHAPE)).clip(0, 4095)
                 name = f"{target}_550nm_{1000 * time:g}ms_{shot}.tif"
                 tifffile.imwrite(folder / "raw" / name, raw.astype(np.uint16), extratags=tags)
     text = KINDS[kind] + (f"\nblack = {BLACK:g}" if black == "file" else "")
@@ -181,6 +194,80 @@ def test_a_black_level_that_is_known_is_subtracted_once(tmp_path, kind, whites):
     assert abs(made["file"].values - made["frames"].values).max() == 0
 
 
+@pytest.mark.parametrize("how", ["best", "merge"])
+@pytest.mark.parametrize("current", [0.0, 60.0])
+def test_a_dark_of_another_time_is_refused_where_nothing_tells_its_current(tmp_path, how, current):
+    panel = (0.5,) if how == "best" else (0.25, 0.5)
+    more = {"panel": panel, "white": (0.25,), "darks": (0.25,), "current": current}
+    with pytest.raises(Refused) as refused:
+        developed(make(tmp_path / "c", how, **more))
+    (problem,) = refused.value.problems
+    assert (problem.code, problem.field) == ("E_EXPOSURES", "black")
+    assert "0.25 s" in problem.message and "0.5 s" in problem.fix and "`black`" in problem.fix
+    for more_known in ({"black": "file"}, {"black": "frames"}, {"darks": (0.1, 0.25)}):
+        folder = tmp_path / next(iter(more_known)) / more_known.get("black", "")
+        cube = developed(make(folder / "c", how, **(more | more_known))).cubes[""]
+        dim = SCENE < 0.1
+        assert cube.values[..., 0][dim].mean() == pytest.approx(SCENE[dim].mean(), rel=0.005)
+
+
+def test_the_black_level_of_an_exposure_series_serves_to_scale_a_dark(tmp_path):
+    panel = (0.25, 0.5, 1.0)
+    more = {"panel": panel, "white": (1.0,), "darks": (0.25,), "current": 60.0}
+    made = developed(make(tmp_path / "c", "merge", **more))
+    assert any("the black level is 6" in warning for warning in made.warnings), made.warnings
+    assert made.learnt[""]["black"]["counts"] == pytest.approx(BLACK, abs=0.5)
+    values, dim = made.cubes[""].values[..., 0], SCENE < 0.1
+    assert values[dim].mean() == pytest.approx(SCENE[dim].mean(), rel=0.01)
+
+
+def test_a_dark_of_nearly_the_time_is_used_and_said(tmp_path):
+    more = {"panel": (0.25,), "white": (0.25,), "darks": (0.24,)}
+    made = developed(make(tmp_path / "c", "one", **more))
+    assert any("0.24 s is used for 0.25 s" in warning for warning in made.warnings)
+
+
+def bent(counts):
+    """A sensor that loses 6 % at its end."""
+    return counts - 0.06 * counts**2 / 4000
+
+
+def knee(counts):
+    return np.where(counts < 1500, counts, 1500 + (counts - 1500) * 0.8)
+
+
+@pytest.mark.parametrize(
+    ("kind", "how", "white"),
+    [("bands", "merge", (1.0,)), ("mosaic", "merge", (1.0,)), ("bands", "merge", (0.25, 1.0)), ("bands", "best", (1.0,))],
+    ids=["bands", "mosaic", "merged whites", "best"],
+)  # fmt: skip
+def test_the_curve_of_a_sensor_that_is_not_linear_is_taken_out(tmp_path, kind, how, white):
+    panel = (0.25, 0.5, 1.0)
+    made = developed(make(tmp_path / "c", how, panel=panel, white=white, kind=kind, curve=bent))
+    cube = made.cubes[""]
+    values = cube.values[..., 0] if kind == "bands" else own_sensels(cube.values)
+    sigma = cube.sigma[..., 0] if kind == "bands" else own_sensels(cube.sigma)
+    for low, high in ((0.0, 0.1), (0.1, 0.3), (0.3, 0.6), (0.6, 1.0)):
+        part = (low < SCENE) & (high > SCENE)
+        assert values[part].mean() == pytest.approx(SCENE[part].mean(), rel=0.003), low
+        assert 0.93 < ((values - SCENE) / sigma)[part].std() < 1.07, low
+    assert not any("are left out" in w or "only" in w for w in made.warnings)
+    assert any("the sensor is not linear" in w for w in made.warnings)
+    assert made.learnt[""]["response"]["error"] < 0.003
+
+
+def own_sensels(cube):
+    y, x = np.indices(SHAPE)
+    return np.take_along_axis(cube, ((y % 2) * 2 + x % 2)[..., None], 2)[..., 0]
+
+
+def test_a_curve_that_cannot_be_told_is_refused(tmp_path):
+    folder = make(tmp_path / "c", "merge", panel=(0.25, 0.5, 1.0), white=(1.0,), curve=knee)
+    with pytest.raises(Refused, match="not linear") as refused:
+        developed(folder)
+    assert refused.value.problems[0].code == "E_EXPOSURES"
+
+
 def write_png(path, level, seconds):
     """Write an even frame; its eXIf chunk holds ExposureTime, where there is one."""
     codes = np.random.default_rng(len(path.name)).normal(level, 5, (48, 64)).clip(0, 4095)
@@ -200,6 +287,7 @@ reference = "cam"
 [cameras.cam]
 {kind}
 bits = 12
+black = 100
 [targets]
 dark = "dark"
 white = {{ names = "white", reflectance = 1.0 }}
@@ -214,8 +302,9 @@ PNG_KINDS = {
 
 @pytest.mark.parametrize("kind", PNG_KINDS)
 def test_exposures_in_png_are_read_and_must_be_there_in_all_or_none(tmp_path, kind):
-    text = PNG_KINDS[kind].replace("\n[[", "\nbits = 12\n[[")
-    keys = PNG.format(kind=text).replace('A"]\nbits = 12\n', 'A"]\n')
+    known = "bits = 12\nblack = 100\n"
+    text = PNG_KINDS[kind].replace("\n[[", f"\n{known}[[")
+    keys = PNG.format(kind=text).replace(f'A"]\n{known}', 'A"]\n')
     (tmp_path / "campaign.toml").write_text(keys)
     for name, level, seconds in (("dark", 100, 0.01), ("white", 2100, 0.01), ("panel", 2100, 0.02)):
         write_png(tmp_path / f"{name}_550nm.png", level, seconds)

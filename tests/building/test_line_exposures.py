@@ -168,3 +168,14 @@ def test_exposures_that_are_not_known_of_every_frame_are_refused(tmp_path, said,
 def test_an_exposure_without_a_unit_does_no_harm_where_all_have_the_same(tmp_path):
     times = {"dark": 0.01, "white": 0.01, "panel": 0.01}
     recovered(make(tmp_path / "c", times, said="integration time = {us}"))
+
+
+@pytest.mark.parametrize("scan", WAYS)
+def test_a_dark_of_another_time_is_refused_where_the_black_level_is_unknown(tmp_path, scan):
+    times = {"dark": 0.01, "white": 0.01, "panel": 0.02}
+    with pytest.raises(Refused) as refused:
+        developed(make(tmp_path / "c", times, scan=scan))
+    (problem,) = refused.value.problems
+    assert (problem.code, problem.field) == ("E_EXPOSURES", "black")
+    values, _, _ = developed(make(tmp_path / "d", times, scan=scan, more=f"black = {BLACK:g}"))
+    assert values.mean() == pytest.approx(scene().mean(), rel=0.005)

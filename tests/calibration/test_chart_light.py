@@ -96,8 +96,9 @@ def test_the_sigma_of_the_light_is_kept_as_a_record():
         float(light(np.array([[420.0, 333.0]]))[0]), rel=1e-3
     )
     values = np.full((640, 800, 1), 0.5, np.float32)
-    variance = light_variance(values, {"a": made.sigma.to_record()}, ["a"])
+    record = {**made.sigma.to_record(), "patches": [0.03, 0.004]}
+    variance = light_variance(values, {"a": record}, ["a"])
     assert np.sqrt(variance[333, 420, 0]) == pytest.approx(
-        0.5 * light.sigma(points[1:2])[0], rel=0.1
+        np.hypot(0.5 * np.hypot(light.sigma(points[1:2])[0], 0.03), 0.004), rel=0.1
     )
     assert 0 < made.beyond < 1

@@ -1,5 +1,6 @@
 import re
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -143,6 +144,48 @@ def test_sensels_beside_full_ones_are_merged_from_exposures_where_nothing_is_ful
     ratio = (merged.mean / lent)[~places].mean()
     assert ratio == pytest.approx(1.0, abs=0.003)  # 0.92 where the long exposure took part
     assert not merged.saturated.any()
+
+
+def leaky(leak, seed=7):
+    """Exposures of discs of all tones on a sensor that leaks, their truth in counts a second, and the bound of it."""
+    rng, side = np.random.default_rng(seed), 300
+    tones = np.full((4 * side, 4 * side), 0.3, np.float32)
+    for _ in range(400):
+        tone = float(np.exp(rng.uniform(np.log(0.01), 0)))
+        place = rng.integers(0, 4 * side, 2).tolist()
+        cv2.circle(tones, place, int(rng.integers(6, 120)), tone, -1, cv2.LINE_AA)
+    tones = cv2.resize(tones, (side, side), interpolation=cv2.INTER_AREA).astype(float)
+    kernel = leak * np.array([[0.3, 1, 0.3], [1, 0, 1], [0.3, 1, 0.3]])
+    light, wells = 600_000 * tones, 40_310.0  # electrons a second, electrons
+    shots = []
+    for t in (0.05, 0.2, 0.8):
+        lent = cv2.filter2D(np.minimum(light * t, wells), -1, kernel)
+        codes = np.rint(0.1 * rng.poisson(light * t + lent) + rng.normal(64, 2, tones.shape))
+        codes = codes.clip(0, 4095).astype(np.uint16)
+        shots.append(average([codes], saturation=4095, exposure_s=t))
+    truth = 0.1 * (light + cv2.filter2D(light, -1, kernel))
+    noise = NoiseModel(0.1, 4 + 1 / 12)
+    usable = [truth * t + 64 < 0.98 * 4095 for t in (0.05, 0.2, 0.8)]
+    known = sum(
+        u * t**2 / noise.variance(truth * t) for u, t in zip(usable, (0.05, 0.2, 0.8), strict=True)
+    )
+    near = np.any([abs(truth * t + 64 - 0.98 * 4095) < 200 for t in (0.05, 0.2, 0.8)], axis=0)
+    return shots, noise, truth, 1 / known, near
+
+
+@pytest.mark.parametrize(("leak", "most"), [(0.0, 1.04), (0.0018, 1.08)])
+def test_beside_full_sensels_every_exposure_counts_where_what_they_lent_is_known(leak, most):
+    shots, noise, truth, bound, near = leaky(leak)
+    merged = merge_exposures(shots, saturation=4095, black=64.0, noise=noise)
+    miss = merged.template.mean - truth
+    for low, high in ((0.01, 0.03), (0.03, 0.1), (0.1, 0.3), (0.3, 1.0)):
+        part = (truth > 60_000 * low) & (truth < 60_000 * high) & ~near
+        part &= ~merged.template.saturated
+        assert np.mean(miss[part] ** 2 / bound[part]) < most
+        assert abs(np.mean(miss[part] / truth[part])) < 0.0015
+    z = (miss / np.sqrt(merged.template.variance))[~near & ~merged.template.saturated]
+    assert 0.97 < z.std() < 1.03
+    assert merged.moved.mean() < 1e-4
 
 
 def test_where_only_the_shortest_is_free_of_full_neighbours_its_value_stands():

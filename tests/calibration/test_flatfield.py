@@ -150,3 +150,33 @@ def test_a_white_spectrum_of_the_wrong_length_is_refused():
         flat_field(
             flat(1, shape=(2, 3, 2)), None, flat(2, shape=(2, 3, 2)), board=WhiteBoard([1] * 3)
         )
+
+
+@pytest.mark.parametrize(
+    ("times", "black"),
+    [
+        ((1.0, 1.0, 1.0), None),
+        ((1.0, 1.0, 1.0), 64.0),
+        ((2.0, 1.0, 1.0), 64.0),
+        ((2.0, 1.0, 4.0), 64.0),
+        ((3.0, 1.0, 5.0), None),
+        ((3.0, 1.0, 5.0), 64.0),
+    ],
+)
+@pytest.mark.parametrize("reflectance", [0.1, 0.9, 1.8])
+def test_darks_that_object_and_white_share_are_not_independent(times, black, reflectance):
+    """Noise of the dark rules; exposures of object, dark and white, the last of two darks where it is 5 s."""
+    rng, shape = np.random.default_rng(4), (150, 200)
+    of_object, of_dark, of_white = times
+    dark_times = [of_dark] if of_white < 5 else [of_dark, 2 * of_dark]
+
+    def shot(level, time):
+        return average(
+            [rng.normal(64 + level * time, 5, shape).astype(np.float32)], exposure_s=time
+        )
+
+    darks = [shot(10.0, t) for t in dark_times]
+    panel, white = shot(10.0 + 300 * reflectance, of_object), shot(310.0, of_white)
+    made = flat_field(panel, darks, white, black=black, noise=NoiseModel(0.0, 25.0))
+    miss = (made.values - reflectance) / np.sqrt(made.variance)
+    assert miss.std() == pytest.approx(1, abs=0.03)

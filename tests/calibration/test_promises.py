@@ -5,12 +5,12 @@ import pytest
 
 from levkas.calibration.defects import find_defects, replace_defects
 from levkas.calibration.denoising import denoise
+from levkas.calibration.drift import average_steady
 from levkas.calibration.equalising import equalise_phases
 from levkas.calibration.exposures import merge_exposures
 from levkas.calibration.flatfield import flat_field
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
-from levkas.calibration.pushbroom import average_lines
 from levkas.calibration.templates import Template, average
 from levkas.calibration.whites import WhiteBoard
 from levkas.core import threads
@@ -52,10 +52,18 @@ def spectra():
     return frozen((smooth + 0.01 * rng.standard_normal(smooth.shape)).astype(np.float32))
 
 
+def unsteady():
+    scene = np.random.default_rng(1).normal(1000, 5, (2, 50, 60))
+    return [
+        frozen(np.rint(20 + s * x).astype(np.uint16))
+        for s, x in zip((0.9, 1.1), scene, strict=True)
+    ]
+
+
 STEPS = {
     "average codes": lambda: average(frames(np.uint16), saturation=199),
     "average reals": lambda: average(frames(np.float32), saturation=199),
-    "average lines": lambda: average_lines([frozen(np.ones((5, 4, 3), np.uint16))]),
+    "average steady": lambda: average_steady(unsteady, frozen(np.full((50, 60), 20.0))),
     "flat field": lambda: flat_field(template(200), template(20), template(900), noise=NOISE),
     "flat field of stacks": lambda: flat_field(template(200), template(20), template(900)),
     "counts": lambda: flat_field(

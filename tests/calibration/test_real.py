@@ -7,7 +7,6 @@ from levkas.calibration.defects import find_defects, replace_defects
 from levkas.calibration.flatfield import flat_field
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import fit_noise
-from levkas.calibration.pushbroom import average_lines
 from levkas.calibration.templates import average
 from levkas.calibration.whites import WhiteBoard
 
@@ -47,7 +46,7 @@ def test_a_real_line_scan_becomes_reflectance(real_data):
         raw = np.fromfile(real_data / "envi-linescan" / f"{name}.raw", "<u2")
         return raw.reshape(31, 580, 43).transpose(0, 2, 1)
 
-    white, dark = (average_lines([scan(f"{t}_reference_crop")]) for t in ("white", "dark"))
+    white, dark = (average(scan(f"{t}_reference_crop")[:, None]) for t in ("white", "dark"))
     made = flat_field(
         average([scan("4-22-22_right_same_B73_top_00")]),
         dark,

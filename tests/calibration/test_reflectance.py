@@ -5,7 +5,7 @@ import pytest
 
 import levkas
 from levkas.building.calibrate import develop
-from levkas.building.spectra import white_reflectance
+from levkas.building.spectra import board_of
 from levkas.building.template_cache import TemplateCache
 from levkas.readers.frames import read_frame
 
@@ -38,7 +38,7 @@ def test_a_mosaic_has_the_values_flags_and_sigma_of_a_build(tmp_path):
     times = [sensor.object[0].exposure_s, sensor.dark[0].exposure_s, sensor.white[0].exposure_s]
     cube = levkas.calibrate(
         *read,
-        reflectance=white_reflectance(campaign, sensor.bands),
+        reflectance=board_of(campaign, capture, sensor).reflectance,
         pattern=sensor.pattern,
         saturation=campaign.cameras["d80"].saturation or 2**bits - 1,
         exposure_s=times if all(times) else None,

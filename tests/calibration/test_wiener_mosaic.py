@@ -80,8 +80,8 @@ def test_sigma_of_own_weights_holds():
     pull = ((values - scene) / np.sqrt(spread))[8:-8, 8:-8]
     own = own[8:-8, 8:-8]
     assert pull[own].std() == pytest.approx(1, abs=0.02)
-    assert 0.85 < pull[~own].std() < 1.1
-    assert 0.92 < np.mean(np.abs(pull[~own]) < 1.96) < 0.98
+    assert 0.7 < pull[~own].std() < 1.05
+    assert np.mean(np.abs(pull[~own]) < 1.96) > 0.94
 
 
 def test_narrow_channels_are_correlated_by_their_distance():

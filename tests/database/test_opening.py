@@ -13,6 +13,7 @@ import levkas
 from levkas.core.cube import Band, Cube
 from levkas.core.digests import hash_file, hash_tree
 from levkas.core.files import write_json
+from levkas.core.problems import Refused
 from levkas.core.rounding import round_sigma
 from levkas.database.catalogue import (
     COLUMNS,
@@ -113,6 +114,35 @@ def test_flags_and_sigma_stand_beside_and_follow_selections(opened):
     assert opened["icon1"].sigma("d80", "45-degree") is None
     with pytest.raises(ValueError, match="was computed"):
         _ = (cube * 2).flags
+
+
+def spoil_sigma(folder, how):
+    """Damage the sigma of icon1/vis, as TIFF and as Zarr."""
+    tiff, array = folder / "objects/icon1/icon1_vis.sigma.tif", folder / "zarr/icon1.zarr/vis/sigma"
+    if how == "missing":
+        tiff.unlink()
+        shutil.rmtree(array, ignore_errors=True)
+        return
+    for path in (tiff, array / "zarr.json"):
+        if path.is_file():
+            content = path.read_bytes()
+            spoilt = content[: len(content) // 2] if how == "cut" else b"no picture" + content[10:]
+            path.write_bytes(spoilt)
+
+
+@pytest.mark.parametrize("how", ["damaged", "cut", "missing"])
+@pytest.mark.parametrize("form", ["zarr", "tiff"])
+def test_a_sigma_that_cannot_be_read_is_refused_and_not_unknown(tmp_path, form, how):
+    folder = build(tmp_path, zarr=form == "zarr")
+    spoil_sigma(folder, how)
+    thing = levkas.open(folder)["icon1"]
+    with pytest.raises(Refused):
+        _ = thing["vis"].sigma.values
+    with pytest.raises(Refused):
+        _ = thing.sigma("vis").values
+    with pytest.raises(Refused):
+        thing["vis"].components("mnf")
+    assert thing["d80", "45-degree"].sigma is None
 
 
 def test_another_setup_is_another_layer(opened):

@@ -185,6 +185,15 @@ def test_without_its_manifest_a_database_is_checked_by_structure(database):
     }
 
 
+def test_a_missing_sigma_is_found_by_what_its_values_state(database):
+    (database / NAME).unlink()
+    shutil.rmtree(database / "zarr")
+    sigma = next(database.glob("objects/*/*.sigma.tif"))
+    sigma.unlink()
+    problems = validate(database).problems
+    assert ("E_MISSING", str(sigma)) in {(p.code, p.file) for p in problems}
+
+
 def test_with_a_damaged_manifest_it_is_named_and_other_damage_is_still_found(database):
     lines = (database / NAME).read_text().splitlines(keepends=True)
     (database / NAME).write_text("".join(lines[:9]) + "0" + "".join(lines[9:])[1:])

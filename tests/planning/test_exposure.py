@@ -198,6 +198,16 @@ def test_full_scale_comes_from_the_campaign_that_the_frames_belong_to(tmp_path):
     assert "4095" in told.output and "campaign.toml" in told.output
 
 
+def test_codes_that_pile_up_below_the_bits_are_the_full_scale(tmp_path):
+    rng = np.random.default_rng(16)
+    light = white(40_000, 0.1, rng)
+    light = light * (1 - 0.25 * np.linspace(0, 1, light.shape[1]))
+    write(tmp_path / "w", "a.tif", np.minimum(light, 3600).astype(np.uint16))
+    with pytest.raises(NoAdvice) as refused:
+        advise_frames([tmp_path / "w"], bits=12, black=64.0)
+    assert refused.value.problems[0].code == "E_WHITE_SATURATED"
+
+
 def test_codes_beyond_the_bits_that_are_given_are_refused(tmp_path):
     write(tmp_path / "w", "a.tif", white(10_000, 0.1, np.random.default_rng(15)) << 4)
     with pytest.raises(NoAdvice, match="--saturation") as refused:

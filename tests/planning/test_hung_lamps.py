@@ -121,11 +121,11 @@ def test_whites_of_twelve_bits_in_sixteen_are_refused_unless_their_full_scale_is
     whole = tifffile.imread(captured("whole.tif", np.zeros((2, 7)), peak=5000, black=64))
     white = captured("clipped.tif", np.zeros((2, 7)))
     tifffile.imwrite(white, np.minimum(whole, 4095))
-    asked = run(white, "--black", 64)
-    assert asked.exit_code == 1 and "full scale of the camera is unknown" in asked.stderr
-    for told in (("--bits", 12), ("--saturation", 4095)):
+    for told in ((), ("--bits", 12), ("--saturation", 4095)):
         refused = run(white, "--black", 64, *told)
         assert refused.exit_code == 1 and "the white clips" in refused.stderr
+    asked = run(captured("open.tif", WEAK, peak=3500, black=64), "--black", 64)
+    assert asked.exit_code == 1 and "full scale of the camera is unknown" in asked.stderr
     fits = run(captured("fits.tif", WEAK, peak=3500, black=64), "--black", 64, "--bits", 12)
     assert fits.exit_code == 0, fits.output
 

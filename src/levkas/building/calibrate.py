@@ -12,7 +12,7 @@ import numpy as np
 
 from levkas.building.above_white import count_above, describe_above
 from levkas.building.build_records import Written
-from levkas.building.capture_statistics import focus_of, note_light, note_sensels
+from levkas.building.capture_statistics import describe_lamp, focus_of, note_light, note_sensels
 from levkas.building.chart_white import lights_by_chart
 from levkas.building.exposures import (
     average_shots,
@@ -24,7 +24,9 @@ from levkas.building.exposures import (
     mark_glare_in,
     noise_of,
     require_same_size,
+    white_area_of,
     white_of,
+    whites_of,
 )
 from levkas.building.native_cubes import (
     Native,
@@ -35,24 +37,24 @@ from levkas.building.native_cubes import (
 )
 from levkas.building.scan_parts import PARTS, pictures_of, write_scan
 from levkas.building.scans import Scan, develop_scan, is_streamed, open_scan
-from levkas.building.spectra import broad_centroids, read_sensitivity, white_reflectance
+from levkas.building.spectra import board_of, broad_centroids, read_sensitivity
 from levkas.calibration.agreement import compare_facts
 from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA, light_variance
+from levkas.calibration.code_checks import CodesRefused
 from levkas.calibration.defects import replace_defects
 from levkas.calibration.equalising import equalise_phases
 from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import mean_variance
 from levkas.calibration.sensor_context import (
-    CodesRefused,
     SensorContext,
-    doubts_of,
     exposure_of,
     placed,
-    require_black,
-    require_exposures,
 )
+from levkas.calibration.sensor_notes import describe_sensor, doubts_of
+from levkas.calibration.stated_exposures import require_black, require_exposures
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps
+from levkas.calibration.white_area import WhiteArea, joined_area
 from levkas.calibration.whites import WhiteBoard
 from levkas.calibration.wiener_mosaic import correlate_channels, wiener_method
 from levkas.core.cube import Cube, Flag
@@ -159,17 +161,17 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
     learnt: dict[str, dict[str, Any]] = {}
     lights = _lights_of(capture, campaign, templates)
     try:
-        contexts = [
-            SensorContext(
-                campaign,
-                camera,
-                sensor,
-                read_facts(sensor.object[0].path),
-                templates,
-                light=lights.get(sensor.name),
+        contexts = []
+        for sensor in capture.sensors:
+            board, facts = board_of(campaign, capture, sensor), read_facts(sensor.object[0].path)
+            contexts.append(
+                SensorContext(
+                    *(campaign, camera, sensor, facts, templates),
+                    light=lights.get(sensor.name),
+                    reflectance=board.reflectance,
+                    doubts=board.notes,
+                )
             )
-            for sensor in capture.sensors
-        ]
         notes += _compare_all(contexts)
         for context in contexts:
             sensor, light = context.sensor, context.light
@@ -187,12 +189,13 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
                 shared = light_variance(cube.values, light.sigmas(), cube.labels)
                 cube = replace(cube, sigma=round_root(cube.sigma**2 + shared))
             cube = cubes[sensor.name] = mark_glare_in(cube)
-            notes += found
+            notes += [*found, *describe_sensor(context)]
             if camera.kind != "cube":  # of a scan it is among what its lines show
                 notes += describe_above(count_above(cube), cube.labels)
             learnt[sensor.name] = context.told
     except (UnreadableCapture, CodesRefused) as refused:
         raise type(refused)(*_all_problems(capture, campaign, templates, refused)) from None
+    notes += describe_lamp(learnt)
     aligns = {sensor.name: sensor.align for sensor in capture.sensors}
     where = f"{capture.object}/{capture.layer}"
     told = tuple(dict.fromkeys(f"{where}: {note}" for note in notes if note))
@@ -263,20 +266,21 @@ def _all_problems(
 def develop_mosaic(context: SensorContext) -> Noted:
     """A mosaic: flat field on the mosaic, then demosaic; or a sensor without one."""
     sensor, camera = context.sensor, context.camera
-    darks = context.templates(sensor.dark)
-    shots = average_shots(context, sensor.object)
-    whites = context.templates(sensor.white) if sensor.white else []
+    darks = context.darks(sensor.dark)
+    shots = average_shots(context, sensor.object, darks)
+    whites = whites_of(context, sensor.white, darks)
     require_same_size(context, shots[0].mean.shape, darks, whites)
     white = white_of(context, sensor.white, darks)
     noise = noise_of(context, shots, [white] * len(shots), darks)
     exposed = expose(context, shots, darks, noise)
     if exposed.shot.above_dark:
         white = white_of(context, sensor.white, darks, noise=noise, merged=True)
+    area = white_area_of(context, exposed.shot, white, darks)
     notes = [check_scaling(context, exposed, white, (shots, whites), darks), exposed.note]
+    notes += area.notes
     pattern = sensor.pattern
     note_light(context.told, white, darks, pattern, [b.label for b in sensor.bands])
-    defects = defects_of(darks, white, pattern)
-    reflectance = white_reflectance(context.campaign, sensor.bands)
+    defects = defects_of(darks, white, pattern, area.uncovered)
     flat = flatten(
         context,
         exposed.shot,
@@ -284,7 +288,7 @@ def develop_mosaic(context: SensorContext) -> Noted:
         white,
         moved=exposed.moved,
         board=WhiteBoard(
-            *(reflectance, pattern, [b.label for b in sensor.bands]),
+            *(context.reflectance, pattern, [b.label for b in sensor.bands]),
             unit=context.unit_of(sensor.object[0]),
         ),
         noise=noise,
@@ -298,7 +302,7 @@ def develop_mosaic(context: SensorContext) -> Noted:
         deep = values.shape if values.ndim == 3 else (*values.shape, 1)
         variance = None if variance is None else variance.reshape(deep)
         deepened = (values.reshape(deep), flags.reshape(deep), variance)
-        return cube_of(context, *deepened, flat.quantity), notes
+        return cube_of(context, *deepened, flat.quantity, area.uncovered), notes
     note_sensels(context.told, values, flags, variance, pattern, [b.label for b in sensor.bands])
     made = demosaic(
         values,
@@ -308,7 +312,7 @@ def develop_mosaic(context: SensorContext) -> Noted:
         method=demosaicing_of(context.campaign, camera, sensor),
         channels=[b.label for b in sensor.bands],
     )
-    return cube_of(context, *made, flat.quantity), notes
+    return cube_of(context, *made, flat.quantity, area.uncovered), notes
 
 
 def demosaicing_of(campaign: Campaign, camera: Camera, sensor: SensorFrames) -> str | Method | None:
@@ -352,18 +356,20 @@ GROUP, ROWS = 8, 16
 def develop_bands(context: SensorContext) -> Noted:
     """One file a band: each with its own templates; behind narrow filters a mosaic is equalised."""
     bands = context.sensor.bands
-    reflectances = np.broadcast_to(white_reflectance(context.campaign, bands), len(bands))
+    reflectances = np.broadcast_to(context.reflectance, len(bands))
     _require_one_size(context)
-    noise = _noise_of_bands(context)
+    noise, area = _noise_of_bands(context)
     shape = (*context.facts.shape[:2], len(bands))
     values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
     variance: np.ndarray | None = np.empty(shape, np.float32)
-    notes: list[str] = []
+    notes: list[str] = [*area.notes]
     quantity = "reflectance"
     for start in range(0, len(bands), GROUP):
         some = slice(start, start + GROUP)
         labels = [band.label for band in bands[some]]
-        group = each(partial(_band, context, noise), labels, reflectances[some].tolist())
+        group = each(
+            partial(_band, context, noise, area.uncovered), labels, reflectances[some].tolist()
+        )
         for flat in group:
             notes.extend(flat.notes)
             quantity = flat.quantity
@@ -375,7 +381,7 @@ def develop_bands(context: SensorContext) -> Noted:
         else:
             variance = None
     _put_in_order(context.told, [band.label for band in bands])
-    return cube_of(context, values, flags, variance, quantity), notes
+    return cube_of(context, values, flags, variance, quantity, area.uncovered), notes
 
 
 def _put_in_order(told: dict[str, Any], labels: Sequence[str]) -> None:
@@ -393,14 +399,18 @@ def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, start: int) -> N
 
 
 def _band(
-    context: SensorContext, noise: NoiseModel | None, label: str, reflectance: float
+    context: SensorContext,
+    noise: NoiseModel | None,
+    uncovered: np.ndarray | None,
+    label: str,
+    reflectance: float,
 ) -> Calibrated:
     """One band of one file, or of one file an exposure."""
     sensor = context.sensor
-    darks = context.templates(_of_band(sensor.dark, label))
-    shots = average_shots(context, [f for f in sensor.object if f.band == label])
+    darks = context.darks(_of_band(sensor.dark, label))
+    shots = average_shots(context, [f for f in sensor.object if f.band == label], darks)
     frames = _require(_of_band(sensor.white, label), context, label)
-    whites = context.templates(frames) if frames else []
+    whites = whites_of(context, frames, darks)
     require_same_size(context, shots[0].mean.shape, darks, whites)
     exposed = expose(context, shots, darks, noise)
     white = white_of(
@@ -420,7 +430,7 @@ def _band(
             unit=context.unit_of(next(f for f in sensor.object if f.band == label)),
         ),
         noise=noise,
-        defects=defects_of(darks, white, sensor.pattern),
+        defects=defects_of(darks, white, sensor.pattern, uncovered),
     )
     plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
     if sensor.pattern is not None:
@@ -473,22 +483,27 @@ def _require_one_size(context: SensorContext) -> None:
         raise CalibrationRefused(*problems[:MOST_PROBLEMS])
 
 
-def _noise_of_bands(context: SensorContext) -> NoiseModel | None:
-    """Fit the sensor's noise once, on a few bands spread over the range: it is the same sensor."""
+def _noise_of_bands(context: SensorContext) -> tuple[NoiseModel | None, WhiteArea]:
+    """Fit the sensor's noise once, on a few bands spread over the range: it is the same sensor.
+
+    The same bands tell where the white shows the object in place of the board.
+    """
     bands = context.sensor.bands
     chosen = sorted({len(bands) // 4, len(bands) // 2, (3 * len(bands)) // 4})
     shots, whites, darks = [], [], list[Template]()
+    areas = []
     for i in chosen:
         label = bands[i].label
         frames = [f for f in context.sensor.object if f.band == label]
         alike = [f for f in frames if exposure_of(f) == exposure_of(frames[0])]
-        shots.append(context.average(alike))
-        own = context.templates(_of_band(context.sensor.dark, label))
+        own = context.darks(_of_band(context.sensor.dark, label))
+        shots += average_shots(context, alike, own)
         white = white_of(context, _of_band(context.sensor.white, label), own, band=label)
         require_same_size(context, shots[-1].mean.shape, own, [white] if white else [])
         whites.append(white)
+        areas.append(white_area_of(context, shots[-1], white, own))
         darks += own if any(f.band for f in context.sensor.dark) or not darks else []
-    return noise_of(context, shots, whites, darks)
+    return noise_of(context, shots, whites, darks), joined_area(areas)
 
 
 DEVELOPERS = {

@@ -16,6 +16,7 @@ from levkas.building.fingerprints import digest, written
 from levkas.building.graph import cameras_with_pages, page_key
 from levkas.building.sources import made_with
 from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA
+from levkas.calibration.drift import LAMP, NOTICED
 from levkas.campaign.discovery.find_captures import find_charts
 from levkas.core.disk import WriteRefused
 from levkas.core.files import make_folder, write_json, write_text
@@ -258,6 +259,12 @@ def _page(
                 whites += chart_white_rows(name, told[CHART_WHITE])
                 notes.append(
                     f"{name or camera}: fitted to the patches of a chart and extrapolated beyond the chart"
+                )
+            lamps = {b: one["white"] or 0.0 for b, one in told.get(LAMP, {}).items()}
+            band = max(lamps, key=lambda b: abs(lamps[b]), default="")
+            if lamps and abs(lamps[band]) > NOTICED:
+                notes.append(
+                    f"{band}: the lamp changed by {100 * lamps[band]:+.2g} % within the white"
                 )
             fields = told.get("light", {})
             for label in spread(list(fields), FEW_BANDS):

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.calibration.clipped_darks import MANY_ZEROS
+from levkas.calibration.drift import LAMP
 from levkas.core.cube import Flag, is_flagged
 
 if TYPE_CHECKING:
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.building.native_cubes import Native
+    from levkas.calibration.drift import LampChange
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.calibration.templates import Template
     from levkas.core.cube import Band, Cube
@@ -27,8 +30,6 @@ FEW_BANDS = 5
 LEVELS = 65535
 SENSELS = "sensels"
 """Among what is learnt of a sensor: of the object's picture, not of the camera."""
-CLIPPED = 0.02
-"""Share of zeros from which a dark was clipped, and its spread is not noise."""
 
 
 # --- the sensor ---------------------------------------------------------------------------------
@@ -70,7 +71,9 @@ def _noise_in_the_dark(dark: Template | None, step: float) -> float | None:
 
     if dark is None or dark.mean.size < 1000:
         return None
-    if float(dark.mean.min()) <= 0 and float(np.mean(dark.black | (dark.mean <= 0))) > CLIPPED:
+    if dark.fit is not None:
+        return float(np.sqrt(dark.fit.noise**2 + step**2 / 12))
+    if float(dark.mean.min()) <= 0 and float(np.mean(dark.black | (dark.mean <= 0))) > MANY_ZEROS:
         return None
     if dark.count > 1 and dark.variance is not None:
         found = float(np.median(dark.variance) if dark.count > 20 else np.mean(dark.variance))
@@ -184,6 +187,75 @@ def levels_of(record: Mapping[str, Any]) -> np.ndarray:
     """Return the levels of a recorded light field, (rows, columns), 0 … 1."""
     stored = np.frombuffer(base64.b64decode(record["levels"]), "<u2")
     return stored.reshape(record["shape"]) / LEVELS
+
+
+LAMP_DOUBT, BLACK_DOUBT = 0.005, 0.0002
+"""Standard deviation, relative and in reflectance, from which a build warns: half a per cent of the light, and a tenth
+of the darkest paint, 0.002."""
+
+
+def note_lamp(
+    told: dict[str, Any],
+    labels: Sequence[str],
+    lamp: LampChange,
+    dark: LampChange | None = None,
+    per_count: Sequence[float] = (),
+) -> None:
+    """Note how lamp and black level changed between darks, white and object in `told`, band by band.
+
+    `dark` is the wander of the black level, counts; `per_count` is the reflectance of a count in each band.
+    """
+    notes = told.setdefault(LAMP, {})
+    for i, label in enumerate(labels):
+        numbers = {
+            "white": lamp.white[i],
+            "object": lamp.shot[i],
+            "flicker": lamp.flicker[i],
+            "factor": lamp.factor[i],
+            "sigma": lamp.sigma[i],
+            "black": np.nan if dark is None else dark.white[i],
+            "black_sigma": 0.0 if dark is None else dark.sigma[i] * per_count[i],
+        }
+        notes[label] = {name: as_number(float(value)) for name, value in numbers.items()}
+        notes[label]["interpolated"] = lamp.timed
+
+
+def describe_lamp(learnt: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Say how well the light is known between white and object, of what was learnt of each sensor."""
+    bands = {label: one for told in learnt.values() for label, one in told.get(LAMP, {}).items()}
+    notes = []
+    # Of a weak band noise alone leaves the drift in doubt: that is no change of the lamp.
+    measured = ("white", "object", "flicker")
+    changed = [label for label, one in bands.items() if any(one[name] for name in measured)]
+    worst = max(changed, key=lambda label: bands[label]["sigma"], default="")
+    factors = {label: one["factor"] for label, one in bands.items() if one["interpolated"]}
+    if factors and any(factor != 1 for factor in factors.values()):
+        low, high = (100 * (pick(factors.values()) - 1) for pick in (min, max))
+        notes.append(
+            "the lamp changed between the whites before and after the object and is interpolated to its time of capture: "
+            f"{low:+.2g} to {high:+.2g} % against the mean of the whites"
+        )
+    if changed and bands[worst]["sigma"] >= LAMP_DOUBT:
+        one = bands[worst]
+        changes = [
+            f"{100 * one[name]:+.2g} % within the {name}"
+            for name in ("white", "object")
+            if one[name]
+        ]
+        if not changes:
+            changes = [f"{100 * (one['flicker'] or 0):.2g} % rms from shot to shot"]
+        notes.append(
+            f"the lamp is known between white and object to {100 * one['sigma']:.2g} % (one standard deviation, common to all "
+            f"pixels; {worst}), because it changed by {' and '.join(changes)}; sigma of pixels does not include this. Let "
+            "lamps warm up, and capture whites before and after the object with the time in their files"
+        )
+    dark = max(bands, key=lambda label: bands[label]["black_sigma"], default="")
+    if bands and bands[dark]["black_sigma"] >= BLACK_DOUBT:
+        notes.append(
+            f"the black level wanders from dark to dark: values are known to {bands[dark]['black_sigma']:.2g} by it (one "
+            f"standard deviation, common to all pixels; {dark}), which sigma of pixels does not include"
+        )
+    return notes
 
 
 # --- a layer on the grid ------------------------------------------------------------------------

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from levkas.building.spectra import read_sensitivity, read_table
+from levkas.building.spectra import COVERED, BandWeights, weights_of_bands
 from levkas.calibration.chart_light import (
     ChartLight,
     ChartOutline,
     LightFit,
     LightMap,
     Patches,
+    PatchScatter,
     fit_light,
 )
 from levkas.calibration.patterns import channel_table
@@ -41,8 +42,6 @@ if TYPE_CHECKING:
 
 LEAST_GREYS = 3
 """Grey patches that a level needs: two would hide a third that is dirty."""
-LEAST_COVERED = 0.98
-"""Share of a channel's sensitivity over which the chart must be known."""
 ABOVE_DARK = 3.0
 """Standard deviations that the mean of a patch must lie above dark."""
 GREY_NM = np.arange(420.0, 701.0, 10.0)
@@ -63,10 +62,13 @@ class KnownReflectance(NamedTuple):
         NaN where nobody knows.
     why : dict of label to str
         Of bands in which only the grey patches, or none, are known: why.
+    spread : dict of label to float
+        By how much greys differ over the wavelengths that a band may see, relative, where nobody knows them.
     """
 
     reflectance: np.ndarray
     why: dict[str, str]
+    spread: dict[str, float]
 
 
 def lights_by_chart(capture: Capture, campaign: Campaign, made: Native) -> dict[str, ChartLight]:
@@ -175,59 +177,38 @@ def known_reflectance(
     a table only the grey patches are known, whose spectra are flat.
     """
     grid = np.arange(reference.wavelengths[0], reference.wavelengths[-1] + 0.5, 1.0)
-    spectra = reference.at(grid)
-    declared = campaign.cameras[capture.camera].sensitivity
+    spectra, greys = reference.at(grid), list(chart.greys)
     found = np.full((len(chart.patches), len(bands)), np.nan)
     why: dict[str, str] = {}
-    table = None
-    if declared:
-        labels = [band.label for band in capture.bands]
-        wavelengths, columns = read_sensitivity(campaign.root / declared, labels)
-        table = {
-            label: (wavelengths, column) for label, column in zip(labels, columns.T, strict=True)
-        }
-    light = _spectrum_of_light(campaign, capture.setup)
-    for i, band in enumerate(bands):
-        if table is not None:
-            wavelengths, weights = table[band.label]
-            wide = np.arange(wavelengths[0], wavelengths[-1] + 0.5, 1.0)
-            weight = np.maximum(np.interp(wide, wavelengths, weights), 0) * light(wide)
-        elif np.isfinite(band.wavelength) and np.isfinite(band.fwhm):
-            wide = band.wavelength + np.arange(-1.5, 1.51, 0.05) * band.fwhm
-            weight = np.exp(-4 * np.log(2) * ((wide - band.wavelength) / band.fwhm) ** 2) * light(
-                wide
-            )
-        elif np.isfinite(band.wavelength):
-            wide, weight = np.array([band.wavelength]), np.ones(1)
-        else:
+    spread: dict[str, float] = {}
+    for i, (band, weights) in enumerate(
+        zip(bands, weights_of_bands(campaign, capture, bands), strict=True)
+    ):
+        if weights is None:
             why[band.label] = (
-                "its sensitivity is unknown, so only the grey patches can be used; declare `sensitivity`"
+                "no sensitivity is known, so only the grey patches can be used; declare `sensitivity`, or "
+                "`wavelengths` of narrow bands"
             )
-            greys = list(chart.greys)
-            found[greys, i] = np.nanmean(reference.at(GREY_NM)[greys], axis=1)
-            continue
-        inside = reference.covers(wide)
-        if weight[inside].sum() < LEAST_COVERED * weight.sum() or not weight.sum():
-            why[band.label] = _beyond(reference, float(np.average(wide, weights=weight + 1e-12)))
-            continue
-        near = np.array([np.interp(wide[inside], grid, row) for row in spectra])
-        found[:, i] = near @ weight[inside] / weight[inside].sum()
-    return KnownReflectance(found, why)
+            published = reference.at(GREY_NM)[greys]
+            found[greys, i] = np.nanmean(published, axis=1)
+            level = np.nanmean(published / found[greys, i][:, None], axis=0)
+            spread[band.label] = float(np.nanstd(level))
+        elif weights.weights[reference.covers(weights.wavelengths)].sum() < (
+            COVERED * weights.weights.sum()
+        ):
+            centre = float(np.average(weights.wavelengths, weights=weights.weights))
+            why[band.label] = _beyond(reference, centre)
+        else:
+            inside = reference.covers(weights.wavelengths)
+            within = BandWeights(weights.wavelengths[inside], weights.weights[inside])
+            found[:, i] = within.mean_of(grid, spectra)
+    return KnownReflectance(found, why, spread)
 
 
 def _beyond(reference: ChartReference, nm: float) -> str:
     first, last = reference.wavelengths[0], reference.wavelengths[-1]
     where = "infrared" if nm > (first + last) / 2 else "ultraviolet"
     return f"no reference in the {where}: the chart's spectra ({reference.source}) cover {first:g} to {last:g} nm"
-
-
-def _spectrum_of_light(campaign: Campaign, setup: str) -> Any:
-    """Return the relative power of a setup's light over wavelength, as a function; 1 where none is declared."""
-    declared = campaign.setups.get(setup or campaign.campaign.setup or "default")
-    if declared is None or declared.spectrum is None:
-        return lambda nm: np.ones(len(nm))
-    table = read_table(campaign.root / declared.spectrum)
-    return lambda nm: np.interp(nm, table[:, 0], table[:, 1])
 
 
 # --- the fit ------------------------------------------------------------------------------------
@@ -243,6 +224,7 @@ class SensorLight(NamedTuple):
     why: dict[str, str]
     lent: dict[str, str]
     unevenness: dict[str, float]
+    scatter: dict[str, PatchScatter]
     size: tuple[int, int]
 
 
@@ -286,8 +268,35 @@ def _fit_bands(
     uneven = {
         b.label: _unevenness(cube, i, found, patches, table) for i, b in enumerate(cube.bands)
     }
+    scatter = {}
+    for i, (label, column) in enumerate(zip(labels, known.reflectance.T, strict=True)):
+        one = _scatter(found, patches, i, column, fits[label], used_patches[label], chart)
+        relative = float(np.hypot(one.relative, known.spread.get(label, 0.0)))
+        scatter[label] = one._replace(relative=relative)
     size = (cube.values.shape[0], cube.values.shape[1])
-    return SensorLight(chart, outline, fits, used_patches, why, lent, uneven, size)
+    return SensorLight(chart, outline, fits, used_patches, why, lent, uneven, scatter, size)
+
+
+def _scatter(
+    found: Located,
+    patches: PatchTable,
+    i: int,
+    reflectance: np.ndarray,
+    fit: LightFit,
+    used: np.ndarray,
+    chart: Chart,
+) -> PatchScatter:
+    """Return what patches of a band miss beyond light and noise, those too that its light is not fitted to.
+
+    Of a filter that leaks the greys tell the level, and the coloured patches what the leak does to paints.
+    """
+    there = _usable(patches, i) & np.isfinite(reflectance)
+    part = _of_band(found, patches, i, there, reflectance, chart)
+    light = np.maximum(fit(part.places), 1e-9)
+    errors = part.levels / light - part.reflectance
+    errors[np.isin(np.flatnonzero(there), np.flatnonzero(used))] = fit.errors
+    expected = part.variance / light**2 + (part.reflectance * fit.sigma(part.places)) ** 2
+    return PatchScatter.fit(errors, part.reflectance, expected)
 
 
 def _is_mosaic(sensor: SensorFrames) -> bool:
@@ -417,7 +426,9 @@ def _light(
     }
     notes = tuple(_notes(fitted, record, reference))
     pattern = sensor.pattern if _is_mosaic(sensor) else None
-    return ChartLight(maps, times, fitted.unevenness, pattern, fitted.size, notes, record)
+    return ChartLight(
+        maps, times, fitted.unevenness, fitted.scatter, pattern, fitted.size, notes, record
+    )
 
 
 def _record(fitted: SensorLight, label: str, light: LightMap) -> dict[str, Any]:
@@ -435,6 +446,7 @@ def _record(fitted: SensorLight, label: str, light: LightMap) -> dict[str, Any]:
         "sigma_at_edge_of_chart": _digits(float(on_chart.max())),
         "sigma_most": _digits(float(light.sigma.values.max())),
         "uneven_sensels": _digits(fitted.unevenness[label]),
+        "sigma_of_patches": [_digits(part) for part in fitted.scatter[label]],
         "light_of": fitted.lent.get(label, ""),
         "why": fitted.why.get(label, ""),
     }
@@ -460,9 +472,12 @@ def _notes(fitted: SensorLight, record: Mapping[str, Any], reference: ChartRefer
         )
     if reference.note:
         notes.append(f"chart: {reference.note}")
+    alike: dict[tuple[str, str], list[str]] = {}
     for label, why in fitted.why.items():
-        shape = f"; its light field is that of {fitted.lent[label]}" if fitted.lent[label] else ""
-        notes.append(f"{label}: {why}{shape}")
+        alike.setdefault((why, fitted.lent[label]), []).append(label)
+    for (why, lent), labels in alike.items():
+        shape = f"; the light field is that of {lent}" if lent else ""
+        notes.append(f"{', '.join(labels)}: {why}{shape}")
     if record["beyond_the_chart"] > 0:
         most = max(band["sigma_most"] for band in bands.values())
         told = "unknown in some places" if most >= 1 else f"known to {100 * most:.2g} % or better"

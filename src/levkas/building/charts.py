@@ -11,12 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.chart_files import (
-    Subject,
-    greatest_code,
-    is_database,
-    subjects_of,
-)
+from levkas.building.chart_files import Subject, greatest_code, is_database, subjects_of
 from levkas.core.cube import Cube
 from levkas.core.problems import Problem, Refused, unknown_name
 from levkas.quality.image_quality.slanted_edge import EdgeRefused
@@ -318,6 +313,8 @@ class Developed:
     """Greatest code of a finished photograph, which is not calibrated; else None."""
     edges: dict[str, tuple[EdgePlace, ...]] = field(default_factory=dict)
     """Slanted edges that the campaign names, by sensor."""
+    common: dict[str, np.ndarray] = field(default_factory=dict)
+    """Variance that all shots share, by sensor."""
 
 
 def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Developed:
@@ -341,16 +338,46 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
         return Developed(
             dict(whole.cubes), {}, patterns, whole.captured or "", steps, most, top, edges
         )
-    first, second = (develop(part, campaign, templates) for part in parts)
-    cubes, shots = {}, {}
-    for name, a in first.cubes.items():
-        b = second.cubes[name]
-        sigma = joined_sigma(a.sigma, b.sigma)
-        cubes[name] = Cube((a.values + b.values) / 2, a.flags | b.flags, sigma, a.bands, a.quantity)
-        shots[name] = (a.values, b.values)
+    first, second, whole = (develop(p, campaign, templates) for p in (*parts, _joined(*parts)))
+    shots = {name: (a.values, second.cubes[name].values) for name, a in first.cubes.items()}
+    common = {
+        name: found
+        for name, cube in whole.cubes.items()
+        if (found := _common_variance(cube, first, second, whole.learnt, name)) is not None
+    }
     count = 2 * min(_shots_of(parts[0]))
-    steps = _steps_of(first)
-    return Developed(cubes, shots, patterns, first.captured or "", steps, count, top, edges)
+    steps = _steps_of(whole)
+    made = (dict(whole.cubes), shots, patterns, whole.captured or "")
+    return Developed(*made, steps, count, top, edges, common)
+
+
+def _joined(first: Capture, second: Capture) -> Capture:
+    """Return a capture with the shots of both halves."""
+    sensors = (
+        replace(a, object=(*a.object, *b.object))
+        for a, b in zip(first.sensors, second.sensors, strict=True)
+    )
+    return replace(first, sensors=tuple(sensors))
+
+
+def _common_variance(
+    cube: Cube, first: Native, second: Native, learnt: Mapping[str, Any], name: str
+) -> np.ndarray | None:
+    """Return the variance that all shots of a chart share, of white and dark; None where noise is not known.
+
+    Half of the shots have the variance o + c, all of them o/2 + c. The light of a chart that is the white is
+    no noise of pixels.
+    """
+    from levkas.calibration.chart_light import LIGHT_SIGMA, light_variance
+
+    halves = [one.cubes[name].sigma for one in (first, second)]
+    if cube.sigma is None or any(sigma is None for sigma in halves):
+        return None
+    squares = [np.square(sigma, dtype=np.float64) for sigma in halves if sigma is not None]
+    common = 2 * np.square(cube.sigma, dtype=np.float64) - (squares[0] + squares[1]) / 2
+    if light := learnt.get(name, {}).get(LIGHT_SIGMA):
+        common -= light_variance(cube.values, light, cube.labels)
+    return common
 
 
 def edges_of(campaign: Campaign, capture: Capture) -> dict[str, tuple[EdgePlace, ...]]:
@@ -431,6 +458,7 @@ def measure_capture(
         pattern = made.patterns.get(sensor)
         edges = made.edges.get(sensor, ())
         sighting = Sighting(sensor, found, cube, shots, steps, made.count, pattern, edges=edges)
+        sighting = replace(sighting, common=made.common.get(sensor))
         seen.append(decode_sighting(sighting, chart, made.top) if made.top else sighting)
     return measure(name, chart, seen, reference, evenness=evenness)
 
@@ -566,12 +594,3 @@ def write_chart(
 
 def _kind(measure: ChartMeasure | EdgeTargetMeasure) -> str:
     return EDGES if isinstance(measure, EdgeTargetMeasure) else measure.chart.name
-
-
-def joined_sigma(one: np.ndarray | None, other: np.ndarray | None) -> np.ndarray | None:
-    """Return sigma of the mean of two halves; None where it is not known of both."""
-    if one is None or other is None:
-        return None
-    return np.sqrt(one.astype(np.float64) ** 2 + other.astype(np.float64) ** 2).astype(
-        np.float32
-    ) / np.float32(2)

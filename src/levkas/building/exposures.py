@@ -8,17 +8,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.capture_statistics import note_noise
-from levkas.calibration.darks import SAME_TIME
+from levkas.building.capture_statistics import note_lamp, note_noise
+from levkas.calibration.darks import SAME_TIME, level_under
 from levkas.calibration.defects import find_defects
+from levkas.calibration.drift import black_between, lamp_between
 from levkas.calibration.exposures import best_exposure, merge_exposures
 from levkas.calibration.flatfield import Calibrated, flat_field, pair_darks
 from levkas.calibration.linearity import check_linearity, require_reciprocity
 from levkas.calibration.motion import find_moved
 from levkas.calibration.noise_fit import fit_noise_of_frames, level_of
 from levkas.calibration.patterns import channel_table
-from levkas.calibration.sensor_context import SensorContext, doubt_scaling, exposure_of, placed
+from levkas.calibration.sensor_context import (
+    SensorContext,
+    exposure_of,
+    placed,
+    placing,
+)
+from levkas.calibration.stated_exposures import doubt_scaling
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
+from levkas.calibration.white_area import WhiteArea, board_alone, find_white_area
 from levkas.calibration.whites import WhiteBoard, reflectance_table
 from levkas.campaign.discovery.captures import CaptureRefused
 from levkas.core.cube import Cube, Flag, is_flagged
@@ -43,8 +51,10 @@ class Exposed:
     note: str = ""
 
 
-def average_shots(context: SensorContext, frames: Sequence[FrameRef]) -> list[Template]:
-    """Average the object's shots, exposure by exposure."""
+def average_shots(
+    context: SensorContext, frames: Sequence[FrameRef], darks: Sequence[Template]
+) -> list[Template]:
+    """Average the object's shots, exposure by exposure, as a linear sensor had recorded them."""
     times = sorted({exposure_of(f) for f in frames}, key=lambda t: (t is not None, t or 0.0))
     if len(times) > 1 and context.camera.exposures == "one":
         raise CaptureRefused(
@@ -58,7 +68,15 @@ def average_shots(context: SensorContext, frames: Sequence[FrameRef]) -> list[Te
                 'Write exposures = "best" (the longest unsaturated) or "merge".',
             )
         )
-    return [context.average([f for f in frames if exposure_of(f) == t]) for t in times]
+    shots = [context.average([f for f in frames if exposure_of(f) == t], darks) for t in times]
+    return [context.straighten(shot, darks) for shot in shots]
+
+
+def whites_of(
+    context: SensorContext, frames: Sequence[FrameRef], darks: Sequence[Template]
+) -> list[Template]:
+    """Average whites, exposure by exposure, as a linear sensor had recorded them."""
+    return [context.straighten(white, darks) for white in context.templates(frames, darks)]
 
 
 def expose(
@@ -77,7 +95,8 @@ def _merge(
     context: SensorContext, shots: list[Template], darks: list[Template], noise: NoiseModel | None
 ) -> Merged:
     """An exposure series in counts a second above dark."""
-    if context.saturation is None:
+    saturation = context.straight_saturation(darks)
+    if saturation is None:
         raise CalibrationRefused(
             Problem(
                 "E_VALUE",
@@ -90,7 +109,7 @@ def _merge(
     more: dict[str, Any] = {"period": (len(pattern), len(pattern[0]))} if pattern else {}
     return merge_exposures(
         *(shots, darks),
-        saturation=context.saturation,
+        saturation=saturation,
         black=context.black_level,
         noise=noise,
         choose=True,
@@ -135,7 +154,7 @@ def white_of(
         return context.light.white((height, width), labels)
     if not frames:
         return None
-    whites = context.templates(frames)
+    whites = whites_of(context, frames, darks)
     if len(whites) == 1:
         return whites[0]
     return _merge(context, whites, darks, noise).template if merged else best_exposure(whites)
@@ -164,12 +183,13 @@ def check_scaling(
     more: dict[str, Any] = {"period": (len(pattern), len(pattern[0]))} if pattern else {}
     hidden = bool(darks) and all(np.mean(dark.black) > 0.5 for dark in darks)
     for shots in series:
-        if len(shots) < 2 or context.saturation is None:
+        saturation = context.straight_saturation(darks)
+        if len(shots) < 2 or saturation is None:
             continue
         found = check_linearity(
             shots,
             darks,
-            saturation=context.saturation,
+            saturation=saturation,
             black=context.black_level,
             fit_offset=hidden,
             **more,
@@ -178,6 +198,17 @@ def check_scaling(
             require_reciprocity(found)
             return ""
     return doubt_scaling(context, taken, other)
+
+
+def white_area_of(
+    context: SensorContext, shot: Template, white: Template | None, darks: list[Template]
+) -> WhiteArea:
+    """Find where the white shows the object in place of the board; raises CalibrationRefused with the files."""
+    if white is None or context.light is not None:
+        return WhiteArea()
+    levels = [level_under(one, darks, black=context.black_level) for one in (shot, white)]
+    with placing(context.sensor.white):
+        return find_white_area(shot, white, (levels[0], levels[1]), context.sensor.pattern)
 
 
 def noise_of(
@@ -256,6 +287,8 @@ def flatten(
     moved: np.ndarray | None = None,
 ) -> Calibrated:
     """Flat-field with the files named in every refusal; `moved` is what the exposures showed already."""
+    if white is not None and context.camera.kind != "cube":
+        board = _with_lamp(context, shot, dark, white, board)
     try:
         flat = flat_field(
             shot, dark or None, white,
@@ -263,12 +296,16 @@ def flatten(
         )  # fmt: skip
     except CalibrationRefused as refused:
         frames = context.sensor.white or context.sensor.object
-        raise CalibrationRefused(*(placed(p, frames) for p in refused.problems)) from None
+        problems = (context.with_full_scale(p) for p in refused.problems)
+        raise CalibrationRefused(*(placed(p, frames) for p in problems)) from None
     if white is None and context.camera.white_chart is not None:
         taken = dict.fromkeys(board.labels or (), shot.exposure_s)
         context.told.setdefault("exposures_s", {}).update(taken)
     if context.camera.kind != "cube" and not shot.above_dark:
-        found = _rounding(context, shot, dark, white, board)
+        found = {
+            label: float(f"{context.step * one:.4g}")
+            for label, one in _per_count(context, shot, dark, white, board).items()
+        }
         if board.unit is not None:
             pairs = zip(found.items(), board.unit, strict=True)
             found = {label: step / float(unit) for (label, step), unit in pairs}
@@ -276,6 +313,9 @@ def flatten(
     if moved is None:
         moved = _moved(context, shot, dark, noise)
     flat = _with_movement(context, flat, moved)
+    if context.response is not None and flat.variance is not None:
+        unsure = np.square(flat.values * np.float32(context.response.error))
+        flat = replace(flat, variance=flat.variance + unsure)
     return _with_gaps(context, flat, (shot, *dark, white), list(board.labels or ()))
 
 
@@ -312,27 +352,57 @@ def _without(flat: Calibrated, absent: np.ndarray) -> Calibrated:
     return replace(flat, values=values, variance=variance, flags=flags)
 
 
-def _rounding(
+def _with_lamp(
+    context: SensorContext,
+    shot: Template,
+    dark: list[Template],
+    white: Template,
+    board: WhiteBoard,
+) -> WhiteBoard:
+    """Note how the lamp changed, and return the board as bright as it was at the time of the object."""
+    if white.shots is None or shot.shots is None:
+        return board
+    labels = list(board.labels or ())
+    lamp = lamp_between(white.shots, shot.shots)
+    channels = len(lamp.factor)
+    # Of a tunable filter before a mosaic, all phases see one band.
+    which = np.arange(channels) if channels == len(labels) else np.zeros(channels, int)
+    if board.pattern is not None:
+        which = channel_table(board.pattern, labels).ravel()
+    lamp = lamp.in_groups(which, len(labels))
+    wander = [
+        black_between(one.shots).in_groups(which, len(labels))
+        for one in dark
+        if one.shots is not None and one.count > 1
+    ]
+    worst = max(wander, key=lambda one: float(one.sigma.max()), default=None)
+    per_count = _per_count(context, shot, dark, white, board).values()
+    note_lamp(context.told, labels, lamp, worst, [*per_count])
+    known = np.broadcast_to(np.asarray(board.reflectance, float), len(labels))
+    return board if np.all(lamp.factor == 1) else replace(board, reflectance=known / lamp.factor)
+
+
+def _per_count(
     context: SensorContext,
     shot: Template,
     dark: list[Template],
     white: Template | None,
     board: WhiteBoard,
 ) -> dict[str, float]:
-    """Return what a step from code to code is of the values of each band, where the light is middling."""
+    """Return what a count is of the values of each band, where the light is middling."""
     labels, pattern = list(board.labels or ()), board.pattern
     if white is None:
-        return dict.fromkeys(labels, context.step)
+        return dict.fromkeys(labels, 1.0)
     pair = pair_darks(shot, dark or None, white, context.black_level)
     lit, ratio = white.mean - pair[1].mean, pair[2]
     table = np.zeros((1, 1), int) if pattern is None else channel_table(pattern, labels)
-    reflectance = reflectance_table(board.reflectance, shot, pattern)
+    reflectance = reflectance_table(board, shot)
     scale = np.broadcast_to(reflectance, table.shape) * ratio
     found = {}
     for i, label in enumerate(labels):
         y, x = (int(n) for n in np.argwhere(table == i)[0])
         level = level_of(lit[y :: table.shape[0], x :: table.shape[1]])
-        found[label] = float(f"{context.step * scale[y, x] / max(level, 1e-9):.4g}")
+        found[label] = float(scale[y, x] / max(level, 1e-9))
     return found
 
 
@@ -368,8 +438,14 @@ def cube_of(
     flags: np.ndarray,
     variance: np.ndarray | None,
     quantity: str,
+    uncovered: np.ndarray | None = None,
 ) -> Cube:
-    """Return values, flags and sigma of one sensor, rounded; what is not known is 0 and flagged."""
+    """Return values, flags and sigma of one sensor, rounded; what is not known is 0 and flagged.
+
+    `uncovered`, (h, w), is where the white does not show the board.
+    """
+    if uncovered is not None:
+        values = np.where(uncovered[..., None], np.float32(np.nan), values)
     sigma = None
     if variance is not None:
         sigma = round_root(variance, out=variance if variance.dtype == np.float32 else None)
@@ -385,11 +461,17 @@ def cube_of(
     return Cube(values, flags, sigma, context.sensor.bands, quantity)
 
 
-def defects_of(darks: list[Template], white: Template | None, pattern: Any) -> np.ndarray | None:
-    """Hot sensels of the longest dark and dead ones of the white."""
+def defects_of(
+    darks: list[Template],
+    white: Template | None,
+    pattern: Any,
+    uncovered: np.ndarray | None = None,
+) -> np.ndarray | None:
+    """Hot sensels of the longest dark and dead ones of the white, where it shows the board."""
     if not darks and white is None:
         return None
-    return find_defects(darks[-1] if darks else None, white, pattern)
+    board = None if white is None else board_alone(white, uncovered)
+    return find_defects(darks[-1] if darks else None, board, pattern)
 
 
 def mark_glare_in(cube: Cube) -> Cube:

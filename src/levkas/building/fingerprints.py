@@ -143,6 +143,7 @@ def of_calibration(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict
         prints["targets.white.reflectance"] = white.reflectance
         if isinstance(white.reflectance, str) and (campaign.root / white.reflectance).is_file():
             prints[f"file {white.reflectance}"] = hashes(campaign.root / white.reflectance)
+            prints |= _spectra_of_bands(campaign, capture, hashes)
     prints |= _white_chart(campaign, capture, hashes)
     if len(capture.sensors) > 1:  # bands are in their order, and the first is the others' frame
         prints[f"cameras.{camera.name}.sensors"] = [sensor.name for sensor in capture.sensors]
@@ -174,22 +175,30 @@ def _white_chart(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict[s
     if white is None:
         return {}
     where = f"cameras.{camera.name}.white"
-    lighting = campaign.setups.get(capture.setup or campaign.campaign.setup or "default")
-    tables = {
-        f"{where}.reference": white.reference,
-        f"cameras.{camera.name}.sensitivity": camera.sensitivity,
-        "setup's spectrum": lighting.spectrum if lighting else None,
-    }
-    prints: dict[str, Any] = {
+    return {
         f"{where}.chart": white.chart,
         f"{where}.corners": white.corners,
         f"targets.charts.{white.chart}": campaign.targets.charts.get(white.chart, ""),
+        **_tables(campaign, hashes, {f"{where}.reference": white.reference}),
+        **_spectra_of_bands(campaign, capture, hashes),
     }
-    for key, table in tables.items():
-        prints[key] = table
-        if table and (campaign.root / table).is_file():
-            prints[f"file {table}"] = hashes(campaign.root / table)
-    return prints
+
+
+def _spectra_of_bands(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict[str, Any]:
+    """The tables by which it is known what the bands see of every wavelength."""
+    camera = campaign.cameras[capture.camera]
+    lighting = campaign.setups.get(capture.setup or campaign.campaign.setup or "default")
+    tables = {
+        f"cameras.{camera.name}.sensitivity": camera.sensitivity,
+        "setup's spectrum": lighting.spectrum if lighting else None,
+    }
+    return _tables(campaign, hashes, tables)
+
+
+def _tables(campaign: Campaign, hashes: Hashes, tables: dict[str, str | None]) -> dict[str, Any]:
+    """Names of declared tables by their keys, and their content."""
+    files = [t for t in tables.values() if t and (campaign.root / t).is_file()]
+    return {**tables, **{f"file {table}": hashes(campaign.root / table) for table in files}}
 
 
 def frames_of(capture: Capture) -> Iterator[tuple[str, str, FrameRef]]:

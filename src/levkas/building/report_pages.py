@@ -16,6 +16,7 @@ from levkas.building.fingerprints import written
 from levkas.building.graph import keys_of
 from levkas.building.sources import LIBRARIES
 from levkas.calibration.chart_light import CHART_WHITE
+from levkas.calibration.drift import common_uncertainty
 from levkas.calibration.sensor_context import Times, times_of
 from levkas.campaign.schema.toml import to_toml
 from levkas.core.files import make_folder, together, write_json, write_text
@@ -49,7 +50,7 @@ from levkas.readers.frames import files_of
 from levkas.registration.advice import percent
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from levkas.building.build_records import BuildRecords
@@ -346,14 +347,18 @@ def provenance_of(
         libraries that it uses), ``instructions`` (instruction sets of the libraries), ``parameters``, ``inputs`` and ``products`` (SHA-256 by relative path; of products not the Zarr
         chunks, which hold the same numbers as the TIFFs); of a calibration ``frames`` too: of every
         frame its role, what its name says, its exposure in s, and the SHA-256 of all its files; and of a camera
-        whose white is a chart ``chart_white``: by which, and how good, sensor by sensor.
+        whose white is a chart ``chart_white``: by which, and how good, sensor by sensor; and ``uncertainty``, what
+        sigma of pixels does not contain, as of `common_uncertainty`.
     """
     steps = []
     for capture in captures:
         for key in keys_of(campaign, capture).values():
             if step := _step(records, key):
                 frames = _frames(campaign, capture, step["inputs"])
-                own = {"frames": frames, **_white_of(records, key)}
+                learnt = records.notes(key).get("learnt", {})
+                own = {"frames": frames, **_white_of(learnt)}
+                if budget := common_uncertainty(learnt):
+                    own["uncertainty"] = budget
                 steps.append(step | (own if key.stage == "calibrate" else {}))
     return {
         "object": name,
@@ -364,9 +369,8 @@ def provenance_of(
     }
 
 
-def _white_of(records: BuildRecords, key: Key) -> dict[str, Any]:
+def _white_of(learnt: Mapping[str, Any]) -> dict[str, Any]:
     """Return by which chart a calibration made reflectance, sensor by sensor; nothing where a white did."""
-    learnt = records.notes(key).get("learnt", {})
     found = {sensor: told[CHART_WHITE] for sensor, told in learnt.items() if CHART_WHITE in told}
     return {CHART_WHITE: found} if found else {}
 

@@ -6,7 +6,7 @@ import base64
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import nan
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,10 +21,10 @@ from levkas.building.capture_statistics import (
 )
 from levkas.building.native_cubes import FiledSigma, Native, PackedSigma, least_bytes
 from levkas.building.reference import ReferenceFrame, maps_of
+from levkas.building.shared_noise import Mosaic, shared_by_strips, shared_noise
 from levkas.building.spectra import broad_centroids
 from levkas.building.streaming import Passing, resample_scan, white_of
-from levkas.calibration.chart_light import LightNodes, light_variance
-from levkas.calibration.mosaic import interpolate, method_of
+from levkas.calibration.chart_light import LightNodes, light_variance, variance_under_light
 from levkas.core.cube import Cube, Flag, is_flagged
 from levkas.core.disk import require_space
 from levkas.core.rounding import round_root, round_values
@@ -35,33 +35,20 @@ from levkas.database.preview import encode_png
 from levkas.database.streaming_writer import write_rows
 from levkas.geometry.grid import Grid
 from levkas.geometry.resample import warp
-from levkas.geometry.transforms import Affine, Composed, Transform
+from levkas.geometry.transforms import Composed, Transform
 from levkas.quality.evaluation.similarity import structural_similarity
 from levkas.quality.image_quality.glare import setup_gains
 
 if TYPE_CHECKING:
     from levkas.building.scans import Scan
-    from levkas.calibration.mosaic import Method
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.catalogue import Entry
 
 LONGEST_MAP = 640
 """Longest side of an SSIM map on a page, px."""
-NOISE_PX = 320
-"""Side of the noise that is resampled to see what neighbours share: it tells variances to 1 %."""
-LEAST_SHARED = 1.04
-"""Less is chance."""
 LIGHT_NODES = 97
 """Places a side of the grid at which the sigma of a chart's light is looked up."""
-
-
-class Mosaic(NamedTuple):
-    """What `calibration.mosaic.demosaic` made a cube of: pattern, method, order of the channels."""
-
-    pattern: Sequence[Sequence[str]]
-    method: str | Method | None
-    channels: Sequence[str]
 
 
 @dataclass(frozen=True)
@@ -219,12 +206,14 @@ def resample(
     sigmas: dict[str, PackedSigma | FiledSigma],
     mosaics: Mapping[str, Mosaic],
     lights: Mapping[str, Mapping[str, Any]],
+    seams: Sequence[Mapping[str, Any]] = (),
 ) -> Cube:
     """Return the capture on the grid; orientation, crop, scale and registration are one map.
 
     `sigmas` are taken out one by one, so that their memory goes. `mosaics` are the sensors that were
     demosaiced: neighbours of theirs share noise. `lights` are records of the light's sigma, of sensors whose
-    white is a chart: all neighbours share its error, and no interpolation makes it smaller.
+    white is a chart: all neighbours share its error, and no interpolation makes it smaller. `seams` are records of
+    strips that were joined: those moved by a fraction of a pixel share noise too.
     """
     shape = (grid.size[1], grid.size[0])
     parts = []
@@ -239,6 +228,8 @@ def resample(
             np.maximum(variance, 0, out=variance)
         if variance is not None and sensor in mosaics:
             variance *= shared_noise(mosaics[sensor], maps, shape)
+        if variance is not None and seams:
+            variance *= shared_by_strips(seams, cube.values.shape[1], maps, shape)[:, None]
         warped = warp(cube.values, maps, shape, flags=cube.flags, variance=variance)
         found = warped.variance
         if found is not None and shared:
@@ -271,48 +262,9 @@ def _light_on_grid(
     for i, (label, one) in enumerate(zip(labels, maps, strict=True)):
         there = np.nan_to_num(one(points), nan=-1.0)
         share = LightNodes.from_record(sigmas[label]).near(there).reshape(len(y), len(x))
-        found[..., i] = (values[..., i] * LightNodes(x, y, share).at(rows, columns)) ** 2
+        share = LightNodes(x, y, share).at(rows, columns)
+        found[..., i] = variance_under_light(values[..., i], share, sigmas[label])
     return found
-
-
-def shared_noise(mosaic: Mosaic, maps: Sequence[Transform], shape: tuple[int, int]) -> np.ndarray:
-    """Return how much larger the variance of resampled values is than of independent ones, (bands,), >= 1.
-
-    Parameters
-    ----------
-    mosaic : Mosaic
-        What made the values.
-    maps : sequence of Transform
-        Grid px → native px, one a band.
-    shape : (rows, columns) of the grid
-
-    Notes
-    -----
-    White noise of a mosaic is interpolated as the values were, and warped as they are in the middle of
-    the grid: the mean of its squares over that of Σw²u².
-    """
-    noise = np.random.default_rng(0).standard_normal((NOISE_PX, NOISE_PX)).astype(np.float32)
-    table, method = method_of(*mosaic)
-    none = np.zeros(noise.shape, np.uint8)
-    values, _, variance = interpolate(noise, none, np.ones_like(noise), table, method)
-    middle = np.array([[shape[1], shape[0]]]) / 2
-    slopes = [one.jacobian(middle)[0] for one in maps]
-    starts = [np.modf(one(middle)[0])[0] + NOISE_PX // 2 for one in maps]
-    reach = max(float(np.abs(slope).sum(1).max()) for slope in slopes)
-    side = int(np.clip((NOISE_PX - 24) / max(reach, 1e-6), 1, NOISE_PX))
-    corner = np.full(2, side // 2)
-    local = [
-        Affine(np.column_stack([slope, start - slope @ corner]))
-        for slope, start in zip(slopes, starts, strict=True)
-    ]
-    made = warp(values, local, (side, side), variance=variance)
-    told = np.nan_to_num(np.asarray(made.variance))
-    seen = np.isfinite(made.values) & (told > 0)
-    squares, expected = (
-        np.where(seen, part, 0).sum((0, 1), dtype=np.float64) for part in (made.values**2, told)
-    )
-    ratio = squares / np.maximum(expected, 1e-12)
-    return np.where(ratio > LEAST_SHARED, ratio, 1.0).astype(np.float32)
 
 
 def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:

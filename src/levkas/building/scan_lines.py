@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,16 +15,15 @@ from levkas.building.scan_templates import (
     gaps_marked,
     lines_of,
 )
-from levkas.building.spectra import white_reflectance
 from levkas.calibration.flatfield import Calibrated, describe_darks
 from levkas.calibration.sensor_context import (
     SensorContext,
-    doubt_scaling,
     placed,
     timed,
     times_in,
     times_of,
 )
+from levkas.calibration.stated_exposures import doubt_scaling
 from levkas.calibration.templates import (
     CalibrationRefused,
     Template,
@@ -36,6 +34,7 @@ from levkas.calibration.templates import (
     single_shot,
 )
 from levkas.calibration.whites import WhiteBoard
+from levkas.core.cube import Flag
 
 if TYPE_CHECKING:
     pass
@@ -61,11 +60,6 @@ class Strip:
         """(lines, samples, bands)."""
         return self.file.shape
 
-    @cached_property
-    def reflectance(self) -> Any:
-        """Of the white, a number or one a band."""
-        return white_reflectance(self.context.campaign, self.context.sensor.bands)
-
     @property
     def notes(self) -> tuple[str, ...]:
         """What exposures leave in doubt, known before a line is calibrated."""
@@ -75,7 +69,11 @@ class Strip:
         doubt = doubt_scaling(context, times, times_in(white)) if white is not None else ""
         none = np.zeros((1, 1, len(context.sensor.bands)), bool)
         shot = timed(Template(none.astype(np.float32), None, 1, none, none), times)
-        notes = (doubt, *describe_darks(shot, darks, white, context.black))
+        notes = (
+            doubt,
+            *describe_darks(shot, darks, white, context.black),
+            *self.templates.area.notes,
+        )
         return tuple(note for note in notes if note)
 
     def flat(self, start: int, stop: int) -> FlatLines:
@@ -98,13 +96,18 @@ class Strip:
             darks,
             lit,
             board=WhiteBoard(
-                self.reflectance,
+                context.reflectance,
                 labels=[band.label for band in context.sensor.bands],
                 checked=start > 0 or isinstance(white, FrameLines),
                 unit=context.unit_of(frame),
             ),
             noise=self.templates.noise,
         )
+        uncovered = self.templates.uncovered(start, stop)
+        if uncovered is not None:  # where the white shows no board nothing is known
+            values = np.where(uncovered[..., None], np.float32(np.nan), flat.values)
+            flags = np.where(uncovered[..., None], flat.flags | Flag.OUTSIDE, flat.flags)
+            flat = replace(flat, values=values, flags=flags.astype(np.uint8))
         lost = gaps_of(shot, *darks, lit)
         if lost is None:
             return FlatLines(flat, np.zeros(shape[2], np.int64))

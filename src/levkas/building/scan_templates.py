@@ -7,26 +7,31 @@ Behind a mirror every line sees other light: dark and white are as large as the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from levkas.building.capture_statistics import note_light, note_noise
+from levkas.building.capture_statistics import note_lamp, note_light, note_noise
 from levkas.building.exposures import noise_of, require_same_size
+from levkas.calibration.clipped_darks import MANY_ZEROS, pairs_of_lines
 from levkas.calibration.darks import level_under
+from levkas.calibration.drift import average_steady, lamp_between
 from levkas.calibration.exposures import best_exposure
 from levkas.calibration.noise_fit import fit_noise
-from levkas.calibration.pushbroom import average_lines
 from levkas.calibration.sensor_context import (
     Times,
     by_exposure,
-    placed,
+    capture_times,
+    placing,
     read_cube,
+    spread,
     templates_by_exposure,
     timed,
     times_of,
 )
-from levkas.calibration.templates import CalibrationRefused, Template, average
+from levkas.calibration.templates import CalibrationRefused, ShotLevels, Template, average
+from levkas.calibration.white_area import WhiteArea, find_white_area, find_white_line
 from levkas.calibration.whites import check_white, thinning
 from levkas.core.machine import tile_rows
 from levkas.core.problems import Problem
@@ -42,6 +47,8 @@ if TYPE_CHECKING:
 
 BLOCK_SAMPLES = 4_000_000
 """Samples of a block of lines, where $LEVKAS_TILE does not say how many lines."""
+MOST_LINES = 256
+"""Of a mirror scanner's dark that was clipped: its levels are then known to a sixteenth of its noise."""
 TRIPLES = 64
 """Threes of neighbouring lines of a mirror scanner's dark and white that tell its noise."""
 MOST_VALUES = 2_000_000
@@ -159,13 +166,18 @@ class FrameLines:
         shots = (self.context.checked(file.read(start, stop), file.frame) for file in self.files)
         return timed(gaps_marked(average(shots, saturation=self.context.saturation)), self.times)
 
-    def thinned(self, step: int) -> Template:
-        """Average every `step`-th sample of every `step`-th line, gaps closed."""
-        shots = (
-            np.concatenate([lines[:, ::step] for lines in self._thin(file, step)])
-            for file in self.files
+    def thinned(self, step: int, darks: Sequence[Template] = ()) -> Template:
+        """Average every `step`-th sample of every `step`-th line, gaps closed; `darks` are thinned like it."""
+        level = self.context.level_under(self.frames, darks)
+        made = average_steady(
+            lambda: (
+                np.concatenate([lines[:, ::step] for lines in self._thin(file, step)])
+                for file in self.files
+            ),
+            level,
+            saturation=self.context.saturation,
+            times_s=capture_times(self.frames),
         )
-        made = average(shots, saturation=self.context.saturation)
         return timed(self.context.whole(made, self.frames), self.times)
 
     def _thin(self, file: ScanFile, step: int) -> Iterator[np.ndarray]:
@@ -182,6 +194,12 @@ class ScanTemplates(NamedTuple):
     darks: tuple[Template | FrameLines, ...]
     white: Template | FrameLines | None
     noise: NoiseModel | None
+    area: WhiteArea = WhiteArea()
+
+    def uncovered(self, start: int, stop: int) -> np.ndarray | None:
+        """Return where lines `start` to `stop` have no white board, (lines or 1, samples); None where all have."""
+        mask = self.area.uncovered
+        return mask if mask is None or len(mask) == 1 else mask[start:stop]
 
 
 def templates_of_scan(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
@@ -198,40 +216,131 @@ def templates_of_scan(context: SensorContext, shape: tuple[int, int, int]) -> Sc
 
 
 def _of_pushbroom(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
-
-    def make(frames: Sequence[FrameRef]) -> Template:
-        files = [ScanFile.open(frame) for frame in frames]
-        blocks = (context.checked(block, file.frame) for file in files for block in file.blocks())
-        return context.whole(average_lines(blocks, saturation=context.saturation), frames)
-
     sensor = context.sensor
-    darks, whites = (templates_by_exposure(f, make) for f in (sensor.dark, sensor.white))
+
+    def make_dark(frames: Sequence[FrameRef]) -> Template:
+        return context.unclipped(average_lines(context, frames), _pairs(frames[0]))
+
+    darks = templates_by_exposure(sensor.dark, make_dark)
+    for dark in darks:
+        context.note_dark(dark)
+    whites = templates_by_exposure(sensor.white, partial(average_lines, context, darks=darks))
     require_same_size(context, shape, darks, whites)
     white = whites[best_white(whites)] if whites else None
+    if white is not None:
+        _note_lamp_of(context, white)
     note_light(context.told, white, darks, None, [band.label for band in sensor.bands])
     noise = noise_of(context, [], [white] if white else [], darks)
-    return ScanTemplates(tuple(darks), white, noise)
+    area = WhiteArea()
+    if white is not None:
+        with placing(sensor.white):
+            area = find_white_line(white, level_under(white, darks, black=context.black))
+    return ScanTemplates(tuple(darks), white, noise, area)
+
+
+def _note_lamp_of(context: SensorContext, white: Template) -> None:
+    """Note how the lamp changed within the white, (lines, samples, bands); a scan tells nothing of its own."""
+    if white.shots is None:
+        return
+    labels = [band.label for band in context.sensor.bands]
+    times = capture_times(context.sensor.object)
+    single = ShotLevels(np.ones((1, len(labels))), np.zeros(len(labels)), times)
+    note_lamp(context.told, labels, lamp_between(white.shots, single))
+
+
+def average_lines(
+    context: SensorContext, frames: Sequence[FrameRef], darks: Sequence[Template] = ()
+) -> Template:
+    """Average the dark or white of a push-broom camera along the scan, (1, samples, bands): each line is a shot."""
+    files = [ScanFile.open(frame) for frame in frames]
+
+    def lines() -> Iterator[np.ndarray]:
+        for file in files:
+            for block in file.blocks():
+                yield from context.checked(block, file.frame)[:, None]
+
+    level = context.level_under(frames, darks)
+    made = average_steady(lines, level, saturation=context.saturation)
+    return context.whole(made, frames)
+
+
+def _pairs(frame: FrameRef) -> list[np.ndarray]:
+    """Return pairs of neighbouring lines of a dark, (1, samples, bands) each."""
+    file = ScanFile.open(frame)
+    return [file.read(y, y + 1) for y in pairs_of_lines(*file.shape[:2])]
 
 
 def _of_mirror(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
     """Open dark and white; the white is checked by every so-many-th pixel."""
     sensor = context.sensor
     labels = [band.label for band in sensor.bands]
-    darks = FrameLines.by_exposure(context, "dark", shape)
+    step = thinning(shape[:2])
+    frames = FrameLines.by_exposure(context, "dark", shape)
+    darks = [_of_one_line(dark, step) for dark in frames]
     whites = FrameLines.by_exposure(context, "white", shape)
-    white = None
+    white, area = None, WhiteArea()
     if whites:
-        step = thinning(shape[:2])
-        looked = [one.thinned(step) for one in whites]
+        under = [d.thinned(step) if isinstance(d, FrameLines) else _columns(d, step) for d in darks]
+        looked = [one.thinned(step, under) for one in whites]
         chosen = best_white(looked)
-        white, seen, under = whites[chosen], looked[chosen], [dark.thinned(step) for dark in darks]
-        try:
-            check_white(seen, level_under(seen, under, black=context.black), None, labels)
-        except CalibrationRefused as refused:
-            raise CalibrationRefused(*(placed(p, sensor.white) for p in refused.problems)) from None
+        white, seen = whites[chosen], looked[chosen]
+        _note_lamp_of(context, seen)
+        level = level_under(seen, under, black=context.black)
+        with placing(sensor.white):
+            try:
+                check_white(seen, level, None, labels)
+            except CalibrationRefused as refused:
+                problems = map(context.with_full_scale, refused.problems)
+                raise CalibrationRefused(*problems) from None
+            area = _area_behind_mirror(context, seen, level, step, shape)
         note_light(context.told, seen, under, None, labels, period=(step, step))
-    noise = noise_behind_mirror(context, white.frames[0] if white else None)
-    return ScanTemplates(tuple(darks), white, noise)
+    noise = noise_behind_mirror(context, white.frames[0] if white else None, darks)
+    return ScanTemplates(tuple(darks), white, noise, area)
+
+
+def _area_behind_mirror(
+    context: SensorContext,
+    white: Template,
+    level: np.ndarray,
+    step: int,
+    shape: tuple[int, int, int],
+) -> WhiteArea:
+    """Find where a mirror scanner's white shows the object, in every `step`-th line and sample of both."""
+    file = ScanFile.open(context.sensor.object[0])
+    if file.shape != shape:
+        return WhiteArea()
+    shot = FrameLines(context, (file,), times_of(file.frame)).thinned(step)
+    found = find_white_area(shot, white, (level, level), spacing=step)
+    if found.uncovered is None:
+        return found
+    rows, columns = (
+        np.minimum(np.arange(n) // step, m - 1)
+        for n, m in zip(shape, found.uncovered.shape, strict=False)
+    )
+    return found.at(rows, columns)
+
+
+def _of_one_line(dark: FrameLines, step: int) -> Template | FrameLines:
+    """Return a mirror scanner's dark that was clipped as one line, of many: no single line shows its level.
+
+    Every `step`-th line and sample tells whether it was.
+    """
+    if np.mean(dark.thinned(step).black) <= MANY_ZEROS:
+        return dark
+    context, file = dark.context, dark.files[0]
+    starts = spread(range(0, file.shape[0]), MOST_LINES)
+    lines = (context.checked(file.read(y, y + 1), file.frame) for y in starts)
+    line = average(lines, saturation=context.saturation)
+    made = context.unclipped(context.whole(line, dark.frames), _pairs(file.frame))
+    made = timed(made, dark.times)
+    context.note_dark(made)
+    return dark if made.fit is None else made
+
+
+def _columns(line: Template, step: int) -> Template:
+    """Return every `step`-th sample of one line."""
+    arrays = {name: getattr(line, name)[:, ::step] for name in ("mean", "saturated", "black")}
+    return replace(line, variance=None, fit=None, **arrays)
 
 
 def lines_of(template: Template | FrameLines, start: int, stop: int) -> Template:
@@ -266,7 +375,11 @@ def gaps_marked(shot: Template) -> Template:
     )
 
 
-def noise_behind_mirror(context: SensorContext, white_frame: FrameRef | None) -> NoiseModel | None:
+def noise_behind_mirror(
+    context: SensorContext,
+    white_frame: FrameRef | None,
+    darks: Sequence[Template | FrameLines] = (),
+) -> NoiseModel | None:
     """Fit the noise of a mirror scanner to neighbouring lines of its white and its dark.
 
     A mirror leads the view over the board: lines have other light, and the sensels of (sample, band) are
@@ -276,11 +389,15 @@ def noise_behind_mirror(context: SensorContext, white_frame: FrameRef | None) ->
     if white_frame is None:
         return None
     dark_frame = _dark_like(context, white_frame)
-    dark = _triples(context, dark_frame) if dark_frame else None
+    clipped = [dark for dark in darks if isinstance(dark, Template)]
+    dark = clipped[0] if clipped else _triples(context, dark_frame) if dark_frame else None
     white = _triples(context, white_frame)
     black = context.black or 0.0
     stacks, level = [white] if white else [], None
-    if dark is not None:
+    if clipped:
+        level = clipped[0]
+        stacks += clipped
+    elif dark is not None:
         level = _mean_line(dark)
         # At no light at all: sorted by their signal, its lines would be sorted by their noise.
         stacks.append(replace(dark, mean=np.broadcast_to(level.mean, dark.mean.shape)))

@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from levkas.building.above_white import count_above, describe_above
-from levkas.building.capture_statistics import Middle
+from levkas.building.capture_statistics import Middle, describe_lamp
 from levkas.building.exposures import cube_of, mark_glare_in
 from levkas.building.scan_lines import FlatLines, Strip, describe_loss
 from levkas.building.scan_templates import block_lines
+from levkas.building.spectra import board_of
 from levkas.building.strips import JoinedStrips, lines_of_scan
 from levkas.calibration.agreement import compare_facts
 from levkas.calibration.denoising import Projecting, Subspace, describe_removed, find_subspace
 from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.sensor_context import (
     SensorContext,
-    doubts_of,
-    require_black,
-    require_exposures,
 )
+from levkas.calibration.sensor_notes import describe_sensor, doubts_of
+from levkas.calibration.stated_exposures import require_black, require_exposures
 from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
 from levkas.core.files import replacing
 from levkas.core.rounding import round_root
@@ -126,7 +126,8 @@ class Scan:
 
     @cached_property
     def _doubts(self) -> tuple[str, ...]:
-        return (*self.stated, *doubts_of(self.context), *self.source.notes)
+        doubts = (*self.stated, *doubts_of(self.context), *describe_sensor(self.context))
+        return (*doubts, *self.source.notes, *describe_lamp(self.learnt))
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -397,7 +398,12 @@ def open_scan(capture: Capture, campaign: Campaign, templates: TemplateCache) ->
     sensor = capture.sensors[0]
     facts = read_facts(sensor.object[0].path)
     camera = campaign.cameras[capture.camera]
-    context = SensorContext(campaign, camera, sensor, facts, templates)
+    board = board_of(campaign, capture, sensor)
+    context = SensorContext(
+        *(campaign, camera, sensor, facts, templates),
+        reflectance=board.reflectance,
+        doubts=board.notes,
+    )
     stated = tuple(compare_facts(camera, sensor, context.alignments))
     require_exposures(context)
     require_black(context)

@@ -1,9 +1,9 @@
-"""The channel that a camera's own frame means."""
+"""Spectra of bands: what a camera's channels are sensitive to, and what a white reflects in them."""
 
 from __future__ import annotations
 
 from math import isnan
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,10 +13,11 @@ from levkas.core.text import TextRefused, read_text
 from levkas.readers.spectra import are_spectra, parse_spectra
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture, SensorFrames
     from levkas.core.cube import Band
 
 
@@ -133,6 +134,10 @@ def centroids(wavelengths: np.ndarray, table: np.ndarray) -> np.ndarray:
 
 
 VISIBLE = (400.0, 700.0)
+COVERED = 0.98
+"""Share of a band's sensitivity over which a spectrum must be known."""
+UNEVEN = 0.005
+"""Of a board over the visible, relative: less is no more than its calibration is worth."""
 LOWEST_NM = 100.0
 
 
@@ -140,39 +145,143 @@ class SpectrumRefused(Refused):
     """A spectrum that cannot be read or does not cover the bands."""
 
 
-def white_reflectance(campaign: Campaign, bands: Sequence[Band]) -> float | np.ndarray:
-    """Reflectance of the white target: one number, or one a band.
+class BandWeights(NamedTuple):
+    """How much a band sees of each wavelength: `wavelengths` (n,) nm and `weights` (n,), any unit."""
 
-    A channel without a wavelength takes the mean over 400–700 nm.
+    wavelengths: np.ndarray
+    weights: np.ndarray
 
-    Raises SpectrumRefused where the CSV cannot be used.
+    def mean_of(self, wavelengths: np.ndarray, spectra: np.ndarray) -> np.ndarray:
+        """Return means of spectra, (…, n) at rising `wavelengths`, as the band sees them; beyond, as at the ends."""
+        rows = np.atleast_2d(spectra)
+        near = np.array([np.interp(self.wavelengths, wavelengths, row) for row in rows])
+        return np.asarray((near @ self.weights / self.weights.sum()).reshape(spectra.shape[:-1]))
+
+    def share_within(self, first: float, last: float) -> float:
+        """Return the share of the weights from one wavelength to another, nm."""
+        inside = (self.wavelengths >= first) & (self.wavelengths <= last)
+        return float(self.weights[inside].sum() / self.weights.sum())
+
+
+def weights_of_bands(
+    campaign: Campaign, capture: Capture, bands: Sequence[Band]
+) -> list[BandWeights | None]:
+    """Return what each of some bands of a capture sees of every wavelength; None of a channel that nobody knows.
+
+    Parameters
+    ----------
+    bands : sequence of Band
+        Of one sensor.
+
+    Returns
+    -------
+    weights : list
+        The declared `sensitivity`, times the spectrum of the setup's light where one is declared; else a Gaussian
+        of the band's width times that light; else its wavelength alone.
+
+    Raises
+    ------
+    Refused
+        Where a declared table cannot be read.
     """
-    white = campaign.targets.white
-    declared = white.reflectance if white else None
+    declared = campaign.cameras[capture.camera].sensitivity
+    light, table = _spectrum_of_light(campaign, capture.setup), {}
+    if declared:
+        labels = [band.label for band in capture.bands]
+        wavelengths, columns = read_sensitivity(campaign.root / declared, labels)
+        wide = np.arange(wavelengths[0], wavelengths[-1] + 0.5, 1.0)
+        for label, column in zip(labels, columns.T, strict=True):
+            table[label] = wide, np.maximum(np.interp(wide, wavelengths, column), 0) * light(wide)
+    found: list[BandWeights | None] = []
+    for band in bands:
+        if band.label in table:
+            wide, weights = table[band.label]
+        elif isnan(band.wavelength):
+            found.append(None)
+            continue
+        elif isnan(band.fwhm):
+            wide, weights = np.array([band.wavelength]), np.ones(1)
+        else:
+            wide = band.wavelength + np.arange(-1.5, 1.51, 0.05) * band.fwhm
+            weights = np.exp(-4 * np.log(2) * ((wide - band.wavelength) / band.fwhm) ** 2)
+            weights = weights * light(wide)
+        found.append(BandWeights(wide, weights) if weights.sum() > 0 else None)
+    return found
+
+
+def _spectrum_of_light(campaign: Campaign, setup: str) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the relative power of a setup's light over wavelength, as a function; 1 where none is declared."""
+    declared = campaign.setups.get(setup or campaign.campaign.setup or "default")
+    if declared is None or declared.spectrum is None:
+        return lambda nm: np.ones(len(nm))
+    table = read_table(campaign.root / declared.spectrum)
+    return lambda nm: np.interp(nm, table[:, 0], table[:, 1])
+
+
+class BoardInBands(NamedTuple):
+    """Reflectance of the white board, one number or one a band, and what is in doubt of it."""
+
+    reflectance: float | np.ndarray
+    notes: tuple[str, ...] = ()
+
+
+def board_of(campaign: Campaign, capture: Capture, sensor: SensorFrames) -> BoardInBands:
+    """Return the reflectance of the white board as the bands of a sensor see it.
+
+    A channel whose sensitivity nobody knows takes the mean over 400–700 nm.
+
+    Raises
+    ------
+    Refused
+        SpectrumRefused where the CSV of the board cannot be used.
+    """
+    white, bands = campaign.targets.white, sensor.bands
+    declared = white.reflectance if white and sensor.white else None
     if declared is None:
-        return 1.0
+        return BoardInBands(1.0)
     if not isinstance(declared, str):
-        return float(declared)
+        return BoardInBands(float(declared))
     wavelengths, values = read_spectrum(campaign.root / declared)
-    centres = np.array([band.wavelength for band in bands], float)
-    known = centres[np.isfinite(centres)]
-    if known.size and (known.min() < wavelengths[0] - 1 or known.max() > wavelengths[-1] + 1):
+    first, last = float(wavelengths[0]), float(wavelengths[-1])
+    known = [band.wavelength for band in bands if not isnan(band.wavelength)]
+    if known and (min(known) < first - 1 or max(known) > last + 1):
         raise SpectrumRefused(
             Problem(
                 "E_VALUE",
                 "the white's spectrum does not cover the bands",
                 file=str(campaign.root / declared),
                 field="wavelength",
-                found=f"{wavelengths[0]:g} to {wavelengths[-1]:g} nm",
-                expected=f"{known.min():g} to {known.max():g} nm",
+                found=f"{first:g} to {last:g} nm",
+                expected=f"{min(known):g} to {max(known):g} nm",
                 fix="Give a spectrum that covers every band.",
             )
         )
     visible = (wavelengths >= VISIBLE[0]) & (wavelengths <= VISIBLE[1])
-    broad = float(values[visible].mean()) if visible.any() else float(values.mean())
-    return np.where(
-        np.isfinite(centres), np.interp(np.nan_to_num(centres), wavelengths, values), broad
-    )
+    broad = values[visible] if visible.any() else values
+    found, unknown, beyond = [], [], {}
+    for band, weights in zip(bands, weights_of_bands(campaign, capture, bands), strict=True):
+        if weights is None:
+            unknown.append(band.label)
+            found.append(float(broad.mean()))
+            continue
+        found.append(float(weights.mean_of(wavelengths, values)))
+        if len(weights.weights) > 1 and (share := weights.share_within(first, last)) < COVERED:
+            beyond[band.label] = share
+    notes = []
+    apart = float(np.abs(broad / broad.mean() - 1).max())
+    if unknown and apart > UNEVEN:
+        notes.append(
+            f"{', '.join(unknown)}: the white is not the same at every wavelength, and no sensitivity of the camera is "
+            f"declared: its mean over 400–700 nm is used, which may be wrong by up to {100 * apart:.2g} %; declare "
+            f"`cameras.{capture.camera}.sensitivity`"
+        )
+    if beyond:
+        least = min(beyond.values())
+        notes.append(
+            f"{', '.join(beyond)}: the white's spectrum covers {100 * least:.0f} % of the sensitivity; beyond {first:g} to "
+            f"{last:g} nm its first and last values are used"
+        )
+    return BoardInBands(np.array(found), tuple(notes))
 
 
 def read_spectrum(path: Path) -> tuple[np.ndarray, np.ndarray]:

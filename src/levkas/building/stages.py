@@ -262,7 +262,9 @@ class Stages:
         sigmas = self.held.sigmas(capture)
         mosaics = mosaics_of(capture, self.campaign)
         self.held.let_go()
-        lights = {name: one.get(LIGHT_SIGMA, {}) for name, one in notes.get("learnt", {}).items()}
-        cube = resample(native, target.transforms, target.grid, sigmas, mosaics, lights)
+        learnt = notes.get("learnt", {})
+        lights = {name: one.get(LIGHT_SIGMA, {}) for name, one in learnt.items()}
+        seams = next((one["strips"] for one in learnt.values() if "strips" in one), ())
+        cube = resample(native, target.transforms, target.grid, sigmas, mosaics, lights, seams)
         del native
         return partial(write_resampled, cube, flag_glare_in(cube, target), target, frame)

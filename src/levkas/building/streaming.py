@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from levkas.building.capture_statistics import add_counts, count_flags, flag_and_count, ranges_of
+from levkas.building.shared_noise import shared_by_strips
 from levkas.colour.srgb import counts_white, find_rendering
 from levkas.core.cube import Band, Cube, Flag
 from levkas.core.files import spooling
@@ -46,11 +47,11 @@ class HeldLines:
     """Two stretches of calibrated lines in turn: while one is read from, the next one is filled.
 
     Lines that both have are copied, not calibrated again. What `hold` returned last but one is
-    written over.
+    written over. `shared`, (samples,), is how much more variance columns keep when they are resampled.
     """
 
-    def __init__(self, scan: Scan) -> None:
-        self._scan = scan
+    def __init__(self, scan: Scan, shared: np.ndarray | None = None) -> None:
+        self._scan, self._shared = scan, shared
         self._rooms: list[Cube] = []
         self._last: tuple[int, int, Cube] | None = None
 
@@ -73,6 +74,8 @@ class HeldLines:
             lines.values[rows], lines.flags[rows] = cube.values, cube.flags
             if lines.sigma is not None and cube.sigma is not None:
                 np.square(cube.sigma, out=lines.sigma[rows])
+                if self._shared is not None:
+                    lines.sigma[rows] *= self._shared[:, None]
             del cube  # before the next lines are made
         self._last = start, stop, lines
         return lines
@@ -194,8 +197,10 @@ def resample_scan(
     columns = 0 if rows else _rows_at_once(scan, sideways, across, HELD_BYTES)
     if not rows and not columns:
         rows = _rows_at_once(scan, maps, size, ASKEW_BYTES)
+    seams = scan.context.told.get("strips")
+    shared = shared_by_strips(seams, scan.shape[1], maps, across) if seams else None
     if rows:
-        yield from _in_rows(scan, maps, size, rows)
+        yield from _in_rows(scan, maps, size, rows, shared)
         return
     if not columns:
         raise ScanRefused(
@@ -207,7 +212,7 @@ def resample_scan(
                 fix="Rotate the grid so that the lines of the scan follow its rows or columns.",
             )
         )
-    yield from _turned(_in_rows(scan, sideways, across, columns), scan, size[1], spool)
+    yield from _turned(_in_rows(scan, sideways, across, columns, shared), scan, size[1], spool)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,13 +230,17 @@ class _Tile:
 
 
 def _in_rows(
-    scan: Scan, maps: Sequence[Transform], size: tuple[int, int], strip: int
+    scan: Scan,
+    maps: Sequence[Transform],
+    size: tuple[int, int],
+    strip: int,
+    shared: np.ndarray | None,
 ) -> Iterator[Cube]:
     width, height = size
     step = tile_rows(strip, height)
     tops = range(0, height, step)
     laid: dict[int, PixelMap] = {}
-    held = HeldLines(scan)
+    held = HeldLines(scan, shared)
 
     def read(top: int) -> tuple[_Tile, Cube | None]:
         tile = _tile(scan, maps, size, (top, min(top + step, height)), strip, laid)

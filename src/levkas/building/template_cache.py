@@ -6,12 +6,13 @@ import hashlib
 import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from levkas.building.hashes import Hashes
 from levkas.building.sources import made_with
-from levkas.calibration.templates import Template
+from levkas.calibration.templates import DarkFit, ShotLevels, Template
 from levkas.campaign.discovery.captures import FrameRef
 from levkas.core.files import make_folder, replacing
 
@@ -58,7 +59,13 @@ class TemplateCache:
 def _read(path: Path) -> Template:
     with np.load(path, allow_pickle=False) as stored:
         variance = stored["variance"]
-        exposure = float(stored["exposure_s"])
+        exposure, times = float(stored["exposure_s"]), stored["times_s"]
+        levels, error = stored["levels"], stored["level_error"]
+        shots = ShotLevels(levels, error, tuple(times.tolist()) if times.size else None)
+        fit = None
+        if "fit_variance" in stored:
+            noise, zeros, *blacks = stored["fit"].tolist()
+            fit = DarkFit(stored["fit_variance"], tuple(blacks), noise, zeros)
         return Template(
             mean=stored["mean"],
             variance=variance if variance.size else None,
@@ -66,10 +73,17 @@ def _read(path: Path) -> Template:
             saturated=stored["saturated"],
             black=stored["black"],
             exposure_s=None if np.isnan(exposure) else exposure,
+            fit=fit,
+            shots=shots if levels.size else None,
         )
 
 
 def _write(path: Path, template: Template) -> None:
+    more: dict[str, Any] = {}
+    if (fit := template.fit) is not None:
+        more = {"fit_variance": fit.variance, "fit": [fit.noise, fit.zeros, *fit.blacks]}
+    none = np.zeros((0, 0))
+    shots = template.shots or ShotLevels(none, none[0:0].ravel())
     with replacing(path) as handle:
         np.savez(
             handle,
@@ -79,4 +93,8 @@ def _write(path: Path, template: Template) -> None:
             saturated=template.saturated,
             black=template.black,
             exposure_s=np.nan if template.exposure_s is None else template.exposure_s,
+            levels=shots.levels,
+            level_error=shots.error,
+            times_s=np.array(shots.times_s or ()),
+            **more,
         )

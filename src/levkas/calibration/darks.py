@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,14 +22,18 @@ class MatchedDark:
     mean : ndarray, broadcasts to the frame, float32
         Counts.
     variance : ndarray like `mean`, or None
-        Of one shot, counts².
+        Of one shot, counts²; of `mean` where that is no average (`count` is 1 then).
     share : float
-        Variance of `mean` over that of one shot: 1/n for an average of n, 0 for a constant.
+        Variance of `mean` over `variance`: 1/n for an average of n, 0 for a constant.
     count : int
         Shots behind `variance`.
     saturated : ndarray like `mean`, bool
     note : str
         What was done where nothing matched; empty where it did.
+    stretch : float
+        Of a dark of another time that could not be scaled: by how much of itself its dark current is wrong, t/tD − 1.
+    parts : tuple of (Template, float)
+        Darks that `mean` is made of, with the standard deviation that each gives it over that of one shot.
     """
 
     mean: np.ndarray
@@ -38,6 +42,32 @@ class MatchedDark:
     count: int
     saturated: np.ndarray
     note: str = ""
+    stretch: float = 0.0
+
+    @property
+    def worked_out(self) -> bool:
+        """Whether `variance` is that of `mean`, and was not sampled."""
+        return self.count == 1 and self.variance is not None
+
+    def share_of(self, read_variance: float) -> float:
+        """Return the variance of `mean` over that of one shot without light, counts²."""
+        if self.variance is None or not self.worked_out:
+            return self.share
+        return self.share * float(np.median(self.variance)) / max(read_variance, 1e-12)
+
+    parts: tuple[tuple[Template, float], ...] = ()
+
+
+def dark_correlation(one: MatchedDark, other: MatchedDark) -> float:
+    """Return the correlation of the errors of two darks, −1 … 1: of frames that both are made of.
+
+    >>> dark = Template(np.full((1, 1), 70, "f4"), None, 4, *2 * [np.zeros((1, 1), bool)], 1.0)
+    >>> dark_correlation(match_dark(dark, 1.0), match_dark(dark, 4.0, black=64.0))
+    1.0
+    """
+    common = sum(a * b for first, a in one.parts for second, b in other.parts if first is second)
+    sizes = [float(np.sqrt(sum(a * a for _, a in dark.parts))) for dark in (one, other)]
+    return float(common / (sizes[0] * sizes[1])) if all(sizes) else 0.0
 
 
 def dark_under(
@@ -106,8 +136,8 @@ def match_dark(
     dark : MatchedDark
         The dark within 1 % of the time as it is. Else, of two or more, the line through the two
         nearest times, pixel by pixel. A single one is scaled about `black` where that is known,
-        black + (D − black)·t/tD, and used as it is where not: scaling an unknown offset would
-        be far worse than leaving the dark current of another time.
+        black + (D − black)·t/tD, and used as it is where not, with its `stretch`: `flatfield.require_dark`
+        refuses it where the dark current may matter.
 
     Raises
     ------
@@ -140,7 +170,15 @@ def _time(dark: Template) -> float:
 
 
 def _as_it_is(dark: Template, note: str = "") -> MatchedDark:
-    return MatchedDark(dark.mean, dark.variance, 1.0 / dark.count, dark.count, dark.saturated, note)
+    parts = ((dark, float(dark.count**-0.5)),)
+    return MatchedDark(dark.mean, *_spread_of(dark), dark.saturated, note, parts=parts)
+
+
+def _spread_of(dark: Template) -> tuple[np.ndarray | None, float, int]:
+    """Return variance, share and count as of `MatchedDark`."""
+    if dark.fit is not None:
+        return dark.fit.variance, 1.0, 1
+    return dark.variance, 1.0 / dark.count, dark.count
 
 
 def _only(darks: list[Template]) -> MatchedDark:
@@ -166,26 +204,42 @@ def _on_line(timed: list[Template], exposure_s: float) -> MatchedDark:
     )
     part = (exposure_s - _time(first)) / (_time(second) - _time(first))
     mean = (1 - part) * first.mean + part * second.mean
-    share = (1 - part) ** 2 / first.count + part**2 / second.count
-    variance = None
-    if first.variance is not None and second.variance is not None:
-        variance = ((first.variance + second.variance) / 2).astype(np.float32)
     note = f"dark for {exposure_s:g} s taken on the line through {_time(first):g} s and "
     return MatchedDark(
         mean.astype(np.float32),
-        variance,
-        float(share),
-        min(first.count, second.count),
+        *_spread_on_line(first, second, part),
         first.saturated | second.saturated,
         f"{note}{_time(second):g} s",
+        parts=((first, (1 - part) * first.count**-0.5), (second, part * second.count**-0.5)),
     )
 
 
+def _spread_on_line(
+    first: Template, second: Template, part: float
+) -> tuple[np.ndarray | None, float, int]:
+    """Return variance, share and count of (1 − part)·first + part·second."""
+    (one, share, count), (other, more, fewer) = _spread_of(first), _spread_of(second)
+    if first.fit is not None or second.fit is not None:
+        # Of a sensel's own level that clipping hides both miss the same.
+        sides = ((abs(1 - part), one, share), (abs(part), other, more))
+        missed = sum(w * np.sqrt(v * s) for w, v, s in sides if v is not None)
+        return np.asarray(missed**2, np.float32), 1.0, 1
+    variance = None
+    if one is not None and other is not None:
+        variance = ((one + other) / 2).astype(np.float32)
+    return variance, float((1 - part) ** 2 * share + part**2 * more), min(count, fewer)
+
+
 def _scaled(dark: Template, exposure_s: float, black: float | np.ndarray | None) -> MatchedDark:
-    if black is None:
-        note = f"the dark of {_time(dark):g} s is used for {exposure_s:g} s, because the black level is unknown"
-        return _as_it_is(dark, note)
     scale = exposure_s / max(_time(dark), 1e-9)
+    if black is None:
+        note = (
+            f"the dark of {_time(dark):g} s is used for {exposure_s:g} s as it is: the black level is unknown, and "
+            "what dark current there may be lies below the noise"
+        )
+        return replace(_as_it_is(dark, note), stretch=scale - 1)
     mean = (black + (dark.mean - np.float32(black)) * np.float32(scale)).astype(np.float32)
     note = f"dark of {_time(dark):g} s scaled to {exposure_s:g} s about black {np.mean(black):g}"
-    return MatchedDark(mean, dark.variance, scale**2 / dark.count, dark.count, dark.saturated, note)
+    variance, share, count = _spread_of(dark)
+    parts = ((dark, scale * dark.count**-0.5),)
+    return MatchedDark(mean, variance, scale**2 * share, count, dark.saturated, note, parts=parts)

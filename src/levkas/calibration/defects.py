@@ -52,7 +52,7 @@ def find_defects(
     the median of its 3x3 neighbours of the same phase; dead where the white differs from theirs by
     more than the share `DEAD`. The spread of a dark is taken over a phase from the median absolute deviation, or where zeros
     hide it (a dark clipped at 0 has a MAD of 0) from its 90th percentile, at least one half count
-    over the root of the shots.
+    over the root of the shots; of a dark that was clipped and fitted at least what its levels may miss.
 
     Examples
     --------
@@ -69,6 +69,8 @@ def find_defects(
     size = _size(pattern)
     if dark is not None:
         floor = 0.5 / np.sqrt(dark.count)
+        if dark.fit is not None:
+            floor = max(floor, float(np.sqrt(np.median(dark.fit.variance))))
         for mark, phase in zip(_planes(found, size), _planes(dark.mean, size), strict=True):
             mark |= _hot(phase, floor)
     if white is not None:

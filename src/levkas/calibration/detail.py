@@ -3,9 +3,8 @@
 Where a sensel differs from the mean of its two neighbours of the same phase, the scene has detail that
 interpolation between sensels cannot know. How much such disagreement means for a method is tried on the
 scene itself: of every period of the pattern one sensel a channel makes a smaller picture of which all
-channels are known; it is made a mosaic again, interpolated, and compared. A method that compares channels, as Malvar's, is tried
-on every so-many-th pixel of what it made itself, where all channels lie at one place: sensels of a period lie apart, which
-would spoil what it gains.
+channels are known; it is made a mosaic again, interpolated, and compared. For a method that compares channels, as Malvar's,
+they are moved to the middle of the period before: lying apart they would spoil what it gains.
 """
 
 from __future__ import annotations
@@ -18,6 +17,8 @@ import numpy as np
 
 from levkas.core.compiled import njit
 from levkas.core.threads import in_threads
+from levkas.geometry.resample import warp
+from levkas.geometry.transforms import Affine
 
 FEWEST = 5000  # values of a channel in the smaller picture from which the trial counts
 Interpolate = Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray | None]]
@@ -69,7 +70,7 @@ Planes = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def interpolation_variance(
-    mosaic: Planes, table: np.ndarray, interpolate: Interpolate, *, whole: Planes | None = None
+    mosaic: Planes, table: np.ndarray, interpolate: Interpolate, *, compares: bool = False
 ) -> np.ndarray:
     """Return the variance by which interpolated values miss the scene, beside their noise.
 
@@ -80,8 +81,8 @@ def interpolation_variance(
         Channel at each place of the pattern.
     interpolate : callable
         (values, flags, variance) of a mosaic → (h, w, c) of each.
-    whole : (values, flags, variance), ndarray, (h, w, c), optional
-        What `interpolate` made of the mosaic, where it compares channels.
+    compares : bool
+        Whether it compares channels.
 
     Returns
     -------
@@ -95,9 +96,7 @@ def interpolation_variance(
     the last. Where the picture is too small for a trial, E² = d².
     """
     rough = disagreement(mosaic[0], mosaic[2], (table.shape[0], table.shape[1]))
-    curves = _trial(
-        _smaller(mosaic, table) if whole is None else _thinned(whole, table), table, interpolate
-    )
+    curves = _trial(_smaller(mosaic, table, together=compares), table, interpolate)
     found = np.empty((*rough.shape, len(curves)), np.float32)
     kinds = np.ascontiguousarray(table, np.int64)
     in_threads(_follow, len(rough), np.ascontiguousarray(rough), kinds, curves, found)
@@ -128,24 +127,25 @@ def _follow(start, stop, rough, table, curves, found):  # type: ignore[no-untype
                     found[y, x, k] = mean[low] + max(part, 0.0) * (mean[g] - mean[low])
 
 
-def _smaller(mosaic: Planes, table: np.ndarray) -> Planes:
-    """Return one sensel a channel of every period as a picture, (h, w, c) of each."""
-    rows, columns = table.shape
-    high, wide = (n // p for n, p in zip(mosaic[0].shape, table.shape, strict=True))
-    first = [tuple(np.argwhere(table == channel)[0]) for channel in range(int(table.max()) + 1)]
-    values, flags, variance = (
-        np.stack([a[y::rows, x::columns][:high, :wide] for y, x in first], -1) for a in mosaic
-    )
-    return values, flags, variance
+def _smaller(mosaic: Planes, table: np.ndarray, *, together: bool) -> Planes:
+    """Return one sensel a channel of every period as a picture, (h, w, c) of each.
 
-
-def _thinned(whole: Planes, table: np.ndarray) -> Planes:
-    """Return one pixel of every period of what was interpolated."""
+    `together`: each is moved to the middle of the period.
+    """
     rows, columns = table.shape
-    high, wide = (n // p for n, p in zip(whole[0].shape[:2], table.shape, strict=True))
-    values, flags, variance = (
-        np.ascontiguousarray(a[::rows, ::columns][:high, :wide]) for a in whole
-    )
+    size = (mosaic[0].shape[0] // rows, mosaic[0].shape[1] // columns)
+    made: list[Planes] = []
+    for channel in range(int(table.max()) + 1):
+        y, x = np.argwhere(table == channel)[0]
+        values, flags, variance = (a[y::rows, x::columns][: size[0], : size[1]] for a in mosaic)
+        if together:
+            middle = ((columns - 1) / 2 - x) / columns, ((rows - 1) / 2 - y) / rows
+            move = Affine(np.array([[1.0, 0, middle[0]], [0, 1.0, middle[1]]]))
+            moved = warp(values, move, size, flags=flags, variance=variance)
+            assert moved.variance is not None
+            values, flags, variance = moved.values, moved.flags, moved.variance
+        made.append((values, flags, variance))
+    values, flags, variance = (np.stack(part, -1) for part in zip(*made, strict=True))
     return values, flags, variance
 
 

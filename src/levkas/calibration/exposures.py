@@ -1,8 +1,8 @@
 """Several exposures of one scene: the best of them, or all merged into counts a second.
 
 Merging weighs each exposure by the inverse of its variance, wᵢ = tᵢ²/(gain·C·tᵢ + read²), with the
-rate C of the round before; what saturates is left out pixel by pixel, and so is what lies beside it:
-a dim sensel holds some of a bright neighbour's light until that one is full.
+rate C of the round before; what saturates is left out pixel by pixel. A dim sensel holds some of a bright
+neighbour's light until that one is full: what it lacks from then on is given back to it (`leak`), or left out.
 """
 
 from __future__ import annotations
@@ -14,9 +14,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from levkas.calibration.darks import MatchedDark, dark_under
-from levkas.calibration.linearity import PERIOD, RECIPROCAL, Linearity, check_linearity
+from levkas.calibration.flatfield import require_dark
+from levkas.calibration.leak import give_back
+from levkas.calibration.linearity import (
+    PERIOD,
+    RECIPROCAL,
+    Linearity,
+    check_linearity,
+    find_points,
+)
 from levkas.calibration.motion import find_moved_between
 from levkas.calibration.noise_fit import NoiseModel
+from levkas.calibration.response import ALIKE, bends
 from levkas.calibration.templates import (
     CalibrationRefused,
     Template,
@@ -122,7 +131,7 @@ def merge_exposures(
         Of a mosaic's pattern.
     choose : bool
         Leave out exposures that do not scale with the others, instead of refusing; where no two
-        scale, take the best one alone.
+        scale, take the best one alone. A misfit that depends on the level is refused all the same.
 
     Returns
     -------
@@ -137,7 +146,7 @@ def merge_exposures(
     -----
     Three rounds from rate 0, [mirhashemi2019]_'s noise model in counts: within 1 % of the
     Cramér–Rao bound over four decades. PRNU stays out: it is the same in every exposure. Sensels
-    beside saturated ones count only where nothing else does.
+    beside saturated ones count where what they lack is known well, or where nothing else does.
 
     Examples
     --------
@@ -162,13 +171,20 @@ def merge_exposures(
     if scaling.points and scaling.rms > RECIPROCAL:
         if not choose:
             raise CalibrationRefused(_does_not_scale(scaling))
+        if _bends(timed, darks, saturation, black, period):
+            raise CalibrationRefused(_does_not_scale(scaling, bent=True))
         kept, scaling = _choose(timed, scaling, scales)
     left_out = tuple(s.exposure_s or 0.0 for s in timed if all(s is not k for k in kept))
     timed = kept
     unders = [dark_under(shot, darks, black=black) for shot in timed]
+    for shot, under in zip(timed, unders, strict=True):
+        require_dark(shot, under, noise)
     levels = [under.mean + np.float32(scaling.offset) for under in unders]
     early = _full_early(timed, levels, saturation)
-    apart = [_beside_full(s, USABLE * saturation) | e for s, e in zip(timed, early, strict=True)]
+    full = [
+        s.saturated | (s.mean > USABLE * saturation) | e for s, e in zip(timed, early, strict=True)
+    ]
+    timed, apart = give_back(timed, levels, full, noise, saturation)
     allowed = noise
     if noise is not None and len(timed) > 1:
         read, miss = read_variance_between(timed, levels, apart, noise.gain)
@@ -309,15 +325,6 @@ def _full_early(
     return full
 
 
-def _beside_full(shot: Template, full: float) -> np.ndarray:
-    """Return where a sensel or one of its eight neighbours is full, shape of the shot."""
-    import cv2
-
-    marks = (shot.saturated | (shot.mean > full)).astype(np.uint8)
-    grown = cv2.dilate(marks, np.ones((3, 3), np.uint8))
-    return np.asarray(grown.reshape(marks.shape) > 0)
-
-
 def _merge(
     timed: list[Template],
     unders: list[MatchedDark],
@@ -375,7 +382,7 @@ def _sums(
         sums = _Sums(rate, total, weights, clipped)
         for shot, under, read, marks in zip(timed, unders, reads, left_out, strict=True):
             planes = as_rows(shot.mean), as_rows(under.mean), as_marks(marks), as_marks(shot.black)
-            scalars = shot.exposure_s or 0.0, read, 1.0 / shot.count, under.share
+            scalars = shot.exposure_s or 0.0, read, 1.0 / shot.count, under.share_of(read)
             parts: list[Any] = [*map(read_only, planes), *map(float, scalars)]
             numbers = float(full), float(offset), float(gain)
             in_threads(_add_exposure, shape[0], _Frame(*parts), sums, numbers, worth=total.size)
@@ -424,15 +431,32 @@ def _choose(
     return [best_exposure(timed)], scaling
 
 
-def _does_not_scale(scaling: Linearity) -> Problem:
+def _bends(
+    timed: list[Template],
+    darks: Template | Sequence[Template] | None,
+    saturation: float,
+    black: float | np.ndarray | None,
+    period: tuple[int, int],
+) -> bool:
+    """Tell whether exposures do not scale because the sensor is not linear."""
+    more: dict[str, Any] = {"saturation": saturation, "black": black, "period": period}
+    points = find_points(timed, darks, contrast=ALIKE, **more)
+    return bends(points, saturation - (0.0 if black is None else float(np.mean(black))))
+
+
+def _does_not_scale(scaling: Linearity, *, bent: bool = False) -> Problem:
     return Problem(
         "E_EXPOSURES",
-        "the counts are not proportional to the exposure",
+        "the sensor is not linear, by a curve that its exposures do not tell well"
+        if bent
+        else "the counts are not proportional to the exposure",
         field="exposures",
         found=f"rms deviation {scaling.rms:.1%}, worst {scaling.worst:+.1%} "
         f"at {scaling.worst_at_s:g} s and {scaling.worst_level:.0f} counts",
         expected=f"at most {RECIPROCAL:.1%} rms",
-        fix='Check exposure times and black level, or set exposures = "best".',
+        fix='Set exposures = "best", and capture the white at the exposures of the object.'
+        if bent
+        else 'Check exposure times and black level, or set exposures = "best".',
     )
 
 

@@ -1,20 +1,21 @@
 """Flat field: raw counts to reflectance, on the mosaic, before anything mixes sensels.
 
 r = (S − D)/(W − D′) · tW/tS · Rw, with the dark D of the object's exposure and D′ of the white's.
-Variance, first order, with shares 1/n of the averages (Eq. in brackets for one shared dark):
-u² = [vS/nS + vD/nD + r²(vW/nW + vD′/nD′)]/(W − D′)²   ([vS/nS + r² vW/nW + (1 − r)² vD/nD]/…).
+Variance, first order, with shares 1/n of the averages and the correlation ρ of the two darks:
+u² = [vS/nS + vD/nD + r²(vW/nW + vD′/nD′) − 2 r ρ √(vD/nD · vD′/nD′)]/(W − D′)²; of one dark, ρ = 1, (1 − r)² vD/nD is left.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from levkas.calibration.darks import MatchedDark, dark_under, match_dark
-from levkas.calibration.noise_fit import HIDES, PRIOR, WORKED_OUT, NoiseModel
+from levkas.calibration.clipped_darks import unclip_means
+from levkas.calibration.darks import MatchedDark, dark_correlation, dark_under, match_dark
+from levkas.calibration.noise_fit import HIDES, PRIOR, WORKED_OUT, NoiseModel, level_of
 from levkas.calibration.templates import (
     CalibrationRefused,
     Template,
@@ -95,8 +96,8 @@ def flat_field(
     Raises
     ------
     CalibrationRefused
-        E_SIZE, E_VALUE; E_WHITE_DARK where white is darker than dark, E_WHITE_SATURATED where it
-        is saturated, over more than half of any channel.
+        E_SIZE, E_VALUE; E_EXPOSURES as `require_dark`; E_WHITE_DARK where white is darker than dark,
+        E_WHITE_SATURATED where it is saturated, over more than half of any channel.
 
     Notes
     -----
@@ -127,11 +128,21 @@ def flat_field(
         )
         return _join_bands(groups, parts, shot.mean.shape)
     under, white_under, ratio, notes = pair_darks(shot, dark, white, black)
-    scale = reflectance_table(board.reflectance, shot, board.pattern) * ratio
+    require_dark(shot, under, noise)
+    if white is not None and white_under is not under:
+        require_dark(white, white_under, noise, lit=True)
+    if noise is not None and not shot.above_dark:
+        read = noise.read_under(under) - noise.step**2 / 12
+        level = level_of(under.mean)
+        shot = unclip_means(
+            shot, level, gain=noise.gain, read_variance=read, step=noise.step or 1.0
+        )
+    scale = reflectance_table(board, shot) * ratio
     bad = under.saturated if defects is None else defects | under.saturated
     if white is None:
         unit = 1.0 if board.unit is None else np.asarray(board.unit)
-        scale = reflectance_table(1 / np.asarray(unit, float), shot, None)
+        of_unit = replace(board, reflectance=1 / np.asarray(unit, float), pattern=None)
+        scale = reflectance_table(of_unit, shot)
         lit, lit_saturated = exact_side(1.0), np.zeros((1, 1), np.uint8)
     else:
         if not board.checked:
@@ -151,7 +162,7 @@ def flat_field(
         _Marks(*(_widened(mark, width) for mark in marks)),
         _widened(np.asarray(scale, np.float64), width),
         model,
-        under.mean is white_under.mean,
+        dark_correlation(under, white_under),
         _shares_of_line(wide, model) if known else np.empty((3, 0)),
     )
     over_rows(lambda y, end: _flatten(y, end, inputs, *made, variance), size[0])
@@ -202,6 +213,7 @@ class Side(NamedTuple):
     def of_dark(cls, dark: MatchedDark) -> Side:
         """Return the side of what is subtracted."""
         freedom = 0.0 if dark.variance is None else max(dark.count - 1.0, 0.0)
+        freedom = WORKED_OUT if dark.worked_out else freedom
         return cls._of(dark.mean, dark.variance, freedom, dark.share)
 
     @classmethod
@@ -267,6 +279,67 @@ def pair_darks(
     return under, white_under, ratio, tuple(dict.fromkeys(notes))
 
 
+def require_dark(
+    frame: Template, under: MatchedDark, noise: NoiseModel | None, *, lit: bool = False
+) -> None:
+    """Refuse a dark of another time whose black level is unknown where its dark current may exceed the noise.
+
+    Parameters
+    ----------
+    frame : Template
+        From which it is subtracted.
+    under : MatchedDark
+    noise : NoiseModel, optional
+        Of one shot. None: the noise is taken for one count.
+    lit : bool
+        Whether the frame is a white, whose light has noise too; else its darkest pixels are judged.
+
+    Raises
+    ------
+    CalibrationRefused
+        E_EXPOSURES.
+
+    Notes
+    -----
+    The current of a dark of time tD is at most all of its counts, and at most read²/gain, for it has shot noise:
+    of a frame of time t it is wrong by up to that times t/tD − 1.
+
+    Examples
+    --------
+    A dark of 0.1 s under a frame of 0.4 s, noise of 2 counts: 16 counts of current, or 48.
+
+    >>> none = np.zeros((1, 1), bool)
+    >>> dark, frame = (Template(np.full((1, 1), 64, "f4"), None, 1, none, none, t) for t in (0.1, 0.4))
+    >>> require_dark(frame, match_dark(dark, 0.4), NoiseModel(0.25, 4.0))
+    Traceback (most recent call last):
+    levkas.calibration.templates.CalibrationRefused: ...
+    """
+    if not under.stretch:
+        return
+    level, variance = level_of(under.mean), 1.0
+    current = max(level, 0.0)
+    if noise is not None:
+        variance = noise.read_variance
+        current = min(current, variance / max(noise.gain, 1e-12))
+        if lit:
+            variance += noise.gain * max(level_of(frame.mean) - level, 0.0)
+    wrong, sigma = abs(under.stretch) * current, float(np.sqrt(variance))
+    if wrong <= sigma:
+        return
+    time = frame.exposure_s or 0.0
+    raise CalibrationRefused(
+        Problem(
+            "E_EXPOSURES",
+            f"the dark of {time / (1 + under.stretch):g} s does not serve frames of {time:g} s: the black level is unknown",
+            field="black",
+            found=f"dark current of up to {wrong:.2g} counts, noise of {sigma:.2g}",
+            expected="a dark of the same time, darks of two times, or the black level",
+            fix=f"Capture darks of {time:g} s, or write `black` of the camera in campaign.toml: what a dark of a very "
+            "short time shows.",
+        )
+    )
+
+
 def describe_darks(
     shot: Template,
     darks: Sequence[Template],
@@ -330,12 +403,12 @@ def _flatten(start, stop, inputs, values, flags, variance):  # type: ignore[no-u
     inputs : (sides, marks, table, model, shared, shares)
         Four `Side`, as wide as the shot, of shot, dark, white and the white's dark; the `_Marks`; white
         reflectance times the ratio of exposures, (rows, w), repeated over the rows; gain (below 0: no
-        model), variances without light of object and white, step; whether one dark serves both; what
+        model), variances without light of object and white, step; the correlation of the two darks; what
         `_shares_of_line` gives.
     values, flags, variance : ndarray, (h, w)
         No variance is worked out where its size is 0.
     """
-    sides, marks, table, model, shared, shares = inputs
+    sides, marks, table, model, common, shares = inputs
     alike = shares.size > 0
     own = np.empty((3, 0 if alike or variance.size == 0 else values.shape[1]))
     for y in range(start, stop):
@@ -343,7 +416,7 @@ def _flatten(start, stop, inputs, values, flags, variance):  # type: ignore[no-u
         if variance.size > 0:
             if not alike:
                 fill_shares(y, sides, model, own)
-            propagate_line(y, sides, table, model, shared, shares if alike else own, variance[y])
+            propagate_line(y, sides, table, model, common, shares if alike else own, variance[y])
 
 
 @njit
@@ -444,8 +517,8 @@ def fill_shares(y, sides, model, shares):  # type: ignore[no-untyped-def]
 
 
 @njit
-def propagate_line(y, sides, table, model, shared, shares, variance):  # type: ignore[no-untyped-def]
-    """Fill the variance of the values of row `y`."""
+def propagate_line(y, sides, table, model, common, shares, variance):  # type: ignore[no-untyped-def]
+    """Fill the variance of the values of row `y`; `common` is the correlation of the two darks."""
     shot, dark, white, white_dark = sides
     gain, read, _, step = model
     seen, back, spread = row_of(shot.mean, y), row_of(dark.mean, y), row_of(shot.variance, y)
@@ -459,10 +532,8 @@ def propagate_line(y, sides, table, model, shared, shares, variance):  # type: i
         else:
             own = of_mean(shot.share, signal, np.float64(spread[x]), shot.freedom, gain, read, step)
         r = signal / light
-        rest = 1.0 - r if shared else 1.0
-        total = own + r * r * shares[0, x] + rest * rest * shares[1, x]
-        if not shared:
-            total += r * r * shares[2, x]
+        total = own + r * r * (shares[0, x] + shares[2, x]) + shares[1, x]
+        total -= 2.0 * r * common * np.sqrt(shares[1, x] * shares[2, x])
         variance[x] = total * (scale[x] / light) ** 2 if light > 0.0 else np.nan
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,7 +26,17 @@ GROUPS = 20
 FEWEST = 50  # pixels of a group
 MANY_ROWS = 600  # of a frame; the rest adds nothing to means that are known to 0.1 %
 RECIPROCAL = 0.01  # rms up to which one exposure may be scaled to the time of another
+EVEN = 1.5  # of the dimmest of eight neighbours, the brightest: noise of a tenth makes as much
 PERIOD = (2, 2)  # of mosaics, unless it is told; plain sensors do not mind
+
+
+class Point(NamedTuple):
+    """Mean counts above dark of a group of pixels at one exposure, s; and how many they are."""
+
+    group: int
+    time_s: float
+    counts: float
+    pixels: int = 1
 
 
 @dataclass(frozen=True)
@@ -44,6 +55,8 @@ class Linearity:
         Counts at exposure 0 above what was subtracted; 0 where it was not fitted.
     points : int
         Groups times exposures behind the numbers; 0: nothing could be compared.
+    offset_error : float
+        One standard error of `offset`; NaN where it was not fitted.
     """
 
     rms: float
@@ -52,6 +65,7 @@ class Linearity:
     offset: float
     points: int
     worst_level: float = float("nan")
+    offset_error: float = float("nan")
 
 
 def check_linearity(
@@ -88,6 +102,24 @@ def check_linearity(
     foretold from the rates of its neighbours one period away. Pixels of like range and rate, by the
     same neighbours, make a group.
     """
+    points = find_points(shots, darks, saturation=saturation, black=black, period=period)
+    return _fit(points, fit_offset)
+
+
+def find_points(
+    shots: Sequence[Template],
+    darks: Template | Sequence[Template] | None = None,
+    *,
+    saturation: float,
+    black: float | np.ndarray | None = None,
+    period: tuple[int, int] = PERIOD,
+    contrast: float = np.inf,
+) -> list[Point]:
+    """Return what exposures of one still scene have in common: groups of pixels, and their counts at each.
+
+    Parameters are those of `check_linearity`; `contrast` is that of the pixels of a group, at most: scaling
+    commutes with the mean of any, a curve only with that of pixels that are alike.
+    """
     timed = sorted(shots, key=lambda shot: shot.exposure_s or 0.0)
     times = np.array([shot.exposure_s for shot in timed], float)
     rows = slice(0, MANY_ROWS)
@@ -96,8 +128,7 @@ def check_linearity(
         under = dark_under(shot, darks, black=black).mean
         signal.append((shot.mean - under).astype(np.float32)[rows])
         usable.append(~shot.saturated[rows])
-    points = _points(np.array(signal), np.array(usable), times, saturation, period)
-    return _fit(points, fit_offset)
+    return _points(np.array(signal), np.array(usable), times, saturation, period, contrast)
 
 
 def require_reciprocity(found: Linearity) -> None:
@@ -161,8 +192,9 @@ def _points(
     times: np.ndarray,
     saturation: float,
     period: tuple[int, int],
-) -> list[tuple[int, float, float]]:
-    """Return (group, exposure, mean signal) where a group is in range at an exposure."""
+    contrast: float,
+) -> list[Point]:
+    """Return the points of groups that are in range at an exposure."""
     import cv2
 
     low, high = USED[0] * saturation, USED[1] * saturation
@@ -176,20 +208,37 @@ def _points(
     brightest = cv2.dilate(bright, np.ones((3, 3), np.uint8)).reshape(bright.shape)
     clean = (brightest * times.reshape(-1, *[1] * key.ndim) < high).sum(0)
     whole = [usable[:n].all(0) for n in range(len(times) + 1)]
-    rows: list[tuple[int, float, float]] = []
+    rows: list[Point] = []
     for n in range(2, len(times) + 1):
         pixels = np.flatnonzero((clean == n) & whole[n] & (key > 0))
         pixels = pixels[np.argsort(key.flat[pixels], kind="stable")]
         parts = np.array_split(pixels, max(1, round(GROUPS * len(pixels) / key.size)))
+        if np.isfinite(contrast):
+            even = pixels[_is_even(rate, period).flat[pixels]]
+            steps = np.floor(np.log(key.flat[even]) / np.log(contrast))
+            parts = np.split(even, np.flatnonzero(np.diff(steps)) + 1)
         for members in (part for part in parts if len(part) >= FEWEST):
             group = len(rows)
             means = _middle_means(signal[:n].reshape(n, -1)[:, members])
             rows += [
-                (group, float(t), float(mean))
+                Point(group, float(t), float(mean), len(members))
                 for t, mean in zip(times, means, strict=False)
                 if low <= mean <= high
             ]
     return rows
+
+
+def _is_even(rate: np.ndarray, period: tuple[int, int]) -> np.ndarray:
+    """Return where the eight neighbours one period away are alike, but for noise: no edge."""
+    import cv2
+
+    rows, columns = period
+    kernel = np.zeros((2 * rows + 1, 2 * columns + 1), np.uint8)
+    kernel[::rows, ::columns] = 1
+    kernel[rows, columns] = 0
+    plane = np.ascontiguousarray(rate, np.float32)
+    highest, lowest = (f(plane, kernel).reshape(rate.shape) for f in (cv2.dilate, cv2.erode))
+    return np.asarray(highest < EVEN * lowest)
 
 
 def _middle_means(values: np.ndarray) -> np.ndarray:
@@ -202,12 +251,12 @@ def _middle_means(values: np.ndarray) -> np.ndarray:
     return np.asarray(ordered[:, cut : values.shape[1] - cut].mean(1, dtype=float))
 
 
-def _fit(rows: list[tuple[int, float, float]], fit_offset: bool) -> Linearity:
-    groups = [g for g, _, _ in rows]
+def _fit(rows: list[Point], fit_offset: bool) -> Linearity:
+    groups = [g for g, *_ in rows]
     rows = [row for row in rows if groups.count(row[0]) >= 2]
     if not rows:
         return Linearity(np.nan, np.nan, np.nan, 0.0, 0)
-    found, which = np.unique([g for g, _, _ in rows], return_inverse=True)
+    found, which = np.unique([g for g, *_ in rows], return_inverse=True)
     times, signal = (np.array([row[i] for row in rows]) for i in (1, 2))
     design = np.zeros((len(rows), len(found) + int(fit_offset)))
     design[np.arange(len(rows)), which] = times
@@ -217,5 +266,11 @@ def _fit(rows: list[tuple[int, float, float]], fit_offset: bool) -> Linearity:
     worst = int(np.abs(miss).argmax())
     offset = float(solved[-1]) if fit_offset else 0.0
     rms = float(np.sqrt(np.mean(miss**2)))
+    error = float("nan")
+    if fit_offset:
+        freedom = max(len(rows) - design.shape[1], 1)
+        scaled = design / signal[:, None]
+        spread = np.linalg.pinv(scaled.T @ scaled)[-1, -1] * np.sum(miss**2) / freedom
+        error = float(np.sqrt(spread))
     at = float(times[worst]), offset, len(rows), float(signal[worst])
-    return Linearity(rms, float(miss[worst]), *at)
+    return Linearity(rms, float(miss[worst]), *at, error)

@@ -392,14 +392,12 @@ def demosaic(
     table, stencil = method_of(pattern, method, channels)
     made, noted, spread = interpolate(values, flags, variance, table, stencil)
     if variance is not None and spread is not None:
-        # A method that compares channels gains where they are known at one place.
         side = 8 * max(table.shape)
-        compares = not lay_out(table, (side, side), stencil).own.all()
         spread += interpolation_variance(
             (values, flags, variance),
             table,
             lambda v, f, u: interpolate(v, f, u, table, stencil),
-            whole=(made, noted, spread) if compares else None,
+            compares=not lay_out(table, (side, side), stencil).own.all(),
         )
     return made, noted, spread
 

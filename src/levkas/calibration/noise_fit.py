@@ -28,6 +28,7 @@ PRIOR = 60.0  # a noise model weighs as much as this many degrees of freedom of 
 HIDES = 0.25  # of step²: more noise than that shows all of rounding (B < 3e-6 step²)
 TERMS = 12  # of the series of B: its error is below 0.4 % of step²
 MANY_PIXELS = 200_000  # of one stack that are looked at
+MOST_FREEDOM = 2e4  # of a group: a misfit of 1 % in a full one does not rule the line
 LEVELS = 24  # groups of equal size by signal, a stack
 MANY_BLACK = 0.02  # a dark with more zeros than this was clipped, and its spread is not noise
 BLOCK = 8
@@ -160,12 +161,13 @@ def fit_noise_of_frames(
         shots is taken.
     """
     stacks = [t for t in (*shots, *(w for w in whites if w is not None)) if t.count > 1]
+    quiet = [d for d in darks if d.count > 1 or d.fit is not None]
     fitted = None
     if stacks:
-        stacks += [d for d in darks if d.count > 1]
+        stacks += quiet
         under = [_dark_of(t, darks) for t in stacks] if darks else None
         fitted = fit_noise(stacks, under, black=black, step=step)
-    unread = fitted is not None and not any(d.count > 1 for d in darks)
+    unread = fitted is not None and not quiet
     if (fitted is None or unread) and len(shots) == len(whites):
         under = [_dark_of(t, darks) for t in shots] if darks else None
         single = fit_noise_single(shots, whites, under, black=black, pattern=pattern, step=step)
@@ -226,16 +228,17 @@ def fit_noise(
     lowest = min((level for level in levels if level is not None), default=None)
     groups: list[tuple[float, ...]] = []
     for stack, under, level in zip(stacks, darks, levels, strict=True):
-        if stack.variance is not None:
-            warm = 0.0 if level is None or lowest is None else level - lowest
+        warm = 0.0 if level is None or lowest is None else level - lowest
+        if stack.fit is not None:
+            groups.append((warm, stack.fit.noise**2 + step**2 / 12, MOST_FREEDOM))
+        elif stack.variance is not None:
             groups += [(s + warm, v, n) for s, v, n in _groups(stack, under, black, step)]
     if not groups:
         return None
     signal, variance, freedom = np.array(groups).T
     if signal.max() <= 0 or variance.max() <= 0:
         return None
-    # Freedom is bounded so that a misfit of 1 % in one full group does not rule the line.
-    freedom = np.minimum(freedom, 2e4)
+    freedom = np.minimum(freedom, MOST_FREEDOM)
     gain, read = _line(signal, np.ones_like(signal), variance, freedom, step)
     return NoiseModel(gain, read, "temporal", step, lowest)
 
@@ -320,7 +323,7 @@ def fit_noise_single(
         warm = 0.0 if under is None or lowest is None else level_of(under.mean) - lowest
         planes = _ratio_planes(shot, white, level, gaps_of(shot, white, under))
         # A dark that was clipped has no noise that it adds.
-        noisy = under is not None and np.mean(under.black) <= MANY_BLACK
+        noisy = under is not None and under.fit is None and np.mean(under.black) <= MANY_BLACK
         counts = (shot.count, white.count if white else 0, under.count if under and noisy else 0)
         for parts in zip(*(split(plane, rows, columns) for plane in planes), strict=True):
             found = _smooth_groups(*parts, shots=counts)

@@ -107,3 +107,15 @@ def merge(phases: Sequence[np.ndarray], rows: int, columns: int) -> np.ndarray:
     for part, phase in zip(split(frame, rows, columns), phases, strict=True):
         part[...] = phase
     return frame
+
+
+def thin_periods(frame: np.ndarray, side: int, most: int) -> np.ndarray:
+    """Return whole periods of `side` rows, evenly over a frame, of about `most` values; of few rows periods of columns, too.
+
+    >>> thin_periods(np.arange(12).reshape(12, 1), 2, 6).ravel().tolist()
+    [0, 1, 4, 5, 8, 9]
+    """
+    apart = -(-frame.size // most)
+    frame = frame[(np.arange(len(frame)) // side) % apart == 0]
+    apart = -(-frame.size // (2 * most))
+    return frame if apart == 1 else frame[:, (np.arange(frame.shape[1]) // side) % apart == 0]

@@ -9,15 +9,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps, gaps_of
+from levkas.calibration.drift import average_steady
+from levkas.calibration.patterns import as_pattern
+from levkas.calibration.templates import CalibrationRefused, Template, close_gaps, gaps_of
 from levkas.core.cube import Band, Cube, Flag, band_labels
 from levkas.core.problems import Problem
+
+ROWS, MOST_VALUES = 20, 1 << 18
+"""Rows that are taken together, whole mosaics' of up to 5, and values of a frame by which the full scale is looked for."""
 
 if TYPE_CHECKING:
     from levkas.calibration.flatfield import Calibrated
     from levkas.calibration.noise_fit import NoiseModel
 
     Frames = np.ndarray | Sequence[np.ndarray]
+    """Of one or more shots."""
     Pattern = str | Sequence[Sequence[str]]
 
 
@@ -52,7 +58,8 @@ def calibrate(
         Of a mosaic, from the top left sensel: ``"RGGB"`` or ``[["B1", "B2"], ["B3", "B4"]]``. The
         frames are then (h, w), and the bands are interpolated after the flat field.
     saturation : float, optional
-        Counts at which a sensel is full. Default: the full scale of integers, none for floats.
+        Counts at which a sensel is full. Default: the full scale of integers, none for floats. Where integers pile up
+        below it, they are full there.
     wavelengths : sequence of float, optional
         Centre of each band, nm; it labels the bands. Default: the names of `pattern`, else 1, 2, …
 
@@ -61,15 +68,15 @@ def calibrate(
     cube : Cube
         `values` (h, w, bands), float32: reflectance (1.0 is the perfect diffuser, not clipped to 0–1), or
         counts above dark without a white; NaN where no neighbour of a defect is sound. `flags`: SATURATED,
-        BLACK, DEFECT (replaced from neighbours), MOVED (several shots disagree), NEAR. `sigma`: one standard
+        BLACK, DEFECT (replaced from neighbours), OUTSIDE (the white shows the object there, not the board), MOVED (several shots disagree), NEAR. `sigma`: one standard
         deviation of the random part, in the unit of the values; None where the noise cannot be estimated.
 
     Raises
     ------
     CalibrationRefused
         ``E_NO_FRAMES``, ``E_SIZE``, ``E_VALUE``, ``E_EXPOSURES`` or ``E_BAND_COUNT`` where frames or
-        arguments do not fit; ``E_WHITE_DARK``, ``E_WHITE_SATURATED`` where more than half of a
-        white is not above dark, or is full.
+        arguments do not fit; ``E_WHITE_DARK``, ``E_WHITE_SATURATED``, ``E_WHITE_DETAIL`` where more than half of a
+        white is not above dark, is full, or shows the object.
 
     Notes
     -----
@@ -87,31 +94,43 @@ def calibrate(
     >>> cube.quantity, cube.values.shape, round(float(cube.values[0, 0, 0]), 3)
     ('reflectance', (4, 6, 1), 0.49)
     """
+    from levkas.calibration.code_spacing import find_step
     from levkas.calibration.defects import find_defects, replace_defects
     from levkas.calibration.flatfield import flat_field
     from levkas.calibration.mosaic import demosaic
+    from levkas.calibration.white_area import board_alone, find_white_area
     from levkas.calibration.whites import WhiteBoard
 
     times = _times(exposure_s)
     if saturation is not None:
         saturation = float(_numbers(saturation, "saturation", "counts, a number")[0])
+    saturation = _full_scale(raw, dark, white, pattern, saturation)
     board = WhiteBoard(_numbers(reflectance, "reflectance", "numbers above 0"), pattern)
-    shot, codes = _template(raw, "raw", saturation, times[0])
     under, black = None, None
     if isinstance(dark, (int, float, np.number)):
         black = float(_numbers(dark, "dark", "a finite black level, counts")[0])
     elif dark is not None:
-        under = _as_high(_template(dark, "dark", saturation, times[1])[0], shot)
+        under, shots = _template(dark, "dark", saturation, times[1], None, pattern)
+    level = (black or 0.0) if under is None else under.mean
+    shot, codes = _template(raw, "raw", saturation, times[0], level, pattern)
     lit = None
     if white is not None:
-        lit, seen = _template(white, "white", saturation, times[2])
+        lit, seen = _template(white, "white", saturation, times[2], level, pattern)
         lit, codes = _as_high(lit, shot), [*codes, *seen]
+    step = find_step(codes)
+    if under is not None:
+        under = _as_high(_unclipped(under, shots, pattern, step), shot)
     bands = _bands(shot, pattern, wavelengths)
     _check_shapes(shot, {"dark": under, "white": lit})
-    noise = _noise(shot, lit, under, black or 0.0, pattern, codes)
+    noise = _noise(shot, lit, under, black or 0.0, pattern, step)
     defects = gaps_of(shot, under, lit)
+    uncovered = None
+    if lit is not None:
+        plane = np.full((1, 1), black or 0.0, np.float32) if under is None else under.mean
+        uncovered = find_white_area(shot, lit, (plane, plane), pattern).uncovered
     if under is not None or lit is not None:
-        found = find_defects(under, lit, pattern)
+        covered = None if lit is None else board_alone(lit, uncovered)
+        found = find_defects(under, covered, pattern)
         defects = found if defects is None else found | defects
     board = replace(board, labels=[band.label for band in bands])
     flat = flat_field(shot, under, lit, board=board, black=black, noise=noise, defects=defects)
@@ -120,14 +139,27 @@ def calibrate(
     if pattern is not None:
         values, flags, variance = demosaic(values, flags, variance, pattern)
     deep = (*shot.mean.shape[:2], len(bands))
+    values, flags = values.reshape(deep), flags.reshape(deep)
+    if uncovered is not None:
+        lost = uncovered[..., None]
+        values = np.where(lost, np.float32(np.nan), values)
+        flags = np.where(lost, flags | (Flag.OUTSIDE | Flag.DEFECT), flags).astype(np.uint8)
     sigma = None if variance is None else np.sqrt(np.maximum(variance, 0)).reshape(deep)
-    return Cube(values.reshape(deep), flags.reshape(deep), sigma, bands, flat.quantity)
+    return Cube(values, flags, sigma, bands, flat.quantity)
 
 
 def _template(
-    frames: Frames, name: str, saturation: float | None, exposure_s: float | None
+    frames: Frames,
+    name: str,
+    saturation: float | None,
+    exposure_s: float | None,
+    level: np.ndarray | float | None,
+    pattern: Pattern | None,
 ) -> tuple[Template, list[np.ndarray]]:
-    """Average the shots of `name`; return them too. Raises CalibrationRefused with the argument's name."""
+    """Average the shots of `name` over `level`, counts, None of darks; return them too.
+
+    Raises CalibrationRefused with the argument's name.
+    """
     given = frames if isinstance(frames, (list, tuple)) else [frames]
     shots = [np.asarray(one) for one in given if hasattr(one, "__array__")]
     masked = any(isinstance(one, np.ma.MaskedArray) for one in given)
@@ -139,14 +171,62 @@ def _template(
         )
     if saturation is None and shots and shots[0].dtype.kind in "ui":
         saturation = float(np.iinfo(shots[0].dtype).max)
+    rows = as_pattern(pattern) if isinstance(pattern, Sequence) else ((None,),)
     try:
-        made = close_gaps(average(shots, saturation=saturation, exposure_s=exposure_s))
+        made = average_steady(
+            lambda: shots,
+            level,
+            period=(len(rows), len(rows[0])),
+            saturation=saturation,
+            exposure_s=exposure_s,
+        )
+        made = close_gaps(made)
     except CalibrationRefused as refused:
         problems = (
             replace(p, message=f"{name}: {p.message}", field=name) for p in refused.problems
         )
         raise CalibrationRefused(*problems) from None
     return made, shots
+
+
+def _full_scale(
+    raw: Frames,
+    dark: Frames | float | None,
+    white: Frames | None,
+    pattern: Pattern | None,
+    stated: float | None,
+) -> float | None:
+    """Return the counts at which the frames pile up, where these are below what is stated, else that."""
+    from levkas.calibration.full_scale import SceneShots, find_full_scale
+    from levkas.calibration.patterns import channel_table, thin_periods
+
+    def planes(frames: Frames | float | None) -> list[np.ndarray]:
+        given = frames if isinstance(frames, (list, tuple)) else [frames]
+        shots = [one for one in given[:2] if isinstance(one, np.ndarray) and one.ndim > 1]
+        return [thin_periods(one, ROWS, MOST_VALUES) for one in shots if one.dtype.kind in "ui"]
+
+    lit = [
+        SceneShots(some, even)
+        for some, even in ((planes(raw), False), (planes(white), True))
+        if some
+    ]
+    period = int(channel_table(pattern).shape[1]) if isinstance(pattern, Sequence) else 1
+    found = find_full_scale(lit, planes(dark), period=period) if lit else None
+    return found.counts if found and (stated is None or found.counts < stated) else stated
+
+
+def _unclipped(
+    dark: Template, shots: list[np.ndarray], pattern: Pattern | None, step: float
+) -> Template:
+    """Return a dark of some shots; where they were clipped at zero, as if they had not been."""
+    from levkas.calibration.clipped_darks import unclip
+    from levkas.calibration.patterns import channel_table
+
+    period = (1, 1) if pattern is None else channel_table(pattern).shape[:2]
+    try:
+        return unclip(dark, shots[:4], period=(period[0], period[1]), step=step or 1.0)
+    except CalibrationRefused:
+        return dark  # so few codes are above zero that their mean is next to black
 
 
 def _as_high(template: Template, shot: Template) -> Template:
@@ -157,7 +237,10 @@ def _as_high(template: Template, shot: Template) -> Template:
     names = ("mean", "variance", "saturated", "black", "lost")
     arrays = {name: getattr(template, name) for name in names}
     high = {k: np.broadcast_to(a, shape).copy() for k, a in arrays.items() if a is not None}
-    return replace(template, **high)  # type: ignore[arg-type]
+    fit = template.fit
+    if fit is not None:
+        fit = fit._replace(variance=np.broadcast_to(fit.variance, shape))
+    return replace(template, fit=fit, **high)  # type: ignore[arg-type]
 
 
 def _times(exposure_s: tuple[float, float, float] | None) -> tuple[float | None, ...]:
@@ -241,10 +324,9 @@ def _noise(
     dark: Template | None,
     black: float,
     pattern: Pattern | None,
-    codes: Sequence[np.ndarray],
+    step: float,
 ) -> NoiseModel | None:
     """Estimate the noise of the sensor; the bands of a cube count as phases of a mosaic of one row."""
-    from levkas.calibration.code_spacing import find_step
     from levkas.calibration.noise_fit import fit_noise_of_frames
 
     if shot.mean.ndim == 3:
@@ -252,7 +334,7 @@ def _noise(
     darks = [] if dark is None else [_interleaved(dark)]
     whites = [None if white is None else _interleaved(white)]
     return fit_noise_of_frames(
-        *([_interleaved(shot)], whites, darks), black=black, pattern=pattern, step=find_step(codes)
+        *([_interleaved(shot)], whites, darks), black=black, pattern=pattern, step=step
     )
 
 
@@ -263,7 +345,10 @@ def _interleaved(template: Template) -> Template:
     names = ("mean", "variance", "saturated", "black")
     arrays = {name: getattr(template, name) for name in names}
     flat = {k: a.reshape(len(a), -1) for k, a in arrays.items() if a is not None}
-    return replace(template, lost=None, **flat)
+    fit = template.fit
+    if fit is not None:
+        fit = fit._replace(variance=fit.variance.reshape(len(fit.variance), -1))
+    return replace(template, lost=None, fit=fit, **flat)
 
 
 def _with_moved(
@@ -276,7 +361,6 @@ def _with_moved(
 ) -> np.ndarray:
     """Return the flags with MOVED where the shots of the object disagree by more than their noise."""
     from levkas.calibration.motion import find_moved
-    from levkas.calibration.patterns import as_pattern
 
     if shot.count < 2 or noise is None or noise.source != "temporal":
         return flat.flags

@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
 from functools import cached_property, partial
-from pathlib import Path
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from levkas.calibration.agreement import Aligned, check_alike, facts_of
+from levkas.calibration.clipped_darks import MANY_ZEROS, is_clipped, unclip
+from levkas.calibration.code_checks import FEW_CODES, check_codes, thin_rows
 from levkas.calibration.code_spacing import find_alignment, find_step
-from levkas.calibration.darks import SAME_TIME
-from levkas.calibration.templates import (
-    CalibrationRefused,
-    Template,
-    as_absent,
-    average,
-    close_gaps,
-)
+from levkas.calibration.darks import dark_under, level_under
+from levkas.calibration.drift import average_steady
+from levkas.calibration.full_scale import FullScale, SceneShots, find_full_scale, stated_full_scale
+from levkas.calibration.linearity import PERIOD, Point, check_linearity, find_points
+from levkas.calibration.patterns import thin_periods
+from levkas.calibration.response import ALIKE, CURVED, Response, find_response
+from levkas.calibration.templates import CalibrationRefused, Template, as_absent, close_gaps
 from levkas.core.problems import Problem
 from levkas.readers.compared_facts import SCALE
-from levkas.readers.frames import Facts, read_facts, read_frame, read_plane
-from levkas.readers.raw import SUFFIXES as RAW_SUFFIXES
+from levkas.readers.frames import Facts, read_facts, read_frame, read_plane, read_sample
 
 if TYPE_CHECKING:
     from levkas.calibration.chart_light import ChartLight
@@ -31,9 +34,18 @@ if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import FrameRef, SensorFrames
 
 GLIMPSE_LINES = 64
-AS_LIGHT = "they are taken as proportional to light: export linear frames"
 MOST_GLIMPSED = 2
 """Frames of a role of which some rows are looked at."""
+SHOTS = 4
+"""Of a dark that was clipped: what they show of noise and fixed pattern suffices."""
+CLIPPED_DARKS, FULL_SCALE, RESPONSE = "clipped_darks", "full_scale", "response"
+"""Names, among what is measured of a sensor, of darks that were clipped, the code at which it is full, and its curve."""
+BLACK, BLACK_ERROR = "black", 0.5
+"""Name, among the same, of a black level by an exposure series; and its standard error, counts, at most: a quarter of a small read noise."""
+SERIES = 3
+"""Bands of a tunable filter whose exposure series show the sensor's curve: it is the same sensor."""
+SAMPLED, PERIODS = 1 << 18, 20
+"""Values of a frame by which the full scale is looked for, and rows that are taken together: whole mosaics' of up to 5."""
 
 
 class Averages(Protocol):
@@ -58,18 +70,43 @@ class SensorContext:
     """What is learnt of sensor and light on the way, for the reports."""
     light: ChartLight | None = None
     """By a chart, in place of a white."""
+    reflectance: float | np.ndarray = 1.0
+    """Of the white board, one number or one a band of the sensor."""
+    doubts: tuple[str, ...] = ()
+    """Of that reflectance."""
     _glimpses: dict[str, list[np.ndarray]] = field(default_factory=dict, repr=False)
 
-    @property
+    @cached_property
     def saturation(self) -> float | None:
-        """Code at which a sensel is full: declared, the file's own, or the full scale of `bits`."""
-        declared = self.camera.saturation or self.facts.saturation
-        if declared:
-            return float(declared)
-        bits = self.camera.bits or (
-            self.facts.bits if np.dtype(self.facts.dtype).kind == "u" else None
-        )
-        return float(2**bits - 1) if bits else None
+        """Code at which a sensel is full: where its frames pile up, at most what is declared."""
+        found, stated = self._measured_full_scale(), self.stated
+        if found is None:
+            return stated.counts if stated else None
+        record = {"counts": found.counts, "source": found.source}
+        self.told[FULL_SCALE] = {**record, "stated": stated.source if stated else None}
+        return found.counts
+
+    @property
+    def stated(self) -> FullScale | None:
+        """Full scale that campaign or file state."""
+        camera = self.camera
+        return stated_full_scale(self.facts, saturation=camera.saturation, bits=camera.bits)
+
+    def _measured_full_scale(self) -> FullScale | None:
+        """Return the full scale by the frames of object and white, where it lies below what is declared."""
+        if self.camera.kind == "image" or np.dtype(self.facts.dtype).kind != "u":
+            return None
+        sensor = self.sensor
+        strips = self.camera.kind == "cube"
+        lit = [
+            SceneShots([*map(_sample, some)], role == "white")
+            for role, frames in (("object", sensor.object), ("white", sensor.white))
+            for some in ([[f] for f in frames] if strips else _repeats(frames))
+        ]
+        darks = [_sample(some[0]) for some in _repeats(sensor.dark)[:SHOTS]]
+        found = find_full_scale(lit, darks, period=self.period[1])
+        stated = self.stated
+        return found if found and (stated is None or found.counts < stated.counts) else None
 
     @property
     def unmended(self) -> bool:
@@ -77,9 +114,36 @@ class SensorContext:
         return self.camera.kind == "cube"
 
     @property
+    def period(self) -> tuple[int, int]:
+        """Rows and columns of the mosaic's pattern."""
+        pattern = self.sensor.pattern
+        return (len(pattern), len(pattern[0])) if pattern else (1, 1)
+
+    @cached_property
     def black(self) -> float | None:
-        """Declared, else the file's own black level, the mean over the frame, counts; None where nobody says."""
+        """Declared, else the file's own black level, the mean over the frame, else that of an exposure series if it is needed, counts; None if not known."""
+        stated = self._stated_black
+        return self._black_of_series() if stated is None else stated
+
+    @property
+    def _stated_black(self) -> float | None:
         return self.camera.black if self.camera.black is not None else self.facts.black
+
+    def _black_of_series(self) -> float | None:
+        """Return the counts at no time at all by which exposures of a scene lie on a line, where darks are of one other time."""
+        sensor, full = self.sensor, self.saturation
+        darks = {times_of(frame) for frame in sensor.dark}
+        lit = {times_of(frame) for frame in (*sensor.object, *sensor.white)}
+        if len(darks) != 1 or full is None or lit <= darks or self.camera.kind == "cube":
+            return None
+        for shots, under in self._series():
+            found = check_linearity(shots, saturation=full, fit_offset=True, period=PERIOD)
+            highest = float(np.median(under[0].mean)) if under else 0.0
+            sure = found.rms <= CURVED and found.offset_error <= BLACK_ERROR
+            if len(shots) > 2 and sure and found.offset <= highest + 3 * BLACK_ERROR:
+                self.told[BLACK] = {"counts": found.offset, "error": found.offset_error}
+                return found.offset
+        return None
 
     @cached_property
     def black_level(self) -> float | np.ndarray | None:
@@ -115,7 +179,7 @@ class SensorContext:
         if role not in self._glimpses:
             most = 1 if self.facts.kind == "raw" else MOST_GLIMPSED
             frames = spread(getattr(self.sensor, role), most)
-            self._glimpses[role] = [thin_rows(_glimpse(frame)).copy() for frame in frames]
+            self._glimpses[role] = [thin_rows(glimpse(frame)).copy() for frame in frames]
         return self._glimpses[role]
 
     @cached_property
@@ -137,31 +201,134 @@ class SensorContext:
                     found.append(Aligned(role, frame.path, one))
         return found
 
-    def average(self, frames: Sequence[FrameRef], *, kept: bool = False) -> Template:
-        """Average shots of one exposure; templates are kept for the other objects."""
+    @cached_property
+    def response(self) -> Response | None:
+        """Curve of a sensor that is not linear, by the exposure series of objects and whites; None where they show a line."""
+        if self.camera.kind in ("cube", "image") or self.saturation is None:
+            return None
+        points: list[Point] = []
+        levels = [self.black or 0.0]
+        for shots, darks in self._series():
+            if darks and all(np.mean(dark.black) > 0.5 for dark in darks):
+                return None  # their level is fitted to the series itself
+            found = find_points(
+                *(shots, darks),
+                saturation=self.saturation,
+                black=self.black,
+                period=self.period if self.sensor.pattern else PERIOD,
+                contrast=ALIKE,
+            )
+            first = points[-1].group + 1 if points else 0
+            points += [point._replace(group=point.group + first) for point in found]
+            levels += [float(np.median(dark.mean)) for dark in darks[:1]]
+        found_curve = find_response(points, self.saturation - levels[-1])
+        if found_curve is not None:
+            self.told[RESPONSE] = asdict(found_curve)
+        return found_curve
+
+    def _series(self) -> Iterator[tuple[list[Template], list[Template]]]:
+        """Yield exposures of some scenes that have several, with their darks."""
+        sensor = self.sensor
+        for frames in (sensor.object, sensor.white):
+            bands: dict[str | None, list[FrameRef]] = {}
+            for frame in frames:
+                bands.setdefault(frame.band, []).append(frame)
+            several = [
+                band
+                for band, some in bands.items()
+                if len({exposure_of(f) for f in some} - {None}) > 1
+            ]
+            for band in spread(several, SERIES):
+                own = [f for f in sensor.dark if f.band == band]
+                darks = self.templates(own or [f for f in sensor.dark if f.band is None])
+                groups = [g for time, g in by_exposure(bands[band]) if isinstance(time, float)]
+                level = darks[0].mean if darks else self._stated_black or 0.0
+                shots = [self.whole(self._averaged(group, level), group) for group in groups]
+                if len({template.mean.shape for template in (*shots, *darks)}) == 1:
+                    yield shots, darks
+
+    def straighten(self, frames: Template, darks: Sequence[Template]) -> Template:
+        """Return a template as a linear sensor had recorded it, where this one has a curve that is known."""
+        if self.response is None:
+            return frames
+        under = dark_under(frames, darks, black=self.black_level)
+        return self.response.straighten(frames, under.mean)
+
+    def straight_saturation(self, darks: Sequence[Template]) -> float | None:
+        """Return the code at which a sensel is full in templates that were straightened."""
+        if self.response is None or self.saturation is None:
+            return self.saturation
+        level = float(np.median(darks[0].mean)) if darks else self.black or 0.0
+        return level + float(self.response.light(np.array(self.saturation - level)))
+
+    def with_full_scale(self, problem: Problem) -> Problem:
+        """Return the refusal of a saturated white with the counts at which the sensor is full."""
+        if problem.code != "E_WHITE_SATURATED" or self.saturation is None:
+            return problem
+        return replace(problem, found=f"{problem.found} at {self.saturation:g} counts or more")
+
+    def average(
+        self, frames: Sequence[FrameRef], darks: Sequence[Template] = (), *, kept: bool = False
+    ) -> Template:
+        """Average shots of one exposure above their `darks`; templates are kept for the other objects.
+
+        A dark that was clipped at black comes as if it had not been, where enough of it is above.
+        """
+        dark = frames[0] in self.sensor.dark
+        level = self.level_under(frames, darks) if dark or len(frames) > 1 else 0.0
+        make = partial(self._dark, frames) if dark else partial(self._averaged, frames, level)
         if not kept or self.cache is None:
-            return self.whole(self._averaged(frames), frames)
+            return self.whole(make(), frames)
         made = self.cache.template(
             frames,
-            partial(self._averaged, frames),
+            make,
             saturation=self.saturation,
             exposure=exposure_of(frames[0]),
             bits=self.camera.bits,
             overrule=self.camera.overrule,
+            level=_digest(level),
+            **({"dark": (self.step, self.period)} if dark else {}),
         )
         return self.whole(made, frames)
 
-    def _averaged(self, frames: Sequence[FrameRef]) -> Template:
-        exposure = exposure_of(frames[0])
+    def _dark(self, frames: Sequence[FrameRef]) -> Template:
+        return self.unclipped(self._averaged(frames, None), islice(self.read(frames), SHOTS))
+
+    def unclipped(self, dark: Template, shots: Iterable[np.ndarray]) -> Template:
+        """Return a dark as if it had not been clipped, by some of its shots; as it is where these do not show it."""
+        if np.mean(dark.black) <= MANY_ZEROS:
+            return dark
         try:
-            return average(
-                self.read(frames),
+            return unclip(dark, [*shots], period=self.period, step=self.step or 1.0)
+        except CalibrationRefused:
+            return dark
+
+    def _averaged(self, frames: Sequence[FrameRef], level: np.ndarray | float | None) -> Template:
+        try:
+            return average_steady(
+                lambda: self.read(frames),
+                level,
+                period=self.period,
                 saturation=self.saturation,
                 black_clip=self.black_clip,
-                exposure_s=exposure,
+                exposure_s=exposure_of(frames[0]),
+                times_s=capture_times(frames),
             )
         except CalibrationRefused as refused:
             raise type(refused)(*(placed(p, frames) for p in refused.problems)) from None
+
+    def level_under(
+        self, frames: Sequence[FrameRef], darks: Sequence[Template]
+    ) -> np.ndarray | float | None:
+        """Return counts without light of frames of one exposure; None where they are darks themselves."""
+        if frames[0] in self.sensor.dark:
+            return None
+        if not darks:
+            return 0.0 if self.black_level is None else self.black_level
+        try:
+            return level_under(timed(darks[0], times_of(frames[0])), darks, black=self.black_level)
+        except CalibrationRefused:  # as whoever subtracts it will find
+            return darks[0].mean
 
     def read(self, frames: Iterable[FrameRef]) -> Iterator[np.ndarray]:
         """Read frame by frame, codes checked against the bits that are declared, and against the other frames."""
@@ -192,16 +359,58 @@ class SensorContext:
             raise CalibrationRefused(*(placed(p, frames) for p in refused.problems)) from None
         return as_absent(closed) if read_facts(frames[0].path).nodata is not None else closed
 
-    def templates(self, frames: Sequence[FrameRef]) -> list[Template]:
-        """Average frames exposure by exposure, shortest first."""
+    def templates(
+        self, frames: Sequence[FrameRef], darks: Sequence[Template] = ()
+    ) -> list[Template]:
+        """Average frames exposure by exposure, shortest first, above their `darks`."""
         times = sorted({exposure_of(f) for f in frames}, key=lambda t: (t is not None, t or 0.0))
-        return [self.average([f for f in frames if exposure_of(f) == t], kept=True) for t in times]
+        return [
+            self.average([f for f in frames if exposure_of(f) == t], darks, kept=True)
+            for t in times
+        ]
+
+    def darks(self, frames: Sequence[FrameRef]) -> list[Template]:
+        """Average darks exposure by exposure, shortest first, and note those that were clipped."""
+        made = self.templates(frames)
+        for dark in made:
+            self.note_dark(dark, frames[0].band or "")
+        return made
+
+    def note_dark(self, dark: Template, band: str = "") -> None:
+        """Note black and noise of a dark that was clipped, or that they cannot be had, in `told`."""
+        name = f"{band} {f'{dark.exposure_s:g} s' if dark.exposure_s else ''}".strip()
+        if dark.fit is not None:
+            blacks = [round(black, 4) for black in dark.fit.blacks]
+            found = {"black": blacks, "noise": dark.fit.noise, "zeros": dark.fit.zeros}
+            self.told.setdefault(CLIPPED_DARKS, {})[name] = found
+        elif np.mean(dark.black) > MANY_ZEROS and (
+            is_clipped(dark.mean) or np.median(dark.mean) < (self.step or 1.0) / 2
+        ):
+            self.told.setdefault(CLIPPED_DARKS, {})[name] = {"zeros": float(np.mean(dark.black))}
+
+
+def _digest(level: np.ndarray | float | None) -> str:
+    return (
+        "" if level is None else hashlib.sha256(np.asarray(level, np.float32).tobytes()).hexdigest()
+    )
 
 
 def exposure_of(frame: FrameRef) -> float | None:
     """Exposure from the file's name or the manifest, else from its EXIF or header, s; None of a list by bands."""
     times = times_of(frame)
     return None if isinstance(times, tuple) else times
+
+
+def capture_times(frames: Sequence[FrameRef]) -> tuple[float, ...] | None:
+    """Return when frames were captured, s since 1970, by their files; None where one does not state it."""
+    moments = []
+    for frame in frames:
+        try:
+            moment = datetime.fromisoformat(read_facts(frame.path).captured or "")
+        except ValueError:
+            return None
+        moments.append(moment if moment.tzinfo else moment.replace(tzinfo=UTC))
+    return tuple(moment.timestamp() for moment in moments)
 
 
 def read_cube(frame: FrameRef) -> np.ndarray:
@@ -222,95 +431,41 @@ def placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
     return problem if problem.file else replace(problem, file=f"{frames[0].path.parent}: {names}")
 
 
-def doubts_of(context: SensorContext) -> list[str]:
-    """What a person should know before believing the values."""
-    camera = context.camera
-    doubts = [*_notes_of_files(context), *_doubt_bits(context)]
-    targets = context.campaign.targets
-    if camera.kind == "image":
-        return doubts
-    doubts += [*context.sensor.remarks, *_note_scale(context), *_note_bad_bands(context)]
-    if context.light is not None:
-        doubts += context.light.notes
-    elif not context.sensor.white and not context.holds_reflectance:
-        doubts.append("no white is declared: the cube remains in counts")
-    elif context.sensor.white and targets.white and not isinstance(targets.white.reflectance, str):
-        given = targets.white.reflectance
-        doubts.append(
-            f"the reflectance of the white is assumed to be {1.0 if given is None else given:g} "
-            "at every wavelength; give a CSV of its spectrum in targets.white.reflectance"
-        )
-    return doubts
+@contextmanager
+def placing(frames: Sequence[FrameRef]) -> Iterator[None]:
+    """Name the folder of the frames in the refusals of kernels, which know no files."""
+    try:
+        yield
+    except CalibrationRefused as refused:
+        raise type(refused)(*(placed(p, frames) for p in refused.problems)) from None
 
 
-def _note_scale(context: SensorContext) -> list[str]:
-    """Say whether the scale of reflectance that a file of the object states is used."""
-    scale = next(
-        (s for f in context.sensor.object if (s := read_facts(f.path).reflectance_scale)), None
-    )
-    if scale is None:
-        return []
-    stated = f"{context.camera.name}: by the file reflectance 1.0 is {_span(scale)}"
-    if context.holds_reflectance:
-        return [
-            f"{stated}: its values are taken as reflectance, for neither dark nor white is there; if they are raw, "
-            f'write `overrule = ["{SCALE}"]`'
-        ]
-    return [f"{stated}: this is not used, the values are taken as counts"]
+def _repeats(frames: Sequence[FrameRef]) -> list[list[FrameRef]]:
+    """Return two shots of each scene, band and exposure, where there are as many."""
+    groups: dict[object, list[FrameRef]] = {}
+    for frame in frames:
+        groups.setdefault((frame.band, frame.page, times_of(frame)), []).append(frame)
+    return [group[:2] for group in groups.values()]
 
 
-def _note_bad_bands(context: SensorContext) -> list[str]:
-    bad = [band.label for band in context.sensor.bands if band.bad]
-    if not bad:
-        return []
-    names = ", ".join(bad[:NAMED]) + (" …" if len(bad) > NAMED else "")
-    return [
-        f"{context.camera.name}: {len(bad)} of {len(context.sensor.bands)} bands are bad by the file (bbl: {names}): "
-        "they are flagged as defects, and have no part in registration and colours"
-    ]
+def _sample(frame: FrameRef) -> np.ndarray:
+    """Read a frame; of it, or of a line scan, lines evenly over all, about `SAMPLED` values."""
+    facts = read_facts(frame.path)
+    if facts.kind != "envi":
+        if facts.pages == 1:
+            return read_sample(frame.path, most=SAMPLED)
+        whole = read_cube(frame) if frame.page is None else read_frame(frame.path, page=frame.page)
+        return thin_periods(whole, PERIODS, SAMPLED)
+    from levkas.readers.envi import open_envi
+
+    scan = open_envi(frame.path)
+    lines, samples, bands = scan.facts.shape
+    count = max(1, min(lines, SAMPLED // (samples * bands)))
+    places = np.linspace(0, lines - 1, count).round().astype(int).tolist()
+    return np.concatenate([scan.read_lines(y, y + 1) for y in dict.fromkeys(places)])
 
 
-def _span(values: Sequence[float]) -> str:
-    return f"{min(values):g}" + (f" to {max(values):g}" if len(set(values)) > 1 else "")
-
-
-def _notes_of_files(context: SensorContext) -> list[str]:
-    """Return what readers take otherwise than files state it, each once with the first file and how many there are."""
-    sensor = context.sensor
-    found: dict[str, dict[Path, None]] = {}
-    for frame in (*sensor.object, *sensor.white, *sensor.chart, *sensor.dark):
-        if frame.path.suffix.lower() in RAW_SUFFIXES:
-            continue
-        facts = read_facts(frame.path)
-        unread = facts.pages > 1 and frame.page is None and context.camera.kind != "cube"
-        more = [f"the first of {facts.pages} pages is used, the others are not"] if unread else []
-        if facts.encoded and context.camera.kind != "image":
-            more.append(f"by the file its codes have a tone curve ({facts.encoded}); {AS_LIGHT}")
-        for note in (*facts.notes, *more):
-            found.setdefault(note, {})[frame.path] = None
-    name = context.camera.name
-    return [f"{name}: {note} ({files_named(tuple(paths))})" for note, paths in found.items()]
-
-
-def files_named(paths: Sequence[Path]) -> str:
-    """Return a few files in words.
-
-    >>> files_named([Path("raw/a.tif"), Path("raw/b.tif")])
-    'a.tif and 1 more'
-    """
-    return paths[0].name + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
-
-
-def _doubt_bits(context: SensorContext) -> list[str]:
-    """Whether a few frames, whites above all, look like 8 bits where more are declared."""
-    bits, full = context.camera.bits, context.saturation
-    if bits is None or bits <= 8 or full is None or context.facts.kind == "raw":
-        return []
-    frames = [*spread(context.sensor.object, 3), *spread(context.sensor.white, 3)]
-    return [f"{context.camera.name}: {d}" for d in doubt_codes(map(_glimpse, frames), bits, full)]
-
-
-def _glimpse(frame: FrameRef) -> np.ndarray:
+def glimpse(frame: FrameRef) -> np.ndarray:
     """Read a frame, of a line scan some lines in its middle; where samples may hold nothing the others, in a row."""
     facts = read_facts(frame.path)
     if facts.kind != "envi":
@@ -325,95 +480,6 @@ def _glimpse(frame: FrameRef) -> np.ndarray:
     return values if facts.nodata is None else values[np.isfinite(values)].astype(facts.dtype)
 
 
-SAMPLE = 1 << 20
-FEW_CODES = 1 << 16
-"""Values of every frame whose alignment is looked at."""
-LEAST_LEVELS = 16
-"""Fewer different codes say nothing of their spacing: a dark frame has three."""
-EVEN = 0.9
-"""Of the spacing that 8 bits have when they are stretched; rounding makes some steps shorter."""
-
-
-class CodesRefused(CalibrationRefused):
-    """Frames whose codes do not have the bits that are declared."""
-
-
-def check_codes(values: np.ndarray, path: Path, camera: str, bits: int, full: float | None) -> None:
-    """Refuse a frame that cannot have, or does not keep to, the bits that are declared.
-
-    Parameters
-    ----------
-    values : ndarray
-    path : Path
-    camera : str
-    bits : int
-        Declared.
-    full : float, optional
-        Declared saturation: 4095 · 16 where 12 bits stand at the upper end of 16.
-
-    Raises
-    ------
-    CodesRefused
-        ``E_BITS`` for 8-bit frames where more bits are declared, and for codes beyond both full scales.
-    """
-    if values.dtype.kind not in "ui":
-        return
-    stored = 8 * values.dtype.itemsize
-    if stored < bits and stored == 8:
-        raise CodesRefused(
-            Problem(
-                "E_BITS",
-                f"{camera}: the frame has 8 bits, and {bits} are declared",
-                str(path),
-                f"cameras.{camera}.bits",
-                f"{values.dtype} codes up to {int(values.max(initial=0))}",
-                f"codes of {bits} bits, up to {2**bits - 1}",
-                "Export the frames again in 16 bits; write `bits = 8` only if the camera has no more.",
-            )
-        )
-    most = max(2**bits - 1, full or 0)
-    if (top := int(values.max(initial=0))) > most:
-        raise CodesRefused(
-            Problem(
-                "E_BITS",
-                f"{camera}: codes exceed {bits} bits",
-                str(path),
-                f"cameras.{camera}.bits",
-                top,
-                f"at most {most:g}",
-                f"Write `bits = {top.bit_length()}`. If the {bits} bits are stored in the upper bits "
-                "of a code, write `saturation` in stored codes.",
-            )
-        )
-
-
-def doubt_codes(frames: Iterable[np.ndarray], bits: int, full: float) -> list[str]:
-    """Return what speaks against `bits`, looking at some bright frames of one sensor.
-
-    Examples
-    --------
-    >>> stretched = np.round(np.arange(256) * 4095 / 255).astype(np.uint16)
-    >>> doubt_codes([stretched.reshape(16, 16)], 12, 4095)
-    ['only 256 codes, 16 or more apart: 8 bits were stretched to 12, and the tones between are lost']
-    """
-    codes = [np.unique(thin_rows(values)) for values in frames if values.dtype.kind in "ui"]
-    seen = np.unique(np.concatenate(codes)) if codes else np.empty(0, int)
-    if bits <= 8 or seen.size < LEAST_LEVELS:
-        return []
-    if seen[-1] <= 255:
-        return [
-            f"no code exceeds {int(seen[-1])}, and {bits} bits are declared: the frames may have "
-            "8 bits, or very little light"
-        ]
-    gap = int(np.diff(seen.astype(np.int64)).min())
-    if seen.size <= 256 and gap >= EVEN * full / 255:
-        return [
-            f"only {seen.size} codes, {gap} or more apart: 8 bits were stretched to {bits}, and "
-            "the tones between are lost"
-        ]
-    return []
-
-
 def spread(items: Sequence, count: int) -> list:
     """Return up to `count` items spread over a sequence, none twice.
 
@@ -423,12 +489,6 @@ def spread(items: Sequence, count: int) -> list:
     last = len(items) - 1
     places = {round(i * last / max(count - 1, 1)) for i in range(count)} if items else set()
     return [items[place] for place in sorted(places)]
-
-
-def thin_rows(values: np.ndarray, most: int = SAMPLE) -> np.ndarray:
-    """Whole rows of a frame, about `most` values."""
-    step = max(1, values.size // most)
-    return values[:: min(step, max(values.shape[0] // 8, 1))]
 
 
 Times = float | tuple[float, ...] | None
@@ -447,78 +507,12 @@ def times_of(frame: FrameRef) -> Times:
     return facts.band_times_s or facts.exposure_s
 
 
-def require_exposures(context: SensorContext) -> None:
-    """Refuse a sensor some of whose frames state their exposure, and others do not.
-
-    Raises
-    ------
-    CalibrationRefused
-        E_EXPOSURES; also where no frame states it in a known unit, and the numbers without one differ.
-    """
-    sensor = context.sensor
-    frames = list(dict.fromkeys((*sensor.object, *sensor.white, *sensor.dark)))
-    stated = [frame for frame in frames if times_of(frame) is not None]
-    silent = [frame for frame in frames if times_of(frame) is None]
-    if not silent:
-        return
-    said = {
-        frame: facts.exposure_unclear
-        for frame in silent
-        if (facts := read_facts(frame.path)).exposure_unclear
-    }
-    if not stated and len({said.get(frame) for frame in silent}) == 1:
-        return
-    unclear = [f"{frame.path.name}: {text}" for frame, text in said.items()][:NAMED]
-    found = [f"{frame.path.name}: {_shown(times_of(frame))}" for frame in stated[:NAMED]]
-    found += unclear or [f"{frame.path.name}: nothing" for frame in silent[:NAMED]]
-    what = (
-        "the unit of the exposure is unknown"
-        if unclear
-        else f"only {len(stated)} of {len(frames)} frames state their exposure"
-    )
-    raise CalibrationRefused(
-        Problem(
-            "E_EXPOSURES",
-            f"{context.camera.name}: {what}",
-            str(silent[0].path),
-            "exposure",
-            "; ".join(found),
-            "an exposure for every frame of object, white and dark, or for none",
-            "Put {exposure} with its unit into the names and `files`, or list the files in a `manifest` with exposure_s.",
-        )
-    )
-
-
-def require_black(context: SensorContext) -> None:
-    """Refuse a file whose black levels cannot be understood where they would be subtracted.
-
-    Raises
-    ------
-    CalibrationRefused
-        E_VALUE where there is neither a dark nor a declared black.
-    """
-    unclear = context.facts.black_unclear
-    if unclear is None or context.sensor.dark or context.camera.black is not None:
-        return
-    raise CalibrationRefused(
-        Problem(
-            "E_VALUE",
-            f"{context.camera.name}: the black levels of the file cannot be understood",
-            str(context.facts.path),
-            "BlackLevel",
-            unclear,
-            "levels of every sensel of the frame",
-            f"Capture darks, or write `black` under [cameras.{context.camera.name}] where one number serves.",
-        )
-    )
-
-
 def by_exposure(frames: Sequence[FrameRef]) -> list[tuple[Times, list[FrameRef]]]:
     """Group frames of equal exposure, shortest first."""
     groups: dict[Times, list[FrameRef]] = {}
     for frame in frames:
         groups.setdefault(times_of(frame), []).append(frame)
-    return sorted(groups.items(), key=lambda item: _listed(item[0]))
+    return sorted(groups.items(), key=lambda item: listed(item[0]))
 
 
 def timed(template: Template, times: Times) -> Template:
@@ -540,32 +534,8 @@ def templates_by_exposure(
     return [timed(make(group), times) for times, group in by_exposure(frames)]
 
 
-def doubt_scaling(context: SensorContext, taken: Times, other: Times) -> str:
-    """Say that counts are scaled from the white's time to the object's without a series that shows that they scale."""
-    object_times, white_times = _listed(taken), _listed(other)
-    if not object_times or not white_times:
-        return ""
-    wide = max(len(object_times), len(white_times))
-    pairs = zip(_spread(object_times, wide), _spread(white_times, wide), strict=True)
-    if all(abs(mine / its - 1) <= SAME_TIME for mine, its in pairs):
-        return ""
-    return (
-        f"{context.camera.name}: the white was exposed for {_shown(other)}, the object for "
-        f"{_shown(taken)}; without an exposure series the linearity is unknown"
-    )
-
-
-def _spread(times: tuple[float, ...], bands: int) -> tuple[float, ...]:
-    return times * bands if len(times) == 1 else times
-
-
-def _listed(times: Times) -> tuple[float, ...]:
+def listed(times: Times) -> tuple[float, ...]:
+    """Return the exposures of a frame, s; none where it is not known."""
     if times is None:
         return ()
     return times if isinstance(times, tuple) else (times,)
-
-
-def _shown(times: Times) -> str:
-    if isinstance(times, tuple):
-        return f"{min(times):g} to {max(times):g} s, band by band"
-    return f"{times:g} s" if times is not None else "nothing"

@@ -7,7 +7,7 @@ sums are whole numbers, so the result does not depend on the order of the shots 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -23,6 +23,46 @@ MOST_SHOTS = 65536  # beyond this n² · 65535² no longer fits 64 bits
 
 class CalibrationRefused(Refused):
     """Frames from which no trustworthy values can be had."""
+
+
+class DarkFit(NamedTuple):
+    """How a clipped dark was fitted.
+
+    Parameters
+    ----------
+    variance : ndarray like the dark's mean, float32
+        Of the mean about each sensel's own level, counts².
+    blacks : tuple of float, counts
+        Of each phase of a mosaic, or band of a cube; one of all where bands are many.
+    noise : float, counts
+        Standard deviation of one shot, rounding not included; of a single shot also from sensel to sensel.
+    zeros : float
+        Share of pixels at 0.
+    """
+
+    variance: np.ndarray
+    blacks: tuple[float, ...]
+    noise: float
+    zeros: float
+
+
+@dataclass(frozen=True, eq=False)
+class ShotLevels:
+    """How bright each shot of a stack is, channel by channel: a channel is a phase of the mosaic, and a band of it.
+
+    Parameters
+    ----------
+    levels : ndarray, (shots, channels)
+        Light of each shot over the mean of all; of darks the counts by which each lies above the mean.
+    error : ndarray, (channels,)
+        Standard deviation that noise alone gives to a level; infinite where the stack has no light.
+    times_s : tuple of float, optional
+        When each shot was captured, s from any origin; None where its file does not state it.
+    """
+
+    levels: np.ndarray
+    error: np.ndarray
+    times_s: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -49,6 +89,10 @@ class Template:
         zero for it.
     band_times_s : tuple of float, optional
         Exposure of every band, where a scan has one of its own each; `exposure_s` is None then.
+    fit : DarkFit, optional
+        Of a dark that was clipped at black: `mean` is what `clipped_darks.unclip` makes of it.
+    shots : ShotLevels, optional
+        How bright each shot is; None where nobody measured it.
 
     Examples
     --------
@@ -66,6 +110,8 @@ class Template:
     lost: np.ndarray | None = None
     above_dark: bool = False
     band_times_s: tuple[float, ...] | None = None
+    fit: DarkFit | None = None
+    shots: ShotLevels | None = None
     absent: np.ndarray | None = None
 
     def __post_init__(self) -> None:
@@ -87,7 +133,11 @@ def bands_alike(*templates: Template | None) -> list[np.ndarray] | None:
 
 def pick_bands(template: Template, bands: np.ndarray) -> Template:
     """Return some bands of a template, all of one exposure, as a template of that exposure."""
-    times, variance = template.band_times_s, template.variance
+    times, variance, lost = template.band_times_s, template.variance, template.lost
+    fit = template.fit
+    shots = template.shots
+    if shots is not None:
+        shots = replace(shots, levels=shots.levels[:, bands], error=shots.error[bands])
     lost, absent = template.lost, template.absent
     return replace(
         template,
@@ -99,6 +149,8 @@ def pick_bands(template: Template, bands: np.ndarray) -> Template:
         absent=None if absent is None else absent[..., bands],
         exposure_s=times[bands[0]] if times else template.exposure_s,
         band_times_s=None,
+        fit=None if fit is None else fit._replace(variance=fit.variance[..., bands]),
+        shots=shots,
     )
 
 

@@ -53,20 +53,15 @@ PERFECT = WhiteBoard()
 """A perfect diffuser."""
 
 
-def reflectance_table(
-    reflectance: float | Sequence[float] | np.ndarray,
-    shot: Template,
-    pattern: str | Sequence[Sequence[str]] | None,
-) -> np.ndarray:
+def reflectance_table(board: WhiteBoard, shot: Template) -> np.ndarray:
     """Lay the white's reflectance out as it repeats over the (h, w·b) view of a frame.
 
     Parameters
     ----------
-    reflectance : float or sequence
-        One number, or one for each band of `shot`, or for each channel of `pattern`; > 0.
+    board : WhiteBoard
+        One number, > 0, or one for each band of `shot`, or for each channel of its pattern: in the order of
+        its labels, else as the pattern first shows them.
     shot : Template
-    pattern : str or rows of names, optional
-        Of a mosaic.
 
     Returns
     -------
@@ -77,9 +72,9 @@ def reflectance_table(
     CalibrationRefused
         E_VALUE where the numbers do not fit.
     """
-    known = np.atleast_1d(np.asarray(reflectance, float))
-    if pattern is not None:
-        places = channel_table(pattern)
+    known = np.atleast_1d(np.asarray(board.reflectance, float))
+    if board.pattern is not None:
+        places = channel_table(board.pattern, board.labels)
     else:
         places = np.arange(1 if shot.mean.ndim == 2 else shot.mean.shape[2])[None]
     wanted = int(places.max()) + 1

@@ -19,13 +19,13 @@ from levkas.core.problems import Problem, Refused
 from levkas.core.text import parse_bounded, read_json
 from levkas.database.catalogue import NAME, DatabaseRefused, Entry, read_catalogue
 from levkas.database.integrity import TiffFacts, check_array, check_file, check_tiff, damaged
-from levkas.database.layout import KINDS, LayerId
+from levkas.database.layout import KINDS, SIGMA, LayerId
 from levkas.database.manifest import is_partial, unfinished
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.tiff_pages import open_pages
 
 BESIDE = (KINDS["flags"], KINDS["sigma"])
-OWN = ("quantity", "rendering")
+OWN = ("quantity", "rendering", SIGMA)
 """Facts that flags and sigma do not share with their values."""
 ALIKE = 32
 """Hashes that share more of their 64 digits are one, damaged: by chance they share four."""
@@ -300,6 +300,9 @@ def _check_beside(inventory: Inventory, name: str, facts: TiffFacts) -> Iterator
     """Check that flags and sigma have the shape, the wavelengths and the facts of their values."""
     if _ending(name) != ".tif":
         return
+    sigma = name.removesuffix(".tif") + KINDS["sigma"]
+    if _record(facts).get(SIGMA) and sigma not in inventory.names:
+        yield damaged(inventory.root / sigma, "it is missing", code="E_MISSING")
     for ending in BESIDE:
         other = name.removesuffix(".tif") + ending
         beside = inventory.sound(other)

@@ -16,7 +16,7 @@ from levkas.core.files import remove, together
 from levkas.core.rounding import SIGMA_DROP, is_rounded, round_sigma
 from levkas.database.catalogue import ESTIMATED, MEASURED, Entry
 from levkas.database.credits import Credits
-from levkas.database.layout import LayerId, layer_name
+from levkas.database.layout import SIGMA, LayerId, layer_name
 from levkas.database.preview import write_preview
 from levkas.database.spectral_tiff import TiffHeader, planes_of, write_spectral_tiff
 from levkas.database.store import write_layer_store
@@ -169,8 +169,9 @@ def write_tiffs(
     Also for the native files of single sensors.
     """
     facts = layer.attributes(cube.quantity, cube.bands)
+    of_values = facts_of_values(facts, rendering, sigma=cube.sigma is not None)
     parts: list[tuple[str, np.ndarray, dict[str, Any]]] = [
-        (".tif", cube.values, {**facts, "rendering": rendering} if rendering else facts),
+        (".tif", cube.values, of_values),
         (".flags.tif", cube.flags, {**facts, "quantity": "flags"}),
     ]
     if cube.sigma is not None:
@@ -192,6 +193,12 @@ def write_tiffs(
         write_spectral_tiff(path, planes_of(values), header, threads=threads)
         written.append(path)
     return written
+
+
+def facts_of_values(facts: dict[str, Any], rendering: str, *, sigma: bool) -> dict[str, Any]:
+    """Return what the values say of themselves beyond what flags and sigma say too."""
+    more: dict[str, Any] = {"rendering": rendering} if rendering else {}
+    return {**facts, **more, **({SIGMA: True} if sigma else {})}
 
 
 def centres_of(bands: Sequence[Band], centroids: Mapping[str, float] | None = None) -> list[float]:

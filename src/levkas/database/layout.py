@@ -8,6 +8,8 @@ from pathlib import Path
 KINDS = {"values": ".tif", "flags": ".flags.tif", "sigma": ".sigma.tif"}
 """Arrays of a Zarr layer, and the endings of the TIFFs that hold the same numbers."""
 
+SIGMA = "sigma"
+"""Among the facts of values: true where a sigma belongs to them, so that a missing one is noticed."""
 ESTIMATE = ".estimate.json"
 """Ending of the record of what an estimated layer was made of."""
 

@@ -19,7 +19,7 @@ from levkas.core.problems import Problem
 from levkas.core.text import parse_bounded
 from levkas.database.catalogue import NAME, DatabaseRefused, Entry, read_catalogue
 from levkas.database.containment import check_inside, check_plain_names
-from levkas.database.layout import KINDS, LayerId, layer_name
+from levkas.database.layout import KINDS, SIGMA, LayerId, layer_name
 from levkas.database.lazy_array import LazyArray, TiffPixels, ZarrArray, is_described
 from levkas.database.remote import is_remote, place
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
@@ -129,10 +129,7 @@ class Object(Mapping[Any, "LayerArray"]):
 
     def sigma(self, camera: str, setup: str = "") -> LayerArray | None:
         """Return sigma of a layer, float32 (y, x, band), or None where it is not known."""
-        try:
-            return self._layer((camera, setup), "sigma")
-        except DatabaseRefused:
-            return None
+        return self._layer((camera, setup), "values").sigma
 
     def position_sigma(
         self, camera: str, band: str | None = None, setup: str = ""
@@ -184,6 +181,14 @@ class Origin:
     layer: LayerId
     selections: tuple[tuple[str, dict[str, Any]], ...] = field(default=())
 
+    @property
+    def has_sigma(self) -> bool:
+        """Whether the values state that they have a sigma, or something of one is there."""
+        group, tiff = self.path / self.layer.group, self.path / (self.layer.path + KINDS["sigma"])
+        if replace(self, selections=()).open("values").attrs.get(SIGMA):
+            return True
+        return is_described(group / "sigma") or tiff.is_file() or (group / "sigma").is_dir()
+
     def open(self, kind: str) -> LayerArray:
         """Open the values, flags or sigma of the layer, selected as the array was."""
         group = self.path / self.layer.group
@@ -215,11 +220,11 @@ class LayerArray(xarray.DataArray):
 
     @property
     def sigma(self) -> LayerArray | None:
-        """One standard deviation of these pixels' random part; None where it is not known."""
-        try:
-            return self._beside.open("sigma")
-        except DatabaseRefused:
-            return None
+        """One standard deviation of these pixels' random part; None where it is not known.
+
+        Raises DatabaseRefused or TiffRefused where the layer has one that is damaged or missing.
+        """
+        return self._beside.open("sigma") if self._beside.has_sigma else None
 
     def transform(self, source: str, target: str) -> FrameMap:
         """Return the map between two frames of pixels of the object; ``grid`` means the pixels of this array.

@@ -18,6 +18,7 @@ import numpy as np
 from levkas.core.cube import Band, Cube, Flag
 from levkas.core.files import Folder, publishing, write_changed
 from levkas.core.json_safe import to_json
+from levkas.database.layout import SIGMA
 from levkas.database.manifest import is_partial, list_files
 
 if TYPE_CHECKING:
@@ -158,7 +159,7 @@ def writing_layer(
         group = zarr.create_group(_store(folder), zarr_format=3)
         facts = {k: v for k, v in attributes.items() if v is not None}
         kinds: dict[str, tuple[Any, Any, Mapping[str, Any]]] = {
-            "values": (np.float32, nan, facts),
+            "values": (np.float32, nan, {**facts, **({SIGMA: True} if sigma else {})}),
             "flags": (np.uint8, int(Flag.OUTSIDE), flag_attributes()),
             "sigma": (np.float32, nan, {"long_name": "one standard deviation of the random part"}),
         }

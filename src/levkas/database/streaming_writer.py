@@ -20,7 +20,14 @@ import numpy as np
 from levkas.colour.srgb import counts_white, find_rendering
 from levkas.core.files import replacing, spooling, together
 from levkas.database.catalogue import Entry
-from levkas.database.layers import Layer, centres_of, describe_bands, entry_of_layer, rounded
+from levkas.database.layers import (
+    Layer,
+    centres_of,
+    describe_bands,
+    entry_of_layer,
+    facts_of_values,
+    rounded,
+)
 from levkas.database.preview import write_preview
 from levkas.database.spectral_tiff import (
     GROUP,
@@ -272,7 +279,7 @@ class SpooledTiffs:
         """Write the files and return them; raises WriteRefused."""
         facts = layer.attributes(quantity, bands)
         more = {
-            "values": {**facts, "rendering": rendering} if rendering else facts,
+            "values": facts_of_values(facts, rendering, sigma="sigma" in self._kinds),
             "flags": {**facts, "quantity": "flags"},
             "sigma": {**facts, "quantity": f"sigma of {quantity}"},
         }

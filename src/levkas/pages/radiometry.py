@@ -37,6 +37,10 @@ class RadiometryRow:
     noise_median: float | None = None
 
 
+SHOWN_LAMP = 0.001
+"""Standard deviation of the lamp between white and object, relative, from which a report gives it."""
+
+
 def describe_layer(
     name: str, calibrated: Mapping[str, Any], resampled: Mapping[str, Any]
 ) -> RadiometryRow | None:
@@ -140,7 +144,9 @@ def _light(learnt: Mapping[str, Any]) -> str:
     levels = [f["uniformity"] for f in fields if "uniformity" in f]
     if not levels:
         return fields[0]["refused"] if fields else "–"
-    return f"{100 * min(levels):.0f} % of the brightest"
+    lamp = [one["sigma"] for told in learnt.values() for one in told.get("lamp", {}).values()]
+    known = f"; lamp ± {100 * max(lamp):.2g} %" if lamp and max(lamp) >= SHOWN_LAMP else ""
+    return f"{100 * min(levels):.0f} % of the brightest{known}"
 
 
 def _notes_of_range(

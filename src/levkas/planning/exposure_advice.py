@@ -11,11 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from levkas.calibration.full_scale import FullScale
 from levkas.calibration.noise_fit import NoiseModel, fit_noise, fit_noise_single
 from levkas.calibration.noise_model import Sensor
 from levkas.calibration.patterns import channel_names, channel_table, split
 from levkas.calibration.templates import Template
 from levkas.core.problems import Problem, Refused
+from levkas.planning.campaign_frames import files_of, not_known, scale_of, split_sensors, stack_of
 from levkas.planning.exposure_levels import (
     Advice,
     Reading,
@@ -25,14 +27,6 @@ from levkas.planning.exposure_levels import (
     read_channel,
     safe_mean,
     snr_at,
-)
-from levkas.planning.full_scale import (
-    FullScale,
-    files_of,
-    find_full_scale,
-    not_known,
-    split_sensors,
-    stack_of,
 )
 from levkas.quality.emva1288.blocks import block_statistics
 from levkas.readers.frames import Facts, read_facts
@@ -167,7 +161,7 @@ def advise_frames(
     black : float, optional
         Counts; default that of the campaign that the frames belong to, else the file's own, else 0.
     bits, saturation : int, float, optional
-        Bits of the converter, or counts at which a sensel is full; default as `find_full_scale` finds it.
+        Bits of the converter, or counts at which a sensel is full; default as `campaign_frames.scale_of` finds it.
     exposure_s : float, optional
         Of every frame, where neither names (25ms, 0.5s) nor headers hold it.
     is_white : bool
@@ -228,19 +222,23 @@ def _advise_sensor(
     """Advise from the frames of one sensor; `rows` are the channels that its campaign names."""
     facts = read_facts(files[0])
     dim = gather_shots(darks, np.inf, None)
-    scale = find_full_scale(files, facts, bits=given.bits, saturation=given.saturation)
+    scale = scale_of(
+        files, facts, bits=given.bits, saturation=given.saturation, white=given.is_white
+    )
     if scale is None:
         raise NoAdvice(not_known(files[0], facts))
     level = next((b for b in (given.black, scale.black, facts.black) if b is not None), 0.0)
     pattern = given.pattern or rows or facts.pattern
     bands: dict[tuple[float, str], list[Shot]] = {}
-    for shot in gather_shots(files, scale.counts, given.exposure_s):
-        _check_bits(shot, scale, str(files[0]))
+    for shot in gather_shots(files, scale.full.counts, given.exposure_s):
+        _check_bits(shot, scale.full, str(files[0]))
         bands.setdefault((shot.wavelength, shot.name), []).append(shot)
     order = sorted(
         bands, key=lambda key: (isnan(key[0]), key[0] if key[0] == key[0] else 0, key[1])
     )
-    return [_coach_band(bands[key], dim, level, scale, pattern, given.is_white) for key in order]
+    return [
+        _coach_band(bands[key], dim, level, scale.full, pattern, given.is_white) for key in order
+    ]
 
 
 class WhiteLevels(NamedTuple):

@@ -12,8 +12,8 @@ import numpy as np
 from levkas.calibration.templates import Template
 from levkas.core.problems import Problem, Refused, unknown_name
 from levkas.core.text import counted
+from levkas.planning.campaign_frames import files_of, not_known, scale_of, stack_of
 from levkas.planning.framing import plan_framing
-from levkas.planning.full_scale import files_of, find_full_scale, not_known, stack_of
 from levkas.planning.lamp_fit import SPREAD, FittedLamps, fit_lamps
 from levkas.planning.loading import load_setup
 from levkas.planning.setup import StudioSetup, drop, illuminate
@@ -291,10 +291,10 @@ def average_whites(
             )
         )
     facts = read_facts(files[0])
-    scale = find_full_scale(files, facts, bits=bits, saturation=saturation)
+    scale = scale_of(files, facts, bits=bits, saturation=saturation, white=True)
     if scale is None and np.dtype(facts.dtype).kind in "ui":
         raise WhiteRefused(not_known(files[0], facts))
-    full = scale.counts if scale else None
+    full = scale.full.counts if scale else None
     stack = stack_of(files, saturation=full)
     if not darks:
         levels = (black, scale.black if scale else None, facts.black)

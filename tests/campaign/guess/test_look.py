@@ -234,11 +234,20 @@ def test_twelve_bits_at_the_upper_end_of_sixteen_have_their_saturation(folder):
 
 def test_dim_frames_leave_the_bits_open(folder):
     folder.write("dark/550nm.tif", folder.rng.normal(64, 2, (60, 80)))
-    folder.write("icon/550nm.tif", 100 + 600 * scene())
+    folder.write("icon/550nm.tif", 100 + 600 * scene() + folder.rng.normal(0, 2, (60, 80)))
     proposal = look(folder.root)
     (camera,) = proposal.to_dict()["cameras"].values()
     assert "bits" not in camera
     assert any("bit depth" in text for text in proposal.unknown)
+
+
+def test_codes_that_pile_up_below_the_bits_are_the_saturation(folder):
+    folder.write("dark/550nm.tif", folder.rng.normal(64, 2, (60, 80)))
+    white = 4200 * (1 - 0.3 * np.linspace(-1, 1, 80) ** 2) + folder.rng.normal(0, 30, (60, 80))
+    folder.write("white/550nm.tif", white.clip(0, 3600))
+    folder.write("icon/550nm.tif", 100 + 3000 * scene() + folder.rng.normal(0, 20, (60, 80)))
+    (camera,) = look(folder.root).to_dict()["cameras"].values()
+    assert (camera["bits"], camera["saturation"]) == (12, 3600)
 
 
 def test_pages_are_bands_and_exposures_are_chosen_from(folder):

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from levkas.calibration.clipped_darks import fit_clipped_dark, is_clipped
 from levkas.calibration.code_spacing import count_codes, find_levels
+from levkas.calibration.drift import CellMeans, measure_drift
 from levkas.calibration.noise_model import Sensor
 from levkas.calibration.templates import CalibrationRefused, average
-from levkas.quality.emva1288.blocks import Blocks, CellMeans, block_statistics, measure_drift
-from levkas.quality.emva1288.darks import Dark, fit_clipped_dark, is_clipped
+from levkas.quality.emva1288.blocks import Blocks, block_statistics
+from levkas.quality.emva1288.darks import Dark
 from levkas.quality.emva1288.photon_transfer import measure_sensor
 from levkas.simulation.capture import expose, fixed_pattern, key
 

@@ -104,6 +104,35 @@ def test_corners_of_something_else_are_refused_in_every_order():
     assert refused.value.problems[0].code == "E_CHART_ORDER"
 
 
+UNKNOWN = np.full(4, np.nan)
+
+
+def infrared_chart():
+    """Bands that nobody knows, of which none ranks the paints as the eye does."""
+    return scene(wavelengths=np.array([690.0, 700.0, 710.0, 730.0]))
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2])
+def test_channels_that_nobody_knows_may_be_infrared_and_know_the_greys(turn):
+    named = np.roll(true_corners(), turn, axis=0)
+    found = locate_chart(infrared_chart(), UNKNOWN, CLASSIC, reference_of(CLASSIC), corners=named)
+    np.testing.assert_allclose(found.corners, true_corners())
+    assert found.agreement > 0.99 and not found.unfit.any()
+
+
+def test_corners_of_something_else_are_refused_by_channels_that_nobody_knows():
+    refused = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        other = np.kron(rng.uniform(0.1, 0.9, (12, 16, 4)), np.ones((25, 25, 1)))
+        try:
+            locate_chart(other, UNKNOWN, CLASSIC, reference_of(CLASSIC), corners=true_corners())
+        except ChartRefused as error:
+            problem = error.problems[0]
+            refused += problem.code == "E_CHART_ORDER" and "capture a white" in problem.fix
+    assert refused >= 19
+
+
 def test_a_band_that_leaks_is_named_and_the_others_are_used():
     leaking = scene()
     leaking[..., 0] = 0.15 * leaking[..., 0] + 0.85 * leaking[..., -1]

@@ -10,7 +10,6 @@ import numpy as np
 from levkas.campaign.guess.groups import CameraGroup
 from levkas.campaign.guess.names import NamedFile
 from levkas.campaign.guess.pixels import (
-    CLIPPED,
     MOST_SAMPLED,
     GuessedMosaic,
     Samples,
@@ -20,6 +19,8 @@ from levkas.campaign.guess.pixels import (
     spread,
 )
 
+CLIPPED = 20
+"""Samples at a frame's highest code from which on it shows a mosaic less well than one without."""
 DARK_SHARE = 0.08
 """A dark's 99th percentile is below this share of the brightest level that any target reaches."""
 EVEN_DARK = 0.04

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import isnan
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,9 +16,12 @@ from levkas.campaign.guess.appearance import mosaic_behind_filters, mosaic_of, t
 from levkas.campaign.guess.band_names import Question
 from levkas.campaign.guess.groups import CameraGroup, FilePatterns, find_patterns, safe_name
 from levkas.campaign.guess.names import NamedFile
-from levkas.campaign.guess.pixels import CLIPPED, MOST_SAMPLED, Samples, bits_of
+from levkas.campaign.guess.pixels import MOST_SAMPLED, Samples, bits_of
 from levkas.core.text import counted
 from levkas.readers.spectra import parse_spectra
+
+if TYPE_CHECKING:
+    from levkas.calibration.full_scale import FullScale
 
 LISTED = 6
 """Values that a question names."""
@@ -322,8 +325,11 @@ def _steps(wavelengths: Sequence[float]) -> object:
 def _scale_keys(group: CameraGroup, samples: Samples, notes: CameraNotes) -> dict[str, Guess]:
     """Bits of a code, where fewer are used than stored."""
     facts = group.frames[0].facts
-    if facts.dtype != "uint16" or facts.kind == "raw" or facts.saturation:
+    if facts.dtype != "uint16" or facts.kind == "raw":
         return {}
+    full = samples.full_scale(group)
+    if facts.saturation:
+        return _full_keys(full, facts.saturation)
     found = [
         statistics
         for role in ("white", "object", "chart")
@@ -332,25 +338,32 @@ def _scale_keys(group: CameraGroup, samples: Samples, notes: CameraNotes) -> dic
     if not found:
         return {}
     top, step = max(s.top for s in found), int(np.gcd.reduce([s.step for s in found]))
-    count = sum(s.top_count for s in found if s.top == top)
     bits = bits_of(top, step)
     if step > 1:
-        if top < BRIGHT * 65536:
+        if top < BRIGHT * 65536 and not full:
             notes.hints.append(
                 f"saturation = {65536 - step}  # codes are multiples of {step}; highest seen {top}"
             )
             return {}
         why = f"{bits} bits stored in the upper bits of 16: every code is a multiple of {step}"
-        return {"saturation": Guess(65536 - step, why)}
+        return _full_keys(full, 65536 - step) or {"saturation": Guess(65536 - step, why)}
     if bits == 16:
-        return {}
-    if count >= CLIPPED and top >= (1 << bits) - 1 - (1 << bits) // 50:
-        return {"bits": Guess(bits, f"{count} of the samples read reach {top} and no more")}
+        return _full_keys(full, 65535)
+    if full:
+        why = f"the codes of some frames pile up at {full.counts:g}"
+        return {"bits": Guess(bits, why), **_full_keys(full, 2**bits - 1)}
     if bits >= 12 and top > BRIGHT * (1 << bits):
         return {"bits": Guess(bits, f"highest code in the frames read: {top}")}
     notes.hints.append(f"bits = {max(bits, 12)}  # highest code in the frames read: {top}")
     notes.unknown.append(f"the bit depth: 16 bits are stored, the highest code is {top}")
     return {}
+
+
+def _full_keys(full: FullScale | None, stated: float) -> dict[str, Guess]:
+    """Return the full scale that frames show, where it is below the one that is stated."""
+    if full is None or full.counts >= stated:
+        return {}
+    return {"saturation": Guess(int(full.counts), f"the sensor is full there: {full.source}")}
 
 
 def _exposure_keys(group: CameraGroup, files: FilePatterns) -> dict[str, Guess]:

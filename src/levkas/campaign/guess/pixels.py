@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from levkas.calibration.full_scale import SceneShots, find_full_scale
+from levkas.calibration.patterns import thin_periods
 from levkas.campaign.guess.detail import (
     Detail,
     compare_detail,
@@ -19,6 +21,8 @@ from levkas.campaign.guess.detail import (
 from levkas.core.problems import Refused
 
 if TYPE_CHECKING:
+    from levkas.calibration.full_scale import FullScale
+    from levkas.campaign.guess.groups import CameraGroup
     from levkas.campaign.guess.listing import CaptureFile
     from levkas.campaign.guess.names import NamedFile
 
@@ -36,8 +40,8 @@ LONG_NM, MIDDLE_NM, SHORT_NM = (600.0, 720.0), (510.0, 570.0), (380.0, 480.0)
 T = TypeVar("T")
 MOST_SAMPLED = 6
 """Frames of one kind that are decoded."""
-CLIPPED = 20
-"""Samples at the highest code from which on it is taken for the sensor's end."""
+BLOCK, MOST_CODES = 60, 1 << 17
+"""Rows that are taken together, whole mosaics', and values of a frame by which the full scale is looked for."""
 SHOWN = 0.3
 """Share of a frame's tiles with structure from which it shows an object: whites and darks have 0 to 0.25."""
 LINES = 64
@@ -368,6 +372,7 @@ class Samples:
 
     def __init__(self) -> None:
         self._known: dict[Path, Statistics | None] = {}
+        self._codes: dict[Path, np.ndarray] = {}
         self._details: dict[Path, Detail | None] = {}
         self.refused: dict[str, str] = {}
 
@@ -375,7 +380,9 @@ class Samples:
         """Return the statistics of one frame; None where it cannot be decoded."""
         if capture.path not in self._known:
             try:
-                self._known[capture.path] = describe_pixels(_plane(capture))
+                plane = _plane(capture)
+                self._known[capture.path] = describe_pixels(plane)
+                self._codes[capture.path] = thin_periods(plane, BLOCK, MOST_CODES)
             except Refused as refused:
                 self._known[capture.path] = None
                 self.refused[capture.name] = str(refused.problems[0])
@@ -421,6 +428,22 @@ class Samples:
         """Return the statistics of up to `count` frames, spread over all."""
         found = (self.of(frame.file) for frame in spread(frames, count))
         return [statistics for statistics in found if statistics is not None]
+
+    def full_scale(self, group: CameraGroup) -> FullScale | None:
+        """Return the counts at which frames of a camera pile up; None where they do not."""
+        looked = {
+            role: [
+                self._codes[frame.file.path]
+                for frame in spread(group.of_role(role), MOST_SAMPLED)
+                if self.of(frame.file) is not None
+            ]
+            for role in ("object", "chart", "white", "dark")
+        }
+        dark = looked.pop("dark")
+        lit = [
+            SceneShots([codes], role == "white") for role, some in looked.items() for codes in some
+        ]
+        return find_full_scale(lit, dark, period=BLOCK)
 
     def spectrum_of(self, capture: CaptureFile) -> np.ndarray | None:
         """Return the mean level of each band of some lines of a cube, (bands,); None where it cannot be read."""

@@ -7,9 +7,9 @@ from math import log2, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from levkas.calibration.drift import Drift
 from levkas.calibration.linearity import Linearity
 from levkas.core.problems import Problem
-from levkas.quality.emva1288.blocks import Drift
 from levkas.quality.emva1288.facts import FrameFacts, describe_levels, facts_table
 from levkas.quality.emva1288.photon_transfer import Bound, Interval, PhotonTransfer
 

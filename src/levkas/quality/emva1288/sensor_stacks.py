@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.calibration.clipped_darks import DarkLevel, fit_clipped_dark, is_clipped
 from levkas.calibration.code_spacing import Levels
+from levkas.calibration.drift import Drift
 from levkas.calibration.linearity import Linearity
 from levkas.calibration.patterns import channel_table, split
-from levkas.calibration.sensor_context import SensorContext, exposure_of
+from levkas.calibration.sensor_context import SHOTS, SensorContext, exposure_of
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.quality.emva1288.blocks import Blocks, Drift, block_statistics
-from levkas.quality.emva1288.darks import Dark, DarkLevel, fit_clipped_dark, is_clipped, model_darks
+from levkas.quality.emva1288.blocks import Blocks, block_statistics
+from levkas.quality.emva1288.darks import Dark, model_darks
 
 if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import FrameRef
@@ -114,13 +116,20 @@ def _clipped_dark(
     sensor: SensorStacks, shots: Sequence[FrameRef], time: float | None
 ) -> dict[str, Dark]:
     """Fit a clipped dark as censored; leave it out, with a note, where the fit is refused."""
-    frames = list(sensor.bench.read(shots[:4]))
+    frames = list(sensor.bench.read(shots[:SHOTS]))
     rows = max(1, min(frames[0].shape[0], MOST_CLIPPED // max(1, frames[0].shape[1])))
+    return fit_clipped(sensor, _channels([f[:rows] for f in frames], sensor.bench), time)
+
+
+def fit_clipped(
+    sensor: SensorStacks, channels: Mapping[str, Sequence[np.ndarray]], time: float | None
+) -> dict[str, Dark]:
+    """Fit the clipped codes of each channel, frame by frame, with a note; nothing where that is refused."""
     where = f"darks of {time:g} s" if time else "darks"
     found: dict[str, DarkLevel] = {}
-    for channel, planes in _channels([f[:rows] for f in frames], sensor.bench).items():
+    for channel, planes in channels.items():
         try:
-            found[channel] = fit_clipped_dark(planes)
+            found[channel] = fit_clipped_dark(planes, step=sensor.bench.step or 1.0)
         except CalibrationRefused as refused:
             problem = refused.problems[0]
             if not any(problem.message in note for note in sensor.notes):

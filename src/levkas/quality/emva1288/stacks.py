@@ -14,18 +14,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.calibration.agreement import compare_facts
+from levkas.calibration.clipped_darks import is_clipped, pairs_of_lines
 from levkas.calibration.code_spacing import MOST_CODES, count_codes, find_levels
+from levkas.calibration.drift import CellMeans, Drift, measure_drift
 from levkas.calibration.linearity import RECIPROCAL, Linearity, check_linearity
 from levkas.calibration.sensor_context import SensorContext, exposure_of, read_cube
 from levkas.calibration.templates import Template, average
 from levkas.quality.emva1288.blocks import (
     SIDE,
     Blocks,
-    CellMeans,
-    Drift,
     block_statistics,
     cut_blocks,
-    measure_drift,
     pair_blocks,
 )
 from levkas.quality.emva1288.darks import Dark, model_darks
@@ -33,6 +32,7 @@ from levkas.quality.emva1288.sensor_stacks import (
     Key,
     SensorStacks,
     by_exposure,
+    fit_clipped,
     level_under,
     measure_dark,
     put_black,
@@ -196,10 +196,8 @@ def gather_lines(sensor: SensorStacks, frames: SensorFrames) -> None:
     repeats: the sensels of (sample, band) are the same in both.
     """
     mirror = sensor.bench.camera.scan == "mirror"
-    for shots in by_exposure(frames.dark).values():
-        stack, side, _ = _averaged(sensor, shots)
-        found = block_statistics(stack, clipped=True, side=side)[""]
-        sensor.darks.setdefault(CHANNEL, []).append(Dark.of_blocks(found))
+    for (_, time), shots in by_exposure(frames.dark).items():
+        sensor.darks.setdefault(CHANNEL, []).append(_dark_of(sensor, shots, time))
     for (_, time), shots in by_exposure(frames.white).items():
         stack, side, light = _averaged(sensor, shots)
         level = level_under(sensor, None, time)
@@ -218,6 +216,18 @@ def gather_lines(sensor: SensorStacks, frames: SensorFrames) -> None:
         if mirror
         else "line scanner: every line is a shot; texture of the white board counts as noise"
     )
+
+
+def _dark_of(sensor: SensorStacks, shots: Sequence[FrameRef], time: float | None) -> Dark:
+    """Reduce the dark of one exposure; one that was clipped is fitted, where enough of it is above zero."""
+    cube = read_cube(shots[0])
+    pairs = [cube[y].ravel() for y in pairs_of_lines(*cube.shape[:2])]
+    if pairs[0].dtype.kind == "u" and is_clipped(np.concatenate(pairs)):
+        fitted = fit_clipped(sensor, {CHANNEL: pairs}, time)
+        if fitted:
+            return fitted[CHANNEL]
+    stack, side, _ = _averaged(sensor, shots)
+    return Dark.of_blocks(block_statistics(stack, clipped=True, side=side)[""])
 
 
 def _averaged(sensor: SensorStacks, shots: Sequence[FrameRef]) -> tuple[Template, int, CellMeans]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
 
 LEAST_AGREEMENT = 0.9
 """Rank correlation of a band's patches with the published ones; a band below it sees another light than it says."""
+LEAST_OF_ALL = 0.3
+"""The same of all patches in a band that knows the greys alone: paints in the infrared reach 0.4 to 0.7."""
 LONG_SIDES = (900, 1400, 2000)
 """Sizes, px, at which the detector is tried: it wants patches 30 px apart or more."""
 STEPS = (0.1, 0.05, 0.02)
@@ -102,34 +106,43 @@ def locate_chart(
     place_patches(found, chart, size)
     # Grey pictures do not say which way up a chart lies, and corners are easily named in another
     # order; the patches tell.
-    ways = []
-    for way, turned in zip(turned_corners(found), TURNS, strict=True):
-        try:
-            ways.append(_located(values, way, wavelengths, chart, reference, turned))
-        except ChartRefused:  # turned by a right angle, the patches are too narrow to be sampled
-            continue
-    best = max(ways, key=lambda way: (np.count_nonzero(way.fits), way.agreement))
-    if known and best.agreement < ways[0].agreement + TIED:
-        best = ways[0]
+    compare = partial(rank_agreement, wavelengths=wavelengths, chart=chart, reference=reference)
+    best = _best_way(values, found, chart, compare, known=known)
+    if best.agreement < LEAST_AGREEMENT and np.isnan(wavelengths).all():
+        # Channels that nobody knows may be infrared, where paints look otherwise.
+        compare = partial(grey_agreement, chart=chart)
+        best = _best_way(values, found, chart, compare, known=known)
     if not best.agreement >= LEAST_AGREEMENT:
         raise ChartRefused(_disagrees(best.agreement, chart, known))
     if known:
         return best
-    refined = refine_corners(values, best.corners, chart)
-    return _located(values, refined, wavelengths, chart, reference)
+    return _located(values, refine_corners(values, best.corners, chart), chart, compare)
+
+
+Compare = Callable[[np.ndarray], tuple[float, np.ndarray]]
+"""From means of patches, (n, bands), to how well they rank, of all and of each band."""
+
+
+def _best_way(
+    values: np.ndarray, corners: np.ndarray, chart: Chart, compare: Compare, *, known: bool
+) -> Located:
+    """Return the order of four corners in which the patches agree best; those that were given where none is better."""
+    ways = []
+    for way, turned in zip(turned_corners(corners), TURNS, strict=True):
+        try:
+            ways.append(_located(values, way, chart, compare, turned))
+        except ChartRefused:  # turned by a right angle, the patches are too narrow to be sampled
+            continue
+    best = max(ways, key=lambda way: (np.count_nonzero(way.fits), way.agreement))
+    return ways[0] if known and best.agreement < ways[0].agreement + TIED else best
 
 
 def _located(
-    values: np.ndarray,
-    corners: np.ndarray,
-    wavelengths: np.ndarray,
-    chart: Chart,
-    reference: ChartReference | None,
-    turned: str = "",
+    values: np.ndarray, corners: np.ndarray, chart: Chart, compare: Compare, turned: str = ""
 ) -> Located:
     areas = place_patches(corners, chart, (values.shape[1], values.shape[0]))
     means = patch_means(values, areas)
-    agreement, bands = rank_agreement(means, wavelengths, chart, reference)
+    agreement, bands = compare(means)
     return Located(corners, areas, agreement, means, bands, turned)
 
 
@@ -181,8 +194,8 @@ def _disagrees(agreement: float, chart: Chart, known: bool) -> Problem:
         found=f"rank correlation {agreement:.2f} of its patches with the published ones, the best of bands",
         expected=f"{LEAST_AGREEMENT} or more in a band, in any order of the corners",
         fix=(
-            "Give the centres of the four corner patches: dark skin, bluish green, black, white "
-            "of the Classic."
+            "Check on the picture that these are the centres of its four corner patches, in any order round the "
+            f"chart, and that it is a {chart.name} without glare or shadow. Else capture it again, or capture a white."
             if known
             else "Give its four corners with --corners x,y,x,y,x,y,x,y, or capture the chart "
             "flat, whole and free of glare."
@@ -253,14 +266,24 @@ def rank_agreement(
         return float(np.mean(bands[fit]) if fit.any() else np.nanmax(bands)), bands
     if reference is not None and len(wavelengths) and np.isfinite(wavelengths).all():
         # All bands lie beyond what is published, where paints look otherwise: only greys stay grey.
-        greys = list(chart.greys)
-        found = [_rank_correlation(column[greys], chart.luminances[greys]) for column in means.T]
-        return max(found), bands
+        return grey_agreement(means, chart)
     # Infrared channels see other things than the eye does: the best of channels and mean.
     tried = [means.mean(1), *means.T]
     if means.shape[1] == 3:
         tried.append(means @ SRGB_TO_XYZ[1])
     return max(_rank_correlation(column, chart.luminances) for column in tried), bands
+
+
+def grey_agreement(means: np.ndarray, chart: Chart) -> tuple[float, np.ndarray]:
+    """Return the rank correlation of the grey patches with their luminances, the median of bands, and NaN for each band.
+
+    -1 where the other patches have nothing to do with the chart's: six greys rank rightly by chance now and then.
+    """
+    greys, luminances = list(chart.greys), chart.luminances
+    found = [_rank_correlation(column[greys], luminances[greys]) for column in means.T]
+    whole = max(_rank_correlation(column, luminances) for column in means.T)
+    agreement = float(np.median(found)) if whole > LEAST_OF_ALL else -1.0
+    return agreement, np.full(means.shape[1], np.nan)
 
 
 def seen_instead(column: np.ndarray, reference: ChartReference) -> tuple[float, float]:

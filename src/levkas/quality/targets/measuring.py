@@ -65,6 +65,7 @@ class Sighting:
     """Of a finished photograph, whose values are light by it."""
     edges: tuple[EdgePlace, ...] = ()
     """Slanted edges that were named; without them the borders of grey patches are looked at."""
+    common: np.ndarray | None = None
 
 
 def decode_sighting(seen: Sighting, chart: Chart, top: float) -> Sighting:
@@ -92,6 +93,7 @@ def decode_sighting(seen: Sighting, chart: Chart, top: float) -> Sighting:
         shots=shots,
         steps=curve.steps(means, round(top)),
         curve=curve,
+        common=None,
     )
 
 
@@ -272,16 +274,7 @@ def measure(
 
 def _join_tables(seen: Sequence[Sighting]) -> PatchTable:
     """Measure the patches in the cube of every sensor; return them over all bands."""
-    tables = [
-        measure_patches(
-            *(s.cube.values, s.cube.flags, s.located.areas),
-            shots=s.shots,
-            steps=s.steps,
-            count=s.count,
-            pattern=s.pattern,
-        )
-        for s in seen
-    ]
+    tables = [_patches_of(one) for one in seen]
     mean, noise, saturated, quantised = (
         np.concatenate([getattr(t, part) for t in tables], 1)
         for part in ("mean", "noise", "saturated", "quantised")
@@ -356,6 +349,17 @@ def _unknown_bands(bands: Sequence[Band], reference: ChartReference | None) -> l
                 "comparison; give a CSV that covers this range"
             )
     return said
+
+
+def _patches_of(seen: Sighting) -> PatchTable:
+    return measure_patches(
+        *(seen.cube.values, seen.cube.flags, seen.located.areas),
+        shots=seen.shots,
+        steps=seen.steps,
+        count=seen.count,
+        pattern=seen.pattern,
+        common=seen.common,
+    )
 
 
 def _preblurs(seen: Sighting) -> list[Preblur | None]:

@@ -76,6 +76,7 @@ def measure_patches(
     steps: np.ndarray | Sequence[float] | None = None,
     count: int = 1,
     pattern: np.ndarray | None = None,
+    common: np.ndarray | None = None,
 ) -> PatchTable:
     """Measure every patch in every band.
 
@@ -96,6 +97,8 @@ def measure_patches(
     pattern : ndarray, (rows, columns), int, optional
         Band of each sensel of a mosaic. Noise is then that of the sensels which measured a band:
         the mean of neighbours, which lies between them, has less.
+    common : ndarray like `values`, optional
+        Variance that both halves of `shots` share and their difference does not show: of white and dark.
 
     Notes
     -----
@@ -136,6 +139,9 @@ def measure_patches(
                 continue
             spread = spread_about_plane(noisy[use, band], rows[use], columns[use])
             noise[i, band], quantised[i, band] = _rounded(spread, coarse[i, band], count)
+            if common is not None and shots is not None:
+                more = float(np.nanmean(common[rows[use], columns[use], band]))
+                noise[i, band] = np.sqrt(noise[i, band] ** 2 + max(more, 0.0))
     return PatchTable(mean, noise, saturated, pixels, shots is not None, quantised)
 
 

@@ -1,8 +1,13 @@
 import numpy as np
 import pytest
 
-from levkas.calibration.templates import CalibrationRefused
-from levkas.quality.emva1288.darks import fit_clipped_dark, is_clipped
+from levkas.calibration.clipped_darks import (
+    fit_clipped_dark,
+    is_clipped,
+    pairs_of_lines,
+    unclip,
+)
+from levkas.calibration.templates import CalibrationRefused, average
 
 
 def darks(black, noise, fixed, count=2, seed=1, hot=60):
@@ -64,3 +69,44 @@ def test_real_darks_of_an_eight_bit_camera_are_refused(real_data):
     assert is_clipped(frames[0])
     with pytest.raises(CalibrationRefused):
         fit_clipped_dark(frames)
+
+
+def unclipped(offset, noise, count, seed=2):
+    rng = np.random.default_rng(seed)
+    shots = [np.rint(offset + rng.normal(0, noise, offset.shape)).clip(0) for _ in range(count)]
+    shots = [shot.astype(np.uint16) for shot in shots]
+    return unclip(average(shots), shots[:4])
+
+
+@pytest.mark.parametrize("count", [2, 8, 100])
+def test_levels_of_sensels_are_unbiased_and_miss_as_much_as_is_said(count):
+    shape = (240, 320) if count < 100 else (1, 2000)
+    offset = np.random.default_rng(1).normal(0.0, 0.5, shape)
+    found = unclipped(offset, 2.5, count)
+    miss = found.mean - offset
+    assert abs(miss.mean()) < 0.03
+    # From one pair the spread from sensel to sensel is known to a seventh.
+    off = 0.3 if count == 2 else 0.1
+    assert (miss / np.sqrt(found.fit.variance)).std() == pytest.approx(1.0, abs=off)
+    if count == 100:  # a line of many shots tells sensels apart
+        assert miss.std() < 0.6 * 0.5
+
+
+@pytest.mark.parametrize("count", [1, 8])
+def test_a_dark_that_glows_keeps_its_glow(count):
+    glow = 6 * np.exp(-np.arange(240) / 100)[:, None] * np.ones((1, 320))
+    offset = glow + np.random.default_rng(1).normal(0.0, 0.5, glow.shape)
+    miss = unclipped(offset, 2.5, count).mean - offset
+    assert abs(miss.reshape(8, 30, 320).mean((1, 2))).max() < 0.08
+    assert miss.std() < 0.6
+
+
+@pytest.mark.parametrize("noise", [0.7, 1.0])
+def test_little_noise_of_a_narrow_scan_is_fitted(noise):
+    rng = np.random.default_rng(6)
+    level = 0.4 * rng.standard_normal((1, 1, 120, 1))
+    lines = np.rint(level + rng.normal(0, noise, (96, 1, 120, 1))).clip(0).astype(np.uint16)
+    dark = average(list(lines))
+    made = unclip(dark, [lines[y] for y in pairs_of_lines(96, 120)])
+    assert made.fit is not None and made.fit.noise == pytest.approx(noise, rel=0.06)
+    assert abs(float(np.mean(made.mean - level[0]))) < 0.05 < float(np.mean(dark.mean - level[0]))

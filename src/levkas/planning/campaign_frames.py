@@ -1,22 +1,27 @@
-"""Full scale of a sensor: as given, as the file declares it, or as its campaign does."""
+"""Frames that are given to plans: the campaign that they belong to, their sensors, their full scale."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from levkas.calibration.patterns import channel_table
+from levkas.calibration.full_scale import FullScale, SceneShots, find_full_scale, stated_full_scale
+from levkas.calibration.patterns import channel_table, thin_periods
 from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps
 from levkas.core.problems import Problem, Refused
 from levkas.readers.frames import Facts, read_frame
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera
+
+
+PERIOD, ROWS, SAMPLED = 60, 20, 1 << 18
+"""Columns, a multiple of every mosaic's, as the pattern may not be known; rows that are taken together, and values of a frame."""
 
 
 def files_of(paths: Iterable[str | Path]) -> list[Path]:
@@ -60,23 +65,21 @@ def stack_of(
         raise CalibrationRefused(*problems) from None
 
 
-@dataclass(frozen=True)
-class FullScale:
-    """Counts at which a sensel is full, where that is known from, and black where a campaign has it."""
+class Scale(NamedTuple):
+    """Full scale of some frames, and black where a campaign declares it, counts."""
 
-    counts: float
-    source: str
-    bits: int | None = None
+    full: FullScale
     black: float | None = None
 
 
-def find_full_scale(
+def scale_of(
     files: Sequence[Path],
     facts: Facts,
     *,
     bits: int | None = None,
     saturation: float | None = None,
-) -> FullScale | None:
+    white: bool = False,
+) -> Scale | None:
     """Return the full scale of some frames of one camera; None where it is not known.
 
     Parameters
@@ -88,35 +91,37 @@ def find_full_scale(
         Of the converter, as given; `saturation` goes before it.
     saturation : float, optional
         Counts, as given.
+    white : bool
+        Whether the frames show an even surface.
 
     Notes
     -----
-    In this order: given, `saturation` of the campaign that the first frame belongs to, white level of the file,
-    `bits` of the campaign, bits of a sample where they are the converter's: fewer than are stored, 8 of 8, or 16
-    of 16 that are all in use. The brightest pixel does not show it: a camera of 12 bits fills a
-    quarter of its range with codes of 10.
+    What is given, else what the campaign of the first frame and the file state; where the codes pile up below that, they are full
+    there, unless `saturation` is given. Of 16 bits of a sample some frame must use the highest: the brightest pixel alone
+    shows no full scale, for a camera of 12 bits fills a quarter of its range with codes of 10.
     """
-    if saturation:
-        return FullScale(float(saturation), "as given")
-    if bits:
-        return FullScale(2.0**bits - 1, f"{bits} bits as given", bits)
     camera, campaign = _declared(files[0])
     black = camera.black if camera else None
-    if camera is not None and camera.saturation:
-        return FullScale(float(camera.saturation), f"saturation in {campaign}", None, black)
-    if facts.saturation:
-        return FullScale(float(facts.saturation), "white level in the file", None, black)
-    if camera is not None and camera.bits:
-        source = f"{camera.bits} bits in {campaign}"
-        return FullScale(2.0**camera.bits - 1, source, camera.bits, black)
-    stored = 8 * np.dtype(facts.dtype).itemsize
-    if np.dtype(facts.dtype).kind != "u" or not facts.bits:
-        return None
-    if facts.bits < stored or stored == 8:
-        return FullScale(2.0**facts.bits - 1, f"{facts.bits} bits in the file", facts.bits, black)
-    if stored == 16 and any(int(read_frame(f).max(initial=0)) >= 1 << 15 for f in files):
-        return FullScale(65535.0, "16 bits in the file, all in use", 16, black)
-    return None
+    if saturation:
+        return Scale(FullScale(float(saturation), "as given"))
+    if bits:
+        stated: FullScale | None = FullScale(2.0**bits - 1, f"{bits} bits as given", bits)
+        black = None
+    else:
+        own = (camera.saturation, camera.bits) if camera else (None, None)
+        stated = stated_full_scale(facts, saturation=own[0], bits=own[1], where=campaign)
+    top, shots = 0, []
+    for values in map(read_frame, files):
+        top = max(top, int(values.max(initial=0)))
+        shots.append(thin_periods(values, ROWS, SAMPLED))
+    found = find_full_scale([SceneShots([shot], white) for shot in shots], period=PERIOD)
+    if found and (stated is None or found.counts < stated.counts):
+        return Scale(found, black)
+    if stated is not None and stated.source == "16 bits in the file":
+        if top < 1 << 15:
+            return None
+        stated = stated._replace(source="16 bits in the file, all in use")
+    return None if stated is None else Scale(stated, black)
 
 
 def not_known(file: Path, facts: Facts) -> Problem:

@@ -1,0 +1,137 @@
+"""Noise that neighbouring pixels share because they were interpolated before: resampling averages it less than Σw²u² says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from levkas.calibration.mosaic import interpolate, method_of
+from levkas.geometry.resample import warp
+from levkas.geometry.transforms import Affine
+
+if TYPE_CHECKING:
+    from levkas.calibration.mosaic import Method
+    from levkas.geometry.transforms import Transform
+
+NOISE_PX = 320
+"""Side of the noise that is resampled to see what neighbours share: it tells variances to 1 %."""
+LEAST_SHARED = 1.04
+"""Less is chance."""
+COURSE = (-0.8, -0.3, 0.3, 0.8)
+"""Of the swing of a strip's course, where its lines lie at several fractions of a pixel."""
+
+
+class Mosaic(NamedTuple):
+    """What `calibration.mosaic.demosaic` made a cube of: pattern, method, order of the channels."""
+
+    pattern: Sequence[Sequence[str]]
+    method: str | Method | None
+    channels: Sequence[str]
+
+
+def shared_noise(mosaic: Mosaic, maps: Sequence[Transform], shape: tuple[int, int]) -> np.ndarray:
+    """Return how much larger the variance of resampled values is than of independent ones, (bands,), >= 1.
+
+    Parameters
+    ----------
+    mosaic : Mosaic
+        What made the values.
+    maps : sequence of Transform
+        Grid px → native px, one a band.
+    shape : (rows, columns) of the grid
+
+    Notes
+    -----
+    White noise of a mosaic is interpolated as the values were, and warped as they are in the middle of
+    the grid: the mean of its squares over that of Σw²u².
+    """
+    noise = _white_noise()
+    table, method = method_of(*mosaic)
+    none = np.zeros(noise.shape, np.uint8)
+    values, _, variance = interpolate(noise, none, np.ones_like(noise), table, method)
+    assert variance is not None
+    return _over_independent(values, variance, maps, shape)
+
+
+def shared_by_strips(
+    seams: Sequence[Mapping[str, Any]],
+    width: int,
+    maps: Sequence[Transform],
+    shape: tuple[int, int],
+) -> np.ndarray:
+    """Return the same for each column of a scan joined of strips, (width,) float32.
+
+    Parameters
+    ----------
+    seams : sequence of mapping
+        As `strips.Seam.record` gives them, left to right.
+    width : int
+        Of the joined scan, samples.
+    maps, shape
+        As of `shared_noise`.
+
+    Notes
+    -----
+    A strip that lies a fraction of a pixel beside the first was interpolated into its pixels. Where two strips are
+    averaged by their noise, each gives a part of the variance that is one over its own.
+    """
+    factors = np.ones(width, np.float32)
+    place, before = np.zeros(2), (1.0, 1.0)
+    for seam in seams:
+        place = place + np.asarray(seam["offset_px"], float)
+        swing = np.array(COURSE if seam["swing_px"] >= 0.1 else (0.0,)) * seam["swing_px"]
+        own = np.mean([_moved_noise(place + s, maps, shape) for s in swing], axis=0)
+        start = int(np.ceil(place[0]))
+        stop = int(np.floor(place[0] + seam["overlap_px"]))
+        factors[start:] = own[0]
+        factors[start:stop] = (before[0] / before[1] + own[0] / own[1]) / (
+            1 / before[1] + 1 / own[1]
+        )
+        before = own
+    return factors
+
+
+def _white_noise() -> np.ndarray:
+    return np.random.default_rng(0).standard_normal((NOISE_PX, NOISE_PX)).astype(np.float32)
+
+
+def _moved_noise(
+    place: np.ndarray, maps: Sequence[Transform], shape: tuple[int, int]
+) -> tuple[float, float]:
+    """Return the factor of noise that was moved to a place, (x, y) px, and its variance before it is resampled."""
+    x, y = place % 1
+    if max(min(x, 1 - x), min(y, 1 - y)) < 1e-3:
+        return 1.0, 1.0
+    noise = _white_noise()
+    move = Affine(np.array([[1.0, 0, x], [0, 1.0, y]]))
+    made = warp(noise, move, (NOISE_PX, NOISE_PX), variance=np.ones_like(noise))
+    assert made.variance is not None
+    bands = [maps[len(maps) // 2]]  # those of a line scanner differ by hundredths of a pixel
+    values, variance = (np.nan_to_num(part)[..., None] for part in (made.values, made.variance))
+    return float(_over_independent(values, variance, bands, shape)[0]), float(np.median(variance))
+
+
+def _over_independent(
+    values: np.ndarray, variance: np.ndarray, maps: Sequence[Transform], shape: tuple[int, int]
+) -> np.ndarray:
+    """Return the mean square of noise (h, w, bands) warped as in the middle of a grid over that of Σw²u², (bands,)."""
+    middle = np.array([[shape[1], shape[0]]]) / 2
+    slopes = [one.jacobian(middle)[0] for one in maps]
+    starts = [np.modf(one(middle)[0])[0] + NOISE_PX // 2 for one in maps]
+    reach = max(float(np.abs(slope).sum(1).max()) for slope in slopes)
+    side = int(np.clip((NOISE_PX - 24) / max(reach, 1e-6), 1, NOISE_PX))
+    corner = np.full(2, side // 2)
+    local = [
+        Affine(np.column_stack([slope, start - slope @ corner]))
+        for slope, start in zip(slopes, starts, strict=True)
+    ]
+    made = warp(values, local, (side, side), variance=variance)
+    told = np.nan_to_num(np.asarray(made.variance))
+    seen = np.isfinite(made.values) & (told > 0)
+    squares, expected = (
+        np.where(seen, part, 0).sum((0, 1), dtype=np.float64) for part in (made.values**2, told)
+    )
+    ratio = squares / np.maximum(expected, 1e-12)
+    return np.where(ratio > LEAST_SHARED, ratio, 1.0).astype(np.float32)

@@ -1,0 +1,563 @@
+"""Lamp drift: how bright each shot of a stack is, and how well the lamp is known between white and object.
+
+Shot k of a stack has x_k = D + s_k · L + noise, with the light s_k of the lamp over the mean of all shots. It is
+measured in cells: s_k is the median over cells of their ratios to the stack's mean, so that something that moved in a
+part of the picture does not count. A straight line through it is drift, what is left is flicker. Darks differ by an
+offset instead, x_k = D + o_k + noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from levkas.calibration.patterns import split
+from levkas.calibration.templates import ShotLevels, Template, average
+
+CELL, CELLS = 32, 8  # pixels a side of a cell, of one phase; cells a side that a small frame has
+NOTICED = 0.002  # of the light: a fifth of what reflectance may be wrong by
+SIGMAS = 4.0
+DIM = 0.02  # of the brightest cells: darker ones hold noise alone
+EXPLAINED = (
+    0.01  # of the variance of bright pixels over time: beyond it shots are brought to one level
+)
+LAMP = "lamp"
+"""Among what is learnt of a sensor: how its lamp and its black level changed, band by band."""
+STEADY = (
+    0.7,
+    1.4,
+)  # least and greatest light of a shot that is a lamp's: a white that ends in the scan is none
+SAMPLE = 200_000  # pixels of a channel that are looked at
+LONG = 10.0  # times its change within a stack: lamps settle, and what one did in a second tells little of a day
+
+
+# --- the light of each shot ---------------------------------------------------------------------
+
+
+@dataclass
+class CellMeans:
+    """Means of the cells of each shot of a stack, filled while frames pass by.
+
+    Parameters
+    ----------
+    period : (rows, columns)
+        Of a mosaic: a cell holds one phase.
+
+    Examples
+    --------
+    >>> light = CellMeans()
+    >>> frames = [np.full((512, 512), level) for level in (100, 101)]
+    >>> sum(1 for _ in light.watch(frames)), light.channels.shape, light.cells.shape
+    (2, (2, 1, 256), (2, 256))
+    """
+
+    period: tuple[int, int] = (1, 1)
+    shots: list[np.ndarray] = field(default_factory=list)
+
+    def watch(self, frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+        """Hand frames on and keep the means of their cells."""
+        for frame in frames:
+            yield frame  # and whoever takes it refuses what is no frame
+            self.shots.append(cell_means(frame, self.period))
+
+    @property
+    def channels(self) -> np.ndarray:
+        """Mean counts, (shots, channels, cells): a channel is a phase, and a band of it."""
+        return np.array(self.shots)
+
+    @property
+    def cells(self) -> np.ndarray:
+        """Mean counts, (shots, cells of all channels)."""
+        return self.channels.reshape(len(self.shots), -1)
+
+
+def cell_means(frame: np.ndarray, period: tuple[int, int] = (1, 1)) -> np.ndarray:
+    """Return means of squares of `CELL` pixels of one phase, of smaller ones in a small frame, (channels, cells).
+
+    >>> cell_means(np.arange(4).reshape(2, 2), (1, 2)).tolist()
+    [[0.0, 2.0], [1.0, 3.0]]
+    """
+    found = []
+    for plane in _phases(frame, period):
+        tall, wide = (min(CELL, max(1, n // CELLS)) for n in plane.shape[:2])
+        if len(plane) == 1:  # a line of many bands
+            wide = max(wide, plane.shape[1] // CELLS)
+        rows, columns = plane.shape[0] // tall, plane.shape[1] // wide
+        bands, codes = plane.shape[2], plane.dtype in (np.uint8, np.uint16)
+        parts = plane[: rows * tall, : columns * wide].reshape(rows, tall, -1)
+        # Down first, where neighbours lie in one stretch of memory; codes add up exactly.
+        down = np.add.reduce(parts, axis=1, dtype=np.uint32 if codes else np.float64)
+        sums = down.reshape(rows * columns, wide, bands).sum(1, dtype=np.float64)
+        found.append(sums.T / (tall * wide))
+    cells = min(part.shape[1] for part in found)
+    return np.concatenate([part[:, :cells] for part in found])
+
+
+def measure_light(cells: np.ndarray, dark: np.ndarray | float = 0.0) -> ShotLevels:
+    """Compare the light of the shots of one scene, channel by channel.
+
+    Parameters
+    ----------
+    cells : ndarray, (shots, channels, cells)
+        Mean counts, from `CellMeans`.
+    dark : ndarray, (channels, cells), or float
+        Counts without light.
+
+    Examples
+    --------
+    >>> cells = np.outer([0.99, 1.01], np.linspace(50, 900, 40))[:, None] + 64
+    >>> measure_light(cells, 64.0).levels.round(3).tolist()
+    [[0.99], [1.01]]
+    """
+    light = np.asarray(cells, float) - dark
+    levels, errors = np.ones(light.shape[:2]), np.full(light.shape[1], np.inf)
+    for channel in range(light.shape[1]):
+        part = light[:, channel]
+        part = part[:, np.isfinite(part).all(0)]
+        mean = part.mean(0)
+        full = np.quantile(mean, 0.98) if mean.size else 0.0
+        bright = mean > DIM * full
+        if full > 0:
+            found, errors[channel] = _levels(part[:, bright] / mean[bright], mean[bright])
+            levels[:, channel] = found / found.mean()
+    return ShotLevels(levels, errors)
+
+
+def measure_offsets(cells: np.ndarray) -> ShotLevels:
+    """Compare the darks of a stack, (shots, channels, cells), channel by channel: levels are counts.
+
+    >>> measure_offsets(np.array([[[60.0, 61.0]], [[62.0, 63.0]]])).levels.tolist()
+    [[-1.0], [1.0]]
+    """
+    apart = np.asarray(cells, float) - cells.mean(0)
+    levels, errors = np.zeros(apart.shape[:2]), np.full(apart.shape[1], np.inf)
+    for channel in range(apart.shape[1]):
+        part = apart[:, channel]
+        part = part[:, np.isfinite(part).all(0)]
+        if part.size:
+            found, errors[channel] = _levels(part, np.ones(part.shape[1]))
+            levels[:, channel] = found - found.mean()
+    return ShotLevels(levels, errors)
+
+
+def _levels(values: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the weighted median over cells of each shot, (shots, cells) to (shots,), and its standard deviation."""
+    order = np.argsort(values, axis=1, kind="stable")
+    passed = np.cumsum(weights[order], axis=1)
+    places = np.argmax(passed >= passed[:, -1:] / 2, axis=1)
+    levels = np.take_along_axis(values, order, 1)[np.arange(len(values)), places]
+    spread = 1.4826 * np.median(np.abs(values - levels[:, None]))
+    several = weights.sum() ** 2 / (weights**2).sum()
+    return levels, 1.2533 * float(spread) / np.sqrt(several)
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How steady the light was.
+
+    Parameters
+    ----------
+    scales : ndarray, (shots,)
+        Brightness of each shot over the mean of all.
+    drift : float
+        Change along a straight line from the first shot to the last, relative.
+    flicker : float
+        Standard deviation about that line, relative; NaN with fewer than three shots.
+    error : float
+        What noise alone puts on a single scale.
+    """
+
+    scales: np.ndarray
+    drift: float
+    flicker: float
+    error: float
+
+    @property
+    def noticed(self) -> bool:
+        """Whether either stands out of the noise and would show in reflectance."""
+        least = max(NOTICED, SIGMAS * self.error)
+        return abs(self.drift) > least or self.flicker > least
+
+    @property
+    def note(self) -> str:
+        """Warning for the user; empty where the light was steady."""
+        if not self.noticed:
+            return ""
+        parts = [f"the light changed by {100 * self.drift:+.2f} % from the first shot to the last"]
+        if np.isfinite(self.flicker):
+            parts.append(f"and flickered by {100 * self.flicker:.2f} % rms")
+        return f"{' '.join(parts)}: let lamps warm up, and take white and object in turns"
+
+
+def measure_drift(cells: np.ndarray, dark: float | np.ndarray = 0.0) -> Drift | None:
+    """Compare the shots of one scene.
+
+    Parameters
+    ----------
+    cells : ndarray, (shots, cells)
+        Mean counts, from `CellMeans`; in the order in which they were taken.
+    dark : float or ndarray, (cells,)
+        Counts without light.
+
+    Returns
+    -------
+    drift : Drift or None
+        None with fewer than two shots or without light.
+
+    Examples
+    --------
+    >>> cells = np.outer([1.00, 1.01, 1.02], np.linspace(50, 900, 40)) + 64
+    >>> found = measure_drift(cells, 64.0)
+    >>> round(found.drift, 3), found.noticed
+    (0.02, True)
+    """
+    found = measure_light(np.asarray(cells, float)[:, None], dark)
+    if len(cells) < 2 or not np.isfinite(found.error[0]):
+        return None
+    scales = found.levels[:, 0]
+    return Drift(scales, *_line(scales), float(found.error[0]))
+
+
+def common_variance(scales: Sequence[float] | np.ndarray) -> float:
+    """Return the relative variance that the light of all pixels shares over shots.
+
+    >>> round(common_variance([0.99, 1.01]), 6)
+    0.0002
+    """
+    return float(np.var(scales, ddof=1)) if len(scales) > 1 else 0.0
+
+
+def _line(scales: np.ndarray) -> tuple[float, float]:
+    count = len(scales)
+    at = np.arange(count) - (count - 1) / 2
+    slope = float(at @ scales / (at @ at))
+    rest = scales - scales.mean() - slope * at
+    flicker = float(np.sqrt(rest @ rest / (count - 2))) if count > 2 else float("nan")
+    return slope * (count - 1), flicker
+
+
+# --- shots at one level -------------------------------------------------------------------------
+
+
+def average_steady(
+    read: Callable[[], Iterable[np.ndarray]],
+    level: np.ndarray | float | None,
+    *,
+    period: tuple[int, int] = (1, 1),
+    saturation: float | None = None,
+    black_clip: float | None = 0.0,
+    exposure_s: float | None = None,
+    times_s: Sequence[float] | None = None,
+) -> Template:
+    """Average shots of one scene without what the lamp does to all pixels alike.
+
+    Parameters
+    ----------
+    read : function
+        Returns the frames; called a second time where the lamp explains more than 1 % of the variance of bright
+        pixels over time. The shots are then brought to their mean level about the dark, s_k to 1.
+    level : ndarray that broadcasts to the frames, float, or None
+        Counts without light. None: the frames are darks, which are brought to their mean by an offset.
+    period : (rows, columns)
+        Of a mosaic: each phase has a level of its own.
+    saturation, black_clip, exposure_s
+        As of `templates.average`; saturation is judged on the codes of the file.
+    times_s : sequence of float, optional
+        When each shot was captured.
+
+    Returns
+    -------
+    template : Template
+        With its `shots`; `variance` is that of noise.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> frames = [60 + rng.normal(s * 3000, 10, (80, 80)) for s in (0.975, 1.025)]
+    >>> made = average_steady(lambda: frames, 60.0)
+    >>> round(float(made.variance.mean()) / 10), made.shots.levels.round(3).tolist()
+    (10, [[0.975], [1.025]])
+    """
+    light = CellMeans(period)
+    clips: dict[str, float | None] = {"saturation": saturation, "black_clip": black_clip}
+    made = average(light.watch(read()), exposure_s=exposure_s, **clips)
+    if level is None:
+        shots = measure_offsets(light.channels)
+    else:
+        level = _as_frame(level, made.mean.shape)
+        shots = measure_light(light.channels, cell_means(level, period))
+    if times_s is not None and len(times_s) == made.count:
+        shots = replace(shots, times_s=tuple(times_s))
+    lamp = level is None or STEADY[0] < shots.levels.min() <= shots.levels.max() < STEADY[1]
+    if lamp and _explained(made, shots, level, period) > EXPLAINED:
+        steadied = (
+            _steadied(frame, found, level, period)
+            for frame, found in zip(read(), shots.levels, strict=True)
+        )
+        again = average(steadied, exposure_s=exposure_s)
+        made = replace(again, saturated=made.saturated, black=made.black)
+    return replace(made, shots=shots)
+
+
+def _as_frame(level: np.ndarray | float, shape: tuple[int, ...]) -> np.ndarray:
+    """Return counts without light as a frame, float32: where darks have another size, which is refused later, their median."""
+    level = np.asarray(level, np.float32)
+    fits = level.ndim in (0, 2, len(shape)) and all(
+        n in (1, whole) for n, whole in zip(level.shape, shape, strict=False)
+    )
+    return np.broadcast_to(level if fits else np.median(level), shape)
+
+
+def _phases(frame: np.ndarray, period: tuple[int, int]) -> list[np.ndarray]:
+    """Return the phases of a frame as views, (rows, columns, bands); one of a frame smaller than its pattern."""
+    fits = all(n >= size for n, size in zip(frame.shape, period, strict=False))
+    return split(frame.reshape(*frame.shape[:2], -1), *(period if fits else (1, 1)))
+
+
+def _channels(array: np.ndarray, period: tuple[int, int]) -> Iterator[np.ndarray]:
+    """Yield views of the phases of a frame, band by band, in the order of `cell_means`."""
+    for plane in _phases(array, period):
+        yield from np.moveaxis(plane, 2, 0)
+
+
+def _explained(
+    stack: Template,
+    shots: ShotLevels,
+    level: np.ndarray | None,
+    period: tuple[int, int],
+) -> float:
+    """Return the share of the variance over time that the lamp explains, in the bright pixels of its worst channel."""
+    if stack.variance is None:
+        return 0.0
+    above = stack.mean if level is None else stack.mean - level
+    common = np.var(shots.levels, axis=0, ddof=1) - shots.error**2
+    shares = [0.0]
+    for light, spread, of_lamp in zip(
+        _channels(above, period), _channels(stack.variance, period), common, strict=True
+    ):
+        step = max(1, int(np.sqrt(light.size / SAMPLE)))
+        light, spread = light[::step, ::step].ravel(), spread[::step, ::step].ravel()
+        known = np.isfinite(light) & np.isfinite(spread)
+        light, spread = light[known].astype(np.float64), np.maximum(spread[known], 1e-9)
+        if not light.size or not of_lamp > 0:
+            continue
+        if level is None:
+            shares.append(of_lamp / float(np.mean(spread)))
+        else:
+            bright = light >= np.median(light)
+            shares.append(of_lamp * float(np.median(light[bright] ** 2 / spread[bright])))
+    return max(shares)
+
+
+def _steadied(
+    frame: np.ndarray,
+    levels: np.ndarray,
+    level: np.ndarray | None,
+    period: tuple[int, int],
+) -> np.ndarray:
+    """Return a shot at the mean level of its stack, float32."""
+    made = frame.astype(np.float32)
+    made -= 0.0 if level is None else level
+    for plane, found in zip(_channels(made, period), levels.astype(np.float32), strict=True):
+        if level is None:
+            plane -= found
+        else:
+            plane /= found
+    made += 0.0 if level is None else level
+    return made
+
+
+# --- between white and object -------------------------------------------------------------------
+
+
+class LampChange(NamedTuple):
+    """What the light of a white is to that of an object, channel by channel, relative to the white's mean.
+
+    Parameters
+    ----------
+    factor : ndarray, (channels,)
+        Light on the object over that on the white, by whites before and after it; 1 where that is not known.
+    sigma : ndarray, (channels,)
+        Standard deviation of it, which all pixels share.
+    white, shot : ndarray, (channels,)
+        Change from the first shot to the last; NaN of a single one.
+    flicker : ndarray, (channels,)
+        Standard deviation from shot to shot about those lines; NaN with fewer than three shots.
+    timed : bool
+        Whether whites before and after the object are interpolated.
+    """
+
+    factor: np.ndarray
+    sigma: np.ndarray
+    white: np.ndarray
+    shot: np.ndarray
+    flicker: np.ndarray
+    timed: bool
+
+    def in_groups(self, which: np.ndarray, count: int) -> LampChange:
+        """Return means over channels that belong together: `which` group each is of, 0 to `count` − 1."""
+        parts = [which == group for group in range(count)]
+
+        def mean(values: np.ndarray) -> np.ndarray:
+            return np.array([values[part].mean() for part in parts])
+
+        return LampChange(
+            mean(self.factor),
+            mean(self.sigma),
+            mean(self.white),
+            mean(self.shot),
+            mean(self.flicker),
+            self.timed,
+        )
+
+
+def lamp_between(white: ShotLevels, shot: ShotLevels) -> LampChange:
+    """Estimate how the lamp changed between the stacks of a white and of an object.
+
+    Parameters
+    ----------
+    white, shot : ShotLevels
+        Of the same channels. Levels of darks give the wander of the black level, in counts.
+
+    Notes
+    -----
+    A lamp that changed by Δ within a stack may have changed as much again until the other one: u = |Δ|. Where files
+    state when they were captured u = |Δ| √(gap/span), as far as a lamp wanders, up to 10 |Δ|. Between whites before
+    and after the object the level is interpolated, at a share x of the way, with u = |Δ| x (1 − x): so far is the
+    straight line off where the lamp comes to rest at one end. Flicker f of single shots adds f² w² of each.
+
+    Examples
+    --------
+    >>> two = ShotLevels(np.array([[1.02], [0.98]]), np.array([1e-5]))
+    >>> one = ShotLevels(np.ones((1, 1)), np.array([1e-5]))
+    >>> lamp_between(two, one).sigma.round(3).tolist()
+    [0.04]
+    >>> timed = replace(two, times_s=(0.0, 60.0)), replace(one, times_s=(15.0,))
+    >>> found = lamp_between(*timed)
+    >>> found.factor.round(3).tolist(), found.sigma.round(4).tolist()
+    ([1.01], [0.0075])
+    """
+    stacks = white, shot
+    trends = [_trend(one) for one in stacks]
+    freedom = np.array([max(len(one.levels) - 2, 0) for one in stacks])
+    squares = sum(n * np.nan_to_num(t.flicker) ** 2 for n, t in zip(freedom, trends, strict=True))
+    flicker = np.sqrt(squares / max(int(freedom.sum()), 1))
+    factor, drift, weights = np.ones(white.levels.shape[1]), 0.0 * flicker, 1 / len(white.levels)
+    if (bridge := _bridge(white, shot)) is not None:
+        factor, drift, weights = bridge
+    else:
+        for trend, stack in zip(trends, stacks, strict=True):
+            drift = np.maximum(drift, trend.reach * _reach(stack, white, shot))
+    return LampChange(
+        factor,
+        np.sqrt(drift**2 + flicker**2 * (weights + 1 / len(shot.levels))),
+        trends[0].change,
+        trends[1].change,
+        flicker if freedom.any() else np.full(len(flicker), np.nan),
+        bridge is not None,
+    )
+
+
+def black_between(dark: ShotLevels) -> LampChange:
+    """Estimate how the black level changed between darks, whose levels are counts, and one shot of an object.
+
+    >>> wander = ShotLevels(np.array([[-1.0], [0.5], [0.5]]), np.array([0.01]))
+    >>> black_between(wander).sigma.round(2).tolist()
+    [0.71]
+    """
+    one = np.zeros((1, dark.levels.shape[1]))
+    return lamp_between(replace(dark, times_s=None), ShotLevels(one, one[0]))
+
+
+class _Trend(NamedTuple):
+    """Change of a stack's level from first to last along a line, NaN of one shot; how far it reaches; rms about it.
+
+    Where flicker explains the change, it is 0. `reach` is its size with the error that noise gives it.
+    """
+
+    change: np.ndarray
+    reach: np.ndarray
+    flicker: np.ndarray
+
+
+def _trend(stack: ShotLevels) -> _Trend:
+    count, channels = stack.levels.shape
+    none = np.full(channels, np.nan)
+    if count < 2:
+        return _Trend(none, np.zeros(channels), none)
+    at, levels = np.arange(count, dtype=float), stack.levels
+    if (times := _times(stack)) is not None:
+        order = np.argsort(times, kind="stable")
+        at, levels = times[order], levels[order]
+    at = at - at.mean()
+    span, spread = at[-1] - at[0], np.sqrt(at @ at)
+    change = at @ levels / spread**2 * span
+    rest = levels - levels.mean(0) - np.outer(at / span, change)
+    noise = np.where(np.isfinite(stack.error), stack.error, 0.0)
+    flicker = none
+    if count > 2:
+        square = (rest**2).sum(0) / (count - 2)
+        flicker = np.where(square > 4 * noise**2, np.sqrt(np.maximum(square - noise**2, 0)), 0.0)
+        change = np.where(np.abs(change) > 2 * np.sqrt(square) * span / spread, change, 0.0)
+    return _Trend(change, np.hypot(change, noise * span / spread), flicker)
+
+
+def _times(stack: ShotLevels) -> np.ndarray | None:
+    """Return when the shots were captured, (shots,) s; None where that is not known, or the same of all."""
+    if stack.times_s is None or (len(stack.times_s) > 1 and np.ptp(stack.times_s) == 0):
+        return None
+    return np.array(stack.times_s, float)
+
+
+def _reach(stack: ShotLevels, white: ShotLevels, shot: ShotLevels) -> float:
+    """Return by which multiple of its change within a stack a lamp may have changed between the two."""
+    if white.times_s is None or shot.times_s is None or len(stack.levels) < 2:
+        return 1.0
+    span = float(np.ptp(stack.times_s or (0.0,)))
+    gap = abs(float(np.mean(white.times_s)) - float(np.mean(shot.times_s)))
+    return min(float(np.sqrt(gap / span)), LONG) if span > 0 else 1.0
+
+
+def _bridge(white: ShotLevels, shot: ShotLevels) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """Interpolate the white to the time of the object; None where no whites lie before and after it.
+
+    Returns
+    -------
+    factor, sigma : ndarray, (channels,)
+        Light on the object over the mean of the white.
+    weights : float
+        Sum of the squared weights of the whites.
+    """
+    times = _times(white)
+    if times is None or shot.times_s is None:
+        return None
+    moment = float(np.mean(shot.times_s))
+    before, after = times < moment, times > moment
+    if not before.any() or not after.any():
+        return None
+    (start, first), (end, last) = (
+        (times[part].mean(), white.levels[part].mean(0)) for part in (before, after)
+    )
+    share = (moment - start) / (end - start)
+    noise = np.where(np.isfinite(white.error), white.error, np.inf)
+    known = np.abs(last - first) > SIGMAS * noise
+    factor = np.where(known, first + share * (last - first), 1.0)
+    sigma = np.abs(last - first) * np.where(known, share * (1 - share), 1.0)
+    return factor, sigma, (1 - share) ** 2 / before.sum() + share**2 / after.sum()
+
+
+def common_uncertainty(learnt: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return what sigma of pixels does not contain, by source and by what shares it, as records of a budget."""
+    bands = {label: one for told in learnt.values() for label, one in told.get(LAMP, {}).items()}
+    sources = (
+        ("lamp between white and object", "sigma", "relative"),
+        ("black level between dark and object", "black_sigma", "of the values"),
+    )
+    return [
+        {"source": source, "common_to": "all pixels of a band", "unit": unit, "bands": found}
+        for source, name, unit in sources
+        if any(found := {label: one[name] for label, one in bands.items() if one[name]})
+    ]

@@ -1,0 +1,187 @@
+"""What a person should know of a sensor: what its files state, and what was measured: where it is full, clipped darks, its curve."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from levkas.calibration.code_checks import doubt_codes
+from levkas.calibration.sensor_context import (
+    BLACK,
+    CLIPPED_DARKS,
+    FULL_SCALE,
+    NAMED,
+    RESPONSE,
+    glimpse,
+    spread,
+)
+from levkas.readers.compared_facts import SCALE
+from levkas.readers.frames import read_facts
+from levkas.readers.raw import SUFFIXES as RAW_SUFFIXES
+
+if TYPE_CHECKING:
+    from levkas.calibration.sensor_context import SensorContext
+
+
+AS_LIGHT = "they are taken as proportional to light: export linear frames"
+
+
+def doubts_of(context: SensorContext) -> list[str]:
+    """What a person should know before believing the values."""
+    camera = context.camera
+    doubts = [*_notes_of_files(context), *_doubt_bits(context), *context.doubts]
+    targets = context.campaign.targets
+    if camera.kind == "image":
+        return doubts
+    doubts += [*context.sensor.remarks, *_note_scale(context), *_note_bad_bands(context)]
+    if context.light is not None:
+        doubts += context.light.notes
+    elif not context.sensor.white and not context.holds_reflectance:
+        doubts.append("no white is declared: the cube remains in counts")
+    elif context.sensor.white and targets.white and not isinstance(targets.white.reflectance, str):
+        given = targets.white.reflectance
+        doubts.append(
+            f"the reflectance of the white is assumed to be {1.0 if given is None else given:g} "
+            "at every wavelength; give a CSV of its spectrum in targets.white.reflectance"
+        )
+    return doubts
+
+
+def _note_scale(context: SensorContext) -> list[str]:
+    """Say whether the scale of reflectance that a file of the object states is used."""
+    scale = next(
+        (s for f in context.sensor.object if (s := read_facts(f.path).reflectance_scale)), None
+    )
+    if scale is None:
+        return []
+    stated = f"{context.camera.name}: by the file reflectance 1.0 is {_span(scale)}"
+    if context.holds_reflectance:
+        return [
+            f"{stated}: its values are taken as reflectance, for neither dark nor white is there; if they are raw, "
+            f'write `overrule = ["{SCALE}"]`'
+        ]
+    return [f"{stated}: this is not used, the values are taken as counts"]
+
+
+def _note_bad_bands(context: SensorContext) -> list[str]:
+    bad = [band.label for band in context.sensor.bands if band.bad]
+    if not bad:
+        return []
+    names = ", ".join(bad[:NAMED]) + (" …" if len(bad) > NAMED else "")
+    return [
+        f"{context.camera.name}: {len(bad)} of {len(context.sensor.bands)} bands are bad by the file (bbl: {names}): "
+        "they are flagged as defects, and have no part in registration and colours"
+    ]
+
+
+def _span(values: Sequence[float]) -> str:
+    return f"{min(values):g}" + (f" to {max(values):g}" if len(set(values)) > 1 else "")
+
+
+def _notes_of_files(context: SensorContext) -> list[str]:
+    """Return what readers take otherwise than files state it, each once with the first file and how many there are."""
+    sensor = context.sensor
+    found: dict[str, dict[Path, None]] = {}
+    for frame in (*sensor.object, *sensor.white, *sensor.chart, *sensor.dark):
+        if frame.path.suffix.lower() in RAW_SUFFIXES:
+            continue
+        facts = read_facts(frame.path)
+        unread = facts.pages > 1 and frame.page is None and context.camera.kind != "cube"
+        more = [f"the first of {facts.pages} pages is used, the others are not"] if unread else []
+        if facts.encoded and context.camera.kind != "image":
+            more.append(f"by the file its codes have a tone curve ({facts.encoded}); {AS_LIGHT}")
+        for note in (*facts.notes, *more):
+            found.setdefault(note, {})[frame.path] = None
+    name = context.camera.name
+    return [f"{name}: {note} ({files_named(tuple(paths))})" for note, paths in found.items()]
+
+
+def files_named(paths: Sequence[Path]) -> str:
+    """Return a few files in words.
+
+    >>> files_named([Path("raw/a.tif"), Path("raw/b.tif")])
+    'a.tif and 1 more'
+    """
+    return paths[0].name + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
+
+
+def _doubt_bits(context: SensorContext) -> list[str]:
+    """Whether a few frames, whites above all, look like 8 bits where more are declared."""
+    bits, full = context.camera.bits, context.saturation
+    if bits is None or bits <= 8 or full is None or context.facts.kind == "raw":
+        return []
+    frames = [*spread(context.sensor.object, 3), *spread(context.sensor.white, 3)]
+    return [f"{context.camera.name}: {d}" for d in doubt_codes(map(glimpse, frames), bits, full)]
+
+
+def describe_sensor(context: SensorContext) -> list[str]:
+    """Say what was measured of a sensor that a person should know: where it is full, its black, its curve, darks that were clipped."""
+    return [
+        *_describe_full_scale(context),
+        *_describe_darks(context),
+        *_describe_response(context),
+        *_describe_black(context),
+    ]
+
+
+def _describe_black(context: SensorContext) -> list[str]:
+    found = context.told.get(BLACK)
+    if not found:
+        return []
+    return [
+        f"{context.camera.name}: the black level is {found['counts']:.1f} ± {found['error']:.1f} counts, by exposures of one scene: "
+        "darks of one time alone do not show it. `black` in campaign.toml states it"
+    ]
+
+
+def _describe_response(context: SensorContext) -> list[str]:
+    found = context.told.get(RESPONSE)
+    if not found:
+        return []
+    most = abs(float(sum(found["terms"])))
+    return [
+        f"{context.camera.name}: the sensor is not linear: its exposure series deviate by {100 * found['rms_line']:.1f} % rms "
+        f"from a line, at full scale by {100 * most:.1f} %. Frames of object and white are corrected by the curve that they "
+        f"show, which leaves {100 * found['rms']:.2f} % and is known to {100 * found['error']:.2g} %"
+    ]
+
+
+def _describe_full_scale(context: SensorContext) -> list[str]:
+    found = context.told.get(FULL_SCALE)
+    if not found:
+        return []
+    counts, stated = f"{found['counts']:g}", found["stated"]
+    than = f" ({stated} would be more)" if stated else ""
+    return [
+        f"{context.camera.name}: the sensor is full at {counts} counts: {found['source']}{than}; values from there on are "
+        f"flagged as saturated. `saturation = {counts}` in campaign.toml states it"
+    ]
+
+
+def _describe_darks(context: SensorContext) -> list[str]:
+    darks: dict[str, dict[str, Any]] = context.told.get(CLIPPED_DARKS, {})
+    if not darks:
+        return []
+    name, zeros = context.camera.name, max(one["zeros"] for one in darks.values())
+    blacks = [black for one in darks.values() for black in one.get("black", ())]
+    lost = [time for time, one in darks.items() if "black" not in one]
+    notes = []
+    if blacks:
+        noise = max(one.get("noise", 0.0) for one in darks.values())
+        notes.append(
+            f"{name}: darks were clipped at zero (up to {zeros:.0%} of the pixels) and are fitted as censored: black "
+            f"{_range(blacks, '.2f')} counts, noise {noise:.2g}"
+        )
+    if lost:
+        some = f" of {', '.join(filter(None, lost[:NAMED]))}" if any(lost) else ""
+        notes.append(
+            f"{name}: darks{some} are clipped too strongly, hardly a value is above zero: what the black level hides is "
+            "unknown, and dark values may be wrong by it. Raise the camera's black level (offset)"
+        )
+    return notes
+
+
+def _range(numbers: Sequence[float], form: str) -> str:
+    low, high = (format(n, form) for n in (min(numbers), max(numbers)))
+    return low if low == high else f"{low} to {high}"

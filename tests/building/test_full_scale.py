@@ -1,0 +1,119 @@
+"""A sensor that is full below what its bits allow: flagged, refused and said, by build and radiometry alike."""
+
+import numpy as np
+import pytest
+import tifffile
+
+from levkas.building.calibrate import develop
+from levkas.building.hashes import HASHES, Hashes
+from levkas.building.template_cache import TemplateCache
+from levkas.calibration.reflectance import calibrate
+from levkas.campaign.campaign import load_campaign
+from levkas.campaign.discovery.find_captures import find_captures
+from levkas.core.cube import Flag
+from levkas.core.problems import Refused
+from levkas.quality.emva1288 import examine_with_seed
+
+GAIN, READ, BLACK, WHITE = 0.25, 2.0, 60.0, 3000.0
+SHAPE = (96, 140)
+PANEL = np.kron(np.random.default_rng(2).uniform(0.05, 0.9, (6, 7)), np.ones((16, 20)))
+GOLD = np.zeros(SHAPE, bool)
+GOLD[32:64, 40:100] = True
+HEAD = """
+[campaign]
+reference = "cam"
+[targets]
+dark = "dark"
+white = { names = "white", reflectance = 1.0 }
+objects = ["panel"]
+[cameras.cam]
+"""
+KINDS = {
+    "bands": 'kind = "bands"\nfiles = "raw/{target}_{wavelength}nm_{shot}.tif"\nwavelengths = [550]',
+    "mosaic": 'kind = "mosaic"\nfiles = "raw/{target}_550nm_{shot}.tif"\npattern = [["A", "B"], ["C", "D"]]',
+    "cube": 'kind = "cube"\nfiles = "raw/{target}.hdr"',
+    "mirror": 'kind = "cube"\nscan = "mirror"\nfiles = "raw/{target}.hdr"',
+}
+
+
+def write(folder, kind, *, full, bits="bits = 12", white=WHITE, shots=1, wells=False):
+    """Write a campaign of a sensor that is full at some code, of its converter or of its wells."""
+    rng, raw = np.random.default_rng(5), folder / "raw"
+    raw.mkdir(parents=True)
+    panel = np.where(GOLD, 1.275, PANEL)
+    for name, light in (("dark", 0), ("white", white), ("panel", WHITE * panel)):
+        for take in range(shots):
+            counts = GAIN * rng.poisson(light / GAIN + np.zeros(SHAPE))
+            counts = np.minimum(counts, full - BLACK) if wells else counts
+            codes = np.rint(counts + rng.normal(BLACK, READ, SHAPE)).clip(0, None)
+            codes = (codes if wells else codes.clip(0, full)).astype(np.uint16)
+            if kind in ("cube", "mirror"):
+                (raw / f"{name}.raw").write_bytes(codes.tobytes())
+                (raw / f"{name}.hdr").write_text(
+                    f"ENVI\nsamples = {SHAPE[1]}\nlines = {SHAPE[0]}\nbands = 1\ninterleave = bil\n"
+                    "data type = 12\nbyte order = 0\nwavelength = {550}\n"
+                )
+            else:
+                tifffile.imwrite(raw / f"{name}_550nm_{take}.tif", codes)
+    (folder / "campaign.toml").write_text(f"{HEAD}{bits}\n{KINDS[kind]}")
+    return folder
+
+
+def developed(folder):
+    campaign = load_campaign(folder)
+    captures, _ = find_captures(campaign)
+    kept = TemplateCache(folder / "kept", Hashes(folder / HASHES), shared=False)
+    return develop(captures[0], campaign, kept)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_full_below_the_bits_is_flagged_said_and_recorded(tmp_path, kind):
+    made = developed(write(tmp_path, kind, full=3600))
+    flags = made.cubes[""].flags.max(2) & Flag.SATURATED > 0
+    assert flags[GOLD].mean() > 0.98 and flags[~GOLD].mean() < 0.02 + 0.1 * (kind == "mosaic")
+    (note,) = [w for w in made.warnings if "full at" in w]
+    assert "3600" in note and "12 bits" in note
+    assert made.learnt[""]["full_scale"]["counts"] == 3600
+
+
+def test_a_full_well_with_noise_behind_it_is_found_by_two_shots(tmp_path):
+    made = developed(write(tmp_path, "bands", full=3600, shots=2, wells=True))
+    flags = made.cubes[""].flags[..., 0] & Flag.SATURATED > 0
+    assert flags[GOLD].mean() > 0.98 and flags[~GOLD].mean() < 0.01
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("full", "bits"), [(4095, ""), (3600, "bits = 12")])
+def test_a_white_that_is_full_below_its_container_is_refused(tmp_path, kind, full, bits):
+    folder = write(tmp_path, kind, full=full, bits=bits, white=2 * WHITE)
+    with pytest.raises(Refused) as refused:
+        developed(folder)
+    problem = refused.value.problems[0]
+    assert problem.code == "E_WHITE_SATURATED" and f"{full} counts" in problem.found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_sensor_that_is_full_nowhere_keeps_the_full_scale_that_is_stated(tmp_path, kind):
+    made = developed(write(tmp_path, kind, full=4095))
+    assert not any("full at" in w for w in made.warnings)
+    assert "full_scale" not in made.learnt[""]
+    assert not (made.cubes[""].flags & Flag.SATURATED).any()
+
+
+def test_radiometry_takes_the_full_scale_that_the_frames_show(tmp_path):
+    found = examine_with_seed(write(tmp_path, "bands", full=3600, shots=3))
+    (sensor,) = found.sensors
+    (channel,) = sensor.channels.values()
+    assert channel.full_well.value == pytest.approx((3600 - BLACK) / GAIN, rel=0.03)
+    assert any("full at 3600" in note for note in sensor.notes)
+    assert not any("no shot saturates" in note for note in sensor.notes)
+
+
+def test_arrays_are_full_where_those_of_a_build_are(tmp_path):
+    write(tmp_path, "bands", full=3600)
+    panel, dark, white = (
+        tifffile.imread(tmp_path / "raw" / f"{name}_550nm_0.tif")
+        for name in ("panel", "dark", "white")
+    )
+    flags = calibrate(panel, dark, white).flags[..., 0] & Flag.SATURATED > 0
+    assert flags[GOLD].mean() > 0.98 and flags[~GOLD].mean() < 0.01

@@ -1,0 +1,72 @@
+"""A sensor that is not linear has a curve that its exposure series shows; a wrong time has none."""
+
+import numpy as np
+import pytest
+
+from levkas.calibration.linearity import find_points
+from levkas.calibration.response import ALIKE, find_response
+from levkas.calibration.templates import average
+
+GAIN, READ, BLACK, FULL = 0.25, 2.0, 60.0, 4095.0
+TIMES = (0.25, 0.5, 1.0, 2.0)
+RATES = np.kron(np.random.default_rng(1).uniform(0.02, 1.0, (8, 10)), np.ones((16, 16))) * 3600
+
+
+def bent(light, bend, cubic=0.0):
+    share = light / (FULL - BLACK)
+    return light * (1 - bend * share - cubic * share**2)
+
+
+def points(bend=0.0, *, cubic=0.0, times=TIMES, really=None, seed=2):
+    """Points of a series that states `times`, and really took others."""
+    rng = np.random.default_rng(seed)
+    shots = []
+    for stated, time in zip(times, really or times, strict=True):
+        light = GAIN * rng.poisson(RATES * time / GAIN)
+        codes = np.rint(bent(light, bend, cubic) + rng.normal(BLACK, READ, light.shape))
+        codes = codes.clip(0, FULL).astype(np.uint16)
+        shots.append(average([codes], saturation=FULL, exposure_s=stated))
+    return find_points(shots, saturation=FULL, black=BLACK, contrast=ALIKE)
+
+
+@pytest.mark.parametrize(
+    ("bend", "cubic"), [(0.06, 0.0), (0.12, 0.0), (-0.05, 0.0), (0.03, 0.03), (0.02, 0.0)]
+)
+def test_a_planted_curve_comes_back(bend, cubic):
+    found = find_response(points(bend, cubic=cubic), FULL - BLACK)
+    light = np.linspace(50, 3500, 50)
+    off = found.light(bent(light, bend, cubic)) / light - 1
+    # The slope in the dark is the scale: what counts is how light goes from there on.
+    assert np.abs(off).max() < max(0.002, 3 * found.error)
+    assert found.error < 0.003 and found.rms < 0.002 < found.rms_line
+
+
+def test_a_linear_sensor_has_no_curve():
+    assert find_response(points(), FULL - BLACK) is None
+
+
+@pytest.mark.parametrize("odd", range(4))
+@pytest.mark.parametrize("factor", [0.95, 1.02, 1.33])
+def test_a_wrong_time_of_one_exposure_is_no_curve(odd, factor):
+    really = [t * (factor if i == odd else 1.0) for i, t in enumerate(TIMES)]
+    assert find_response(points(really=really), FULL - BLACK) is None
+
+
+def test_a_shutter_that_is_late_is_no_curve():
+    assert find_response(points(really=[t + 0.01 for t in TIMES]), FULL - BLACK) is None
+
+
+def test_two_exposures_of_many_levels_show_a_curve():
+    found = find_response(points(0.06, times=(0.5, 1.0)), FULL - BLACK)
+    light = np.linspace(300, 3300, 20)
+    ratio = found.light(bent(light, 0.06)) / light
+    assert np.ptp(ratio) < 0.006
+
+
+def test_templates_are_straightened_with_their_variance():
+    found = find_response(points(0.06), FULL - BLACK)
+    frames = [np.full((2, 2), bent(3000.0, 0.06) + BLACK + more) for more in (-30.0, 30.0)]
+    made = found.straighten(average(frames), BLACK)
+    assert made.mean == pytest.approx(3000 + BLACK, rel=0.002)
+    slope = (found.light(np.array(2901.0)) - found.light(np.array(2899.0))) / 2
+    assert made.variance == pytest.approx(1800 * float(slope) ** 2, rel=0.05)
