@@ -160,7 +160,7 @@ def test_exposures_of_one_scene_stand_in_for_repeats_where_there_is_no_white(tmp
 
 
 def test_an_unknown_camera_is_named_with_the_known_ones(folder):
-    with pytest.raises(Refused, match=r"no camera cma.*expected: cam"):
+    with pytest.raises(Refused, match=r"no camera of this name.*found: cma; expected: cam"):
         examine_with_seed(folder, cameras=["cma"])
 
 
