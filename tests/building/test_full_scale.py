@@ -117,3 +117,18 @@ def test_arrays_are_full_where_those_of_a_build_are(tmp_path):
     )
     flags = calibrate(panel, dark, white).flags[..., 0] & Flag.SATURATED > 0
     assert flags[GOLD].mean() > 0.98 and flags[~GOLD].mean() < 0.01
+
+
+@pytest.mark.parametrize("kind", ["cube", "mirror"])
+def test_a_white_of_one_scan_that_is_full_everywhere_is_named(tmp_path, kind):
+    """No other frame shows the noise of dimmer light; but no light has as little noise as the dark."""
+    full = write(tmp_path / "full", kind, full=3000, white=3400.0, wells=True)
+    right = write(tmp_path / "right", kind, full=4095, white=2900.0)
+    assert any("no more noise than the dark" in note for note in developed(full).warnings)
+    assert not any("than the dark" in note for note in developed(right).warnings)
+
+
+def test_noise_of_single_shots_is_named_as_such(tmp_path):
+    single, twice = (write(tmp_path / str(n), "bands", full=4095, shots=n) for n in (1, 2))
+    assert any("smooth parts of single shots" in note for note in developed(single).warnings)
+    assert not any("single shots" in note for note in developed(twice).warnings)

@@ -133,3 +133,9 @@ def test_noise_of_a_weak_band_is_no_change_of_the_lamp():
     strong = weak | {"white": -0.006, "sigma": 0.006}
     (note,) = describe_lamp({"": {LAMP: {"1000 nm": weak, "900 nm": strong}}})
     assert "900 nm" in note and "-0.6 % within the white" in note
+
+
+def test_a_page_says_that_a_white_of_one_shot_tells_nothing_of_the_lamp(drifted, tmp_path):
+    once = Built(tmp_path / "c", lambda name, shot, band=0: 1.0, whites=1)
+    assert "how the lamp changed was not measured" in once.camera
+    assert "how the lamp changed was not measured" not in drifted.camera

@@ -260,13 +260,8 @@ def _page(
                 notes.append(
                     f"{name or camera}: fitted to the patches of a chart and extrapolated beyond the chart"
                 )
-            lamps = {b: one["white"] or 0.0 for b, one in told.get(LAMP, {}).items()}
-            band = max(lamps, key=lambda b: abs(lamps[b]), default="")
-            if lamps and abs(lamps[band]) > NOTICED:
-                notes.append(
-                    f"{band}: the lamp changed by {100 * lamps[band]:+.2g} % within the white"
-                )
             fields = told.get("light", {})
+            notes += _of_lamp(told) if fields else []
             for label in spread(list(fields), FEW_BANDS):
                 lights.append(light_row(f"{name} {label}".strip(), fields[label]))
             notes += [f"{b}: {one['refused']}" for b, one in fields.items() if "refused" in one]
@@ -293,6 +288,21 @@ def _page(
     )
 
 
+def _of_lamp(told: Mapping[str, Any]) -> list[str]:
+    """Return how the lamp changed within the white of a sensor, or that this was not measured."""
+    lamps = {b: one["white"] for b, one in told.get(LAMP, {}).items() if one["white"] is not None}
+    if not lamps:
+        return [LAMP_UNKNOWN]
+    band = max(lamps, key=lambda b: abs(lamps[b]))
+    if abs(lamps[band]) <= NOTICED:
+        return []
+    return [f"{band}: the lamp changed by {100 * lamps[band]:+.2g} % within the white"]
+
+
+LAMP_UNKNOWN = (
+    "how the lamp changed was not measured, and sigma does not contain it: capture the white more than once, best before and "
+    "after the objects, with the time in its files"
+)
 BY_ITSELF = (
     "the camera's white is a chart: the colours of that chart were fitted to the "
     "published ones, so only their held-out errors are a test"

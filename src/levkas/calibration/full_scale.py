@@ -33,6 +33,9 @@ STILL = 0.002  # of the brightest: more noise than a full well has behind it
 SPREADS = 3.0  # of a hill, from its middle to its foot
 ROUNDS = 5  # of leaving out what is no part of a hill
 MOST_PAIRS = 40  # of frames that are compared
+QUIET = 2.0  # of the dark's variance: a white has shot noise beside it, in any camera four times that or more
+ROUNDED = 0.5  # counts of noise: less is the rounding of means, which white and dark share
+BRIGHT = 100.0  # of the dark's noise: a white below is too dim to tell
 
 
 class SceneShots(NamedTuple):
@@ -142,6 +145,35 @@ def find_full_scale(
     if not whole:
         return None
     return _hard_end(whole, darks, period) or _hill(whole, darks, period)
+
+
+def level_of_a_quiet_white(
+    lit: Sequence[SceneShots], darks: Sequence[np.ndarray], *, period: int = 1
+) -> float | None:
+    """Return the level of a white that has no more noise than the dark, which light alone cannot have; None of none.
+
+    It is full everywhere, or it was averaged: where no other level shows noise, `find_full_scale` cannot tell.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> dark, white = rng.normal(60, 2.5, (40, 90)), rng.normal(3300, 2.6, (40, 90))
+    >>> level_of_a_quiet_white([SceneShots([white.astype(np.uint16)], even=True)], [dark.astype(np.uint16)])
+    3300.0
+    """
+    quiet = [one.spread(one.level >= 0) for one in _over_space(darks, period)]
+    known = [variance for variance in quiet if variance > ROUNDED**2]
+    if not known:
+        return None
+    dark = float(np.median([np.median(plane) for plane in darks]))
+    for frames in lit:
+        if not frames.even or frames.shots[0].dtype.itemsize < 2:
+            continue
+        level = float(np.median(frames.shots[0]))
+        spreads = [one.spread(one.level >= 0) for one in _over_space(frames.shots[:1], period)]
+        if level - dark > BRIGHT * np.sqrt(max(known)) and spreads[0] < QUIET * min(known):
+            return float(round(level))
+    return None
 
 
 # --- a hard end ---------------------------------------------------------------------------------

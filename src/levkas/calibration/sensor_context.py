@@ -19,7 +19,13 @@ from levkas.calibration.code_checks import FEW_CODES, check_codes, thin_rows
 from levkas.calibration.code_spacing import find_alignment, find_step
 from levkas.calibration.darks import dark_under, level_under
 from levkas.calibration.drift import average_steady
-from levkas.calibration.full_scale import FullScale, SceneShots, find_full_scale, stated_full_scale
+from levkas.calibration.full_scale import (
+    FullScale,
+    SceneShots,
+    find_full_scale,
+    level_of_a_quiet_white,
+    stated_full_scale,
+)
 from levkas.calibration.linearity import PERIOD, Point, check_linearity, find_points
 from levkas.calibration.patterns import thin_periods
 from levkas.calibration.response import ALIKE, CURVED, Response, find_response
@@ -39,6 +45,7 @@ MOST_GLIMPSED = 2
 SHOTS = 4
 """Of a dark that was clipped: what they show of noise and fixed pattern suffices."""
 CLIPPED_DARKS, FULL_SCALE, RESPONSE = "clipped_darks", "full_scale", "response"
+QUIET_WHITE, SENSOR = "quiet_white", "sensor"
 """Names, among what is measured of a sensor, of darks that were clipped, the code at which it is full, and its curve."""
 BLACK, BLACK_ERROR = "black", 0.5
 """Name, among the same, of a black level by an exposure series; and its standard error, counts, at most: a quarter of a small read noise."""
@@ -96,6 +103,15 @@ class SensorContext:
         """Return the full scale by the frames of object and white, where it lies below what is declared."""
         if self.camera.kind == "image" or np.dtype(self.facts.dtype).kind != "u":
             return None
+        lit, darks = self._sampled()
+        found = find_full_scale(lit, darks, period=self.period[1])
+        stated = self.stated
+        if found is None and (quiet := level_of_a_quiet_white(lit, darks, period=self.period[1])):
+            self.told[QUIET_WHITE] = quiet
+        return found if found and (stated is None or found.counts < stated.counts) else None
+
+    def _sampled(self) -> tuple[list[SceneShots], list[np.ndarray]]:
+        """Return samples of the scenes and of the darks."""
         sensor = self.sensor
         strips = self.camera.kind == "cube"
         lit = [
@@ -103,10 +119,7 @@ class SensorContext:
             for role, frames in (("object", sensor.object), ("white", sensor.white))
             for some in ([[f] for f in frames] if strips else _repeats(frames))
         ]
-        darks = [_sample(some[0]) for some in _repeats(sensor.dark)[:SHOTS]]
-        found = find_full_scale(lit, darks, period=self.period[1])
-        stated = self.stated
-        return found if found and (stated is None or found.counts < stated.counts) else None
+        return lit, [_sample(some[0]) for some in _repeats(sensor.dark)[:SHOTS]]
 
     @property
     def unmended(self) -> bool:

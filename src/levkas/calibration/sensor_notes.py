@@ -12,7 +12,9 @@ from levkas.calibration.sensor_context import (
     CLIPPED_DARKS,
     FULL_SCALE,
     NAMED,
+    QUIET_WHITE,
     RESPONSE,
+    SENSOR,
     glimpse,
     spread,
 )
@@ -122,6 +124,16 @@ def describe_sensor(context: SensorContext) -> list[str]:
         *_describe_darks(context),
         *_describe_response(context),
         *_describe_black(context),
+        *_describe_noise(context),
+    ]
+
+
+def _describe_noise(context: SensorContext) -> list[str]:
+    if context.told.get(SENSOR, {}).get("source") != "spatial":
+        return []
+    return [
+        f"{context.camera.name}: noise is estimated from the smooth parts of single shots, and sigma is no surer than these: "
+        "capture two shots or more of each target"
     ]
 
 
@@ -148,6 +160,11 @@ def _describe_response(context: SensorContext) -> list[str]:
 
 
 def _describe_full_scale(context: SensorContext) -> list[str]:
+    if (quiet := context.told.get(QUIET_WHITE)) is not None:
+        return [
+            f"{context.camera.name}: the white has no more noise than the dark, and light has shot noise: it is averaged, or "
+            f"full (saturated) at {quiet:g} counts. If it is full declare `saturation`, and capture it with less exposure"
+        ]
     found = context.told.get(FULL_SCALE)
     if not found:
         return []
