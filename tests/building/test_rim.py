@@ -143,7 +143,7 @@ def test_codes_beyond_the_declared_bits_are_refused(tmp_path):
     with pytest.raises(CalibrationRefused) as refused:
         developed(folder)
     (problem,) = refused.value.problems
-    assert (problem.code, problem.found, problem.expected) == ("E_BITS", "4096", "at most 4095")
+    assert (problem.code, problem.found, problem.expected) == ("E_BITS", 4096, "at most 4095")
     assert problem.file.endswith("B1.tif") and "bits = 13" in problem.fix
 
 

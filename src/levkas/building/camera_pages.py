@@ -121,7 +121,7 @@ def prints_of_page(
         "campaign.creator": described.creator,
         "campaign.date": described.date,
         "campaign.licence": described.licence,
-        "measured of sensor and light": _measured_in(page, records, inputs, lost),
+        **_measured_in(page, records, inputs, lost),
         "charts refused": [written(campaign, p) for p in page.refused],
     }
     for key in ("kind", "bits", "black", "saturation"):
@@ -145,18 +145,19 @@ def _measured_in(
     records: BuildRecords,
     inputs: Inputs,
     lost: Mapping[tuple[str, str], Step],
-) -> list[list[str]]:
+) -> dict[str, str]:
     """Return the calibrations that `learnt_of` takes its measurements from, and what each is made of.
 
     A calibration that is to be done again is another one: what it will measure need not be known.
     """
-    found, known = [], set()
+    found: dict[str, str] = {}
+    known = set()
     for capture in page.captures:
         key = key_of(capture, "calibrate")
         step = lost.get((capture.object, capture.layer))
         if capture.setup in known or (step is not None and step.key == key):
             continue
-        found.append([capture.setup, capture.object, inputs.calibrated(key)])
+        found[f"sensor and light, by {capture.object}/{capture.layer}"] = inputs.calibrated(key)
         if any(_of_camera(records, key).values()):
             known.add(capture.setup)
     return found

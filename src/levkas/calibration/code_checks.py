@@ -64,7 +64,7 @@ def check_codes(values: np.ndarray, path: Path, camera: str, bits: int, full: fl
                 f"{camera}: codes exceed {bits} bits",
                 str(path),
                 f"cameras.{camera}.bits",
-                f"{top}",
+                top,
                 f"at most {most:g}",
                 f"Write `bits = {top.bit_length()}`. If the {bits} bits are stored in the upper bits "
                 "of a code, write `saturation` in stored codes.",

@@ -126,18 +126,19 @@ def unknown_name(
 
 
 def gathered(problems: Iterable[Problem], *, cut: bool = False) -> list[Problem]:
-    """Return problems with those of several files that are alike as one, with their number.
+    """Return problems with those of several files that come of one key as one, with their number.
 
     It names the first file, and has the largest of the numbers that were found; `cut` says that there
-    may be more.
+    may be more. Problems of files themselves stay apart: each of these has to be mended.
 
-    >>> alike = (Problem("E_BITS", "codes exceed 12 bits", f"{n}.tif", found=n) for n in (5000, 9000))
+    >>> alike = (Problem("E_BITS", "codes exceed 12 bits", f"{n}.tif", "bits", n) for n in (5000, 9000))
     >>> print(*gathered(alike))
-    codes exceed 12 bits, in 2 files (file: 5000.tif; found: 9000)
+    codes exceed 12 bits, in 2 files (file: 5000.tif; field: bits; found: 9000)
     """
-    groups: dict[tuple[str, str, str | None], list[Problem]] = {}
+    groups: dict[tuple[str | None, ...], list[Problem]] = {}
     for problem in dict.fromkeys(problems):
-        groups.setdefault((problem.code, problem.message, problem.field), []).append(problem)
+        own = None if problem.field else problem.file
+        groups.setdefault((problem.code, problem.message, problem.field, own), []).append(problem)
     found = []
     for alike in groups.values():
         numbers = all(isinstance(problem.found, int) for problem in alike)

@@ -195,7 +195,11 @@ def read_frame(path: str | Path, *, page: int | None = None) -> np.ndarray:
     ------
     UnreadableCapture
         Whatever is wrong with the file: what is missing never reads as zeros.
+    ValueError
+        For a negative page.
     """
+    if page is not None and page < 0:
+        raise ValueError(f"page {page}; pages count from 0")
     kind = kind_of(path)
     FRAMES.add()
     if kind == "tiff":

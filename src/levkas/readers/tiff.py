@@ -97,8 +97,6 @@ def read_tiff_page(path: Path, page: int | None = None) -> np.ndarray:
 
     Where the tags say that zero is white, integers are turned, so that more is always brighter.
     """
-    if page is not None and page < 0:
-        raise ValueError(f"page {page}; pages count from 0")
     with _opened(path) as (tiff, pages):
         return _decode(path, tiff, pages, page or 0)
 

@@ -120,7 +120,10 @@ class Templates:
     def _exposure(self, file: FoundFile) -> float | tuple[float, ...] | None:
         if file.exposure_s is not None:
             return file.exposure_s
-        facts = self.index.facts(file.path)
+        try:
+            facts = self.index.facts(file.path)
+        except Refused:  # calibration names it, with all others that cannot be read
+            return None
         return facts.band_times_s or facts.exposure_s
 
     def _nearest_stacks(self, kind: str, group: list[FoundFile]) -> tuple[list[FoundFile], str]:

@@ -35,7 +35,11 @@ def write_netcdf(layer: ExportLayer, folder: Path) -> list[Path]:
     path = folder / f"{layer.stem}.nc"
     with replacing(path) as handle, h5netcdf.File(handle, "w") as dataset:
         dataset.dimensions = dict(zip(DIMENSIONS, layer.shape, strict=True))
-        facts = {k: v for k, v in layer.facts.items() if isinstance(v, str | float | int)}
+        facts = {
+            k: v
+            for k, v in layer.facts.items()
+            if isinstance(v, str | float | int) and not isinstance(v, bool)
+        }
         dataset.attrs.update(
             {"Conventions": "CF-1.8", **{k: v for k, v in facts.items() if v != ""}}
         )
