@@ -17,8 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parent))
 from camera import Habits, Outcome, outcome_of, tones, write_campaign
 
 DECADES = (0.002, 0.01, 0.1, 1.01)
