@@ -33,7 +33,7 @@ STILL = 0.002  # of the brightest: more noise than a full well has behind it
 SPREADS = 3.0  # of a hill, from its middle to its foot
 ROUNDS = 5  # of leaving out what is no part of a hill
 MOST_PAIRS = 40  # of frames that are compared
-QUIET = 2.0  # of the dark's variance: a white has shot noise beside it, in any camera four times that or more
+QUIET = 2.0  # of the dark's variance: at `BRIGHT` shot noise adds as much again where counts an electron are 1 % of the dark's noise
 ROUNDED = 0.5  # counts of noise: less is the rounding of means, which white and dark share
 BRIGHT = 100.0  # of the dark's noise: a white below is too dim to tell
 
