@@ -157,7 +157,7 @@ def level_of_a_quiet_white(
     Examples
     --------
     >>> rng = np.random.default_rng(1)
-    >>> dark, white = rng.normal(60, 2.5, (40, 90)), rng.normal(3300, 2.6, (40, 90))
+    >>> dark, white = rng.normal(60.5, 2.5, (40, 90)), rng.normal(3300.5, 2.6, (40, 90))
     >>> level_of_a_quiet_white([SceneShots([white.astype(np.uint16)], even=True)], [dark.astype(np.uint16)])
     3300.0
     """
