@@ -19,7 +19,9 @@ from levkas.calibration.templates import ShotLevels, Template, average
 
 CELL, CELLS = 32, 8  # pixels a side of a cell, of one phase; cells a side that a small frame has
 NOTICED = 0.002  # of the light: a fifth of what reflectance may be wrong by
-SIGMAS = 4.0
+SIGMAS = (
+    4.0  # of a change, to be one: at 2 noise changes the lamp in one of twenty bands of a scanner
+)
 DIM = 0.02  # of the brightest cells: darker ones hold noise alone
 EXPLAINED = (
     0.01  # of the variance of bright pixels over time: beyond it shots are brought to one level
@@ -501,7 +503,7 @@ def _trend(stack: ShotLevels) -> _Trend:
     if count > 2:
         square = (rest**2).sum(0) / (count - 2)
         flicker = np.where(square > 4 * noise**2, np.sqrt(np.maximum(square - noise**2, 0)), 0.0)
-        change = np.where(np.abs(change) > 2 * np.sqrt(square) * span / spread, change, 0.0)
+        change = np.where(np.abs(change) > SIGMAS * np.sqrt(square) * span / spread, change, 0.0)
     return _Trend(change, np.hypot(change, noise * span / spread), flicker)
 
 
