@@ -199,6 +199,41 @@ def test_blocks_of_jpeg_displace_no_lines(painting, front, quality):
     assert lines_lie_still({"line_displacement": found.to_dict()}) is None
 
 
+def tiles(side, blur=0.0, shift=0.0, size=(480, 320)):
+    """Return even tiles in a grid, (h, w), each line off by its row of `shift` along itself, px."""
+    count = [n // side + 1 for n in size]
+    tones = np.random.default_rng(7).permutation(np.geomspace(0.002, 1, count[0] * count[1]))
+    picture = np.kron(tones.reshape(count), np.ones((side, side)))[: size[0], : size[1]]
+    soft = cv2.GaussianBlur(picture, (0, 0), np.hypot(0.6, blur))
+    y, x = np.mgrid[: size[0], : size[1]].astype(float)
+    return ndimage.map_coordinates(soft, [y, x + shift], order=3, mode="nearest")
+
+
+def noisy(picture, seed, noise=1.0):
+    """Return what a sensor makes of a picture."""
+    sigma = noise * (0.001 + 0.01 * np.sqrt(np.clip(picture, 0, None)))
+    chance = np.random.default_rng(seed).normal(0, 1, picture.shape)
+    return (picture + sigma * chance).astype(np.float32)
+
+
+@pytest.mark.parametrize("noise", [1.0, 4.0])
+@pytest.mark.parametrize("blur", [0.0, 1.0])
+@pytest.mark.parametrize("side", [8, 12, 20, 32, 48])
+def test_edges_of_tiles_displace_no_lines_beside_them(side, blur, noise):
+    """Lines between edges hold noise alone, which seems to lie anywhere but beyond the edges, in all parts alike."""
+    one, other = noisy(tiles(side), 1, noise), noisy(tiles(side, blur), 2, noise)
+    found = measured(one, other, Affine.identity())
+    assert found.course is None
+
+
+def test_tiles_show_a_wobble_along_the_lines_and_say_nothing_across_them():
+    y = np.arange(480)[:, None]
+    wobbling = tiles(20, shift=0.5 * np.sin(2 * np.pi * y / 60))
+    found = measured(noisy(tiles(20), 1), noisy(wobbling, 2), Affine.identity())
+    assert found.course.kind == "period" and found.course.period == pytest.approx(60, rel=0.03)
+    assert found.alike and found.across == 0.0 and found.to_dict()["alike"]
+
+
 def test_too_few_lines_are_not_measured(front):
     blank = measured(front, np.full((240, 310), 0.5, np.float32))
     assert blank is None or blank.course is None

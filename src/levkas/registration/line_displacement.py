@@ -9,7 +9,8 @@ displacement (dx, dy) against the picture that the other camera predicts is a le
 Each line is cut into four parts that are registered separately. What the line as a whole does, all parts do; what
 noise, relief, a ledge or unlike pigments do, they do independently. The covariance of the parts along the scan is therefore
 the variance of the common displacement, free of noise, and the same covariance of the *differences* of parts, shifted against one another along
-the scan, is what chance makes of it: a permutation null as in `verification`.
+the scan, is what chance makes of it: a permutation null as in `verification`. It holds where parts are independent. Of a
+chart, whose edges run through all of them, no displacement across the lines is measured.
 """
 
 from __future__ import annotations
@@ -102,6 +103,8 @@ class LineDisplacement:
         Of the whole displacement, what a flexible map follows of it included; None where lines are not displaced beyond chance.
     displacement : ndarray, (n, 2), reference px
         Of every line as measured, along and across; NaN where unknown.
+    alike : bool
+        Whether all parts show their detail in the same lines, so that nothing is known across them.
     step : int, reference px
         Of the grid on which it was measured.
     """
@@ -116,6 +119,7 @@ class LineDisplacement:
     noise: float
     course: Course | None
     displacement: np.ndarray
+    alike: bool = False
     step: int = 1
 
     @property
@@ -146,6 +150,7 @@ class LineDisplacement:
             "size_px": course and round(course.size, 4),
             "period_lines": course and (round(course.period, 2) if course.period > 0 else None),
             "place": course and (course.place if course.place >= 0 else None),
+            "alike": self.alike,
             "step": self.step,
         }
 
@@ -346,4 +351,5 @@ def _describe(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:
         float(np.hypot(*(noise * sizes))),
         course,
         common * sizes,
+        shifts.alike,
     )
