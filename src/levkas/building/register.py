@@ -15,6 +15,7 @@ import numpy as np
 from levkas import __version__
 from levkas.building.build_records import Written
 from levkas.building.control_points import declared_points, joined, placed_in, placed_pairs
+from levkas.campaign.edits import BY_HAND
 from levkas.campaign.methods import DEFAULT_METHOD
 from levkas.core.files import make_folder, remove, together, write_bytes, write_json, write_text
 from levkas.core.problems import Problem, Refused
@@ -96,11 +97,16 @@ def publish_registration(
     """Write the record and the matches of a registration; `before` as of `core.files.together`."""
     with together(before):
         files = write_registration(places, capture, measured.record, measured.matches)
-    notes = {"refused": [p.to_dict() for p in measured.problems], "figures": measured.figures}
-    verdict = measured.record["verdict"]
-    warnings: tuple[str, ...] = ()
-    if verdict["decision"] == "warn" and not measured.problems:
-        warnings = (f"{capture.object}/{capture.layer}: {' '.join(verdict['reasons'])}",)
+    verdict, layer = measured.record["verdict"], f"{capture.object}/{capture.layer}"
+    judged = f"{layer}: {' '.join(verdict['reasons'])}"
+    lasting = [judged] if verdict["decision"] == "by hand" else []
+    notes = {
+        "refused": [p.to_dict() for p in measured.problems],
+        "figures": measured.figures,
+        "warnings": lasting,
+    }
+    doubtful = verdict["decision"] == "warn" and not measured.problems
+    warnings = (*lasting, *([judged] if doubtful else []))
     return Written(files, notes, warnings=warnings, problems=measured.problems)
 
 
@@ -179,7 +185,8 @@ def corrections_of(
     given, options = {}, {}
     for band, edits in campaign.edits.of_layer(capture.object, capture.layer).items():
         sensor, placed = placed_in(capture, band, channel)
-        given[sensor] = placed_pairs(ManualPoints(**edits.pairs()), placed)
+        pairs = ManualPoints(**edits.pairs(), accepted=edits.accept == BY_HAND)
+        given[sensor] = placed_pairs(pairs, placed)
         for key in ("reject", "stop"):
             if getattr(edits, key) is not None:
                 options[key] = getattr(edits, key)

@@ -47,7 +47,7 @@ class Assessment:
     @property
     def text(self) -> str:
         """A table for people: a line a layer, errors in reference pixels."""
-        head = f"{'layer':28} {'verdict':8} {'bands':>5} {'mean px':>8} {'worst band':>11} {'max px':>8} {'checks':>8} {'SSIM':>6}"
+        head = f"{'layer':28} {'verdict':14} {'bands':>5} {'mean px':>8} {'worst band':>11} {'max px':>8} {'checks':>8} {'SSIM':>6}"
         lines = [head]
         for result in self.results:
             errors = [b for b in result["bands"] if b["error_mean"] is not None]
@@ -60,7 +60,7 @@ class Assessment:
             ssim = np.nan if result["ssim"] is None else result["ssim"]
             verdict = DECISIONS.get(result["verdict"], result["verdict"]).partition(",")[0]
             lines.append(
-                f"{result['layer']:28} {verdict:8} {len(result['bands']):5d} "
+                f"{result['layer']:28} {verdict:14} {len(result['bands']):5d} "
                 f"{_number(mean):>8} {_number(worst):>11} {_number(most):>8} {_number(check):>8} {_number(ssim):>6}"
             )
         if not any(
