@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from levkas.core.problems import Problem, Refused, closest_match
 from levkas.core.text import read_json
 from levkas.database.containment import check_inside
 from levkas.database.layout import layer_name
+from levkas.database.pixel_frames import warn_of_turns
 from levkas.database.registrations import read_registrations
 from levkas.database.remote import is_remote, place
 from levkas.geometry import from_dict
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
     from levkas.registration.control_points.points import Size
 
     Checks = dict[tuple[str, str, str], np.ndarray]
+
+
+AS_STORED = "Check that the points were read in the file as it is stored, without heeding its EXIF orientation."
 
 
 class EvaluationRefused(Refused):
@@ -221,6 +225,7 @@ def read_check_points(
         for file, record in read_registrations(database)
     }
     problems = [p for key in found if (p := _unknown_frame(key, known, path))]
+    turned = _turned_frames(found, path, database)
     checks = {
         (name, layer, band): used_pairs(points)
         for (name, layer, band), points in found.items()
@@ -228,7 +233,23 @@ def read_check_points(
     }
     if problems and not checks:
         raise EvaluationRefused(*problems[:10])
-    return checks, problems[:10]
+    return checks, [*problems[:10], *turned]
+
+
+def _turned_frames(
+    found: Iterable[tuple[str, str, str]], path: Path, database: Path
+) -> list[Problem]:
+    """Return a problem for each layer, or reference of one, whose file viewers turn: points may be read in such a one."""
+    told: dict[str, Problem] = {}
+    for name, layer in dict.fromkeys((name, layer) for name, layer, _ in found):
+        leading = {
+            r["reference"]["camera"]
+            for p, r in read_registrations(database, name)
+            if p.stem == layer
+        }
+        for text in warn_of_turns(database, name, (layer, *leading)) if leading else ():
+            told.setdefault(text, Problem("E_TURNED", text, str(path), fix=AS_STORED))
+    return list(told.values())
 
 
 def _unknown_frame(
