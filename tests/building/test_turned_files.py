@@ -117,3 +117,21 @@ def test_objects_that_are_turned_otherwise_are_named_and_no_grid_is_proposed(tmp
     proposal = look(tmp_path)
     assert not proposal.grid
     assert any("EXIF orientation" in line for line in proposal.unknown)
+
+
+def test_points_of_a_turned_file_are_evaluated_with_a_warning(tmp_path):
+    from levkas.quality.evaluation.layer_report import assess
+
+    write(tmp_path / "phone/icon1.jpeg", 6)
+    write(tmp_path / "scan/icon1.png", 1, "png")
+    cameras = "".join(
+        f'[cameras.{name}]\nkind = "image"\nfiles = "{name}/{{target}}.{kind}"\n'
+        for name, kind in (("phone", "jpeg"), ("scan", "png"))
+    )
+    (tmp_path / "campaign.toml").write_text('[campaign]\nreference = "scan:G"\n' + cameras)
+    assert not [line for line in summarise(build(tmp_path)).warnings if "EXIF" in line]
+    (tmp_path / "points.csv").write_text(
+        "object,camera,band,reference_x,reference_y,x,y\nicon1,phone,,30,20,20,89\n"
+    )
+    problems = assess(tmp_path / "database", points=tmp_path / "points.csv").problems
+    assert [p.code for p in problems] == ["E_TURNED"] and "phone" in problems[0].message
