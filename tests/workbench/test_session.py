@@ -1,5 +1,7 @@
 """Corrections on planted pairs: what an edit makes of the fit, and undo without end."""
 
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,6 +10,7 @@ from hypothesis import strategies as st
 from levkas.campaign.edits import FrameEdits
 from levkas.registration.record import Matches
 from levkas.workbench.answer import describe, from_bytes, to_bytes
+from levkas.workbench.history import CorrectionStep
 from levkas.workbench.session import OPERATIONS, CorrectionSession, OperationRefused, RecordedPairs
 
 SIZE = (1000, 800)
@@ -173,6 +176,22 @@ def test_the_trace_can_be_drawn_from_what_the_screen_is_sent():
     pairs = np.array(told["pairs"])
     residual = np.linalg.norm(last(pairs[:, 2:]) - pairs[:, :2], axis=1)
     np.testing.assert_allclose(residual, told["residual"], atol=0.02)
+
+
+def test_a_layer_is_placed_by_hand_from_four_own_pairs_on_and_undo_takes_that_back():
+    session = CorrectionSession(plant(n=6))
+    for row in range(3):
+        session.apply("pin", pair_of(session, row))
+    with pytest.raises(OperationRefused, match="too few pairs"):
+        session.accept(True)
+    session.apply("add", [10, 10, 20, 20])
+    session.accept(True)
+    assert describe(session)["accept"] == "by hand"
+    assert "accepted by hand" in describe(session)["corrections"]
+    step = CorrectionStep.from_dict(json.loads(json.dumps(session.history.done[-1].to_dict())))
+    assert step == session.history.done[-1]
+    session.undo()
+    assert describe(session)["accept"] == "" and len(session.edits.added) == 1
 
 
 def test_places_that_cannot_be_are_refused():

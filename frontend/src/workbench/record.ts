@@ -136,6 +136,8 @@ export interface SessionState {
   stop: number;
   overridden: { reject: boolean; stop: boolean };
   corrections: string;
+  /** Whether the layer is placed by the person's pairs alone: "by hand", or empty. */
+  accept: "by hand" | "";
   note: string;
   can: { undo: number; redo: number };
 }

@@ -26,6 +26,11 @@ export class VerdictCard {
     id: "build-status",
   });
   private readonly running = signal(false);
+  private readonly byHand = make("button", {
+    type: "button",
+    id: "by-hand",
+    title: "The layer is placed by your pairs alone, and labelled so everywhere",
+  });
   private readonly takeBack = make(
     "button",
     {
@@ -50,6 +55,8 @@ export class VerdictCard {
       make("h2", { id: "verdict-head" }, "Verdict"),
       content,
       this.again,
+      " ",
+      this.byHand,
       this.progress,
     );
     effect(() => {
@@ -58,9 +65,21 @@ export class VerdictCard {
       const back = session.corrections !== "" && this.takeBack;
       refill(content, ...describe(frame, session, store.stale.value), back);
     });
+    this.byHand.addEventListener("click", () => void this.place());
     effect(() => {
-      this.again.disabled = this.running.value;
+      const [frame, session] = [store.frame.value, store.session.value];
+      this.again.disabled = this.byHand.disabled = this.running.value;
+      const placed = session?.accept === "by hand";
+      this.byHand.hidden = !frame || !session || frame.is_reference || !(placed || enough(session));
+      this.byHand.textContent = placed ? "Register by the pictures" : "Place by hand";
     });
+  }
+
+  /** Place the layer by the pairs alone, or by the pictures again, and build it so. */
+  private async place(): Promise<void> {
+    const value = this.store.session.value?.accept !== "by hand";
+    await this.store.edit({ operation: "accept", value });
+    if ((this.store.session.value?.accept === "by hand") === value) await this.build();
   }
 
   private async build(): Promise<void> {
@@ -91,6 +110,11 @@ export class VerdictCard {
   }
 }
 
+/** Whether a person set enough pairs to place a layer by them alone. */
+function enough({ hand }: SessionState): boolean {
+  return hand.filter((one) => ["added", "pinned", "restored"].includes(one)).length >= ENOUGH;
+}
+
 /** Whether the reasons of the verdict tell of a problem already. */
 function isSaid({ message }: Problem, reasons: string[]): boolean {
   const text = message.toLowerCase();
@@ -119,7 +143,8 @@ function describe(
     ),
     make("p", { class: "sum", id: "sum" }, ...summarise(frame, session, stale)),
     reasons.length > 0 && make("ul", {}, ...reasons.map((reason) => make("li", {}, reason))),
-    next_step !== "" && make("p", {}, make("strong", {}, "Next: "), next_step),
+    // With corrections made since, that step may be done.
+    next_step !== "" && !stale && make("p", {}, make("strong", {}, "Next: "), next_step),
     ...describeModels(frame),
     corrections !== "" &&
       make(

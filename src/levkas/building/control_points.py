@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.campaign.edits import BY_HAND
 from levkas.core.problems import Problem
 
 if TYPE_CHECKING:
@@ -38,6 +39,12 @@ def points_file(campaign: Campaign, capture: Capture) -> Path | None:
 def use_of(campaign: Campaign, camera: str) -> str:
     """Return what the points of a camera are for: ``"check"`` (default) or ``"seeds"``."""
     return campaign.cameras[camera].registration.use or campaign.registration.use or "check"
+
+
+def are_accepted(campaign: Campaign, camera: str) -> bool:
+    """Tell whether a camera is to be placed by its points alone: seeds, with `accept`."""
+    own, common = campaign.cameras[camera].registration, campaign.registration
+    return (own.accept or common.accept) == BY_HAND and use_of(campaign, camera) == "seeds"
 
 
 def placed_in(capture: Capture, band: str, channel: str) -> tuple[str, str]:
@@ -89,6 +96,7 @@ def declared_points(
             )
         sensor, placed = placed_in(capture, band, channel)
         pairs = placed_pairs(_given(points, use_of(campaign, capture.camera)), placed)
+        pairs = replace(pairs, accepted=are_accepted(campaign, capture.camera))
         found[sensor] = joined(found[sensor], pairs) if sensor in found else pairs
     return found
 
@@ -105,10 +113,13 @@ def told_points(campaign: Campaign, capture: Capture) -> dict[str, str]:
         if path.is_relative_to(campaign.root)
         else path.name
     )
-    return {
+    told = {
         f"points {name}": hash_file(path)[:16],
         "registration.use": use_of(campaign, capture.camera),
     }
+    if are_accepted(campaign, capture.camera):
+        told["registration.accept"] = BY_HAND
+    return told
 
 
 def placed_pairs(pairs: ManualPoints, band: str) -> ManualPoints:
@@ -120,9 +131,10 @@ def joined(one: ManualPoints, other: ManualPoints) -> ManualPoints:
     """Return the pairs of both, whose check points all say in which band they were placed."""
     from levkas.registration.manual_points import ManualPoints  # heavy, and not for fingerprints
 
-    kinds = [f.name for f in fields(ManualPoints) if f.name != "placed"]
+    kinds = [f.name for f in fields(ManualPoints) if f.name not in ("placed", "accepted")]
     pairs = {kind: np.concatenate([getattr(one, kind), getattr(other, kind)]) for kind in kinds}
-    return ManualPoints(**pairs, placed=one.placed + other.placed)
+    accepted = one.accepted or other.accepted
+    return ManualPoints(**pairs, placed=one.placed + other.placed, accepted=accepted)
 
 
 def _of_capture(campaign: Campaign, capture: Capture, path: Path) -> dict[str, ControlPoints]:

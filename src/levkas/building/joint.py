@@ -12,6 +12,7 @@ import numpy as np
 from levkas.building.register import Measured, draw_figures, verdict_problems
 from levkas.geometry import from_dict
 from levkas.geometry.transforms import Affine, Composed, Transform, solve_2x2
+from levkas.registration.advice import advise
 from levkas.registration.joint import JointResult, SensorObservations, adjust_jointly
 from levkas.registration.manual_points import measure_checks, nearest_rows
 from levkas.registration.record import Matches, Sigma, describe_windows
@@ -71,7 +72,8 @@ def adjusted(
     if mine.problems or not mine.observations:
         return mine
     record, matches = deepcopy(mine.record), dict(mine.matches)
-    for place, observed in enumerate(mine.observations):
+    for observed in mine.observations:
+        place = _place(record, observed)
         mates = [
             (name, seen)
             for name, other in sorted(others.items())
@@ -280,6 +282,8 @@ def _shown(outside: Sequence[Sequence[float]], points: np.ndarray) -> np.ndarray
 def _write_verdict(record: dict[str, Any]) -> None:
     """Judge the adjusted maps, and add to the reasons which captures each sensor was adjusted with."""
     verdict = judge_windows(_whole(record["verdict"]["numbers"])).to_dict()
+    if verdict["decision"] == "refuse":
+        verdict["next_step"] = advise(verdict["next_step"], record.get("pairs_by_hand", 0))
     said = []
     for sensor in record["model"]["sensors"]:
         told = sensor.get("joint")

@@ -27,6 +27,8 @@ FILE_NAME, HISTORY_NAME = "edits.toml", ".edits.history.json"
 MOST_TURNS = 50
 """Attempts to make a change while others change the file."""
 EXPLAINED = "docs/reference/edits.md explains every key; the workbench writes the file for you."
+BY_HAND = "by hand"
+"""Value of `accept`: the map is fitted to the pairs alone."""
 HEAD = """\
 # Corrections by hand; `levkas inspect` writes this file, `levkas build` replays it.
 # A pair is [reference x, reference y, target x, target y], native pixels, centres at whole numbers.
@@ -63,6 +65,8 @@ class FrameEdits:
         A pair as it was found, and the pair that takes its place.
     reject, stop : float or None, reference px
         Instead of the campaign's.
+    accept : {"by hand", ""}
+        Whether the map is fitted to the person's pairs and to nothing else.
     note : str
         A person's own words; no build depends on them.
 
@@ -81,6 +85,7 @@ class FrameEdits:
     checks: tuple[Pair, ...] = ()
     reject: float | None = None
     stop: float | None = None
+    accept: str = ""
     note: str = ""
 
     def __bool__(self) -> bool:
@@ -104,8 +109,11 @@ class FrameEdits:
         '1 added (e67e0ce8)'
         """
         record = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "note"}
+        if not self.accept:  # as before there was this key: what was built then stays fresh
+            del record["accept"]
         parts = [f"{len(v)} {name}" for name, v in record.items() if isinstance(v, tuple) and v]
         parts += [f"{name} {record[name]:g}" for name in ("reject", "stop") if record[name]]
+        parts += [f"accepted {self.accept}"] if self.accept else []
         if not parts:
             return ""
         text = json.dumps(
@@ -121,7 +129,7 @@ def merge(base: FrameEdits, ours: FrameEdits, theirs: FrameEdits) -> FrameEdits:
 
     >>> base = FrameEdits(deleted=((1, 2, 3, 4), (5, 6, 7, 8)))
     >>> merge(base, FrameEdits(deleted=base.deleted[:1]), replace(base, pinned=((9, 9, 9, 9),)))
-    FrameEdits(deleted=((1, 2, 3, 4),), restored=(), pinned=((9, 9, 9, 9),), added=(), moved=(), checks=(), reject=None, stop=None, note='')
+    FrameEdits(deleted=((1, 2, 3, 4),), restored=(), pinned=((9, 9, 9, 9),), added=(), moved=(), checks=(), reject=None, stop=None, accept='', note='')
     """
     merged: dict[str, Any] = {}
     for name in (f.name for f in fields(FrameEdits)):
@@ -317,7 +325,7 @@ def _clashes(
             expected=getattr(before, name),
             fix="Check its present state, then make the change again.",
         )
-        for name in ("reject", "stop", "note")
+        for name in ("reject", "stop", "accept", "note")
         if getattr(before, name) not in (getattr(after, name), getattr(present, name))
         and getattr(after, name) != getattr(present, name)
     ]

@@ -139,7 +139,7 @@ def map_points(
     """Map points between any two pixel frames of an object."""
     from levkas.core.ownership import require_free
     from levkas.core.text import read_stream, read_text
-    from levkas.database.pixel_frames import map_table
+    from levkas.database.pixel_frames import map_table, warn_of_turns
 
     if output is not None:
         require_free(output, overwrite=overwrite)
@@ -151,6 +151,8 @@ def map_points(
     )
     file = str(points) if points else None
     mapped = map_table(database, name, text, source=source, target=target, file=file)
+    for turned in warn_of_turns(database, name, (source, target)):
+        typer.secho(f"warning: {turned}", err=True, fg=typer.colors.YELLOW)
     if outside := mapped.count("\nnan,nan"):
         typer.secho(
             f"warning: {outside} of {mapped.count(chr(10)) - 1} points lie outside the overlap of " f"{source} and {target}; their rows are nan,nan",

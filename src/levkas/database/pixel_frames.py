@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +26,7 @@ from levkas.database.remote import place
 from levkas.geometry import from_dict
 from levkas.geometry.transforms import Affine, Inverse, Transform
 from levkas.readers.facts import check_memory
+from levkas.readers.orientation import UPRIGHT, describe_turn
 
 if TYPE_CHECKING:
     import xarray
@@ -347,6 +348,21 @@ def map_points(
     array([[100.6,  81.9]])
     """
     return find_map(database, name, source, target)(points)
+
+
+def warn_of_turns(database: str | Path, name: str, frames: Iterable[str]) -> list[str]:
+    """Say of frames whose files viewers turn or mirror that their coordinates are those of the file as stored."""
+    layers = Records(place(database), name).layers
+    told = []
+    for layer in dict.fromkeys(parse_frame(frame).layer for frame in frames):
+        target = _load(layers[layer]).get("target") if layer in layers else None
+        turn = target.get("orientation") if isinstance(target, dict) else None
+        if turn in UPRIGHT:
+            told.append(
+                f"coordinates of {layer} are of its file as it is stored; viewers show that {describe_turn(turn)} "
+                f"(EXIF orientation {turn}), and their coordinates are others"
+            )
+    return told
 
 
 def map_table(

@@ -13,6 +13,7 @@ from levkas.core.problems import Problem, Refused
 from levkas.core.text import counted, read_json
 from levkas.database.containment import check_inside, check_plain_names
 from levkas.geometry import from_dict
+from levkas.registration.advice import describe_placement
 from levkas.registration.record import Sigma
 
 KINDS: dict[str, tuple[type, ...]] = {
@@ -94,13 +95,20 @@ def read_registrations(database: Path, name: str = "*") -> Iterator[tuple[Path, 
 
 
 def describe_pairs(record: Mapping[str, Any]) -> str:
-    """Return how many pairs by hand a layer was aligned with, in words; empty where there are none.
+    """Return how many pairs by hand a layer was aligned with, or placed by, in words; empty where there are none.
 
     >>> describe_pairs({"pairs_by_hand": 4, "verdict": {"decision": "accept"}})
     'aligned with 4 pairs by hand'
     """
+    verdict = record.get("verdict") or {}
+    if verdict.get("decision") == "refuse":
+        return ""
+    numbers = (verdict.get("numbers") or {}).values()
+    placed = [n["placed_by_hand"] for n in numbers if isinstance(n, dict) and "placed_by_hand" in n]
+    if placed:
+        return describe_placement(max(placed, key=lambda one: one["fit_px"] or 0.0))
     count = record.get("pairs_by_hand", 0)
-    if not count or record.get("verdict", {}).get("decision") == "refuse":
+    if not count:
         return ""
     return f"aligned with {counted(count, 'pair')} by hand"
 
@@ -177,6 +185,7 @@ def _check(place: str, part: Any) -> None:
             raise TypeError("the verdict is not text")
         if any(len(cell) != 4 for cell in unconfirmed_cells({"verdict": part})):
             raise TypeError("a cell of the verdict is not a rectangle")
+        describe_pairs({"verdict": part})
     elif place in ("reference", "target") and isinstance(part, dict):
         for key in ("camera", "setup", "band"):
             if not isinstance(part.get(key) or "", str):

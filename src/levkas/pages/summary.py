@@ -52,10 +52,10 @@ def summarise_layers(
 
 
 def _overlay(layers: Sequence[LayerReport], mm_per_px: float | None) -> Iterator[tuple[str, str]]:
-    laid = [one for one in layers if one.decision in ("accept", "warn")]
+    laid = [one for one in layers if one.decision in ("accept", "warn", "by hand")]
     reference = next((one.name for one in layers if one.decision == "reference"), "the reference")
     known = [one for one in laid if one.error_px is not None]
-    mark = "warn" if any(one.decision == "warn" for one in laid) else "ok"
+    mark = "warn" if any(one.decision in ("warn", "by hand") for one in laid) else "ok"
     if known:
         worst = max(known, key=lambda one: one.error_px or 0.0)
         assert worst.error_px is not None
@@ -100,7 +100,7 @@ def _noise(rows: Sequence[RadiometryRow]) -> Iterator[tuple[str, str]]:
 
 def _next(layers: Sequence[LayerReport], rows: Sequence[RadiometryRow], lost: Sequence[str]) -> str:
     """Return the gravest thing to do."""
-    for decision in ("refuse", "warn"):
+    for decision in ("refuse", "by hand", "warn"):
         for one in layers:
             if one.decision == decision and one.next_step:
                 return f"{one.name}: {one.next_step}"

@@ -143,7 +143,8 @@ def _layers(root: Path, entries: tuple[Entry, ...]) -> str:
     for e in entries:
         scale = "" if e.px_per_mm != e.px_per_mm else f"{e.px_per_mm:.3g}"
         cells = [e.object, e.camera, e.setup or "–", str(e.bands), f"{e.width} x {e.height}"]
-        verdict = ", ".join(filter(None, (e.verdict, _by_hand(root, e))))
+        words = _by_hand(root, e)
+        verdict = words if e.verdict == "by hand" else ", ".join(filter(None, (e.verdict, words)))
         rows.append("| " + " | ".join(map(plain, [*cells, scale, e.quantity, verdict])) + " |")
     return "\n".join(rows)
 

@@ -72,6 +72,8 @@ class Facts:
     lens : str or None
     white_balance : str or None
         EXIF's ``"auto"`` or ``"manual"``.
+    orientation : int or None
+        EXIF's, 2 to 8, of a file that viewers turn or mirror; pixels are never turned. None of an upright one.
     gain, binning, region : tuple of (field, value) or None
         Amplification, binning and window of the sensor, as the fields of an ENVI header give them.
     wavelengths, fwhm : tuple of float or None, nm
@@ -115,6 +117,7 @@ class Facts:
     focal_mm: float | None = None
     lens: str | None = None
     white_balance: str | None = None
+    orientation: int | None = None
     gain: Settings | None = None
     binning: Settings | None = None
     region: Settings | None = None

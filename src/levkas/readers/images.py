@@ -24,6 +24,7 @@ from levkas.readers.facts import (
     truncated,
     unreadable,
 )
+from levkas.readers.orientation import read_orientation
 
 PNG = b"\x89PNG\r\n\x1a\n"
 PNG_SAMPLES = {0: 1, 2: 3, 3: 3, 4: 1, 6: 3}
@@ -309,7 +310,7 @@ def _jpeg_xl_size(data: bytes) -> int:
 
 
 def read_exif(stream: BinaryIO) -> dict[str, Any]:
-    """Return exposure, ISO, date, camera and lens as fields of `Facts`; None where EXIF does not say.
+    """Return exposure, ISO, date, camera, lens and orientation as fields of `Facts`; None where EXIF does not say.
 
     Parameters
     ----------
@@ -340,6 +341,7 @@ def read_exif(stream: BinaryIO) -> dict[str, Any]:
         "focal_mm": number(FOCAL),
         "lens": exif_text(first(LENS)),
         "white_balance": white_balance(getattr(first(BALANCE_TAGS), "values", None)),
+        "orientation": read_orientation(getattr(tags.get("Image Orientation"), "values", None)),
     }
 
 

@@ -35,6 +35,7 @@ from levkas.readers.images import (
     white_balance,
 )
 from levkas.readers.nodata import nodata_of, without_nodata
+from levkas.readers.orientation import read_orientation
 from levkas.readers.tiff_bands import band_facts, camera_band
 from levkas.readers.tiff_directories import directories_of, images_among
 from levkas.readers.tiff_tags import numbers_of, value_of
@@ -425,6 +426,7 @@ def _describe(page: Any, shape: tuple[int, ...]) -> dict[str, Any]:
         "serial": exif_text(find("BodySerialNumber", "CameraSerialNumber")),
         "f_number": positive_number(find("FNumber")),
         "focal_mm": positive_number(find("FocalLength")),
+        "orientation": read_orientation(value_of(tags, "Orientation")),
         "lens": exif_text(find("LensModel")),
         "white_balance": white_balance(find("WhiteBalance")),
         "encoded": _encoding(page, find("ColorSpace")),

@@ -15,6 +15,7 @@ import numpy as np
 
 from levkas.campaign.methods import DEFAULT_METHOD, METHODS, Method
 from levkas.core.problems import Problem
+from levkas.registration.advice import advise
 from levkas.registration.bands import BandImage
 from levkas.registration.record import (
     Matches,
@@ -33,6 +34,8 @@ BUILT_IN = {
     "levkas": ("levkas.registration.levkas", "register_levkas"),
     "mirhashemi2019": ("levkas.registration.mirhashemi2019", "register_mirhashemi2019"),
 }
+#: Codes of refusals for which a person's pairs help.
+OF_PICTURES = {"E_MATCHES", "E_WINDOWS", "E_SCALE", "E_FOLD"}
 #: Fields of the request that are given by name.
 FURTHER = {"target_region", "align", "reference_transforms", "reference_sigma", "prepared"}
 
@@ -78,7 +81,8 @@ def register(
         Where the object lies; nothing outside is used or judged.
     given : mapping of sensor name to ManualPoints, optional
         Pairs given by hand: added and pinned ones are never removed, deleted ones never used, check
-        points are measured into ``errors["check_points"]``, each by the band that it was placed in.
+        points are measured into ``errors["check_points"]``, each by the band that it was placed in. Where they are
+        `accepted`, the map of their sensor is fitted to them alone, whatever the method.
     **options
         Of the method, as campaign.toml names them; None is the default. Further fields of the
         `Request` are taken too, e.g. `reference_transforms`.
@@ -88,7 +92,7 @@ def register(
     registration : Registration
         `transforms`: band label → map, reference px to native px of the band; `sigma`: band label →
         one standard deviation of the position, reference px; `verdict`: `decision` is ``"accept"``,
-        ``"warn"`` or ``"refuse"``, with `reasons`. A map with the verdict ``"refuse"`` is not reliable.
+        ``"warn"``, ``"by hand"`` or ``"refuse"``, with `reasons`. A map with the verdict ``"refuse"`` is not reliable.
 
     Raises
     ------
@@ -127,10 +131,29 @@ def register(
     request = Request(reference, target, reference_band, region=region, given=given, **further)
     check_request(request, method, METHODS)
     chosen = read_options(METHODS[method].options, options)
-    run = _function(method)
-    with steady_libraries():
-        found = run(request, chosen)
+    placed = any(pairs.accepted for pairs in given.values())
+    run = _function(DEFAULT_METHOD if placed else method)
+    pairs_given = max((len(pairs.fixed) for pairs in given.values()), default=0)
+    try:
+        with steady_libraries():
+            found = run(request, chosen)
+    except RegistrationRefused as refused:
+        if placed:
+            raise
+        raise _with_advice(refused, pairs_given) from None
+    if found.verdict.decision == "refuse" and not placed:
+        step = advise(found.verdict.next_step, pairs_given)
+        found = replace(found, verdict=replace(found.verdict, next_step=step))
     return _with_checks(found, target, given)
+
+
+def _with_advice(refused: RegistrationRefused, pairs: int) -> RegistrationRefused:
+    """Return a refusal in which problems of the pictures, not of the arguments, name the workbench."""
+    problems = (
+        replace(one, fix=advise(one.fix or "", pairs)) if one.code in OF_PICTURES else one
+        for one in refused.problems
+    )
+    return RegistrationRefused(*problems, trace=refused.trace)
 
 
 def _bands_of(pixels: np.ndarray | Sequence[BandImage], name: str) -> Sequence[BandImage]:

@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
+from levkas.core.text import counted
+
 OTHER = "Check that both pictures show the same object, with the same side up and the same framing"
 POINTS = (
     "run `levkas inspect CAMPAIGN`, open this camera and mark four points that both pictures show"
 )
 BY_HAND = f"{OTHER}; if they do, {POINTS}."
+LEAST_PAIRS = 4
+"""Pairs by hand from which a registration can begin, or a layer can be placed by hand: a homography has eight parameters."""
+ACCEPT = (
+    'to place this layer by your pairs alone, choose "Place by hand" in `levkas inspect CAMPAIGN`, or write `accept = "by hand"` '
+    "beside them in edits.toml"
+)
+SCREEN = "`levkas inspect CAMPAIGN` shows both pictures side by side, and takes pairs that you place by hand."
 LITTLE = 0.25
 """Share of the reference; where pictures have less in common, that is named as why a map folds. Half or twice changes
 advice alone."""
@@ -25,6 +37,41 @@ def advice_on_folds(share: float) -> str:
     ('Capture this camera again', True)
     """
     return f"{MORE}, or {POINTS}." if share < LITTLE else BY_HAND
+
+
+def advise(step: str, pairs: int) -> str:
+    """Return the next step after a refusal, as it names the workbench and does not want the `pairs` that were given.
+
+    >>> advise("Check the focus.", 0)[:41], advise(BY_HAND, 4).count("four points")
+    ('Check the focus. `levkas inspect CAMPAIGN', 0)
+    >>> advise(f"{POINTS}.", 3)
+    'run `levkas inspect CAMPAIGN`, open this camera and mark 1 more point that both pictures show.'
+    """
+    if pairs >= LEAST_PAIRS:
+        if POINTS in step:
+            return step.replace(POINTS, ACCEPT)
+        return f"{step} {ACCEPT[0].upper()}{ACCEPT[1:]}.".strip()
+    if pairs:
+        more = counted(LEAST_PAIRS - pairs, "more point")
+        step = step.replace("four points", more)
+    return step if "levkas inspect" in step else f"{step} {SCREEN}".strip()
+
+
+def describe_placement(found: Mapping[str, Any]) -> str:
+    """Return the label of a layer that was placed by hand, of `PlacedByHand.to_dict`.
+
+    >>> describe_placement({"pairs": 5, "fit_px": 0.71})
+    'placed by hand, pairs fit to 0.7 px; the pictures do not confirm it'
+    >>> describe_placement({"pairs": 4, "fit_px": None})
+    'placed by hand, 4 pairs leave no error to measure; the pictures do not confirm it'
+    """
+    fit = found["fit_px"]
+    told = (
+        f"{found['pairs']} pairs leave no error to measure"
+        if fit is None
+        else f"pairs fit to {fit:.1f} px"
+    )
+    return f"placed by hand, {told}; the pictures do not confirm it"
 
 
 def percent(share: float) -> str:

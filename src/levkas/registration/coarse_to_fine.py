@@ -58,6 +58,7 @@ from levkas.registration.window_fusion import (
 if TYPE_CHECKING:
     from levkas.registration.bands import BandImage
     from levkas.registration.features import CameraFeatures
+    from levkas.registration.placed_by_hand import PlacedByHand
     from levkas.registration.window_matching import CheckWindows
 
 Item = TypeVar("Item")
@@ -291,6 +292,8 @@ class RegisteredSensor:
         How single lines lie beside the map; None where too few show enough.
     apart_px : float or None
         How far the map lies from a declared alignment, native px; None where none is declared.
+    placed : PlacedByHand or None
+        The map where it is fitted to a person's pairs alone; there is no `initial` and no `refined` then.
     """
 
     name: str
@@ -302,6 +305,14 @@ class RegisteredSensor:
     refined: RefinedMap | None = None
     lines: LineDisplacement | None = None
     apart_px: float | None = None
+    placed: PlacedByHand | None = None
+
+    @property
+    def base(self) -> Transform | None:
+        """Reference px → native px without the chromatic shifts of bands; None for the reference's own sensor."""
+        if self.placed is not None:
+            return self.placed.transform
+        return self.refined.base if self.refined else None
 
 
 def register_sensor(

@@ -18,14 +18,13 @@ import numpy as np
 from levkas.core.problems import Problem
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Homography, Polynomial, Transform
-from levkas.registration.advice import advice_on_folds, percent
+from levkas.registration.advice import LEAST_PAIRS, advice_on_folds, percent
 from levkas.registration.features import (
     KeyPoints,
     ScaledFeatures,
     invert_descriptors,
     mirror_descriptors,
 )
-from levkas.registration.manual_points import LEAST_TO_START
 from levkas.registration.matching import (
     TentativeMatches,
     match_mutually,
@@ -425,7 +424,7 @@ def seed_with_points(
     fixed = by_hand.fixed
     shape = reference.greys[0].shape
     if found is None or _contradicts(found, fixed, shape):
-        if len(fixed) < LEAST_TO_START:
+        if len(fixed) < LEAST_PAIRS:
             return found
         found = _rematch_all(fit_initial_transform(fixed), reference, target)
     marked = by_hand.mark(found.reference, found.target)

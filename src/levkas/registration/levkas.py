@@ -16,10 +16,12 @@ from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform, solve_2x2
 from levkas.registration.alignment import declared_map, read_alignments
 from levkas.registration.bands import by_wavelength, present_bands, sqrt_images
-from levkas.registration.coarse_to_fine import RegisteredSensor, register_sensor
+from levkas.registration.chromatic import zero_displacement
+from levkas.registration.coarse_to_fine import RegisteredSensor, frame_centre, register_sensor
 from levkas.registration.features import CameraFeatures, GreyImages
 from levkas.registration.joint import SensorObservations
 from levkas.registration.measured_bands import measured_bands
+from levkas.registration.placed_by_hand import place_by_hand
 from levkas.registration.predictors import PreparedReference
 from levkas.registration.record import (
     Matches,
@@ -36,6 +38,8 @@ from levkas.registration.verdict_rules import SETTINGS as VERDICT
 
 if TYPE_CHECKING:
     from levkas.campaign.methods import LevkasOptions
+    from levkas.registration.bands import BandImage
+    from levkas.registration.manual_points import ManualPoints
     from levkas.registration.model_selection import SelectedModel
     from levkas.registration.request import Request
 
@@ -69,11 +73,13 @@ def register_levkas(request: Request, _options: LevkasOptions) -> Registration:
 
         def register_one(name: str, declared: Transform | None = None) -> RegisteredSensor:
             bands = by_wavelength([image for image in target if image.sensor == name])
+            by_hand = request.given.get(name)
+            if by_hand and by_hand.accepted:
+                return _placed(name, bands, by_hand, stack.shape)
             there = present_bands(bands)
             shown = [there[i] for i in measured_bands(there)]
             pictures = {b.label: base.images[b.label] for b in shown} if own else sqrt_images(shown)
             theirs = CameraFeatures(GreyImages(list(pictures.values())))
-            by_hand = request.given.get(name)
             return register_sensor(
                 bands, pictures, stack, base.keys, theirs, by_hand, sigma, declared
             )
@@ -109,9 +115,9 @@ def _register_sensors(
     found = []
     for name, one in tried.items():
         others = dict(known) | {
-            other: sensor.refined.base
+            other: sensor.base
             for other, sensor in tried.items()
-            if other != name and isinstance(sensor, RegisteredSensor) and sensor.refined
+            if other != name and isinstance(sensor, RegisteredSensor) and sensor.base
         }
         declared = declared_map(name, align, others)
         if declared is not None:
@@ -131,7 +137,9 @@ def _begun_anew(
     shape: tuple[int, int],
 ) -> RegisteredSensor | RegistrationRefused:
     """Register again from where a declared alignment puts a sensor, if its own map is not there; return what more windows confirm."""
-    if isinstance(one, RegisteredSensor) and _apart(one, declared, shape) <= VERDICT.align_px:
+    if isinstance(one, RegisteredSensor) and (
+        one.placed or _apart(one, declared, shape) <= VERDICT.align_px
+    ):
         return one
     try:
         other = again()
@@ -147,12 +155,24 @@ def _agreeing(sensor: RegisteredSensor) -> int:
 
 def _apart(sensor: RegisteredSensor, declared: Transform, shape: tuple[int, int]) -> float:
     """Return how far a sensor's map lies from its declared alignment, px of the sensor, the median over the reference's frame."""
-    if sensor.refined is None:
+    if sensor.base is None:
         return 0.0
     x, y = np.meshgrid(*(np.linspace(0, n - 1, 9) for n in shape[::-1]))
     points = np.stack([x, y], -1).reshape(-1, 2)
-    miss = np.linalg.norm(sensor.refined.base(points) - declared(points), axis=1)
+    miss = np.linalg.norm(sensor.base(points) - declared(points), axis=1)
     return float(np.median(np.nan_to_num(miss, nan=np.inf)))
+
+
+def _placed(
+    name: str, bands: Sequence[BandImage], by_hand: ManualPoints, shape: tuple[int, int]
+) -> RegisteredSensor:
+    """Return a sensor that a person placed: one map for all of its bands."""
+    placed = place_by_hand(by_hand, shape, name)
+    still = zero_displacement(len(bands), *frame_centre(shape))
+    labels = [band.label for band in bands]
+    transforms = dict.fromkeys(labels, placed.transform)
+    sigma = dict.fromkeys(labels, placed.sigma(shape))
+    return RegisteredSensor(name, transforms, still, {}, sigma, placed=placed)
 
 
 # --- the record
@@ -164,32 +184,36 @@ def _assemble(
     """Return the registration of a camera with `sensors`, bands in the order of `labels`."""
     transforms: dict[str, Transform] = {}
     sigma: dict[str, Sigma] = {}
+    others = {s.name: _matches(s) for s in sensors[1:] if s.base is not None}
+    by_hand = all(s.placed for s in sensors)
     for sensor in sensors:
         transforms.update(sensor.transforms)
         sigma.update(sensor.sigma)
     return Registration(
-        method="levkas",
+        method="by hand" if by_hand else "levkas",
         transforms={label: transforms[label] for label in labels},
         verdict=judge_windows({s.name or ONLY: _numbers(s) for s in sensors}),
         errors={"bands": _band_errors(sensors), "sensors": {s.name: _numbers(s) for s in sensors}},
         matches=_matches(sensors[0]),
         model={"kind": "levkas", "mask": mask, "sensors": [_model(s) for s in sensors]},
         sigma={label: sigma[label] for label in labels},
-        others={s.name: _matches(s) for s in sensors[1:] if s.initial is not None},
-        observations=tuple(_observations(sensor) for sensor in sensors),
+        others=others,
+        observations=tuple(_observations(sensor) for sensor in sensors if not sensor.placed),
         basis={"kind": "windows", "sensors": [_basis(s) for s in sensors]},
     )
 
 
 def _model(sensor: RegisteredSensor) -> dict[str, Any]:
-    found = sensor.refined
+    found, placed = sensor.refined, sensor.placed
     return {
         "sensor": sensor.name,
-        "base": found.selected.name if found else "identity",
+        "base": found.selected.name if found else placed.model if placed else "identity",
         "ladder": found.selected.scores if found else {},
         "climbs": found.selections if found else [],
         "chromatic": sensor.chromatic.kind,
-        "mirrored": bool(sensor.initial.mirrored) if sensor.initial else False,
+        "mirrored": bool(sensor.initial.mirrored)
+        if sensor.initial
+        else bool(placed and placed.is_mirrored),
         "step": found.step if found else 1,
         "rounds": found.course["rounds"] if found else None,
         "settled": found.course["settled"] if found else None,
@@ -203,6 +227,7 @@ def _numbers(sensor: RegisteredSensor) -> dict[str, Any]:
     evidence = found.evidence if found else {}
     verification = found.verification if found else {}
     selected = found.selected if found else None
+    placed = {"placed_by_hand": sensor.placed.to_dict()} if sensor.placed else {}
     return {
         "held_out_px": selected.held_out_error if selected else None,
         "window_sigma_px": _window_sigma(selected) if selected else None,
@@ -222,7 +247,7 @@ def _numbers(sensor: RegisteredSensor) -> dict[str, Any]:
         "align_apart_px": sensor.apart_px,
         "terms": selected.spec.coefficients if selected and selected.spec else None,
         "borne_out": verification,
-    }
+    } | placed
 
 
 def _window_sigma(selected: SelectedModel) -> float | None:
@@ -262,7 +287,9 @@ def _band_errors(sensors: Sequence[RegisteredSensor]) -> dict[str, dict[str, flo
 
 
 def _matches(sensor: RegisteredSensor) -> Matches:
-    """Return the matches of the initial transform with their residuals under the base map."""
+    """Return the matches of the initial transform with their residuals under the base map, or a person's pairs."""
+    if sensor.placed:
+        return sensor.placed.matches()
     initial, found = sensor.initial, sensor.refined
     if initial is None or found is None:
         return Matches.none()

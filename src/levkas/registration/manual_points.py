@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 DECIMALS, NEAR_PX = 2, 0.011
 #: Pairs up to which a tree costs more than it saves.
 FEW = 64
-#: Pairs by hand from which a registration can begin where key points give no initial transform.
-LEAST_TO_START = 4
 #: Standard deviation of a place that a person points at, native px of either picture.
 HAND_PX = 0.5
 #: Kind of pairs, a field of `ManualPoints` → its mark.
@@ -57,6 +55,8 @@ class ManualPoints:
     placed : tuple of str
         Band of the sensor in which each check point was placed, whose map measures it; where it is empty, or
         one of its names is, the sensor's first band.
+    accepted : bool
+        Whether the map is to be fitted to the pairs that are never removed, and to nothing else.
 
     Examples
     --------
@@ -71,9 +71,10 @@ class ManualPoints:
     deleted: np.ndarray = field(default_factory=_none)
     checks: np.ndarray = field(default_factory=_none)
     placed: tuple[str, ...] = ()
+    accepted: bool = False
 
     def __bool__(self) -> bool:
-        return bool(len(self.fixed) + len(self.deleted) + len(self.checks))
+        return bool(len(self.fixed) + len(self.deleted) + len(self.checks)) or self.accepted
 
     @property
     def fixed(self) -> np.ndarray:

@@ -31,11 +31,12 @@ COLUMNS = (
     "reason",
     "round",
 )
-Decision = Literal["accept", "warn", "refuse"]
+Decision = Literal["accept", "warn", "by hand", "refuse"]
 
 DECISIONS = {
     "accept": "accepted",
     "warn": "doubtful, please check",
+    "by hand": "placed by hand",
     "refuse": "refused",
     "reference": "reference",
     "not built": "not built yet",
@@ -276,7 +277,7 @@ class Verdict:
 
     Parameters
     ----------
-    decision : {"accept", "warn", "refuse"}
+    decision : {"accept", "warn", "by hand", "refuse"}
     reasons : tuple of str
         One sentence each, with the numbers, in a user's words.
     next_step : str

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from levkas.registration.advice import LOOK, describe_placement
 from levkas.registration.record import Decision, Verdict
 from levkas.registration.verdict_rules import (
     MATCHES,
@@ -56,7 +57,12 @@ def judge_windows(numbers: Mapping[str, Numbers]) -> Verdict:
         ]
     praise = (_where(name) + _praise(n) for name, n in judged.items())
     unchecked = max((_unchecked({**n, **n["borne_out"]}) for n in judged.values()), default=0.0)
-    return _decide(objections, tuple(praise), dict(numbers), unchecked)
+    verdict = _decide(objections, tuple(praise), dict(numbers), unchecked)
+    placed = {name: n["placed_by_hand"] for name, n in numbers.items() if "placed_by_hand" in n}
+    if not placed or verdict.decision == "refuse":
+        return verdict
+    reasons = tuple(_where(name) + _describe_pairs(one) for name, one in placed.items())
+    return Verdict("by hand", reasons + verdict.reasons, LOOK, dict(numbers), 1.0)
 
 
 def _decide(
@@ -89,6 +95,16 @@ def _unchecked(n: Numbers) -> float:
 
 def _where(name: str) -> str:
     return "" if name == ONLY else f"sensor {name}: "
+
+
+def _describe_pairs(placed: Numbers) -> str:
+    """Return the label of a sensor that was placed by hand, and on which pairs its map rests."""
+    label = describe_placement(placed)
+    told = f"{label[0].upper()}{label[1:]}. The {placed['model']} rests on {placed['pairs']} pairs"
+    if placed["worst"] is None:
+        return f"{told}; a fifth would show how far they are off."
+    x, y, error = placed["worst"]
+    return f"{told}; the worst, at {x:.0f}, {y:.0f} of the reference, lies {error:.1f} px from a map of the others."
 
 
 def _praise(numbers: Numbers) -> str:

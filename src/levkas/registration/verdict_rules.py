@@ -355,7 +355,7 @@ def fits_nowhere_else(n: Numbers) -> Objection | None:
     return Objection(
         decision,
         f"The pictures agree {100 * n['rival']:.0f} % as well at another shift: the pattern repeats.",
-        "Choose a `region` with detail that does not repeat, or give control points.",
+        f"Choose a `region` with detail that does not repeat{f', or {POINTS}' if decision == 'refuse' else ''}.",
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from levkas.core.problems import Problem
 from levkas.geometry.transforms import Transform, solve_2x2
+from levkas.registration.advice import POINTS
 from levkas.registration.depth_step import average_over_windows
 from levkas.registration.local_shifts import WindowShifts
 from levkas.registration.manual_points import HAND_PX
@@ -92,7 +93,7 @@ def fit_base(
                 "too few windows of this sensor match the reference",
                 found=int(used.sum()),
                 expected=f"at least {SETTINGS.least_windows}",
-                fix="Check that the frames overlap and that the picture is large enough.",
+                fix=f"Check that the frames overlap and that the picture is large enough; if so, {POINTS}.",
             )
         )
     points = windows[0].centres[used]

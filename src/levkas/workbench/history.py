@@ -36,7 +36,7 @@ class CorrectionStep:
     gone, new : dict of str to tuple of pairs
         By the field of `FrameEdits`: what the change took away, and what it brought.
     values : dict of str to (before, after)
-        Of `reject`, `stop` and `note`.
+        Of `reject`, `stop`, `accept` and `note`.
 
     Examples
     --------
@@ -93,7 +93,7 @@ class CorrectionStep:
             rows.append({name: _rows(name, found) for name, found in part.items()})
         values = {}
         for name, (before, after) in record["values"].items():
-            kinds = (str,) if name == "note" else (float, type(None))
+            kinds = (str,) if name in ("accept", "note") else (float, type(None))
             if isinstance(getattr(empty, name), tuple) or not all(
                 isinstance(value, kinds) for value in (before, after)
             ):

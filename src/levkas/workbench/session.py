@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.campaign.edits import EditsConflict, FrameEdits, Pair, round_pair
+from levkas.campaign.edits import BY_HAND, EditsConflict, FrameEdits, Pair, round_pair
 from levkas.core.problems import Problem, Refused
 from levkas.geometry.transforms import Affine, Inverse, Transform
+from levkas.registration.advice import LEAST_PAIRS
 from levkas.registration.manual_points import (
+    FIXED,
     ManualPoints,
     MarkedMatches,
     measure_checks,
@@ -348,6 +350,13 @@ class CorrectionSession:
     def take_all_back(self) -> None:
         """Take back all corrections but the note, as one change that can be undone."""
         self._change(FrameEdits(note=self.edits.note))
+
+    def accept(self, by_hand: bool) -> None:
+        """Place the layer by the person's pairs alone, or by the pictures again."""
+        own = sum(len(rows) for kind, rows in self.edits.pairs().items() if kind in FIXED)
+        if by_hand and own < LEAST_PAIRS:
+            raise refused("too few pairs are set by hand", own, f"at least {LEAST_PAIRS}")
+        self._change(replace(self.edits, accept=BY_HAND if by_hand else ""))
 
     def note(self, text: str) -> None:
         """Keep a person's own words."""

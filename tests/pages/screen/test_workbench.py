@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from levkas.campaign.edits import FrameEdits, read_edits
+from levkas.campaign.edits import Edits, FrameEdits, read_edits, round_pair, write_edits
 from levkas.workbench.library import id_of
 
 from .serving import READY, TOKEN, opened, told
@@ -305,6 +305,37 @@ def test_a_refused_camera_is_repaired_by_four_pairs_on_screen(
     assert words.startswith("accepted") or words == "doubtful, please check"
     report = status(folder)
     assert {s.state for s in report.stages if s.key.layer == "xray"} == {"fresh"} and report.ok
+
+
+@pytest.mark.slow
+def test_a_refused_camera_is_placed_by_hand_and_by_its_picture_again(
+    turned_plates, inspected, browser, tmp_path
+):
+    from levkas.building import build
+
+    folder = turned_plates.make(tmp_path / "campaign", names=["bad"])
+    list(build(folder))
+    spots = np.array([[80.0, 70], [220, 60], [225, 190], [90, 200], [150, 130]])
+    rows = np.hstack([spots, turned_plates.truth(spots)])
+    page = opened(browser, inspected(folder))
+    assert page.locator("#by-hand").is_hidden(), "there are no pairs yet"
+    given = FrameEdits(added=tuple(sorted(round_pair(row) for row in rows)))
+    write_edits(folder / "edits.toml", Edits({("bad", "xray"): given}))
+    page.reload()
+    page.locator("#by-hand").click()
+    page.wait_for_function(
+        "() => document.querySelector('.verdict .badge').textContent === 'placed by hand'",
+        timeout=1_200_000,
+    )
+    assert "the pictures do not confirm it" in page.locator(".verdict").inner_text()
+    assert read_edits(folder / "edits.toml").frames["bad", "xray"].accept == "by hand"
+    assert page.locator("#by-hand").inner_text() == "Register by the pictures"
+    page.locator("#by-hand").click()
+    page.wait_for_function(
+        "() => !['placed by hand', 'refused'].includes(document.querySelector('.verdict .badge').textContent)",
+        timeout=1_200_000,
+    )
+    assert read_edits(folder / "edits.toml").frames["bad", "xray"].accept == ""
 
 
 @pytest.mark.slow

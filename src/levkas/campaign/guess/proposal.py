@@ -6,7 +6,7 @@ import re
 import textwrap
 import tomllib
 from collections.abc import Container, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,8 @@ from levkas.campaign.schema.tables import Document
 from levkas.campaign.schema.toml import to_inline_toml, to_toml_key
 from levkas.core.cube import band_labels
 from levkas.core.problems import Problem, Refused
+from levkas.readers.frames import read_headers
+from levkas.readers.orientation import describe_turn, grid_keys
 
 WIDTH = 100
 COLUMN = 53
@@ -74,6 +76,8 @@ class Proposal:
         What a person must fill in; empty where nothing is left open.
     left_out : tuple of str
         FilePatterns that are in no camera, and why.
+    grid : dict
+        Keys of [grid], by the orientation that the reference camera's files state.
     """
 
     root: Path
@@ -84,6 +88,7 @@ class Proposal:
     hints: tuple[str, ...] = ()
     unknown: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
+    grid: dict[str, Guess] = field(default_factory=dict)
 
     @property
     def text(self) -> str:
@@ -139,6 +144,8 @@ def propose(listing: Listing) -> Proposal:
     unknown += [text for camera in cameras for text in camera.unknown] + more
     unreadable = {**listing.unreadable, **samples.refused}
     left_out += [f"{name}: {reason}" for name, reason in unreadable.items()]
+    grid, more = _upright(next(g for g in groups if g.name == reference.name))
+    unknown += more
     band = _band(reference)
     keys = {"camera": reference.name} | ({"band": band} if band else {})
     proposal = Proposal(
@@ -154,6 +161,7 @@ def propose(listing: Listing) -> Proposal:
         hints=_hints(targets) if UNKNOWN_WHITE in unknown else (),
         unknown=tuple(_shortened(unknown)),
         left_out=tuple(_shortened(left_out)),
+        grid=grid,
     )
     if any(camera.choices for camera in cameras):
         return proposal
@@ -309,6 +317,37 @@ def _band(camera: CameraGuess) -> str:
     return str(labels[place]) if len(labels) == len(centres) else ""
 
 
+def _upright(group: CameraGroup) -> tuple[dict[str, Guess], list[str]]:
+    """Return the keys of [grid] that show the reference camera's files upright, and what is unknown where they differ."""
+    stated = {
+        t: _orientation(frames[0].path) for t, frames in group.by_target(group.objects).items()
+    }
+    turned = sorted({turn for turn in stated.values() if turn})
+    if not turned:
+        return {}, []
+    if len(set(stated.values())) > 1:
+        names = ", ".join(
+            list(dict.fromkeys(t for t, turn in stated.items() if turn))[:MOST_LISTED]
+        )
+        return {}, [
+            f"how the grid is turned: by their EXIF orientation viewers turn the files of {names}, and those of other "
+            "objects not, or otherwise; [grid] turns all objects alike"
+        ]
+    why = f"EXIF orientation {turned[0]}: viewers show these files {describe_turn(turned[0])}"
+    keys = grid_keys(turned[0])
+    return {
+        key: Guess(value, why if key == "rotate" or len(keys) == 1 else "")
+        for key, value in keys.items()
+    }, []
+
+
+def _orientation(path: Path) -> int | None:
+    try:
+        return read_headers(path).orientation
+    except Refused:
+        return None
+
+
 # --- targets ----------------------------------------------------------------------------------
 
 
@@ -423,6 +462,9 @@ def _document(proposal: Proposal) -> Iterator[str]:
             yield from _wrapped(line, first="# - ", rest="#   ")
     yield "[campaign]"
     yield from _table(proposal.described)
+    if proposal.grid:
+        yield "\n[grid]"
+        yield from _table(proposal.grid)
     for camera in proposal.cameras:
         yield ""
         yield from (line for about in camera.about for line in _wrapped(about))

@@ -290,6 +290,12 @@ def _registration(document: Document) -> Iterator[Problem]:
         yield from _foreign_options(where, keys, {method}, method)
         if keys.use is not None and (keys.points or common.points) is None:
             yield value_problem(f"{where}.use", "no control points are given", keys.use)
+        if (keys.accept or common.accept) and (keys.use or common.use) != "seeds":
+            table = where if keys.accept else "registration"
+            message = "only points that are not check points place a camera"
+            yield value_problem(
+                f"{table}.accept", message, keys.accept or common.accept, 'use = "seeds"'
+            )
         reject, stop = keys.reject or common.reject, keys.stop or common.stop or 1.0
         if reject is not None and reject <= stop:
             table = where if keys.declared() else "registration"

@@ -143,6 +143,7 @@ class PointsKeys(Table):
 
     points: Annotated[Text, Field(min_length=1)] | None = None
     use: Literal["check", "seeds"] | None = None
+    accept: Literal["by hand"] | None = None
     joint: Switch | None = None
 
 
@@ -351,6 +352,7 @@ class FrameKeys(Table):
     checks: tuple[Pair, ...] = ()
     reject: Annotated[Number, Field(gt=0)] | None = None
     stop: Annotated[Number, Field(gt=0)] | None = None
+    accept: Literal["by hand", ""] = ""
     note: Text = ""
 
 

@@ -25,7 +25,7 @@ POLICY = (
     "img-src 'self' file: data: blob:; base-uri 'none'; form-action 'none'"
 )
 UNSAFE = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
-ORDER = ("refuse", "warn", "accept")
+ORDER = ("refuse", "by hand", "warn", "accept")
 
 
 def render_sheet(

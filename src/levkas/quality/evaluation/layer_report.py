@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from levkas.core.problems import Problem, Refused, closest_match
 from levkas.core.text import read_json
 from levkas.database.containment import check_inside
 from levkas.database.layout import layer_name
+from levkas.database.pixel_frames import warn_of_turns
 from levkas.database.registrations import read_registrations
 from levkas.database.remote import is_remote, place
 from levkas.geometry import from_dict
@@ -33,6 +34,9 @@ if TYPE_CHECKING:
     Checks = dict[tuple[str, str, str], np.ndarray]
 
 
+AS_STORED = "Check that the points were read in the file as it is stored, without heeding its EXIF orientation."
+
+
 class EvaluationRefused(Refused):
     """There is nothing here that can be evaluated."""
 
@@ -47,7 +51,7 @@ class Assessment:
     @property
     def text(self) -> str:
         """A table for people: a line a layer, errors in reference pixels."""
-        head = f"{'layer':28} {'verdict':8} {'bands':>5} {'mean px':>8} {'worst band':>11} {'max px':>8} {'checks':>8} {'SSIM':>6}"
+        head = f"{'layer':28} {'verdict':14} {'bands':>5} {'mean px':>8} {'worst band':>11} {'max px':>8} {'checks':>8} {'SSIM':>6}"
         lines = [head]
         for result in self.results:
             errors = [b for b in result["bands"] if b["error_mean"] is not None]
@@ -60,7 +64,7 @@ class Assessment:
             ssim = np.nan if result["ssim"] is None else result["ssim"]
             verdict = DECISIONS.get(result["verdict"], result["verdict"]).partition(",")[0]
             lines.append(
-                f"{result['layer']:28} {verdict:8} {len(result['bands']):5d} "
+                f"{result['layer']:28} {verdict:14} {len(result['bands']):5d} "
                 f"{_number(mean):>8} {_number(worst):>11} {_number(most):>8} {_number(check):>8} {_number(ssim):>6}"
             )
         if not any(
@@ -221,6 +225,7 @@ def read_check_points(
         for file, record in read_registrations(database)
     }
     problems = [p for key in found if (p := _unknown_frame(key, known, path))]
+    turned = _turned_frames(found, path, database)
     checks = {
         (name, layer, band): used_pairs(points)
         for (name, layer, band), points in found.items()
@@ -228,7 +233,23 @@ def read_check_points(
     }
     if problems and not checks:
         raise EvaluationRefused(*problems[:10])
-    return checks, problems[:10]
+    return checks, [*problems[:10], *turned]
+
+
+def _turned_frames(
+    found: Iterable[tuple[str, str, str]], path: Path, database: Path
+) -> list[Problem]:
+    """Return a problem for each layer, or reference of one, whose file viewers turn: points may be read in such a one."""
+    told: dict[str, Problem] = {}
+    for name, layer in dict.fromkeys((name, layer) for name, layer, _ in found):
+        leading = {
+            r["reference"]["camera"]
+            for p, r in read_registrations(database, name)
+            if p.stem == layer
+        }
+        for text in warn_of_turns(database, name, (layer, *leading)) if leading else ():
+            told.setdefault(text, Problem("E_TURNED", text, str(path), fix=AS_STORED))
+    return list(told.values())
 
 
 def _unknown_frame(

@@ -359,6 +359,8 @@ def change(frame: RegistrationView, body: dict[str, Any]) -> None:
     elif name == "slide":
         value = body.get("value")
         session.slide(str(body.get("name")), None if value is None else _number(value))
+    elif name == "accept":
+        session.accept(body.get("value") is True)
     elif name == "note":
         session.note(str(body.get("text", "")))
     elif name == "snap":
