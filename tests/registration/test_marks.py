@@ -53,7 +53,7 @@ def test_marks_of_two_panels_by_one_pattern_lie_at_other_places(pattern):
         photograph(panel(pattern, 1), 1), photograph(panel(pattern, 2), 2), EVERYWHERE
     )
     assert all(found.held)
-    assert found.at_most < 0.22
+    assert found.at_most < 0.25
 
 
 def test_marks_agree_through_a_map_that_is_a_pixel_off():

@@ -248,6 +248,7 @@ APART = {"correlation": 0.05, "at_most": 0.1, "windows": 40, "held": [True, True
         ),  # noise of the windows explains it
         ({"marks": {**APART, "at_most": 0.12}}, "refuse", 0.02),
         ({"marks": {**APART, "at_most": 0.2}}, "warn", 0.02),
+        ({"marks": {**APART, "at_most": 0.12}, "alike": False}, "warn", 0.02),  # other light
         ({"marks": {**APART, "at_most": 0.4}}, "accept", 0.02),  # more may have been overlooked
         ({"marks": {**APART, "held": [True, False]}}, "accept", 0.02),
         ({"marks": None}, "accept", 0.02),
@@ -286,7 +287,7 @@ def test_the_default_method_never_advises_keys_of_the_papers(pictures):
     right = measure(evidence(pictures))
     right |= {"share_above_chance": 1.0, "held_out_px": 0.1, "step": 1.0, "cover": 1.0}
     right |= {"settled": True, "rounds": 3, "moved": 0.2, "unchecked": [[0, 0, 100, 100, 0.4]]}
-    right |= {"found": 90, "windows": 100, "off": [], "unsupported": []}
+    right |= {"found": 90, "windows": 100, "alike": True, "off": [], "unsupported": []}
     wrong = {
         "share_above_chance": 0.1,
         "held_out_px": 9.0,

@@ -85,7 +85,7 @@ class VerdictSettings:
     most_sigmas : float
         By so many of its sigmas others may move a band: three of a normal error are one in three hundred.
     marks : Limits
-        Correlation of marks that it is not above. Of one object, 0.25 and more; of copies by one pattern 0.00 to 0.20
+        Correlation of marks that it is not above. Of one object, 0.30 and more; of copies by one pattern 0.00 to 0.25
         (`benchmarks/replicas.py`).
     alike : float
         Cells in one plane differ in how far they are off by at most this share of it.
@@ -455,17 +455,18 @@ def is_checked(n: Numbers) -> Objection | None:
 def bears_the_same_marks(n: Numbers) -> Objection | None:
     """Refuse or warn where both pictures hold marks that two hands cannot share, and these lie at other places.
 
-    Where either holds none nothing is said, nor where lines are displaced, which takes marks apart.
+    Where either holds none nothing is said, nor where lines are displaced, which takes marks apart. Other light, or unknown
+    light, may show other marks (film has grain, an X-ray the wood): the map is doubtful there, and not refused.
     """
     marks, lines = n.get("marks"), lines_lie_still(n)
     if not marks or not all(marks["held"]) or (lines and lines.decision != "unchecked"):
         return None
     if marks["at_most"] >= SETTINGS.marks.warn:
         return None
-    refused = marks["at_most"] < SETTINGS.marks.refuse
+    refused = marks["at_most"] < SETTINGS.marks.refuse and n["alike"]
     text = (
         "Outlines agree; fine marks between them (cracks, losses, strokes, weave) do not: their correlation is "
-        f"{marks['correlation']:.2f} in {marks['windows']} windows, at most {marks['at_most']:.2f}, and 0.25 or more in "
+        f"{marks['correlation']:.2f} in {marks['windows']} windows, at most {marks['at_most']:.2f}, and 0.30 or more in "
         "pictures of one object."
     )
     if refused:
