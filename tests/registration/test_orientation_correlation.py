@@ -157,8 +157,8 @@ UNSURE = {
     "kept": 20, "terms": 6, "by_outlines": True, "share_above_chance": 0.1, "held_out_px": np.inf, "step": 1,
     "window_sigma_px": None, "overlap": 1.0, "folded": 0.0, "windows": 8, "found": 0, "agreeing": 0,
     "window_median": np.inf, "tolerance": 1.0, "rival": 0.2, "coverage": 0.0, "off_share": 0.0, "off": [],
-    "unsupported": [[0, 0, 5, 5]], "checked": 0.0, "unchecked": [[0, 0, 9, 9, 1.0]], "strange": None,
-    "alike": False, "cover": 0.6, "settled": True,
+    "unsupported": [[0, 0, 5, 5]], "checked": 0.0, "unchecked": [[0, 0, 9, 9, 1.0]],
+    "cover": 0.6, "settled": True,
 }  # fmt: skip
 
 

@@ -219,9 +219,11 @@ CONFIRMED = {
     "tolerance": 1.0, "overlap": 1.0, "folded": 0.0, "mirrored": False, "scale_min": 2.4, "scale_max": 2.5,
     "area_ratio": 1.02, "anisotropy": 1.01, "windows": 117, "found": 117, "agreeing": 117, "window_median": 0.02,
     "window_p90": 0.07, "rival": 0.2, "coverage": 1.0, "off_share": 0.0, "unsupported": [], "off": [], "outside": [],
-    "checked": 0.98, "unchecked": [[255.2, 19.0, 20.8, 18.6, 0.02]], "strange": 0.01,
+    "checked": 0.98, "unchecked": [[255.2, 19.0, 20.8, 18.6, 0.02]],
+    "marks": {"correlation": 0.6, "at_most": 0.61, "windows": 40, "held": [True, True]},
 }  # fmt: skip
 CELL = [10.0, 20.0, 40.0, 30.0]
+APART = {"correlation": 0.05, "at_most": 0.1, "windows": 40, "held": [True, True]}
 
 
 @pytest.mark.parametrize(
@@ -244,8 +246,12 @@ CELL = [10.0, 20.0, 40.0, 30.0]
             "accept",
             0.02,
         ),  # noise of the windows explains it
-        ({"strange": 0.5, "light": "other"}, "warn", 0.02),
-        ({"strange": 0.5, "light": "unknown"}, "accept", 0.02),
+        ({"marks": {**APART, "at_most": 0.12}}, "refuse", 0.02),
+        ({"marks": {**APART, "at_most": 0.2}}, "warn", 0.02),
+        ({"marks": {**APART, "at_most": 0.12}, "alike": False}, "warn", 0.02),  # other light
+        ({"marks": {**APART, "at_most": 0.4}}, "accept", 0.02),  # more may have been overlooked
+        ({"marks": {**APART, "held": [True, False]}}, "accept", 0.02),
+        ({"marks": None}, "accept", 0.02),
         ({"off": [CELL], "off_share": 0.3}, "refuse", 0.02),
         ({"overlap": 0.05}, "refuse", 0.95),
     ],
@@ -258,11 +264,8 @@ def test_what_is_contradicted_is_doubtful_and_what_was_not_checked_is_counted(
     assert verdict.decision == decision
     assert verdict.unchecked == pytest.approx(unchecked, abs=0.01)
     if decision == "accept":
-        open_ones = unchecked > 0.1 or "strange" in change
-        named = any(
-            text in verdict.reasons[-1] for text in ("not checked", "no data", "cannot decide")
-        )
-        assert named == open_ones  # named where it is much
+        named = any(text in verdict.reasons[-1] for text in ("not checked", "no data"))
+        assert named == (unchecked > 0.1)  # named where it is much
 
 
 def test_what_stands_in_another_plane_is_named(pictures):
@@ -301,7 +304,7 @@ def test_the_default_method_never_advises_keys_of_the_papers(pictures):
         "kept": 3,
         "settled": False,
         "checked": 0.5,
-        "strange": 0.5,
+        "marks": APART,
     }
     said = []
     for key, value in wrong.items():

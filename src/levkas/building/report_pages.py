@@ -48,6 +48,7 @@ from levkas.pages.summary import describe_length, summarise_layers
 from levkas.quality.image_quality.light import choose_places
 from levkas.readers.frames import files_of
 from levkas.registration.advice import percent
+from levkas.registration.marks import describe_want_of_marks
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -191,6 +192,7 @@ def _layer(
         error_px=error,
         checked=checked,
         checks=_checks(errors),
+        marks=_want_of_marks(errors) if shown else "",
         ssim="–" if ssim is None else f"{ssim:.3f}",
         flags=describe_flags(resampled.get("flags", {})) if shown else "–",
         preview=preview.name if shown else "",
@@ -253,6 +255,13 @@ def _checks(errors: dict[str, Any]) -> str:
         f"{len(found)} check points, set by hand and not fitted: mean error {mean:.2f} "
         f"reference px, largest error {most:.2f} px."
     )
+
+
+def _want_of_marks(errors: dict[str, Any]) -> str:
+    """Say why marks of the object could not be compared; empty where they were, or where nothing was compared."""
+    compared = [s.get("borne_out") or {} for s in (errors.get("sensors") or {}).values()]
+    told = (describe_want_of_marks(one["marks"]) for one in compared if "marks" in one)
+    return next(filter(None, told), "")
 
 
 def _band_rows(record: dict[str, Any]) -> list[list[str]]:

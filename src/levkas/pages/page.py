@@ -57,6 +57,7 @@ class LayerReport:
     unchecked_area: str = ""
     error: str = "–"
     checks: str = ""
+    marks: str = ""
     ssim: str = "–"
     flags: str = ""
     preview: str = ""

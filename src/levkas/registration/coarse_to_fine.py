@@ -32,11 +32,18 @@ from levkas.registration.initial import (
 from levkas.registration.line_displacement import LineDisplacement, measure_line_displacement
 from levkas.registration.local_shifts import WindowShifts, highpass
 from levkas.registration.manual_points import ManualPoints
+from levkas.registration.marks import Marks, compare_marks, confirmed_places, white_noise
 from levkas.registration.measured_bands import chromatic_of_all, is_smooth_in_wavelength
 from levkas.registration.model_selection import SelectedModel, SelectionTerms, select_model
 from levkas.registration.models import Observations
 from levkas.registration.orientation_correlation import match_blocks
-from levkas.registration.predictors import ReferenceStack, cell_px, measure_shifts, resample_band
+from levkas.registration.predictors import (
+    ReferenceStack,
+    cell_px,
+    has_colours,
+    measure_shifts,
+    resample_band,
+)
 from levkas.registration.record import RegistrationRefused, Sigma
 from levkas.registration.uncertainty import measure_sigma, with_lines
 from levkas.registration.verification import (
@@ -89,12 +96,8 @@ class RefinementSettings:
     finest_sampling, plain_sampling : float, native px per px of the grid
         Of the finest grid, which shows most of a picture that it oversamples twice, and of the grid on
         which a map is judged, about as fine as the picture.
-    least_colour_bands : int
-        Bands of a colour camera.
     sure_coverage : float
         Share of cells that windows confirm; below, blocks are compared by their outlines too.
-    grey_correlation : float
-        Correlation of the detail of two channels that are one grey picture.
     line_bands, nearly : int, float
         Bands of which the mean is looked at for displaced lines, and their explained share over that of the best band.
     """
@@ -110,9 +113,7 @@ class RefinementSettings:
     sharper: float = 8.0
     finest_sampling: float = 0.45
     plain_sampling: float = 0.9
-    least_colour_bands: int = 3
     sure_coverage: float = 0.5
-    grey_correlation: float = 0.98
     line_bands: int = 8
     nearly: float = 0.9
 
@@ -167,11 +168,14 @@ class SensorTask:
         """Return the side of a window's cell on a grid, reference px."""
         return float(self.reference.predictor(step).cell * step)
 
-    def resample(self, band: BandImage, transform: Transform, step: int) -> np.ndarray:
-        """Return a band on the grid of `step` reference px; blocks of about one reference px."""
+    def resample(
+        self, band: BandImage, transform: Transform, step: int, image: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return a band, or `image` in its stead, on the grid of `step` reference px; blocks of about one reference px."""
         size = (self.reference.shape[0] // step, self.reference.shape[1] // step)
         block = max(1, round(self.scale / 1.2))
-        return resample_band(self.images[band.label], transform, size, step, block=block)
+        image = self.images[band.label] if image is None else image
+        return resample_band(image, transform, size, step, block=block)
 
     def measure_shifts(
         self, bands: Sequence[BandImage], own: Sequence[Transform], base: Transform, step: int
@@ -205,25 +209,32 @@ class SensorTask:
         return max(filter(None, results), key=lambda one: one.deviations, default=None)
 
     def light_of(self, band: BandImage, transform: Transform, step: int) -> Light:
-        """Tell whether a band sees light that the reference sees too, so that it shows the same detail.
+        """Tell whether a band sees light that the reference sees too.
 
-        Its wavelength says so. Where it has none, the band of a colour camera does: one of three or
-        more bands whose detail differs, unlike that of a grey picture stored as colours.
+        Its wavelength says so. Where it has none, two pictures in colours do; one picture stored as three alike is of
+        unknown light.
         """
         if np.isfinite(band.wavelength):
             return "same" if self.reference.covers(band.wavelength) else "other"
-        if min(len(self.bands), self.reference.count) < SETTINGS.least_colour_bands:
-            return "unknown"
-        mine = highpass(self.resample(band, transform, step))
-        for other in (self.bands[0], self.bands[-1]):
-            theirs = highpass(self.resample(other, transform, step))
-            both = np.isfinite(mine) & np.isfinite(theirs)
-            if (
-                both.any()
-                and np.corrcoef(mine[both], theirs[both])[0, 1] < SETTINGS.grey_correlation
-            ):
-                return "same"
-        return "unknown"
+        among = evenly_spread(self.bands, 3) if self.reference.has_colours else []
+        return (
+            "same" if has_colours([self.resample(b, transform, step) for b in among]) else "unknown"
+        )
+
+    def measure_marks(self, found: RefinedMap) -> Marks | None:
+        """Compare marks on a grid about as fine as the coarser picture, around the windows that confirm a map."""
+        best = [band.label for band in self.bands].index(found.course["band"])
+        step, whole = self.plain_step, Composed(found.chromatic.transform(best), found.base)
+        band, reference = self.bands[best], self.reference.principal_image(step)
+        target = self.resample(band, whole, step)
+        own = self.images[band.label]
+        noise = (
+            self.reference.white_noise(step),
+            self.resample(band, whole, step, white_noise(own.shape)),
+        )
+        coarser = own if self.scale * step < 1 else None
+        where = confirmed_places(found.checks, reference.shape, step)
+        return compare_marks(reference, target, where, white=noise, own=coarser)
 
 
 @dataclass(frozen=True)
@@ -252,7 +263,7 @@ class RefinedMap:
         ``moved``, reference px: by how much that moved it, the median over windows, ``band`` by which
         it was judged.
     light : {"same", "other", "unknown"}
-        Whether that band sees light that the reference sees too.
+        Whether that band sees light that the reference sees too: only then pictures are compared by likeness (SSIM).
     """
 
     base: Transform
@@ -386,6 +397,8 @@ def register_sensor(
         coarse = blocks.tolerance
     lines = task.measure_lines(found)
     found.verification["line_displacement"] = None if lines is None else lines.to_dict()
+    marks = task.measure_marks(found)
+    found.verification["marks"] = None if marks is None else marks.to_dict()
     transforms: dict[str, Transform] = {
         label: Composed(chromatic.transform(i), found.base) for i, label in enumerate(labels)
     }

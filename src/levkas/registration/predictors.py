@@ -37,6 +37,7 @@ from levkas.registration.local_shifts import (
     reduce,
     smoothing_warp,
 )
+from levkas.registration.marks import white_noise
 from levkas.registration.record import RegistrationRefused
 
 #: Principal components of reflectance, and of its logarithm; how many of the first are added blurred.
@@ -47,6 +48,8 @@ LEAST_SHARE = 1e-6
 LINES = 32
 #: Light so far, nm, beyond the outermost of at least three bands is predicted as well as what lies between.
 NEAR_NM, LEAST_BANDS = 20.0, 3
+#: Correlation of the detail of two bands from which on they are one grey picture.
+GREY = 0.98
 #: Bands of the reference that predict others.
 MOST_PREDICTING = 12
 
@@ -209,6 +212,24 @@ def cell_px(shape: Sequence[int]) -> int:
     return 12 if min(shape) < 600 else 16
 
 
+def has_colours(bands: Sequence[np.ndarray]) -> bool:
+    """Tell whether three or more bands, (h, w), NaN where invalid, are more than one grey picture stored as colours.
+
+    >>> rng = np.random.default_rng(1)
+    >>> grey, other = rng.normal(size=(2, 40, 50)).astype(np.float32)
+    >>> has_colours([grey] * 3), has_colours([grey, 2 * grey, other])
+    (False, True)
+    """
+    if len(bands) < LEAST_BANDS:
+        return False
+    first, *others = (highpass(band) for band in bands)
+    for other in others:
+        both = np.isfinite(first) & np.isfinite(other)
+        if both.any() and np.corrcoef(first[both], other[both])[0, 1] < GREY:
+            return True
+    return False
+
+
 class ReferenceStack:
     """Bands of the reference in its frame, and predictors made of them at any step.
 
@@ -222,7 +243,9 @@ class ReferenceStack:
 
     def __init__(self, stack: np.ndarray, wavelengths: Sequence[float] = ()) -> None:
         self.palette = principal_components(stack)
-        self._wavelengths, self.count = tuple(wavelengths), len(stack)
+        self._wavelengths = tuple(wavelengths)
+        picks = np.linspace(0, len(stack) - 1, min(len(stack), LEAST_BANDS)).astype(int)
+        self.has_colours = has_colours([stack[k] for k in picks])
         self._predictors: dict[int, Predictor] = {}
         self._lock = RLock()  # sensors are registered side by side
 
@@ -237,6 +260,16 @@ class ReferenceStack:
             return False
         low, high = min(self._wavelengths) - NEAR_NM, max(self._wavelengths) + NEAR_NM
         return bool(low <= wavelength <= high)
+
+    def principal_image(self, step: int = 1) -> np.ndarray:
+        """Return the first principal image of reflectance on a grid of `step` reference px, (h, w), NaN where invalid."""
+        image = self.palette.images[0]
+        return np.asarray(image if step == 1 else reduce(image, step))
+
+    def white_noise(self, step: int = 1) -> np.ndarray:
+        """Return white noise of a camera's px as it is in `principal_image`, (h, w)."""
+        noise = smoothing_warp(white_noise(self.shape), Affine.identity(), self.shape, step=1)
+        return np.asarray(noise if step == 1 else reduce(noise, step))
 
     def release(self) -> None:
         """Free the predictors, which are larger than what they are computed from."""

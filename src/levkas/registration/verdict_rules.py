@@ -24,6 +24,7 @@ from levkas.registration.advice import (
     percent,
 )
 from levkas.registration.line_displacement import describe_displacement
+from levkas.registration.marks import TELLING
 
 Finding = Literal["refuse", "warn", "unchecked"]
 """Result of one rule: refused, contradicted somewhere, or not checked somewhere, which is only said."""
@@ -43,7 +44,7 @@ class Limits(NamedTuple):
 
 ANISOTROPY, AREA_RATIO, RIVAL = Limits(1.5, 2.0), Limits(1.8, 3.0), Limits(0.85, 0.95)
 OVERLAP, COVERAGE, PREDICTED = Limits(0.8, 0.1), Limits(0.9, 0.6), Limits(0.5, 0.2)
-STRANGE, LINES = Limits(0.22, 0.28), Limits(0.1, 1.0)
+MARKS, LINES = Limits(TELLING, 0.15), Limits(0.1, 1.0)
 
 
 @dataclass(frozen=True)
@@ -83,16 +84,14 @@ class VerdictSettings:
         below which a map only reaches over too much, and is doubtful.
     most_sigmas : float
         By so many of its sigmas others may move a band: three of a normal error are one in three hundred.
-    strange : Limits
-        Share of detail that only one of two pictures has. Views of one painting in light of the same
-        wavelengths: 0.01 to 0.17; copies by one pattern: 0.30 to 0.55 (`benchmarks/replicas.py`).
+    marks : Limits
+        Correlation of marks that it is not above. Of one object, 0.30 and more; of copies by one pattern 0.00 to 0.25
+        (`benchmarks/replicas.py`).
     alike : float
         Cells in one plane differ in how far they are off by at most this share of it.
     least_outlines, least_outlines_share : int, float
         Large blocks that have to agree by their outlines, in number and as a share, where windows are not
         recognised.
-    most_found_of_a_copy : float
-        Share of windows that are found. Of copies by one pattern 0.6 to 0.91 are.
     lines : Limits, reference px, or px of the grid where it is coarser
         Displacement of single lines, the root mean square of both axes, or a quarter of a step. Honest pictures have 0.04 at
         most that is more than chance.
@@ -122,11 +121,10 @@ class VerdictSettings:
     least_cover: float = 0.5
     least_checked: float = 0.75
     most_sigmas: float = 3.0
-    strange: Limits = STRANGE
+    marks: Limits = MARKS
     alike: float = 0.5
     least_outlines: int = 14
     least_outlines_share: float = 0.75
-    most_found_of_a_copy: float = 0.95
     lines: Limits = LINES
     align_px: float = 3.0
 
@@ -454,33 +452,26 @@ def is_checked(n: Numbers) -> Objection | None:
     )
 
 
-def shows_the_same_painting(n: Numbers) -> Objection | None:
-    """Refuse or warn where outlines agree and the detail between them does not.
+def bears_the_same_marks(n: Numbers) -> Objection | None:
+    """Refuse or warn where both pictures hold marks that two hands cannot share, and these lie at other places.
 
-    Where the light of a picture is unknown, as with an X-ray, such detail contradicts nothing; and displaced lines lack
-    detail of the same painting.
+    Where either holds none nothing is said, nor where lines are displaced, which takes marks apart. Other light, or unknown
+    light, may show other marks (film has grain, an X-ray the wood): the map is doubtful there, and not refused.
     """
-    strange, lines = n.get("strange") or 0.0, lines_lie_still(n)
-    if strange < SETTINGS.strange.warn or (lines and lines.decision != "unchecked"):
+    marks, lines = n.get("marks"), lines_lie_still(n)
+    if not marks or not all(marks["held"]) or (lines and lines.decision != "unchecked"):
         return None
-    found = n["found"] / max(n["windows"], 1)
-    seen = f"{percent(strange)} of the fine detail (strokes, cracks) in the matched windows is absent from the reference"
-    copied = strange >= SETTINGS.strange.refuse and found < SETTINGS.most_found_of_a_copy
-    if n["alike"] and copied:
-        return Objection(
-            "refuse",
-            f"{seen}, taken in the same light: the pictures show an original and a copy with the same outlines.",
-            BY_HAND,
-        )
-    unknown = n.get("light") == "unknown"
-    return Objection(
-        "unchecked" if unknown else "warn",
-        f"{seen}. Either the light differs, or one picture shows a copy with the same outlines; the "
-        "pictures alone cannot decide."
-        if unknown
-        else f"{seen}. One picture may show a copy with the same outlines, or the light may differ strongly.",
-        LOOK,
+    if marks["at_most"] >= SETTINGS.marks.warn:
+        return None
+    refused = marks["at_most"] < SETTINGS.marks.refuse and n["alike"]
+    text = (
+        "Outlines agree; fine marks between them (cracks, losses, strokes, weave) do not: their correlation is "
+        f"{marks['correlation']:.2f} in {marks['windows']} windows, at most {marks['at_most']:.2f}, and 0.30 or more in "
+        "pictures of one object."
     )
+    if refused:
+        return Objection("refuse", f"{text} The pictures show two objects by one pattern.", BY_HAND)
+    return Objection("warn", text, LOOK)
 
 
 def lines_lie_still(n: Numbers) -> Objection | None:
@@ -561,7 +552,7 @@ RULES: dict[Rule, frozenset[str]] = {
     matches_cover: MATCHES,
     windows_cover: WINDOWS,
     is_checked: WINDOWS,
-    shows_the_same_painting: WINDOWS,
+    bears_the_same_marks: WINDOWS,
     stays_within_its_sigma: WINDOWS,
     lies_where_declared: BOTH,
     is_compared: WINDOWS,

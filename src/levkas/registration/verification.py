@@ -50,10 +50,6 @@ class VerificationSettings:
         40 px is little beside chance.
     ridge : float
         Of that prediction, as a share of the mean variance.
-    least_strange : int
-        Windows that have to be found to measure how much detail is not predicted.
-    faint : float
-        Windows with less detail, as a share of the median, count as if they had so much.
     null_quantile : float
         Of unrelated windows.
     """
@@ -66,8 +62,6 @@ class VerificationSettings:
     least_found: int = 3
     block: int = 80
     ridge: float = 1e-3
-    least_strange: int = 6
-    faint: float = 0.05
     null_quantile: float = 0.95
 
     @property
@@ -178,8 +172,7 @@ def verify(
     Returns
     -------
     numbers : dict
-        Of `measure_shape`, `measure_windows` and `measure_cells`, ``tolerance``, reference px, ``rival``,
-        and ``strange``, of `measure_unpredicted`.
+        Of `measure_shape`, `measure_windows` and `measure_cells`, ``tolerance``, reference px, and ``rival``.
     checks : CheckWindows
         The windows themselves.
     """
@@ -204,7 +197,6 @@ def verify(
         "rival": float(search.rival),
         # A cell is confirmed by what is seen there, not by one key point that agrees.
         **measure_support(overlap, checks, np.empty((0, 2))),
-        "strange": measure_unpredicted(predicted, image, found),
     }
     share = 1.0
     if region is not None:
@@ -246,49 +238,6 @@ def predict(predictors: np.ndarray, image: np.ndarray) -> np.ndarray:
         block[known] = gains @ part[:, known]
         out[top:bottom, left:right] = block.reshape(bottom - top, right - left)
     return out
-
-
-def measure_unpredicted(
-    predicted: np.ndarray, image: np.ndarray, search: WindowSearch
-) -> float | None:
-    """Return the share of a picture's detail that its prediction lacks, the median over found windows.
-
-    Two views of one painting differ by noise, of which neighbouring pixels have little in common; of
-    brush strokes, craquelure and pattern they have much. Of what is left when the prediction is
-    subtracted only the covariance of neighbours is counted, as a share of that in the picture.
-    A copy made from the same pattern has the same outlines, so that windows are found, and different strokes.
-
-    Parameters
-    ----------
-    predicted, image : ndarray, (h, w)
-        NaN where invalid; high-passed.
-    search : WindowSearch
-        Of the two, in their own px.
-
-    Returns
-    -------
-    strange : float or None
-        0 where all detail is predicted, 1 where none is; None where fewer than six windows are found.
-    """
-    known = np.isfinite(predicted) & np.isfinite(image)
-    detail, left = (np.where(known, part, np.nan) for part in (image, image - predicted))
-    places = np.rint(search.centres[search.found] - (WINDOWS.window - 1) / 2).astype(int)
-    if len(places) < SETTINGS.least_strange:
-        return None
-    of, rest = (
-        np.array([_neighbour_covariance(part, *place) for place in places])
-        for part in (detail, left)
-    )
-    least = SETTINGS.faint * max(float(np.median(of)), 1e-30)
-    return float(np.median(rest / np.maximum(of, least)))
-
-
-def _neighbour_covariance(image: np.ndarray, x: int, y: int) -> float:
-    """Return the mean product of neighbours, along either axis, in the window at (x, y)."""
-    window = image[y : y + WINDOWS.window, x : x + WINDOWS.window]
-    window = window - np.nanmean(window)
-    along, down = window[:, 1:] * window[:, :-1], window[1:] * window[:-1]
-    return float((np.nanmean(along) + np.nanmean(down)) / 2)
 
 
 def coarsening(shape: tuple[int, int], step: int) -> int:
