@@ -34,7 +34,15 @@ BUILT_IN = {
     "mirhashemi2019": ("levkas.registration.mirhashemi2019", "register_mirhashemi2019"),
 }
 #: Fields of the request that are given by name.
-FURTHER = {"target_region", "align", "reference_transforms", "reference_sigma", "prepared"}
+FURTHER = {
+    "outline",
+    "layer",
+    "target_region",
+    "align",
+    "reference_transforms",
+    "reference_sigma",
+    "prepared",
+}
 
 __all__ = [
     "METHODS",
