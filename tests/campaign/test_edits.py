@@ -8,6 +8,7 @@ from levkas.campaign.edits import (
     Edits,
     EditsInvalid,
     FrameEdits,
+    change_edits,
     read_edits,
     round_pair,
     sweep_corrections,
@@ -128,3 +129,48 @@ def test_what_a_killed_workbench_left_is_taken_away_and_what_is_held_stays(tmp_p
     (tmp_path / ".edits.toml.lock").write_text("")
     sweep_corrections(tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {*others}
+
+
+OUTLINE = ((10.0, 10.0), (90.0, 12.25), (50.0, 80.0))
+
+
+def test_an_outline_is_written_read_and_kept_by_other_changes(tmp_path):
+    path = tmp_path / "edits.toml"
+    one = FrameEdits(added=((1.0, 2.0, 3.0, 4.0),))
+    edits = Edits({("icon", "nir"): one}).with_outline("icon", OUTLINE)
+    write_edits(path, edits)
+    assert read_edits(path) == edits
+    more = FrameEdits(added=(*one.added, (5.0, 6.0, 7.0, 8.0)))
+    change_edits(path, "icon", lambda _: "nir", one, more)
+    assert read_edits(path) == edits.with_frame("icon", "nir", more)
+    assert read_edits(path).with_outline("icon", ()).outlines == {}
+
+
+@pytest.mark.parametrize(
+    ("corners", "text"),
+    [
+        ("[[0, 0], [9, 9]]", "3 to 500 corners, not 2"),
+        ("[[0, 0], [9, 9], [0, 0]]", "3 to 500 corners, not 2"),
+        (
+            "[[0, 0], [9, 9], [9, 0], [0, 9]]",
+            "the side after corner 1 meets the one after corner 3",
+        ),
+        ("[[0, 0], [9, 0], [4, 0]]", "cross or touch"),
+        ("[[0, 0], [9, 0], [9, 9], [9, 0], [0, 9]]", "cross or touch"),
+        ("[[0, 0, 1], [9, 0], [9, 9]]", "a list of corners [[x, y], …]"),
+        ('"auto"', "a list of corners [[x, y], …]"),
+    ],
+)
+def test_an_outline_that_is_no_polygon_is_refused(tmp_path, corners, text):
+    path = tmp_path / "edits.toml"
+    path.write_text(f"version = 1\n[objects.icon]\noutline = {corners}\n")
+    with pytest.raises(EditsInvalid) as refused:
+        read_edits(path)
+    (problem,) = refused.value.problems
+    assert problem.field == "objects.icon.outline" and text in str(problem)
+
+
+def test_an_outline_may_be_closed_by_its_first_corner(tmp_path):
+    path = tmp_path / "edits.toml"
+    path.write_text("version = 1\n[objects.icon]\noutline = [[0, 0], [9, 0], [9, 9], [0, 0]]\n")
+    assert read_edits(path).outlines == {"icon": ((0.0, 0.0), (9.0, 0.0), (9.0, 9.0))}

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from levkas.geometry.transforms import Affine, Polynomial
 from levkas.pages.figures import draw_basis
 from levkas.registration import BandImage, coarse_to_fine, register
-from levkas.registration.bands import describe_mask, segment_foreground
+from levkas.registration.foreground import ObjectArea
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.uncertainty import NINE_OF_TEN
 from levkas.registration.window_matching import CheckWindows
@@ -171,7 +171,7 @@ def test_the_object_that_was_told_from_its_background_is_recorded(ours):
     assert mask["automatic"] and mask["share"] == pytest.approx(share, abs=0.06)
     low, high = np.min(mask["outline"], 0), np.max(mask["outline"], 0)
     np.testing.assert_allclose([*low, *high], [40, 40, 339, 269], atol=8)
-    whole = describe_mask(segment_foreground(np.ones((60, 80))), (1, 2, 30, 40))
+    whole = ObjectArea.of(np.ones((60, 80)), (1, 2, 30, 40)).to_dict()
     assert whole == {"automatic": False, "share": 1.0, "outline": [], "region": [1, 2, 30, 40]}
 
 

@@ -125,7 +125,9 @@ def test_a_half_seen_object_is_accepted_and_what_is_not_seen_is_counted(
     assert found.verdict.decision == "accept", found.verdict.reasons
     assert found.verdict.unchecked == pytest.approx(0.5, abs=0.05)
     assert found.verdict.numbers["overlap"] == pytest.approx(0.5, abs=0.03)
-    assert found.verdict.numbers["outside"] and "no data for the rest" in str(found.verdict.reasons)
+    assert found.verdict.numbers["outside"] and "no data in 50 % of the layer" in str(
+        found.verdict.reasons
+    )
 
 
 def refuse(reference, target, **options):

@@ -12,7 +12,8 @@ from levkas.registration.orientation_correlation import (
     match_blocks,
     match_by_directions,
 )
-from levkas.registration.verdict_rules import WINDOWS, objections_to
+from levkas.registration.verdict import objections_to
+from levkas.registration.verdict_rules import WINDOWS
 
 SIZE = (260, 200)
 

@@ -13,8 +13,8 @@ from levkas.registration.mirhashemi2019 import (
 )
 from levkas.registration.outliers import RemovalTerms
 from levkas.registration.record import Matches
-from levkas.registration.verdict import judge_windows
-from levkas.registration.verdict_rules import MATCHES, RULES, WINDOWS, objections_to
+from levkas.registration.verdict import judge_windows, objections_to
+from levkas.registration.verdict_rules import MATCHES, RULES, WINDOWS
 from levkas.registration.verification import measure_shape, measure_support
 from levkas.registration.window_matching import CheckWindows, search_windows
 

@@ -10,7 +10,7 @@ import { SLOTS, type Choice, type Slot, type State } from "./state";
 const OTHERS = ["b", "c", "d"] as const;
 
 /** The panel "Layers". Rows choose the layer of A, their small buttons that of B. */
-/** Share of the object that was not checked from which on the reasons are shown. */
+/** Share of the layer that was not checked from which on the reasons are shown. */
 const WORTH_NAMING = 0.1;
 
 export class LayerList {

@@ -22,6 +22,7 @@ const EDGE = 9; // px round the canvas in which marks still show
 const LARGE = 3.6; // radius of a mark that stands out
 const GREY = "#9a9a9a";
 const RIM = "#000b";
+const OUTLINE = "#40c8eb"; // cyan is rare in paintings; the report draws it so too
 
 /** Places on screen of the pairs in view, and the shade of each. */
 interface InView {
@@ -90,6 +91,19 @@ export function paintPairs(context: CanvasRenderingContext2D, dots: Dots, scene:
 }
 
 /** Views are affine: three places say where all the others are. */
+/** Draw the outline of the object, within which pictures are compared, over the reference. */
+export function paintOutline(
+  context: CanvasRenderingContext2D,
+  corners: readonly Point[],
+  place: PlaneMap,
+): void {
+  if (!corners.length) return;
+  const path = new Path2D();
+  for (const [x, y] of corners) path.lineTo(...place(x, y));
+  path.closePath();
+  outline(context, path, OUTLINE, 3, 1.4);
+}
+
 function affineOf(place: PlaneMap): PlaneMap {
   const [o, ex, ey] = [place(0, 0), place(1000, 0), place(0, 1000)];
   const [ax, ay] = [(ex[0] - o[0]) / 1000, (ex[1] - o[1]) / 1000];

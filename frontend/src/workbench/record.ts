@@ -84,6 +84,8 @@ export interface FrameInfo {
   ladder: Record<string, number>[];
   chosen: string[];
   basis: Basis | null;
+  /** Corners of the object, reference px, within which it was compared; none where the whole frame was. */
+  outline: Point[];
 }
 
 export interface Trace {

@@ -8,7 +8,7 @@ import { getJson } from "./api";
 import { BandPicker } from "./bands";
 import { Loupe, placesOf, type Enlarged, type LoupeUse } from "./loupe";
 import { invert, mapOf, turnAndScale, type PlaneMap } from "./maps";
-import { paintHandle, paintPairs, paintProposal } from "./marks";
+import { paintHandle, paintOutline, paintPairs, paintProposal } from "./marks";
 import { MarkedPane } from "./pane";
 import { isMarked, type Half, type Pair, type Partner } from "./record";
 import type { Store } from "./store";
@@ -350,6 +350,7 @@ export class PairStage extends Stage<MarkedPane> {
     if (!session.peek() || !frame.peek()) return;
     if (half === 0 && this.mapImage) this.paintMap(context, pane, frame.peek()!.size);
     const place: PlaneMap = (x, y) => pane.placeOf(x, y);
+    if (half === 0 && this.marks.peek()) paintOutline(context, frame.peek()!.outline, place);
     if (!this.marks.peek()) {
       // Only what is being placed is drawn.
     } else if (!this.isOverlay || this.mapImage)

@@ -234,6 +234,9 @@ def of_registration(
         f"objects.{capture.object}.size_mm": facts.size_mm if facts else None,
         **grid,
     }
+    # Not under "objects.": what is made of the numbers alone depends on it.
+    if corners := campaign.outline_of(capture.object)[0]:
+        prints["outline of the object"] = [list(corner) for corner in corners]
     if isinstance(grid["grid.region"], tuple):  # declared in the turned frame, registered within
         told = ("grid.region", "grid.rotate", "grid.mirror")
         prints["region in the reference"] = [grid[key] for key in told]
@@ -320,7 +323,7 @@ def _credits(campaign: Campaign, name: str) -> dict[str, Any]:
 
 def _facts(campaign: Campaign, name: str) -> dict[str, Any]:
     facts = campaign.objects.get(name)
-    return facts.model_dump() if facts else {}
+    return facts.museum_facts() if facts else {}
 
 
 def relative(campaign: Campaign, path: Any) -> str:

@@ -10,6 +10,7 @@ from levkas.core.text import read_json
 from levkas.database.layout import Places, layer_name
 from levkas.database.registrations import (
     mm_per_px,
+    outside_share,
     read_registration,
     unchecked_mm2,
     unchecked_share,
@@ -92,19 +93,19 @@ def _chart_white(output: Path, name: str, camera: str, setup: str) -> dict[str, 
 def _errors(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return the held-out error, px of the reference and mm on the object, and what was not checked.
 
-    The error is that of the area that was checked. Of several sensors the largest error and the
-    smallest area.
+    The error is that of the area that was checked, and shares are of the layer. Of several sensors the largest
+    error and the smallest area.
     """
     sensors = [s for s in record.get("errors", {}).get("sensors", {}).values() if s]
     px = [float(s["held_out_px"]) for s in sensors if _is_number(s.get("held_out_px"))]
-    shares = [float(s["checked"]) for s in sensors if _is_number(s.get("checked"))]
     worst = max(px, default=None)
     scale = mm_per_px(record)
     return {
         "held_out_px": worst,
         "held_out_mm": None if worst is None or scale is None else worst * scale,
-        "checked_share": min(shares, default=None),
+        "checked_share": None if worst is None else 1 - unchecked_share(record),
         "unchecked_share": unchecked_share(record),
+        "outside_share": outside_share(record),
         "unchecked_mm2": unchecked_mm2(record),
     }
 

@@ -126,8 +126,10 @@ def _check_edits(campaign: Campaign, captures: list[Capture], refusals: Refusals
         for (name, frame), edits in campaign.edits.frames.items()
         if (name, frame.partition(":")[0]) not in lost_frames
     }
-    if frames:
-        check_edits(Edits(frames), captures, campaign.root / FILE_NAME)
+    lost_objects = {capture.object for capture in lost}
+    outlines = {n: o for n, o in campaign.edits.outlines.items() if n not in lost_objects}
+    if frames or outlines:
+        check_edits(Edits(frames, outlines), captures, campaign.root / FILE_NAME)
 
 
 def _without_reference(plan: Plan, capture: Capture) -> Step:

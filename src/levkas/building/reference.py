@@ -71,6 +71,11 @@ class ReferenceFrame:
             return middle_band(bands)
         return labels[find_band(labels, wanted, [band.wavelength for band in bands])]
 
+    @property
+    def outline(self) -> tuple[tuple[float, float], ...] | None:
+        """The declared corners of the object, reference px; None where none are declared."""
+        return self.campaign.outline_of(self.capture.object)[0] or None
+
     def prepared(self, region: Region | None, *, own: bool) -> PreparedReference:
         """Return the bands as the default method takes them, prepared once for all captures.
 
@@ -79,7 +84,7 @@ class ReferenceFrame:
         from levkas.registration.predictors import PreparedReference
 
         if self._prepared is None:
-            self._prepared = PreparedReference(self.images, self.band, region)
+            self._prepared = PreparedReference(self.images, self.band, region, self.outline)
             if not own:
                 self._release()
         return self._prepared

@@ -60,13 +60,14 @@ def measure(
     options |= by_hand
     grid, sampling, region = frame.layout()
     prepared = partial(frame.prepared, region, own=leads)
+    options |= {"outline": frame.outline, "layer": corners_of_grid(grid)}
     found, refused = None, None
     try:
         found = register_capture(
             native, frame.images, frame.band, own, region, options, given, prepared
         )
     except RegistrationRefused as error:
-        refused = error
+        refused = _with_outline_named(error, campaign, capture.object)
     if leads and found is not None:
         frame.registered(found)
     frame.rest()
@@ -87,6 +88,25 @@ def measure(
         problems,
         [[figure.svg, figure.caption] for figure in figures] or draw_figures(record),
     )
+
+
+def corners_of_grid(grid: Grid) -> np.ndarray:
+    """Return the corners of the published frame, (4, 2) reference px, in order round it."""
+    width, height = grid.size
+    corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], float) - 0.5
+    return np.asarray(grid.transform(corners))
+
+
+def _with_outline_named(
+    refused: RegistrationRefused, campaign: Campaign, name: str
+) -> RegistrationRefused:
+    """Return a refusal in which an outline that cannot be used is named by its file and key."""
+    file = campaign.root / campaign.outline_of(name)[1]
+    problems = [
+        replace(p, file=str(file), field=f"objects.{name}.outline") if p.field == "outline" else p
+        for p in refused.problems
+    ]
+    return RegistrationRefused(*problems, trace=refused.trace)
 
 
 def write_measured(measured: Measured, path: Path, before: Callable[[], object]) -> Written:

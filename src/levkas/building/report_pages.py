@@ -26,6 +26,7 @@ from levkas.core.text import counted
 from levkas.database.registrations import (
     describe_pairs,
     mm_per_px,
+    outside_share,
     read_registration,
     shares_light,
     unchecked_mm2,
@@ -89,7 +90,9 @@ def write_report(
     make_folder(folder)
     with together(partial(records.forget, Key(name, stage="report"))):
         write_text(page, report_of(campaign, places, records, name, captures, steps))
-        write_text(facts, to_toml({"name": name, **(described.model_dump() if described else {})}))
+        write_text(
+            facts, to_toml({"name": name, **(described.museum_facts() if described else {})})
+        )
         write_json(made_of, provenance_of(campaign, records, name, captures))
     return [page, facts, made_of]
 
@@ -187,6 +190,7 @@ def _layer(
         warnings=calibrated.get("warnings", []),
         by_hand=describe_pairs(record),
         unchecked=unchecked_share(record),
+        outside=outside_share(record),
         unchecked_area="" if area is None else f"{area:,.0f} mm²",
         error=_describe_error(error, checked, scale),
         error_px=error,
@@ -208,7 +212,7 @@ def _layer(
 
 
 def _error(record: dict[str, Any]) -> tuple[float | None, float | None]:
-    """Return the error, px, on what was not fitted, the worst sensor's, and over which share of the object.
+    """Return the error, px, on what was not fitted, the worst sensor's, and over which share of the layer.
 
     None of a layer that was refused: where it was measured is not where it is off.
     """
@@ -219,8 +223,7 @@ def _error(record: dict[str, Any]) -> tuple[float | None, float | None]:
     found = [(verdict.get("numbers") or {}).get("held_out_median")]
     found += [sensor.get("held_out_px") for sensor in sensors]
     numbers = [value for value in found if isinstance(value, int | float)]
-    checked = [s["checked"] for s in sensors if isinstance(s.get("checked"), int | float)]
-    return (max(numbers), min(checked, default=None)) if numbers else (None, None)
+    return (max(numbers), 1 - unchecked_share(record)) if numbers else (None, None)
 
 
 def _describe_error(error: float | None, checked: float | None, scale: float | None) -> str:

@@ -93,6 +93,17 @@ class Campaign(Document):
                 warnings += [f"{FILE_NAME}: {without_effect(f'{where}.{key}')}" for key in given]
         return tuple(warnings)
 
+    def outline_of(self, name: str) -> tuple[tuple[tuple[float, float], ...], str]:
+        """Return the declared outline of an object, reference px, and which file declares it; nothing and "" where none does.
+
+        edits.toml goes before campaign.toml.
+        """
+        if corners := self.edits.outlines.get(name):
+            return corners, FILE_NAME
+        facts = self.objects.get(name)
+        corners = (facts.outline if facts else None) or ()
+        return corners, self.path.name if corners else ""
+
     def is_joint(self, camera: str) -> bool:
         """Tell whether the captures of a camera are adjusted together."""
         keys = {**self.registration.declared(), **self.cameras[camera].registration.declared()}

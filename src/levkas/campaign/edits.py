@@ -36,6 +36,7 @@ version = 1
 """
 
 Pair = tuple[float, ...]
+Outline = tuple[tuple[float, float], ...]
 
 
 class EditsInvalid(Refused):
@@ -150,9 +151,12 @@ class Edits:
     ----------
     frames : mapping
         Frames as the contract names them: ``"d80"``, ``"d80@45-degree"``, ``"msbs:IR"``.
+    outlines : mapping
+        Object → the corners of its outline, reference px, in place of campaign.toml's.
     """
 
     frames: Mapping[tuple[str, str], FrameEdits] = field(default_factory=dict)
+    outlines: Mapping[str, Outline] = field(default_factory=dict)
 
     def of_layer(self, name: str, layer: str) -> dict[str, FrameEdits]:
         """Return the corrections of a layer: band ("" for its first sensor) → what was corrected."""
@@ -166,7 +170,12 @@ class Edits:
     def with_frame(self, name: str, frame: str, edits: FrameEdits) -> Edits:
         """Return these corrections with those of one frame replaced; without it where there are none."""
         frames = {key: value for key, value in self.frames.items() if key != (name, frame)}
-        return Edits(frames | ({(name, frame): edits} if edits else {}))
+        return replace(self, frames=frames | ({(name, frame): edits} if edits else {}))
+
+    def with_outline(self, name: str, outline: Outline) -> Edits:
+        """Return these corrections with the outline of one object replaced; without it where it has no corners."""
+        others = {key: value for key, value in self.outlines.items() if key != name}
+        return replace(self, outlines=others | ({name: outline} if outline else {}))
 
 
 def read_edits(path: Path) -> Edits:
@@ -204,7 +213,12 @@ def _validated(record: dict[str, Any], path: Path) -> Edits:
         for name, table in document.objects.items()
         for frame, keys in table.cameras.items()
     }
-    edits = Edits({key: value for key, value in frames.items() if value})
+    outlines = {
+        name: _rounded_corners(table.outline)
+        for name, table in document.objects.items()
+        if table.outline is not None
+    }
+    edits = Edits({key: value for key, value in frames.items() if value}, outlines)
     if problems := list(islice(_contradictions(edits), MOST_PROBLEMS)):
         raise EditsInvalid(*(with_explanation(p, path) for p in problems))
     return edits
@@ -418,6 +432,8 @@ def to_text(edits: Edits) -> str:
     from levkas.campaign.schema.toml import to_inline_toml
 
     lines = [HEAD]
+    for name, outline in sorted(edits.outlines.items()):
+        lines += [f"[objects.{to_inline_toml(name)}]", f"outline = {_row_of_corners(outline)}", ""]
     for (name, frame), one in sorted(edits.frames.items()):
         if not one:
             continue
@@ -447,6 +463,14 @@ def round_pair(pair: Iterable[float]) -> Pair:
 
 def _row(row: Pair) -> str:
     return f"[{', '.join(f'{v:.2f}' for v in row)}]"
+
+
+def _row_of_corners(outline: Outline) -> str:
+    return f"[{', '.join(_row(corner) for corner in outline)}]"
+
+
+def _rounded_corners(outline: Outline) -> Outline:
+    return tuple((round(x, 2) + 0.0, round(y, 2) + 0.0) for x, y in outline)
 
 
 def _rounded(value: Any) -> Any:

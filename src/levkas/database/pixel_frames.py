@@ -21,7 +21,7 @@ from levkas.core.problems import Problem, Refused, closest_match
 from levkas.core.text import unusable_name
 from levkas.database.containment import check_inside, is_plain_name
 from levkas.database.layout import layer_name
-from levkas.database.registrations import RecordRefused, read_registration, unconfirmed_cells
+from levkas.database.registrations import RecordRefused, beyond_checks, read_registration
 from levkas.database.remote import place
 from levkas.geometry import from_dict
 from levkas.geometry.transforms import Affine, Inverse, Transform
@@ -295,8 +295,8 @@ def predict_error(
     Returns
     -------
     error : ndarray, (rows, columns), reference px, or None
-        One standard deviation of the worst band; NaN in the cells where nothing confirms the map. None
-        where the record has none.
+        One standard deviation of the worst band; NaN where nothing confirms the map, as outside the object's
+        outline. None where the record has none.
     """
     from levkas.registration.record import Sigma
 
@@ -309,9 +309,7 @@ def predict_error(
     grid = Records(place(database), name).pixels(Frame())
     places = grid.from_reference.inverse(np.stack([x.ravel(), y.ravel()], 1))
     worst = np.max([Sigma.from_dict(table)(places) for table in known], axis=0)
-    for left, top, width, height in unconfirmed_cells(record):
-        apart = places - (left, top)
-        worst[((apart >= 0) & (apart < (width, height))).all(1)] = np.nan
+    worst[beyond_checks(record, places)] = np.nan
     return np.asarray(worst.reshape(x.shape))
 
 

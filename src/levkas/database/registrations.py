@@ -14,7 +14,9 @@ from levkas.core.text import counted, read_json
 from levkas.database.containment import check_inside, check_plain_names
 from levkas.geometry import from_dict
 from levkas.registration.advice import describe_placement
+from levkas.registration.foreground import contains
 from levkas.registration.record import Sigma
+from levkas.registration.window_matching import CheckWindows
 
 KINDS: dict[str, tuple[type, ...]] = {
     "object": (str,),
@@ -25,6 +27,8 @@ KINDS: dict[str, tuple[type, ...]] = {
     "target": (dict, str),
     "grid": (dict,),
     "verdict": (dict,),
+    "model": (dict,),
+    "trace": (dict,),
     "bands": (dict,),
     "errors": (dict,),
     "pairs_by_hand": (int,),
@@ -114,15 +118,24 @@ def describe_pairs(record: Mapping[str, Any]) -> str:
 
 
 def unchecked_share(record: Mapping[str, Any]) -> float:
-    """Return the share of the object, 0 … 1, where nothing confirms a layer's map; 0 where a record does not tell."""
-    share = (record.get("verdict") or {}).get("unchecked")
+    """Return the share of a layer, 0 … 1, where nothing confirms its map; 0 where a record does not tell."""
+    return _share(record, "unchecked")
+
+
+def outside_share(record: Mapping[str, Any]) -> float:
+    """Return the part of `unchecked_share` that lies outside the object's outline."""
+    return _share(record, "outside")
+
+
+def _share(record: Mapping[str, Any], key: str) -> float:
+    share = (record.get("verdict") or {}).get(key)
     if isinstance(share, bool) or not isinstance(share, (int, float)) or not 0 <= share <= 1:
         return 0.0
     return float(share)
 
 
 def unchecked_mm2(record: Mapping[str, Any]) -> float | None:
-    """Return the same as an area of the object, mm²; None where the sampling is not known."""
+    """Return the same as an area, mm²; None where the sampling is not known."""
     scale = mm_per_px(record)
     if scale is None:
         return None
@@ -148,6 +161,26 @@ def unconfirmed_cells(record: Mapping[str, Any]) -> list[list[float]]:
         cell for part in parts for key in ("unsupported", "off") for cell in part.get(key) or ()
     )
     return [[float(value) for value in cell[:4]] for cell in cells]
+
+
+def object_outline(record: Mapping[str, Any]) -> np.ndarray:
+    """Return the corners of the object's outline, (n, 2) reference px; none where the whole frame is the object."""
+    mask = (record.get("model") or {}).get("mask") or {}
+    return np.array(mask.get("outline") or (), float).reshape(-1, 2)
+
+
+def beyond_checks(record: Mapping[str, Any], points: np.ndarray) -> np.ndarray:
+    """Tell which points, (n, 2) reference px, nothing confirms: outside the object's outline, or too far from windows that agree."""
+    outline = object_outline(record)
+    lost = ~contains(outline, points) if len(outline) else np.zeros(len(points), bool)
+    for sensor in (record.get("trace") or {}).get("sensors") or ():
+        if checks := sensor.get("checks"):
+            rest = np.flatnonzero(~lost)
+            lost[rest] = CheckWindows.from_dict(checks).beyond(points[rest]) > 0
+    for left, top, width, height in unconfirmed_cells(record):
+        apart = points - (left, top)
+        lost |= ((apart >= 0) & (apart < (width, height))).all(1)
+    return lost
 
 
 def shares_light(record: Mapping[str, Any], wavelengths: Iterable[float]) -> bool:
@@ -192,6 +225,10 @@ def _check(place: str, part: Any) -> None:
                 raise TypeError(f"{key} is not text")
         check_plain_names(part.get("camera") or "-", part.get("setup") or "-")
         _check_size(part.get("size"))
+    elif place == "model":
+        object_outline({"model": part})
+    elif place == "trace":
+        beyond_checks({"trace": part}, np.zeros((1, 2)))
     elif place == "errors":
         for one in part.get("check_points") or []:
             float(one["error"] or 0), str(one["band"])

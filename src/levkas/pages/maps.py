@@ -13,7 +13,9 @@ import numpy as np
 
 from levkas.core.flags import MARKS
 from levkas.database.pixel_frames import predict_error
+from levkas.database.registrations import object_outline
 from levkas.database.tiff_pages import open_pages
+from levkas.geometry import from_dict
 from levkas.pages.page import embed_png
 
 if TYPE_CHECKING:
@@ -24,6 +26,10 @@ SCALE = ((20, 17, 15), (60, 32, 64), (122, 46, 76), (181, 83, 51), (217, 154, 60
 
 
 UNKNOWN = (70, 72, 76)
+
+
+OUTLINE = (64, 200, 235)
+"""Of the object, over its picture: cyan is rare in paintings."""
 
 
 CLEAR = (24, 22, 19)
@@ -199,6 +205,9 @@ def draw_maps(
     maps = []
     size = (int(record["grid"]["size"][0]), int(record["grid"]["size"][1]))
     step = max(1, math.ceil(max(size) / LONGEST_SIDE))
+    preview = tiff.with_suffix(".png")
+    if len(outline := object_outline(record)) and preview.is_file():
+        maps.append(_draw_outline(preview, record, outline))
     error = predict_error(database, name, record, size, step)
     if error is not None and np.isfinite(error).any() and np.nanmax(error) > 0:
         most, top = (float(np.nanpercentile(error, q)) for q in (ERROR_PERCENTILE, 100))
@@ -216,6 +225,27 @@ def draw_maps(
         numbers, palette, legend = flag_map(flags)
         maps.append(_small("Flags", palette[_block_maximum(numbers, step)], legend))
     return maps
+
+
+def _draw_outline(preview: Path, record: Mapping[str, Any], outline: np.ndarray) -> ReportMap:
+    """Return a layer's picture with the outline within which it was compared."""
+    from PIL import Image, ImageDraw
+
+    corners = from_dict(record["grid"]["transform"]).inverse(outline)
+    with Image.open(preview) as shown:
+        picture = shown.convert("RGB")
+    # Grid px → px of the preview, both by their edges.
+    corners = (corners + 0.5) * np.array(picture.size) / record["grid"]["size"] - 0.5
+    scale = min(1.0, LONGEST_SIDE / max(picture.size))
+    small = picture.resize([max(1, round(side * scale)) for side in picture.size])
+    corners = (corners + 0.5) * scale - 0.5
+    closed = [tuple(corner) for corner in np.vstack([corners, corners[:1]]).tolist()]
+    ImageDraw.Draw(small).line(closed, fill=OUTLINE, width=2)
+    mask = record["model"]["mask"]
+    how = "Found on an even ground." if mask["automatic"] else "As declared."
+    return _small(
+        "Outline of the object", np.asarray(small), Legend((("compared within", OUTLINE),)), how
+    )
 
 
 def _small(title: str, picture: np.ndarray, legend: Legend, doubt: str = "") -> ReportMap:

@@ -8,25 +8,26 @@ from dataclasses import dataclass, field
 from importlib.resources import files as resources
 from typing import TYPE_CHECKING, Any
 
+from levkas.registration.advice import percent
 from levkas.registration.record import DECISIONS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 WORTH_NAMING = 0.1
-"""Share of an object that was not checked, from which on it is named beside the decision."""
+"""Share of a layer that was not checked, from which on it is named beside the decision."""
 
 
 def describe_decision(decision: str, unchecked: float = 0.0, area: str = "") -> str:
-    """Return a decision of a record in words, with the share of the object that nothing confirms, and its area.
+    """Return a decision of a record in words, with the share of the layer that nothing confirms, and its area.
 
     >>> describe_decision("warn"), describe_decision("accept", 0.214, "340 mm²")
-    ('doubtful, please check', 'accepted, 21 % (340 mm²) not checked')
+    ('doubtful, please check', 'accepted, 21 % of the layer (340 mm²) not checked')
     """
     words = DECISIONS.get(decision, decision)
     if decision != "accept" or unchecked < WORTH_NAMING:
         return words
-    return f"{words}, {100 * unchecked:.0f} %{f' ({area})' if area else ''} not checked"
+    return f"{words}, {percent(unchecked)} of the layer{f' ({area})' if area else ''} not checked"
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,7 @@ class LayerReport:
     warnings: Sequence[str] = ()
     by_hand: str = ""
     unchecked: float = 0.0
+    outside: float = 0.0
     unchecked_area: str = ""
     error: str = "–"
     checks: str = ""
@@ -174,8 +176,9 @@ def describe_model(model: dict[str, Any]) -> str:
         name = f"{sensor['sensor']}: " if sensor.get("sensor") else ""
         told.append(name + (f"{base}; " if base else "") + f"shift between bands: {apart}")
     mask = model.get("mask") or {}
-    if mask.get("automatic"):
-        told.append(
-            f"only the object is compared, without its background: {mask['share']:.0%} of the frame"
+    if mask.get("outline"):
+        whose = (
+            "the outline found on an even ground" if mask["automatic"] else "the declared outline"
         )
+        told.append(f"compared within {whose}, {percent(mask['share'])} of the reference")
     return "; ".join(told) or str(model.get("kind", "")).replace("_", " ")

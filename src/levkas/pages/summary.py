@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from levkas.registration.advice import percent
+from levkas.registration.shares import LEAST_OUTSIDE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -63,7 +64,11 @@ def _overlay(layers: Sequence[LayerReport], mm_per_px: float | None) -> Iterator
         told = f"{which} is registered to {reference}: held-out error {describe_length(worst.error_px, mm_per_px)}"
         told += " at most" if len(laid) > 1 else ""
         least = min((one.checked for one in known if one.checked is not None), default=None)
-        told += f", checked over at least {percent(least)} of the object" if least else ""
+        if least:
+            some = "at least " if len(known) > 1 else ""
+            told += f", checked over {some}{percent(least)} of the layer"
+        if (outside := max(one.outside for one in known)) >= LEAST_OUTSIDE:
+            told += f" ({percent(outside)} lies outside the object's outline)"
         yield mark, f"{told}. {f'The worst is {worst.name}.' if len(laid) > 1 else ''}".rstrip()
     elif laid:
         names = ", ".join(one.name for one in laid)
@@ -99,8 +104,8 @@ def _noise(rows: Sequence[RadiometryRow]) -> Iterator[tuple[str, str]]:
 
 
 def _next(layers: Sequence[LayerReport], rows: Sequence[RadiometryRow], lost: Sequence[str]) -> str:
-    """Return the gravest thing to do."""
-    for decision in ("refuse", "by hand", "warn"):
+    """Return the gravest thing to do: of a layer what its record says, too."""
+    for decision in ("refuse", "by hand", "warn", "accept"):
         for one in layers:
             if one.decision == decision and one.next_step:
                 return f"{one.name}: {one.next_step}"

@@ -37,7 +37,15 @@ BUILT_IN = {
 #: Codes of refusals for which a person's pairs help.
 OF_PICTURES = {"E_MATCHES", "E_WINDOWS", "E_SCALE", "E_FOLD"}
 #: Fields of the request that are given by name.
-FURTHER = {"target_region", "align", "reference_transforms", "reference_sigma", "prepared"}
+FURTHER = {
+    "outline",
+    "layer",
+    "target_region",
+    "align",
+    "reference_transforms",
+    "reference_sigma",
+    "prepared",
+}
 
 __all__ = [
     "METHODS",

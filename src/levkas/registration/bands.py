@@ -1,4 +1,4 @@
-"""Images of bands: averages, contrast stretches, square roots, resampling, the object's outline.
+"""Images of bands: averages, contrast stretches, square roots, resampling.
 
 Dense registration compares square roots of the bands (noise becomes even, [anscombe1948]_) with small
 holes inpainted; key points are looked for in averages over bands.
@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, nan
-from typing import Any
 
 import numpy as np
 
@@ -33,10 +32,6 @@ SAMPLED_PX = 100_000
 TOE = 0.02
 #: Side, px, of the smallest square of invalid pixels that is not inpainted.
 LARGE_HOLE = 7
-#: Foreground: erosion of the outline, px; share of the rim that is background; share of the frame.
-MARGIN_PX, LEAST_RIM, LEAST_OBJECT = 4, 0.6, 0.1
-#: Tolerance of the outline's polygon, a share of the longer side.
-OUTLINE_SHARE = 0.01
 
 
 @dataclass(frozen=True)
@@ -380,96 +375,3 @@ def _means_around(image, places, taps):  # type: ignore[no-untyped-def]
                     weight += tap
         out[n] = total / weight if weight > 0.0 else np.nan
     return out
-
-
-def segment_foreground(image: np.ndarray) -> np.ndarray:
-    """Return where the object is, (h, w) bool, 4 px inside its outline.
-
-    The background is what is as even as the frame's rim and connected to it. Where the rim is not
-    even, or nothing is left, everything is object.
-
-    Parameters
-    ----------
-    image : ndarray, (h, w)
-        NaN where invalid.
-
-    Examples
-    --------
-    >>> picture = np.zeros((60, 80))
-    >>> picture[10:50, 10:70] = 1
-    >>> found = segment_foreground(picture)
-    >>> bool(found[30, 40]), bool(found[10, 10]), bool(segment_foreground(np.ones((60, 80))).all())
-    (True, False, True)
-    """
-    from scipy import ndimage
-
-    everything = np.ones(image.shape, bool)
-    known = np.isfinite(image)
-    if not known.any():
-        return everything
-    smooth = ndimage.gaussian_filter(np.where(known, image, np.median(image[known])), 1.5)
-    rim = everything.copy()
-    width = max(3, min(image.shape) // 100)
-    rim[width:-width, width:-width] = False
-    level = np.median(smooth[rim])
-    spread = 1.4826 * np.median(np.abs(smooth[rim] - level))
-    low, high = np.percentile(smooth, (1, 99))
-    if not high > low:
-        return everything
-    even = np.abs(smooth - level) < max(5 * spread, 0.04 * (high - low))
-    patches, _ = ndimage.label(even)
-    touching = np.unique(patches[rim & even])
-    ground = np.isin(patches, touching[touching > 0])
-    if (ground & rim).sum() < LEAST_RIM * rim.sum():
-        return everything
-    bodies, count = ndimage.label(ndimage.binary_opening(~ground, iterations=2))
-    if not count:
-        return everything
-    body = ndimage.binary_fill_holes(bodies == 1 + np.bincount(bodies.ravel())[1:].argmax())
-    if body.mean() < LEAST_OBJECT:
-        return everything
-    return np.asarray(ndimage.binary_erosion(body, iterations=MARGIN_PX))
-
-
-def describe_mask(body: np.ndarray, region: Sequence[float] | None) -> dict[str, Any]:
-    """Return the mask of the reference, within which it is compared, JSON-ready.
-
-    Parameters
-    ----------
-    body : ndarray of bool, (h, w)
-        Of `segment_foreground`.
-    region : (x, y, width, height), reference px, optional
-        Of the request.
-
-    Returns
-    -------
-    mask : dict
-        ``automatic``: whether an object was segmented from its background; ``share`` of the frame that it takes;
-        ``outline``: its corners, (n, 2) reference px, empty where none was segmented; ``region``.
-
-    Examples
-    --------
-    >>> body = np.zeros((60, 80), bool)
-    >>> body[10:50, 10:70] = True
-    >>> describe_mask(body, None)["outline"]
-    [[10, 10], [10, 49], [69, 49], [69, 10]]
-    """
-    import cv2
-
-    found: dict[str, Any] = {"automatic": False, "share": 1.0, "outline": []}
-    found["region"] = None if region is None else [float(v) for v in region]
-    if body.all():
-        return found
-    outlines, _ = cv2.findContours(
-        body.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
-    )
-    if not outlines:
-        return found | {"automatic": True, "share": 0.0}
-    corners = cv2.approxPolyDP(
-        max(outlines, key=cv2.contourArea), OUTLINE_SHARE * max(body.shape), True
-    )
-    return found | {
-        "automatic": True,
-        "share": round(float(body.mean()), 4),
-        "outline": corners.reshape(-1, 2).tolist(),
-    }

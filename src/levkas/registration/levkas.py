@@ -56,7 +56,9 @@ def register_levkas(request: Request, _options: LevkasOptions) -> Registration:
     base = (
         request.prepared()
         if request.prepared
-        else PreparedReference(request.reference, request.reference_band, request.region)
+        else PreparedReference(
+            request.reference, request.reference_band, request.region, request.outline
+        )
     )
     own, anchor, target = request.is_own, base.anchor, request.target
     transforms, sigma = request.reference_transforms, request.reference_sigma
@@ -87,7 +89,8 @@ def register_levkas(request: Request, _options: LevkasOptions) -> Registration:
         known: dict[str, Transform] = {anchor.sensor: Affine.identity()} if own else {}
         align = {target[0].sensor: Affine.identity()} | read_alignments(request.align)
         sensors += _register_sensors(names, register_one, align, known, stack.shape)
-    return _assemble(sensors, [image.label for image in target], base.mask)
+    labels, object_share = [image.label for image in target], base.area.share_of(request.layer)
+    return _assemble(sensors, labels, base.area.to_dict(), object_share)
 
 
 def _register_sensors(
@@ -179,9 +182,16 @@ def _placed(
 
 
 def _assemble(
-    sensors: Sequence[RegisteredSensor], labels: Sequence[str], mask: dict[str, Any]
+    sensors: Sequence[RegisteredSensor],
+    labels: Sequence[str],
+    mask: dict[str, Any],
+    object_share: float,
 ) -> Registration:
-    """Return the registration of a camera with `sensors`, bands in the order of `labels`."""
+    """Return the registration of a camera with `sensors`, bands in the order of `labels`.
+
+    `object_share` is the share of the layer that shows the object.
+    """
+    numbers = {s.name: _numbers(s) | {"object_share": object_share} for s in sensors}
     transforms: dict[str, Transform] = {}
     sigma: dict[str, Sigma] = {}
     others = {s.name: _matches(s) for s in sensors[1:] if s.base is not None}
@@ -192,8 +202,8 @@ def _assemble(
     return Registration(
         method="by hand" if by_hand else "levkas",
         transforms={label: transforms[label] for label in labels},
-        verdict=judge_windows({s.name or ONLY: _numbers(s) for s in sensors}),
-        errors={"bands": _band_errors(sensors), "sensors": {s.name: _numbers(s) for s in sensors}},
+        verdict=judge_windows({name or ONLY: one for name, one in numbers.items()}),
+        errors={"bands": _band_errors(sensors), "sensors": numbers},
         matches=_matches(sensors[0]),
         model={"kind": "levkas", "mask": mask, "sensors": [_model(s) for s in sensors]},
         sigma={label: sigma[label] for label in labels},

@@ -18,6 +18,7 @@ from levkas.geometry.transforms import Affine, Composed, Inverse, Polynomial, Tr
 from levkas.registration.alignment import align_sensors, camera_grey, measure_apart
 from levkas.registration.bands import BandImage, area_average, region_mask, stretch
 from levkas.registration.features import KeyPoints, find_key_points
+from levkas.registration.foreground import ObjectArea
 from levkas.registration.line_displacement import measure_line_displacement
 from levkas.registration.local_shifts import highpass
 from levkas.registration.manual_points import ManualPoints, MarkedMatches
@@ -34,9 +35,11 @@ from levkas.registration.verdict import judge_matches
 from levkas.registration.verdict_rules import lies_where_declared
 from levkas.registration.verification import (
     Overlap,
+    box_of,
     measure_shape,
     measure_support,
     measure_windows,
+    of_object,
 )
 from levkas.registration.window_matching import SETTINGS as WINDOWS
 from levkas.registration.window_matching import CheckWindows, search_windows
@@ -129,6 +132,9 @@ def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registra
     if request.is_own:
         return _own(request.reference, sensor, request.align)
     ours = AlignedCamera.of(request.reference, sensor, None)
+    area = ObjectArea.of(np.ones(ours.valid.shape), request.region, request.outline)
+    if request.outline is not None:  # nothing outside is used or judged
+        ours = replace(ours, valid=ours.valid & area.compared)
     theirs = AlignedCamera.of(request.target, request.target[0].sensor, request.align)
     kind: dict[str, Any] = {
         "detector": options.detector or "sift",
@@ -155,7 +161,10 @@ def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registra
     evidence = Evidence(
         transform, matches, (ours.values, ours.valid), (theirs.values, theirs.valid), terms,
         None if region is None else tuple(region), measure_apart(request.target, request.align),
+        area.share_of(request.layer), area.compared,
     )  # fmt: skip
+    if request.outline is not None:
+        evidence = replace(evidence, region=box_of(area.compared))
     return Registration(
         method="mirhashemi2019",
         transforms=_spread(theirs, transform),
@@ -171,6 +180,7 @@ def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registra
             "reject": terms.reject,
             "stop": terms.stop,
             **kind,
+            "mask": area.to_dict(),
             "sensors": {name: t.to_dict() for name, t in theirs.alignments.items()},
         },
     )
@@ -329,6 +339,10 @@ class Evidence:
         Where the object lies.
     apart : float or None
         How far declared alignments lie from measured ones, px.
+    object_share : float
+        Share of the layer that shows the object.
+    mask : ndarray of bool, (h, w), optional
+        Where the object lies.
     """
 
     transform: Transform
@@ -338,6 +352,8 @@ class Evidence:
     terms: RemovalTerms
     region: tuple[float, ...] | None = None
     apart: float | None = None
+    object_share: float = 1.0
+    mask: np.ndarray | None = None
 
     @property
     def overlap(self) -> Overlap:
@@ -369,14 +385,24 @@ def measure(evidence: Evidence) -> dict[str, Any]:
         "tolerance": tolerance,
         **measure_chance(evidence, np.random.default_rng(SETTINGS.seed)),
         **measure_held_out(evidence),
-        **measure_shape(evidence.overlap),
+        **_measure_shape(evidence),
         **measure_windows(checks),
         "rival": float(search.rival),
         **measure_support(evidence.overlap, checks, matches.reference[matches.kept]),
         "line_displacement": _measure_lines(evidence),
+        "object_share": evidence.object_share,
         "align_apart_px": evidence.apart,
         "align_is_map": True,
     }
+
+
+def _measure_shape(evidence: Evidence) -> dict[str, Any]:
+    """Return the shape of the map over the overlap, which is a share of the object."""
+    overlap, mask = evidence.overlap, evidence.mask
+    shape = measure_shape(overlap)
+    if mask is not None:
+        shape["overlap"] = of_object(shape["overlap"], mask, overlap.box)
+    return shape
 
 
 def _measure_lines(evidence: Evidence) -> dict[str, Any] | None:

@@ -22,13 +22,11 @@ from levkas.registration.bands import (
     SAMPLED_PX,
     BandImage,
     by_wavelength,
-    describe_mask,
     present_bands,
-    region_mask,
-    segment_foreground,
     sqrt_images,
 )
 from levkas.registration.features import CameraFeatures, GreyImages
+from levkas.registration.foreground import Corners, ObjectArea
 from levkas.registration.local_shifts import (
     RIDGE,
     Predictor,
@@ -302,11 +300,17 @@ class PreparedReference:
     band : str
         Label of the band that defines reference px.
     region : (x, y, width, height), reference px, optional
-        Where the object lies; nothing outside is used.
+        Of the published frame; nothing outside is used.
+    outline : (n, 2) corners, reference px, optional
+        Of the object, where it is declared; without it the object is segmented from an even ground.
     """
 
     def __init__(
-        self, bands: Sequence[BandImage], band: str, region: Sequence[float] | None = None
+        self,
+        bands: Sequence[BandImage],
+        band: str,
+        region: Sequence[float] | None = None,
+        outline: Corners | None = None,
     ) -> None:
         self.anchor = next(image for image in bands if image.label == band)
         if not self.anchor.valid.any():
@@ -323,9 +327,8 @@ class PreparedReference:
         self.own_bands = [image for image in bands if image.sensor == self.anchor.sensor]
         self.images = sqrt_images(bands)
         greys = GreyImages([self.images[image.label] for image in self.own_bands])
-        inside, body = region_mask(region, self.anchor.values.shape), segment_foreground(greys[0])
-        self._mask = inside & body
-        self.mask = describe_mask(body, region)
+        self.area = ObjectArea.of(greys[0], region, outline)
+        self._mask = self.area.compared
         self.keys, self._greys = CameraFeatures(greys, self._mask), greys
         self._stack: ReferenceStack | None = None
 

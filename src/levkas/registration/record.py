@@ -285,7 +285,9 @@ class Verdict:
     numbers : dict
         The evidence, by name, JSON-ready.
     unchecked : float
-        Share of the object, 0 … 1, that the camera does not show or where nothing confirms the map.
+        Share of the layer, 0 … 1, that does not show the object, or where nothing confirms the map.
+    outside : float
+        The part of `unchecked` that lies outside the object's outline.
     """
 
     decision: Decision
@@ -293,6 +295,7 @@ class Verdict:
     next_step: str = ""
     numbers: dict[str, Any] = field(default_factory=dict)
     unchecked: float = 0.0
+    outside: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready record."""
@@ -301,6 +304,7 @@ class Verdict:
             "reasons": list(self.reasons),
             "next_step": self.next_step,
             "unchecked": round(self.unchecked, 4),
+            "outside": round(self.outside, 4),
             "numbers": plain(self.numbers),
         }
 

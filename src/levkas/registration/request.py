@@ -17,6 +17,7 @@ from levkas.registration.record import RegistrationRefused
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
     from levkas.registration.bands import BandImage
+    from levkas.registration.foreground import Corners
     from levkas.registration.manual_points import ManualPoints
     from levkas.registration.predictors import PreparedReference
     from levkas.registration.record import Sigma
@@ -35,7 +36,11 @@ class Request:
     reference_band : str
         Label of the band of `reference` that defines reference px.
     region : (x, y, width, height), reference px, optional
-        Where the object lies; nothing outside is used or judged.
+        Of the published frame; nothing outside is used or judged.
+    outline : (n, 2) corners, reference px, optional
+        Of the object, where it is declared: nothing outside is used or judged.
+    layer : (4, 2) corners, reference px, optional
+        Of the published frame, of which shares are given; without it the region, or the whole frame.
     target_region : (x, y, width, height), optional
         The object in native px of the target's first sensor: scale alone maps one region to the other.
     given : mapping of sensor name to ManualPoints
@@ -54,6 +59,8 @@ class Request:
     target: Sequence[BandImage]
     reference_band: str
     region: Sequence[float] | None = None
+    outline: Corners | None = None
+    layer: Corners | None = None
     target_region: Sequence[float] | None = None
     given: Mapping[str, ManualPoints] = field(default_factory=dict)
     reference_transforms: Mapping[str, Transform] | None = None
@@ -111,6 +118,8 @@ def check_request(request: Request, method: str, methods: Iterable[str]) -> None
             )
         )
     problems += _check_region(request.region)
+    if request.outline is not None and labels:
+        problems += check_outline(request.outline, request.reference[0].size)
     if problems:
         raise RegistrationRefused(*problems)
 
@@ -199,6 +208,32 @@ def _check_bands(name: str, images: Sequence[BandImage]) -> list[Problem]:
                 )
             )
     return problems
+
+
+def check_outline(outline: Corners, size: tuple[int, int]) -> list[Problem]:
+    """Return what is wrong with an outline, (n, 2) px, in a frame (width, height): few corners, or some outside.
+
+    >>> [p.message for p in check_outline([(0, 0), (90, 0), (90, 50)], (80, 60))]
+    ['the outline has corners outside the reference']
+    """
+    corners = np.asarray(outline, float).reshape(-1, 2)
+    if len(corners) < 3 or not np.isfinite(corners).all():
+        return [_value_problem("outline", len(corners), "three or more corners (x, y)")]
+    # Half a pixel at the rim belongs to the frame, and hands write its width for its last column.
+    outside = ((corners < -1) | (corners > np.array(size))).any(1)
+    if not outside.any():
+        return []
+    listed = "; ".join(f"({x:g}, {y:g})" for x, y in corners[outside][:4])
+    return [
+        Problem(
+            "E_VALUE",
+            "the outline has corners outside the reference",
+            field="outline",
+            found=listed,
+            expected=f"within {size[0]} x {size[1]} px, native px of the reference band",
+            fix="Draw the outline within the frame; objects that it cuts end at its rim.",
+        )
+    ]
 
 
 def _check_region(region: Sequence[float] | None) -> list[Problem]:

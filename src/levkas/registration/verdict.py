@@ -9,18 +9,20 @@ measures how often each class is correct.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
-from levkas.registration.advice import LOOK, describe_placement
+from levkas.registration.advice import LOOK, describe_placement, percent
 from levkas.registration.record import Decision, Verdict
+from levkas.registration.shares import LEAST_OUTSIDE, Numbers, checked_share, object_share
 from levkas.registration.verdict_rules import (
     MATCHES,
     ONLY,
+    RULES,
+    SETTINGS,
     WINDOWS,
     Finding,
-    Numbers,
-    objections_to,
-    percent,
+    Objection,
 )
 
 
@@ -35,7 +37,9 @@ def judge_matches(numbers: dict[str, Any]) -> Verdict:
         (one.reason, one.on_matches or one.next_step, one.decision)
         for one in objections_to(numbers, MATCHES)
     ]
-    return _decide(objections, (praise,), numbers, _unchecked(numbers))
+    objections += _outside_of_outline(1 - object_share(numbers))
+    verdict = _decide(objections, (praise,), numbers, _unchecked(numbers))
+    return replace(verdict, outside=1 - object_share(numbers))
 
 
 def judge_windows(numbers: Mapping[str, Numbers]) -> Verdict:
@@ -57,12 +61,21 @@ def judge_windows(numbers: Mapping[str, Numbers]) -> Verdict:
         ]
     praise = (_where(name) + _praise(n) for name, n in judged.items())
     unchecked = max((_unchecked({**n, **n["borne_out"]}) for n in judged.values()), default=0.0)
+    outside = max((1 - object_share(n) for n in numbers.values()), default=0.0)
+    objections += _outside_of_outline(outside if judged else 0.0)
     verdict = _decide(objections, tuple(praise), dict(numbers), unchecked)
+    verdict = replace(verdict, outside=outside)
     placed = {name: n["placed_by_hand"] for name, n in numbers.items() if "placed_by_hand" in n}
     if not placed or verdict.decision == "refuse":
         return verdict
     reasons = tuple(_where(name) + _describe_pairs(one) for name, one in placed.items())
-    return Verdict("by hand", reasons + verdict.reasons, LOOK, dict(numbers), 1.0)
+    return replace(
+        verdict,
+        decision="by hand",
+        reasons=reasons + verdict.reasons,
+        next_step=LOOK,
+        unchecked=1.0,
+    )
 
 
 def _decide(
@@ -88,9 +101,42 @@ def _decide(
     return Verdict("accept", reasons, step, numbers, unchecked)
 
 
+def objections_to(numbers: Numbers, basis: frozenset[str]) -> list[Objection]:
+    """Return the objections of the rules on maps that rest on `basis`, in the order of the rules.
+
+    Where little could be compared window by window, and outlines agree all over, want of evidence makes a
+    map doubtful only.
+    """
+    found = [one for rule, on in RULES.items() if basis <= on and (one := rule(numbers))]
+    lacking = [one for one in found if one.lacks_evidence and one.decision == "refuse"]
+    outlines = numbers.get("outlines")
+    if not lacking or not outlines or not _agree(outlines):
+        return found
+    text = (
+        f"The outlines of {outlines['agreeing']} of {outlines['blocks']} large blocks agree with the map "
+        f"within {outlines['px']:.1f} px. A finer check was not possible."
+    )
+    doubted = [replace(one, decision="warn") if one in lacking else one for one in found]
+    return [Objection("warn", text, LOOK), *doubted]
+
+
+def _agree(outlines: Numbers) -> bool:
+    """Whether enough blocks lie where the map puts them, in number and as a share."""
+    least = max(SETTINGS.least_outlines, SETTINGS.least_outlines_share * outlines["blocks"])
+    return bool(outlines["agreeing"] >= least)
+
+
 def _unchecked(n: Numbers) -> float:
-    """Return the share of the object that the other picture does not show, or where nothing confirms the map."""
-    return 1 - n["overlap"] * min(n.get("checked", 1.0), max(n.get("coverage", 1.0), 0.0))
+    """Return the share of the layer that does not show the object, or where nothing confirms the map."""
+    return 1 - checked_share(n)
+
+
+def _outside_of_outline(outside: float) -> list[tuple[str, str, Finding]]:
+    """Say, once for all sensors, how much of the layer lies outside the object's outline; that asks for nothing."""
+    if outside < LEAST_OUTSIDE:
+        return []
+    text = f"{percent(outside)} of the layer lies outside the object's outline and was not checked."
+    return [(text, "", "unchecked")]
 
 
 def _where(name: str) -> str:
@@ -111,6 +157,6 @@ def _praise(numbers: Numbers) -> str:
     n = numbers["borne_out"]
     return (
         f"{n.get('agreeing', 0)} of the {n.get('found', 0)} check windows that were found agree with the map. "
-        f"The held-out error is {numbers['held_out_px']:.2f} px over the {percent(n['checked'])} of the object "
-        "that was checked."
+        f"The held-out error is {numbers['held_out_px']:.2f} px over the {percent(checked_share({**numbers, **n}))} of the "
+        "layer that was checked."
     )

@@ -7,9 +7,9 @@ small whether the map is right or not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,12 @@ from levkas.registration.advice import (
 )
 from levkas.registration.line_displacement import describe_displacement
 from levkas.registration.marks import TELLING
+from levkas.registration.shares import (
+    Numbers,
+    checked_share,
+    object_share,
+    overlap_share,
+)
 
 Finding = Literal["refuse", "warn", "unchecked"]
 """Result of one rule: refused, contradicted somewhere, or not checked somewhere, which is only said."""
@@ -132,8 +138,6 @@ class VerdictSettings:
 SETTINGS = VerdictSettings()
 #: Name among the numbers of a sensor without one.
 ONLY = "sensor"
-
-Numbers = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -364,10 +368,10 @@ def shows_the_reference(n: Numbers) -> Objection | None:
     refused = n["overlap"] < SETTINGS.overlap.refuse
     return Objection(
         "refuse" if refused else "unchecked",
-        f"This camera covers {percent(n['overlap'])} of the reference; it has no data for the rest.",
+        f"This camera has no data in {percent(object_share(n) - overlap_share(n))} of the layer.",
         f"{OTHER}; if this camera shows only a part of it, capture the rest too."
         if refused
-        else "Do not use the layer outside the overlap.",
+        else "Do not use the layer where this camera has no data.",
     )
 
 
@@ -408,16 +412,21 @@ def _off_or_unconfirmed(n: Numbers) -> Objection | None:
     if n["off"]:
         return Objection(
             "warn",
-            f"The map is wrong in {percent(n['off_share'])} of the overlap {_places(n['off'])}{_plane(n)}.",
+            f"The map is wrong in {_part(n, n['off_share'])} {_places(n['off'])}{_plane(n)}.",
             REGION,
         )
     if n["coverage"] >= SETTINGS.coverage.warn:
         return None
     return Objection(
         "warn" if n["coverage"] < SETTINGS.least_checked else "unchecked",
-        f"The map was not checked in {percent(1 - n['coverage'])} of the overlap {_places(n['unsupported'])}.",
+        f"The map was not checked in {_part(n, 1 - n['coverage'])} {_places(n['unsupported'])}.",
         REGION,
     )
+
+
+def _part(n: Numbers, share: float) -> str:
+    """Return a share of what both pictures show of the object as one of the layer, in words."""
+    return f"{percent(share * overlap_share(n))} of the layer"
 
 
 def _plane(n: Numbers) -> str:
@@ -442,12 +451,11 @@ def is_checked(n: Numbers) -> Objection | None:
     return Objection(
         "warn",
         (
-            f"The held-out error is {n['held_out_px']:.2f} px over the {percent(share)} of the object that was checked"
+            f"The held-out error is {n['held_out_px']:.2f} px over the {percent(checked_share(n))} of the layer that was checked"
             if np.isfinite(n["held_out_px"])
-            else f"Only {percent(share)} of the object was checked"
+            else f"Only {percent(checked_share(n))} of the layer was checked"
         )
-        + f". In {percent(part)} of the object the map is extrapolated (x, y, width, "
-        f"height: {', '.join(f'{v:.0f}' for v in box)}).",
+        + f". In {_part(n, part)} the map is extrapolated {_places([box])}.",
         REGION,
     )
 
@@ -512,11 +520,11 @@ def lies_where_declared(n: Numbers) -> Objection | None:
 
 
 def is_compared(n: Numbers) -> Objection | None:
-    """Say where less than half of the reference could be compared."""
+    """Say where less than half of the reference's windows could be compared."""
     if n["cover"] is None or n["cover"] >= SETTINGS.least_cover:
         return None
     return Objection(
-        "unchecked", f"Only {percent(n['cover'])} of the reference was compared.", LOOK
+        "unchecked", f"Only {percent(n['cover'])} of the reference's windows were compared.", LOOK
     )
 
 
@@ -558,28 +566,3 @@ RULES: dict[Rule, frozenset[str]] = {
     is_compared: WINDOWS,
     has_converged: WINDOWS,
 }
-
-
-def objections_to(numbers: Numbers, basis: frozenset[str]) -> list[Objection]:
-    """Return the objections of the rules on maps that rest on `basis`, in the order of the rules.
-
-    Where little could be compared window by window, and outlines agree all over, want of evidence makes a
-    map doubtful only.
-    """
-    found = [one for rule, on in RULES.items() if basis <= on and (one := rule(numbers))]
-    lacking = [one for one in found if one.lacks_evidence and one.decision == "refuse"]
-    outlines = numbers.get("outlines")
-    if not lacking or not outlines or not _agree(outlines):
-        return found
-    text = (
-        f"The outlines of {outlines['agreeing']} of {outlines['blocks']} large blocks agree with the map "
-        f"within {outlines['px']:.1f} px. A finer check was not possible."
-    )
-    doubted = [replace(one, decision="warn") if one in lacking else one for one in found]
-    return [Objection("warn", text, LOOK), *doubted]
-
-
-def _agree(outlines: Numbers) -> bool:
-    """Whether enough blocks lie where the map puts them, in number and as a share."""
-    least = max(SETTINGS.least_outlines, SETTINGS.least_outlines_share * outlines["blocks"])
-    return bool(outlines["agreeing"] >= least)

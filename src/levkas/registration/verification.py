@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from levkas.geometry.transforms import Affine, Transform
+from levkas.registration.foreground import corners_of
 from levkas.registration.predictors import measure_shifts
 from levkas.registration.window_fusion import has_information
 from levkas.registration.window_matching import SETTINGS as WINDOWS
@@ -180,15 +181,11 @@ def verify(
     both = [(np.nan_to_num(a), np.isfinite(a)) for a in (predicted, image)]
     found = search_windows(both[0], both[1], Affine.identity())
     search = _enlarged(found, step)
-    rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
-    region = None
-    if len(rows):
-        region = (columns[0], rows[0], np.ptp(columns) + 1, np.ptp(rows) + 1)
-    overlap = Overlap(transform, mask, valid, region and tuple(float(v) for v in region))
-    tolerance = max(1.0, search.step)
+    overlap = Overlap(transform, mask, valid, box_of(mask))
+    tolerance, outline = max(1.0, search.step), corners_of(mask)
     checks = CheckWindows(
         search.centres, search.shift, search.found, tolerance, WINDOWS.window * search.step,
-        predicted_at, cell, overlap.region,
+        predicted_at, cell, outline if len(outline) > 2 else None,
     )  # fmt: skip
     numbers = {
         "tolerance": tolerance,
@@ -198,12 +195,27 @@ def verify(
         # A cell is confirmed by what is seen there, not by one key point that agrees.
         **measure_support(overlap, checks, np.empty((0, 2))),
     }
-    share = 1.0
-    if region is not None:
-        x, y, width, height = (int(v) for v in region)
-        share = float(mask[y : y + height, x : x + width].mean())
-    numbers["overlap"] = min(1.0, numbers["overlap"] / max(share, 1e-9))
+    numbers["overlap"] = of_object(numbers["overlap"], mask, overlap.box)
     return numbers, checks
+
+
+def box_of(mask: np.ndarray) -> Box | None:
+    """Return the box (x, y, width, height) about the pixels of a mask, (h, w) bool; None without any."""
+    rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
+    if not len(rows):
+        return None
+    return float(columns[0]), float(rows[0]), float(np.ptp(columns) + 1), float(np.ptp(rows) + 1)
+
+
+def of_object(share: float, mask: np.ndarray, box: Box) -> float:
+    """Return a share of a box as one of the mask in it, at most 1.
+
+    >>> of_object(0.25, np.array([[True, False], [True, False]]), (0, 0, 2, 2))
+    0.5
+    """
+    x, y, width, height = (int(v) for v in box)
+    part = mask[y : y + height, x : x + width]
+    return min(1.0, share / max(float(part.mean()) if part.size else 1.0, 1e-9))
 
 
 def predict(predictors: np.ndarray, image: np.ndarray) -> np.ndarray:

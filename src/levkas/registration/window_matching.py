@@ -15,6 +15,7 @@ import numpy as np
 
 from levkas.geometry.transforms import Composed, Inverse, solve_2x2
 from levkas.registration.bands import area_average, pull, region_mask
+from levkas.registration.foreground import nearest_within
 
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
@@ -120,8 +121,8 @@ class CheckWindows:
         are smaller and closer, and show more exactly where detail ends.
     cell : float, reference px
         How far apart those are.
-    box : (x, y, width, height), reference px, optional
-        Where the object lies: places beside it are as far as the nearest of its own.
+    outline : ndarray, (k, 2), reference px, optional
+        Corners of the object: places beside it are as far as the nearest of its own.
 
     Examples
     --------
@@ -137,7 +138,7 @@ class CheckWindows:
     side: float
     predicted: np.ndarray | None = None
     cell: float = 0.0
-    box: tuple[float, ...] | None = None
+    outline: np.ndarray | None = None
 
     @property
     def confirmed(self) -> np.ndarray:
@@ -154,9 +155,8 @@ class CheckWindows:
         places = self.centres[self.confirmed]
         if len(places) < SETTINGS.least_near:
             return np.full(len(points), np.inf)
-        if self.box is not None:
-            low = np.array(self.box[:2])
-            points = np.clip(points, low, low + np.array(self.box[2:]) - 1)
+        if self.outline is not None:
+            points = nearest_within(self.outline, points)
         far = np.asarray(cKDTree(places).query(points, k=SETTINGS.least_near)[0])[:, -1] - self.side
         if self.predicted is not None and len(self.predicted):
             near = np.asarray(cKDTree(self.predicted).query(points)[0])
@@ -185,7 +185,7 @@ class CheckWindows:
             "side": self.side,
             "predicted": [] if self.predicted is None else np.round(self.predicted, 1).tolist(),
             "cell": self.cell,
-            "box": None if self.box is None else list(self.box),
+            "outline": None if self.outline is None else np.round(self.outline, 2).tolist(),
         }
 
     @classmethod
@@ -200,7 +200,7 @@ class CheckWindows:
             float(record["side"]),
             np.array(record["predicted"], float).reshape(-1, 2),
             float(record["cell"]),
-            None if record["box"] is None else tuple(record["box"]),
+            None if record["outline"] is None else np.array(record["outline"], float),
         )
 
 

@@ -75,7 +75,7 @@ def test_in_short_says_error_worst_camera_glare_noise_and_what_to_do():
     marks, told = zip(*summarise_layers([REFERENCE, COLOUR], ROWS, 1.212), strict=True)
     assert marks == ("ok", "warn", "ok", "next")
     assert told[0].startswith("rgb is registered to vis: held-out error 0.060 px = 0.073 mm")
-    assert "96 % of the object" in told[0]
+    assert "96 % of the layer" in told[0]
     assert "at most 2 % of the object (rgb)" in told[1]
     assert "0.002 (rgb) to 0.008 (vis)" in told[2]
     assert told[3].startswith("rgb: The scene goes beyond the sensor")
@@ -86,7 +86,7 @@ def test_in_short_names_the_worst_what_was_left_out_and_what_a_hand_placed():
     assert lines[0] == (
         "warn",
         "Every other camera is registered to vis: held-out error 0.250 px at most, "
-        "checked over at least 80 % of the object. The worst is xray.",
+        "checked over at least 80 % of the layer. The worst is xray.",
     )
     assert ("warn", "xray was aligned with 4 pairs by hand.") in lines
     assert ("refuse", "nir was left out: its registration was refused.") in lines

@@ -94,6 +94,11 @@ def check_edits(edits: Edits, captures: Iterable[Capture], path: Path) -> None:
         known.setdefault(capture.object, {})[capture.layer] = labels
     problems = []
     edited: dict[tuple[str, str, str], str] = {}
+    for name in sorted(edits.outlines.keys() - known.keys()):
+        problem = Problem(
+            "E_VALUE", "unknown object", None, f"objects.{name}", name, ", ".join(sorted(known))
+        )
+        problems.append(with_explanation(problem, path))
     for name, frame in sorted(edits.frames):
         layer, _, band = frame.partition(":")
         where, layers = f"objects.{name}.cameras.{frame}", known.get(name, {})

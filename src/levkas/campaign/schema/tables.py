@@ -26,6 +26,7 @@ from levkas.campaign.schema.values import (
     Names,
     Number,
     Orcid,
+    Outline,
     Rectangles,
     Reflectance,
     Region,
@@ -284,7 +285,7 @@ class Setup(Table):
 
 
 class ObjectFacts(Table):
-    """Museum facts of a painting."""
+    """Museum facts of a painting, and its outline in the reference's frame, native px of the reference band."""
 
     title: Text = ""
     creator: Text = ""
@@ -294,6 +295,11 @@ class ObjectFacts(Table):
     owner: Text = ""
     rights: Text = ""
     inventory: Text = ""
+    outline: Outline | None = None
+
+    def museum_facts(self) -> dict[str, Any]:
+        """Return what is published of the painting; its outline is of one camera's frame."""
+        return self.model_dump(exclude={"outline"})
 
 
 class Creator(Table):
@@ -357,8 +363,9 @@ class FrameKeys(Table):
 
 
 class ObjectKeys(Table):
-    """Corrections of one object, by frame name: CAMERA, CAMERA@SETUP, CAMERA:BAND."""
+    """Corrections of one object: its outline, and by frame name: CAMERA, CAMERA@SETUP, CAMERA:BAND."""
 
+    outline: Outline | None = None
     cameras: dict[str, FrameKeys] = Field(default={})
 
 

@@ -14,6 +14,10 @@ from levkas.core.text import CONTROL
 
 FILTER_LETTERS = "RGBCMYWEIN"
 """Of a pattern in letters: primary and complementary colours, white, emerald, infrared."""
+MOST_CORNERS = 500
+"""Of an outline: sides are compared two by two, in a tenth of a second. Half of it still follows any panel."""
+
+Point = tuple[float, float]
 
 
 def _without_controls(value: Any) -> Any:
@@ -82,6 +86,63 @@ def _region(value: Any) -> Any:
     if not fits or value[2] <= 0 or value[3] <= 0:
         raise ValueError('must be [x, y, width, height] with width and height > 0, or "auto"')
     return tuple(float(v) for v in value)
+
+
+def _outline(value: Any) -> Any:
+    """Check a closed polygon; whether it lies in the picture is known where that is read."""
+    corners = value if isinstance(value, list | tuple) else ()
+    if not corners or not all(
+        isinstance(c, list | tuple) and len(c) == 2 and all(map(_is_number, c)) for c in corners
+    ):
+        raise ValueError("must be a list of corners [[x, y], …], px of the reference")
+    corners = tuple((float(x), float(y)) for x, y in corners)
+    if len(corners) > 1 and corners[0] == corners[-1]:
+        corners = corners[:-1]  # closed by hand, as other programs write it
+    if not 3 <= len(corners) <= MOST_CORNERS:
+        raise ValueError(f"must have 3 to {MOST_CORNERS} corners, not {len(corners)}")
+    if crossing := _crossing_sides(corners):
+        first, second = crossing
+        raise ValueError(
+            f"must not cross or touch itself: the side after corner {first + 1} meets the one after corner {second + 1}"
+        )
+    return corners
+
+
+def _crossing_sides(corners: tuple[tuple[float, float], ...]) -> tuple[int, int] | None:
+    """Return the first two sides of a closed polygon, by their first corners, that have a point in common; None where only neighbours do.
+
+    >>> _crossing_sides(((0, 0), (9, 9), (9, 0), (0, 9))), _crossing_sides(((0, 0), (9, 0), (9, 9)))
+    ((0, 2), None)
+    """
+    count = len(corners)
+    sides = [(corners[k], corners[(k + 1) % count]) for k in range(count)]
+    for first, (a, b) in enumerate(sides):
+        for second in range(first + 1, count):
+            c, d = sides[second]
+            if second == first + 1 or (first == 0 and second == count - 1):
+                # Neighbours have a corner in common, and no more unless one runs back along the other.
+                start, shared, end = (a, b, d) if second == first + 1 else (c, a, b)
+                back = (shared[0] - start[0]) * (end[0] - shared[0])
+                back += (shared[1] - start[1]) * (end[1] - shared[1])
+                if _turn(start, shared, end) == 0 and back <= 0:
+                    return first, second
+            elif _meet(a, b, c, d):
+                return first, second
+    return None
+
+
+def _meet(a: Point, b: Point, c: Point, d: Point) -> bool:
+    """Tell whether the lines from a to b and from c to d have a point in common."""
+    if max(a[0], b[0]) < min(c[0], d[0]) or max(c[0], d[0]) < min(a[0], b[0]):
+        return False
+    if max(a[1], b[1]) < min(c[1], d[1]) or max(c[1], d[1]) < min(a[1], b[1]):
+        return False
+    return _turn(a, b, c) * _turn(a, b, d) <= 0 and _turn(c, d, a) * _turn(c, d, b) <= 0
+
+
+def _turn(a: Point, b: Point, c: Point) -> float:
+    """Return twice the area of a triangle, its sign by the sense in which it is run round."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
 def _pair(value: Any) -> Any:
@@ -176,6 +237,7 @@ def _rectangles(value: Any) -> tuple[tuple[int, int, int, int], ...]:
 
 
 Rectangles = Annotated[tuple[tuple[int, int, int, int], ...], PlainValidator(_rectangles)]
+Outline = Annotated[tuple[tuple[float, float], ...], PlainValidator(_outline)]
 Region = Annotated[Literal["auto"] | tuple[float, float, float, float], PlainValidator(_region)]
 Date = Annotated[str, BeforeValidator(_date)]
 MuseumDate = Annotated[str, BeforeValidator(_museum_date)]

@@ -211,10 +211,11 @@ def _on(view: LoopView, places: np.ndarray) -> np.ndarray:
 
 def points_on(image: BandImage) -> np.ndarray:
     """Return points on the object that an image shows, (n, 2) px, 25 x 19 of the frame without its background."""
-    from levkas.registration.bands import segment_foreground, sqrt_images
+    from levkas.registration.bands import sqrt_images
+    from levkas.registration.foreground import ObjectArea
 
     x, y = (np.linspace(0.02, 0.98, k) * (n - 1) for k, n in zip(GRID, image.size, strict=True))
     points = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    within = segment_foreground(sqrt_images([image])[image.label])
+    within = ObjectArea.of(sqrt_images([image])[image.label]).compared
     column, row = np.rint(points).astype(int).T
     return points[within[row, column]]

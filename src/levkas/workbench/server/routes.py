@@ -20,7 +20,7 @@ from starlette.routing import Route
 from levkas.campaign.edits import EditsConflict
 from levkas.core.locks import Taken
 from levkas.core.problems import Problem, Refused
-from levkas.database.registrations import unchecked_share
+from levkas.database.registrations import object_outline, unchecked_share
 from levkas.pages.page import describe_decision
 from levkas.pages.screen import read_built
 from levkas.workbench.answer import describe, to_bytes
@@ -405,6 +405,7 @@ def describe_frame(frame: RegistrationView) -> dict[str, Any]:
         "ladder": [s.get("ladder", {}) for s in sensors[:1]],
         "chosen": [s.get("base", "") for s in sensors[:1]],
         "basis": basis_of(frame),
+        "outline": object_outline(frame.record).tolist(),
     }
 
 
