@@ -5,6 +5,7 @@ import { restore } from "../src/viewer/spectra";
 import { confirms, enlargement, quantile, windowsTable } from "../src/workbench/basis";
 import { placeTurned } from "../src/workbench/figure";
 import { placesOf, tilesAround } from "../src/workbench/loupe";
+import { cornerAt, sideAt } from "../src/workbench/outline";
 import type { PlaneMap } from "../src/workbench/maps";
 import {
   isMarked,
@@ -152,4 +153,19 @@ test("rounds and windows are saved as tables", () => {
     "1,1,0.1,1,,0.5,1",
     "2,2,0.2,2,0.02,,2",
   ]);
+});
+
+test("a place is at the nearest corner or side of an outline within reach, the side that closes it too", () => {
+  const corners: [number, number][] = [
+    [0, 0],
+    [100, 0],
+    [100, 80],
+  ];
+  expect(cornerAt(corners, [98, 3], 9)).toBe(1);
+  expect(cornerAt(corners, [50, 3], 9)).toBe(-1);
+  expect(sideAt(corners, [50, 3], 9)).toBe(0);
+  expect(sideAt(corners, [103, 40], 9)).toBe(1);
+  expect(sideAt(corners, [45, 41], 9)).toBe(2);
+  expect(sideAt(corners, [45, 60], 9)).toBe(-1);
+  expect(sideAt(corners, [45, 60], Infinity)).toBe(2);
 });

@@ -7,6 +7,7 @@ import pytest
 from levkas.building import build, status, summarise
 from levkas.campaign.edits import Edits, EditsInvalid, write_edits
 from levkas.core.text import read_json
+from levkas.workbench.library import Library, id_of
 
 HALF = ((10.0, 10.0), (119.0, 10.0), (119.0, 189.0), (10.0, 189.0))
 WIDER = ((10.0, 10.0), (200.0, 10.0), (200.0, 189.0), (10.0, 189.0))
@@ -46,6 +47,15 @@ def test_an_outline_is_compared_within_drawn_corrected_by_hand_and_refused_by_it
     assert summarise(build(folder)).ok
     assert record_of(folder)["model"]["mask"]["outline"] == [list(corner) for corner in WIDER]
     assert record_of(folder)["verdict"]["outside"] < verdict["outside"] - 0.2
+    # The workbench knows with which outline that was registered, and draws another.
+    library = Library(folder)
+    frame = library.open(id_of("one", "infrared"))
+    registered = library.registered_with(frame)["registered_outline"]
+    assert registered == [list(corner) for corner in frame.session.outline]
+    assert frame.session.outline == WIDER and library.declared_outline(frame) == HALF
+    assert stale(folder) == set()
+    frame.session.draw(())
+    assert "register" in stale(folder)
     # One that leaves the frame is refused by the file that has it, and nothing else is.
     write_edits(folder / "edits.toml", Edits().with_outline("one", (*WIDER[:2], (900.0, 189.0))))
     (problem, *_) = [p for step in build(folder) for p in getattr(step, "problems", ())]

@@ -6,9 +6,11 @@ from hypothesis import strategies as st
 
 from levkas.campaign.edits import (
     Edits,
+    EditsConflict,
     EditsInvalid,
     FrameEdits,
     change_edits,
+    change_outline,
     read_edits,
     round_pair,
     sweep_corrections,
@@ -174,3 +176,39 @@ def test_an_outline_may_be_closed_by_its_first_corner(tmp_path):
     path = tmp_path / "edits.toml"
     path.write_text("version = 1\n[objects.icon]\noutline = [[0, 0], [9, 0], [9, 9], [0, 0]]\n")
     assert read_edits(path).outlines == {"icon": ((0.0, 0.0), (9.0, 0.0), (9.0, 9.0))}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "version = 1\n",
+        "# ours\nversion = 1\n[objects.icon.cameras.nir] # plate\nstop = 2\n# end\n\n[objects.b.cameras.x]\nstop = 1\n",
+        "version = 1\nobjects.icon.cameras.nir.stop = 2\n",
+        "version = 1\nobjects = {icon = {cameras = {nir = {stop = 2}}}}\n",
+        "version = 1\n[objects.icon]\noutline = [\n[1, 2], # a\n[9, 4],\n[5, 9]]\n# nir\n[objects.icon.cameras.nir]\nstop = 2\n",
+        "version = 1\n[objects.icon.cameras.nir]\nstop = 2\n[objects.icon]\noutline = [[1, 2], [9, 4], [5, 9]]\n",
+    ],
+)  # fmt: skip
+def test_a_drawn_outline_is_written_into_every_spelling_of_the_file_and_taken_out(tmp_path, text):
+    path = tmp_path / "edits.toml"
+    path.write_text(text)
+    before = read_edits(path)
+    assert change_outline(path, "icon", before.outlines.get("icon", ()), OUTLINE) == OUTLINE
+    assert read_edits(path) == before.with_outline("icon", OUTLINE)
+    assert change_outline(path, "icon", OUTLINE, ()) == ()
+    assert read_edits(path) == before.with_outline("icon", ())
+    for comment in (line.partition("#")[2] for line in text.splitlines() if line[:1] == "#"):
+        assert path.read_text().count(comment) == 1
+
+
+def test_a_drawn_outline_that_another_has_changed_or_that_is_no_polygon_is_refused(tmp_path):
+    path = tmp_path / "edits.toml"
+    change_outline(path, "icon", (), OUTLINE)
+    there = path.read_bytes()
+    with pytest.raises(EditsConflict) as refused:
+        change_outline(path, "icon", (), OUTLINE[::-1])
+    assert refused.value.present == OUTLINE and "in the meantime" in str(refused.value)
+    with pytest.raises(EditsInvalid, match="must not cross"):
+        change_outline(path, "icon", OUTLINE, ((0, 0), (9, 9), (9, 0), (0, 9)))
+    assert path.read_bytes() == there
+    assert change_outline(path, "icon", (), OUTLINE) == OUTLINE  # both drew the same

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from levkas.campaign.edits import FrameEdits, read_edits
+from levkas.core.problems import Refused
 from levkas.geometry.transforms import Affine
 from levkas.registration.record import Matches
 from levkas.workbench.answer import describe
@@ -180,6 +181,44 @@ def test_how_an_object_is_turned_is_kept_and_stands_upright_as_on_the_grid_at_fi
     assert again.history.turn("another") is None
 
 
+def test_an_outline_is_undone_and_redone_among_other_changes_also_after_a_restart(folder):
+    first, second = (
+        ((10.0, 10.0), (400.0, 12.0), (390.0, 320.0)),
+        ((9.0, 9.0), (50.0, 9.0), (9.0, 50.0)),
+    )
+    drawn = lambda: read_edits(folder / "edits.toml").outlines.get("icon", ())  # noqa: E731
+    session = session_of(folder)
+    session.draw(first)
+    session.apply("delete", describe(session)["pairs"][0].tolist())
+    session.draw(second)
+    assert drawn() == second and session.can == {"undo": 3, "redo": 0}
+    later = session_of(folder)
+    assert later.outline == second
+    for outline, deleted in ((first, 1), (first, 0), ((), 0)):
+        later.undo()
+        assert drawn() == later.outline == outline and len(corrected(folder).deleted) == deleted
+    assert later.can == {"undo": 0, "redo": 3}
+    for _ in range(3):
+        later.redo()
+    assert drawn() == second and len(corrected(folder).deleted) == 1
+    later.draw(())
+    assert drawn() == () and describe(later)["outline"] == ()
+
+
+def test_an_outline_that_leaves_the_reference_or_crosses_itself_is_refused(folder):
+    session = session_of(folder)
+    for corners, code in (
+        (((0, 0), (9000, 0), (9, 9)), "E_VALUE"),
+        (((0, 0), (90, 90), (90, 0), (0, 90)), "E_VALUE"),
+        (((0, 0), (90, 90)), "E_VALUE"),
+    ):
+        with pytest.raises(Refused) as refused:
+            session.draw(corners)
+        assert refused.value.problems[0].code == code and refused.value.problems[0].fix
+    assert session.outline == () and session.can == {"undo": 0, "redo": 0}
+    assert not (folder / "edits.toml").exists()
+
+
 ROW = st.tuples(*[st.floats(0, 99).map(lambda v: round(v, 2))] * 4)
 ROWS = st.lists(ROW, max_size=5).map(lambda rows: tuple(sorted(set(rows))))
 STATES = st.builds(
@@ -192,5 +231,6 @@ STATES = st.builds(
 def test_a_step_leads_there_and_back_also_after_json(before, after):
     step = CorrectionStep.between(before, after)
     assert step.onward(before) == after and step.back(after) == before
-    history = History([step], [step], {(1.0, 2.0, 3.0, 4.0): 7})
+    drawn = CorrectionStep(outline=((), ((0.0, 0.0), (9.0, 0.0), (9.0, 9.5))))
+    history = History([step, drawn], [step], {(1.0, 2.0, 3.0, 4.0): 7})
     assert History.from_dict(json.loads(json.dumps(history.to_dict()))) == history

@@ -1,4 +1,5 @@
 // Talks to the local server; no other host is asked for anything.
+import type { Layer, Point } from "../shared/pane";
 
 export interface Problem {
   code?: string;
@@ -63,4 +64,16 @@ async function request(path: string, body?: unknown): Promise<Response> {
   if (answer.ok) return answer;
   const record = (await answer.json().catch(() => ({}))) as { problems?: Problem[] };
   throw new Refusal(answer.status, record.problems ?? []);
+}
+
+const TILE = 256;
+
+/** A picture by its address: tiles are asked for by level, column and row, level 0 in full size. */
+export function layerOf(address: string, size: Point): Layer {
+  const maxLevel = Math.max(0, Math.ceil(Math.log2(Math.max(...size) / TILE)));
+  const [path, query] = address.split("?");
+  const getTileUrl = (level: number, x: number, y: number): string =>
+    `${path}/${maxLevel - level}/${x}/${y}?${query}`;
+  const source = { tileSize: TILE, tileOverlap: 0, minLevel: 0, maxLevel, getTileUrl };
+  return { key: address, size, source };
 }

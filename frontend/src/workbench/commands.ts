@@ -36,8 +36,15 @@ export function commands(parts: Parts): Key[] {
 }
 
 function pairKeys({ store, stage, table, pair }: Parts): Key[] {
+  const { outline } = stage;
+  const isOpen = (): boolean => outline.open.peek();
   const nudge = (event: KeyboardEvent): void => {
     const [dx, dy] = direction(event);
+    if (isOpen()) {
+      const px = event.shiftKey ? 10 : 1;
+      if (!outline.nudge(...stage.left.along([dx * px, dy * px]))) stage.pan(dx, dy);
+      return;
+    }
     const by = event.shiftKey ? 1 : NUDGE_PX;
     const [along, down] = stage.toTarget(dx * by, dy * by);
     if (!pair.nudge(along, down)) stage.pan(dx, dy);
@@ -46,18 +53,24 @@ function pairKeys({ store, stage, table, pair }: Parts): Key[] {
     const row = table.worst();
     if (row >= 0) table.pick(row);
   };
-  const keep = "add the proposed pair; keep a measured place as check point";
+  const keep = "add the proposed pair; keep a measured place as check point; close the outline";
   const move = "move the pair by 0.1 px, with Shift by 1 px; the pictures where none is chosen";
   return [
-    key("Enter", ["Enter"], keep, () => pair.accept()),
-    key("Esc", ["Escape"], "let go", () => pair.cancel()),
+    key("Enter", ["Enter"], keep, () => (isOpen() ? outline.finish() : pair.accept())),
+    key("Esc", ["Escape"], "let go", () => (isOpen() ? outline.cancel() : pair.cancel())),
     key("← → ↑ ↓", ARROWS, move, nudge),
-    key("I", ["i"], "insert a pair: propose one in the middle of the reference", () =>
-      stage.proposeAtMiddle(),
+    key(
+      "I",
+      ["i"],
+      "insert a pair, or a corner of the outline, in the middle of the reference",
+      () => (isOpen() ? stage.cornerAtMiddle() : stage.proposeAtMiddle()),
     ),
     key("R", ["r"], "measure the error in the middle of the view", () => stage.measureAtMiddle()),
-    key("Del", ["Delete", "Backspace"], "delete the pair; the next one is chosen", () =>
-      pair.act("delete"),
+    key(
+      "Del",
+      ["Delete", "Backspace"],
+      "delete the pair, the next one is chosen; or the corner",
+      () => (isOpen() ? outline.remove() : pair.act("delete")),
     ),
     key("U", ["u"], "use a deleted or removed pair again", () => pair.act("restore")),
     key("P", ["p"], "pin the pair: it is never removed", () => pair.act("pin")),

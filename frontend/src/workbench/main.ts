@@ -77,6 +77,7 @@ function build(store: Store): void {
     new TraceView(store),
   ];
   const tools = [verdict.root, pair.root, basis.root, trace.root];
+  const aside = make("aside", { "aria-label": "Verdict and tools" }, ...tools);
   const [top, opened] = header(store);
   document.body.append(
     top,
@@ -85,10 +86,11 @@ function build(store: Store): void {
       { class: "desk" },
       nav,
       make("main", { class: "middle" }, bar, refused, views, table.root),
-      make("aside", { "aria-label": "Verdict and tools" }, ...tools),
+      aside,
     ),
   );
   const stage = new PairStage(views, store);
+  verdict.root.before(stage.outline.root);
   const open = (id: string): void => {
     if (id !== store.frame.value?.id) store.open(id).catch((error: unknown) => store.refuse(error));
   };
@@ -168,6 +170,11 @@ function fillBar(bar: HTMLElement, store: Store, stage: PairStage): void {
   const turn = button("↻", { id: "turn", "aria-label": "Turn by 90°", title: "Turn by 90° (T)" });
   marks.addEventListener("click", () => (stage.marks.value = !stage.marks.value));
   turn.addEventListener("click", () => void store.turn(90));
+  const outline = button("Outline", {
+    id: "outline",
+    title: "Draw or correct the outline of the object over the reference",
+  });
+  outline.addEventListener("click", () => stage.outline.toggle());
   const built = make("option", { value: "built" }, "Last registration");
   const map = make(
     "select",
@@ -198,7 +205,7 @@ function fillBar(bar: HTMLElement, store: Store, stage: PairStage): void {
   stage.left.host.append(colours.legend);
   const settings = [map, colours.choice, times, loupe, settingsOf(stage)];
   bar.append(
-    make("div", { class: "line" }, modes, marks, turn),
+    make("div", { class: "line" }, modes, marks, turn, outline),
     make("div", { class: "line" }, ...settings),
   );
   effect(() => {
@@ -207,6 +214,7 @@ function fillBar(bar: HTMLElement, store: Store, stage: PairStage): void {
     times.value = String(stage.times.value);
     loupe.value = stage.loupe.value;
     marks.setAttribute("aria-pressed", String(stage.marks.value));
+    outline.setAttribute("aria-pressed", String(stage.outline.open.value));
   });
 }
 

@@ -2,6 +2,7 @@
 import { effect, signal } from "@preact/signals-core";
 import { make } from "../shared/element";
 import { getJson } from "./api";
+import type { Pane, Point } from "../shared/pane";
 import { px } from "./record";
 import type { PairStage } from "./stage";
 import type { Store } from "./store";
@@ -14,6 +15,12 @@ const KINDS: [string, string][] = [
   ["flags", "Flags"],
 ];
 const OPACITY = 0.62;
+
+/** A map as it is laid over the reference. */
+export interface MapImage {
+  image: HTMLImageElement;
+  opacity: number;
+}
 
 interface ColouredMap {
   png: string;
@@ -80,4 +87,21 @@ export class MapLayer {
     this.legend.hidden = true;
     this.stage.lay(null);
   }
+}
+
+/** Draw a map in colours over a picture of so many pixels. */
+export function paintMap(
+  context: CanvasRenderingContext2D,
+  pane: Pane,
+  { image, opacity }: MapImage,
+  [w, h]: Point,
+): void {
+  const [left, top] = pane.placeOf(-0.5, -0.5);
+  const [a, b] = pane.placeOf(w - 0.5, -0.5);
+  const [c, d] = pane.placeOf(-0.5, h - 0.5);
+  context.save();
+  context.globalAlpha = opacity;
+  context.transform((a - left) / w, (b - top) / w, (c - left) / h, (d - top) / h, left, top);
+  context.drawImage(image, 0, 0, w, h);
+  context.restore();
 }

@@ -90,20 +90,26 @@ export function paintPairs(context: CanvasRenderingContext2D, dots: Dots, scene:
   }
 }
 
-/** Views are affine: three places say where all the others are. */
 /** Draw the outline of the object, within which pictures are compared, over the reference. */
 export function paintOutline(
   context: CanvasRenderingContext2D,
   corners: readonly Point[],
   place: PlaneMap,
+  handles: { closed: boolean; chosen: number } | null = null,
 ): void {
   if (!corners.length) return;
-  const path = new Path2D();
+  const [path, squares] = [new Path2D(), new Path2D()];
   for (const [x, y] of corners) path.lineTo(...place(x, y));
-  path.closePath();
+  if (handles?.closed ?? true) path.closePath();
   outline(context, path, OUTLINE, 3, 1.4);
+  if (!handles) return;
+  for (const [x, y] of corners.map((corner) => place(...corner))) squares.rect(x - 4, y - 4, 8, 8);
+  fill(context, squares, OUTLINE);
+  const chosen = corners[handles.chosen];
+  if (chosen) rings(context, ...place(...chosen), 4, 2);
 }
 
+/** Views are affine: three places say where all the others are. */
 function affineOf(place: PlaneMap): PlaneMap {
   const [o, ex, ey] = [place(0, 0), place(1000, 0), place(0, 1000)];
   const [ax, ay] = [(ex[0] - o[0]) / 1000, (ex[1] - o[1]) / 1000];

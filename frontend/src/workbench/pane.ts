@@ -11,12 +11,14 @@ export class MarkedPane extends Pane {
   readonly dots = new Dots();
   /** Whether something at a place is taken hold of, to be dragged rather than the picture. */
   grab: (at: Point) => boolean = () => false;
-  onDrag: (at: Point, done: boolean) => void = () => {};
+  /** Called while what was taken hold of is dragged, and when it is let go of, dragged or not. */
+  onDrag: (at: Point, done: boolean, dragged: boolean) => void = () => {};
   /** Called with the place under the pointer, and with nothing when it leaves. */
   onPoint: (at: Point | null) => void = () => {};
   paint: (context: CanvasRenderingContext2D) => void = () => {};
   private readonly canvas = make("canvas", { class: "marks", "aria-hidden": "true" });
   private dragging = false;
+  private dragged = false;
   private waiting = false;
 
   constructor(parent: HTMLElement, name: string, size: Point) {
@@ -39,16 +41,18 @@ export class MarkedPane extends Pane {
       this.viewer.addHandler(event, () => this.redraw());
     this.viewer.addHandler("canvas-press", (event) => {
       this.dragging = this.grab(this.pixelOf(event));
+      this.dragged = false;
     });
     this.viewer.addHandler("canvas-drag", (event) => {
       if (!this.dragging) return;
       event.preventDefaultAction = true;
-      this.onDrag(this.pixelOf(event), false);
+      this.dragged = true;
+      this.onDrag(this.pixelOf(event), false, true);
     });
     this.viewer.addHandler("canvas-release", (event) => {
       if (!this.dragging) return;
       this.dragging = false;
-      this.onDrag(this.pixelOf(event), true);
+      this.onDrag(this.pixelOf(event), true, this.dragged);
     });
     const { container } = this.viewer;
     container.addEventListener("pointermove", ({ clientX, clientY }) =>

@@ -81,6 +81,10 @@ export interface FrameInfo {
   turn: number;
   /** The corrections that the last registration knew; null where nothing says. */
   registered: string | null;
+  /** The declared outline that the last registration knew; null where nothing says. */
+  registered_outline: Point[] | null;
+  /** The outline of the object in campaign.toml; none where it has none. */
+  declared_outline: Point[];
   ladder: Record<string, number>[];
   chosen: string[];
   basis: Basis | null;
@@ -140,6 +144,8 @@ export interface SessionState {
   corrections: string;
   /** Whether the layer is placed by the person's pairs alone: "by hand", or empty. */
   accept: "by hand" | "";
+  /** Corners of the object, reference px, as a person drew it for all its cameras. */
+  outline: Point[];
   note: string;
   can: { undo: number; redo: number };
 }

@@ -1,14 +1,16 @@
 // The pictures of a pair of cameras, and what a person does to pairs in them.
 import type { Option } from "../shared/controls";
-import type { Layer, Point } from "../shared/pane";
+import type { Point } from "../shared/pane";
 import { Stage, type Mode, type Wanted } from "../shared/stage";
 import { watch } from "../shared/watch";
-import { signal } from "@preact/signals-core";
-import { getJson } from "./api";
+import { effect, signal } from "@preact/signals-core";
+import { getJson, layerOf } from "./api";
 import { BandPicker } from "./bands";
 import { Loupe, placesOf, type Enlarged, type LoupeUse } from "./loupe";
+import { paintMap, type MapImage } from "./maplayer";
 import { invert, mapOf, turnAndScale, type PlaneMap } from "./maps";
 import { paintHandle, paintOutline, paintPairs, paintProposal } from "./marks";
+import { OutlineTool } from "./outline";
 import { MarkedPane } from "./pane";
 import { isMarked, type Half, type Pair, type Partner } from "./record";
 import type { Store } from "./store";
@@ -23,18 +25,12 @@ export const MODES: Option<Mode>[] = [
   { value: "redcyan", label: "Red / cyan" },
 ];
 export const TIMES = [1, 5, 20, 100];
-const TILE = 256;
 const HIT_PX = 9; // of the screen
 const MOVED_PX = 0.05; // a shorter drag is none
 const CLOSE = 3; // screen pixels a pixel at which a pair is looked at
 const LOUPE_TIMES = 2; // of the picture's own scale
 const LOUPE_LEAST = 6; // screen pixels a pixel of the reference
 const TURNED_LEAST = 1; // degrees that a new map turns the other picture before that is shown
-
-interface MapImage {
-  image: HTMLImageElement;
-  opacity: number;
-}
 
 /** A pair that is being dragged: as it is, and as it would be. */
 interface Drag {
@@ -50,6 +46,7 @@ export class PairStage extends Stage<MarkedPane> {
   /** A map in colours over the reference. */
   private mapImage: MapImage | null = null;
   private readonly trial: Trial;
+  readonly outline: OutlineTool;
   private drag: Drag | null = null;
   /** Whether pairs are drawn over the pictures. */
   readonly marks = signal(true);
@@ -71,6 +68,7 @@ export class PairStage extends Stage<MarkedPane> {
       new MarkedPane(host, "Picture to register", target_size),
     );
     this.trial = new Trial(store, () => this.load());
+    this.outline = new OutlineTool(store);
     this.left.foot.append(this.bands.left.root);
     this.right.foot.append(this.bands.right.root);
     this.left.host.append(this.loupes.left.root);
@@ -82,7 +80,10 @@ export class PairStage extends Stage<MarkedPane> {
       pane.paint = (context) => this.paint(context, pane, half);
       pane.onClick = (...at) => void this.click(pane, half, at);
       pane.grab = (at) => this.grab(pane, half, at);
-      pane.onDrag = (at, done) => this.dragTo(half, at, done);
+      pane.onDrag = (...how) => {
+        if (this.outline.open.peek()) this.outline.drag(...how);
+        else this.dragTo(half, how[0], how[1]);
+      };
       pane.onPoint = (at) => {
         this.pointer = at && { half, at };
         this.magnify();
@@ -94,6 +95,11 @@ export class PairStage extends Stage<MarkedPane> {
     const { frame, session, map, selected, measured, proposal } = store;
     const bands = [this.bands.left.chosen, this.bands.right.chosen];
     watch([frame, session, map, selected, measured, proposal, ...bands], () => this.update());
+    effect(() => {
+      const { corners, open, chosen } = this.outline;
+      this.left.host.classList.toggle("drawing", open.value);
+      if (corners.length + chosen.value > -2) this.left.redraw();
+    });
     watch([this.marks, this.times, this.loupe, store.filter], () => {
       this.left.redraw();
       this.right.redraw();
@@ -266,7 +272,13 @@ export class PairStage extends Stage<MarkedPane> {
     return this.map?.(pair[2], pair[3]) ?? [pair[0], pair[1]];
   }
 
+  /** Add a corner to the outline in the middle of the reference. */
+  cornerAtMiddle(): void {
+    this.outline.add(this.left.centre);
+  }
+
   private grab(pane: MarkedPane, half: Half, [x, y]: Point): boolean {
+    if (this.outline.open.peek()) return half === 0 && this.outline.grab([x, y], pane.scale);
     const pair = this.store.selectedPair();
     if (!pair) return false;
     const [a, b] = this.isOverlay ? this.seenAt(pair) : [pair[half], pair[half + 1]!];
@@ -299,6 +311,10 @@ export class PairStage extends Stage<MarkedPane> {
   private async click(pane: MarkedPane, half: Half, [x, y]: Point): Promise<void> {
     const { store } = this;
     const session = store.session.peek();
+    if (this.outline.open.peek()) {
+      if (half === 0) this.outline.click([x, y], pane.scale);
+      return;
+    }
     if (!session || !pane.contains([x, y])) return;
     const beside = this.mode.peek() === "side";
     if (beside) {
@@ -348,10 +364,13 @@ export class PairStage extends Stage<MarkedPane> {
   private paint(context: CanvasRenderingContext2D, pane: MarkedPane, half: Half): void {
     const { frame, session, selected, proposal, measured } = this.store;
     if (!session.peek() || !frame.peek()) return;
-    if (half === 0 && this.mapImage) this.paintMap(context, pane, frame.peek()!.size);
+    if (half === 0 && this.mapImage) paintMap(context, pane, this.mapImage, frame.peek()!.size);
     const place: PlaneMap = (x, y) => pane.placeOf(x, y);
-    if (half === 0 && this.marks.peek()) paintOutline(context, frame.peek()!.outline, place);
-    if (!this.marks.peek()) {
+    const { corners, open, draft, chosen } = this.outline;
+    const handles = open.peek() && { closed: !draft.peek(), chosen: chosen.peek() };
+    if (half === 0 && (this.marks.peek() || handles))
+      paintOutline(context, corners, place, handles || null);
+    if (!this.marks.peek() || (handles && half === 0)) {
       // Only what is being placed is drawn.
     } else if (!this.isOverlay || this.mapImage)
       paintPairs(context, pane.dots, {
@@ -373,26 +392,4 @@ export class PairStage extends Stage<MarkedPane> {
     const partner = dragged || (proposal.peek() ?? measured.peek());
     if (partner) paintProposal(context, partner, half, place);
   }
-
-  private paintMap(context: CanvasRenderingContext2D, pane: MarkedPane, [w, h]: Point): void {
-    const { image, opacity } = this.mapImage!;
-    const [left, top] = pane.placeOf(-0.5, -0.5);
-    const [a, b] = pane.placeOf(w - 0.5, -0.5);
-    const [c, d] = pane.placeOf(-0.5, h - 0.5);
-    context.save();
-    context.globalAlpha = opacity;
-    context.transform((a - left) / w, (b - top) / w, (c - left) / h, (d - top) / h, left, top);
-    context.drawImage(image, 0, 0, w, h);
-    context.restore();
-  }
-}
-
-/** A picture by its address: tiles are asked for by level, column and row, level 0 in full size. */
-function layerOf(address: string, size: Point): Layer {
-  const maxLevel = Math.max(0, Math.ceil(Math.log2(Math.max(...size) / TILE)));
-  const [path, query] = address.split("?");
-  const getTileUrl = (level: number, x: number, y: number): string =>
-    `${path}/${maxLevel - level}/${x}/${y}?${query}`;
-  const source = { tileSize: TILE, tileOverlap: 0, minLevel: 0, maxLevel, getTileUrl };
-  return { key: address, size, source };
 }

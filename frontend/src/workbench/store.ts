@@ -2,6 +2,7 @@
 import { batch, computed, signal } from "@preact/signals-core";
 import { getBytes, getJson, messageOf, Refusal } from "./api";
 import { readSession } from "./columns";
+import type { Point } from "../shared/pane";
 import type { CameraRow, Filter, FrameInfo, Pair, Partner, Proposal, SessionState } from "./record";
 
 const SAME_PX = 0.03; // pairs are rounded on their way
@@ -20,7 +21,20 @@ export class Store {
   /** Whether the corrections have changed since the last registration. */
   readonly stale = computed(() => {
     const now = this.session.value?.corrections ?? "";
-    return now !== (this.frame.value?.registered ?? "");
+    const known = JSON.stringify(this.frame.value?.registered_outline ?? []);
+    const outline = JSON.stringify(this.declared.value);
+    return now !== (this.frame.value?.registered ?? "") || outline !== known;
+  });
+  /** The outline that a person drew, or that campaign.toml declares. */
+  private readonly declared = computed((): Point[] => {
+    const drawn = this.session.value?.outline ?? [];
+    return drawn.length ? drawn : (this.frame.value?.declared_outline ?? []);
+  });
+  /** The outline that holds from now on; none where it is to be found anew. */
+  readonly outline = computed((): Point[] => {
+    const [frame, declared] = [this.frame.value, this.declared.value];
+    if (declared.length || frame?.registered_outline?.length) return declared;
+    return frame?.outline ?? [];
   });
   readonly refused = signal("");
   private queue: Promise<unknown> = Promise.resolve();

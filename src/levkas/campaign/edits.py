@@ -27,6 +27,7 @@ FILE_NAME, HISTORY_NAME = "edits.toml", ".edits.history.json"
 MOST_TURNS = 50
 """Attempts to make a change while others change the file."""
 EXPLAINED = "docs/reference/edits.md explains every key; the workbench writes the file for you."
+AGAIN = "Check its present state, then make the change again."
 BY_HAND = "by hand"
 """Value of `accept`: the map is fitted to the pairs alone."""
 HEAD = """\
@@ -44,9 +45,9 @@ class EditsInvalid(Refused):
 
 
 class EditsConflict(Refused):
-    """A change contradicts what edits.toml holds by now, which is `present`."""
+    """A change contradicts what edits.toml holds by now, which is `present`: a frame's corrections, or an outline."""
 
-    def __init__(self, *problems: Problem, present: FrameEdits) -> None:
+    def __init__(self, *problems: Problem, present: Any) -> None:
         super().__init__(*problems)
         self.present = present
 
@@ -214,7 +215,7 @@ def _validated(record: dict[str, Any], path: Path) -> Edits:
         for frame, keys in table.cameras.items()
     }
     outlines = {
-        name: _rounded_corners(table.outline)
+        name: round_corners(table.outline)
         for name, table in document.objects.items()
         if table.outline is not None
     }
@@ -261,6 +262,64 @@ def change_edits(
     WriteRefused, Taken
         Where it cannot be written, or another process holds it.
     """
+
+    def changed(edits: Edits) -> Edits:
+        frame = frame_of(edits)
+        present = edits.frames.get((name, frame), FrameEdits())
+        merged = merge(before, after, present)
+        where = f"objects.{name}.cameras.{frame}"
+        if problems := _clashes(before, after, present, merged, where):
+            raise EditsConflict(*(with_explanation(p, path) for p in problems), present=present)
+        return edits.with_frame(name, frame, merged)
+
+    written = _change(path, changed)
+    return written.frames.get((name, frame_of(written)), FrameEdits())
+
+
+def change_outline(path: Path, name: str, before: Outline, after: Outline) -> Outline:
+    """Write the outline of an object, on top of what edits.toml holds by now; none where it has no corners.
+
+    Parameters
+    ----------
+    path : Path
+        edits.toml, which may not exist yet.
+    name : str
+        Of the object.
+    before, after : (n, 2) corners, reference px
+        The outline as it was known, and as it is to be.
+
+    Returns
+    -------
+    written : (n, 2) corners, reference px, rounded to 0.01
+        What the file holds now; it is on the disk.
+
+    Raises
+    ------
+    EditsConflict, EditsInvalid, WriteRefused, Taken
+        As `change_edits` does; an outline that is no polygon is E_VALUE of EditsInvalid.
+    """
+    before, after = round_corners(before), round_corners(after)
+
+    def changed(edits: Edits) -> Edits:
+        present = edits.outlines.get(name, ())
+        if present not in (before, after):
+            problem = Problem(
+                "E_CONFLICT",
+                "the outline has changed in the meantime",
+                str(path),
+                field=f"objects.{name}.outline",
+                found=f"{len(present)} corners",
+                expected=f"{len(before)} corners",
+                fix=AGAIN,
+            )
+            raise EditsConflict(problem, present=present)
+        return edits.with_outline(name, after)
+
+    return _change(path, changed).outlines.get(name, ())
+
+
+def _change(path: Path, changed: Callable[[Edits], Edits]) -> Edits:
+    """Write what `changed` makes of the corrections that the file holds by now; return what it holds then."""
     from levkas.core.files import together, write_text
     from levkas.core.locks import locked
 
@@ -268,16 +327,10 @@ def change_edits(
         for _ in range(MOST_TURNS):
             data = _bytes_of(path)
             edits = read_edits(path)
-            frame = frame_of(edits)
-            present = edits.frames.get((name, frame), FrameEdits())
-            merged = merge(before, after, present)
-            if problems := _clashes(
-                before, after, present, merged, f"objects.{name}.cameras.{frame}"
-            ):
-                raise EditsConflict(*(with_explanation(p, path) for p in problems), present=present)
-            if merged == present:
-                return present
-            text = _revised(data, edits, edits.with_frame(name, frame, merged), (name, frame), path)
+            wanted = changed(edits)
+            if wanted == edits:
+                return edits
+            text = _revised(data, edits, wanted, path)
 
             def unchanged(data: bytes = data) -> None:
                 if _bytes_of(path) != data:
@@ -288,7 +341,7 @@ def change_edits(
                     write_text(path, text)
             except _Changed:  # by an editor, which takes no lock
                 continue
-            return merged
+            return wanted
     problem = Problem("E_BUSY", "another program keeps changing edits.toml", str(path))
     raise EditsInvalid(with_explanation(problem, path))
 
@@ -337,7 +390,7 @@ def _clashes(
             field=f"{where}.{name}",
             found=getattr(present, name),
             expected=getattr(before, name),
-            fix="Check its present state, then make the change again.",
+            fix=AGAIN,
         )
         for name in ("reject", "stop", "accept", "note")
         if getattr(before, name) not in (getattr(after, name), getattr(present, name))
@@ -347,43 +400,65 @@ def _clashes(
         for problem in _contradictions(Edits({("", ""): merged})):
             key = (problem.field or "").rpartition(".")[2]
             message = f"{problem.message}: it has changed in the meantime"
-            fix = "Check its present state, then make the change again."
+            field_ = f"{where}.{key}"
             found.append(
-                replace(
-                    problem, code="E_CONFLICT", message=message, field=f"{where}.{key}", fix=fix
-                )
+                replace(problem, code="E_CONFLICT", message=message, field=field_, fix=AGAIN)
             )
     return found
 
 
-def _revised(data: bytes, edits: Edits, wanted: Edits, place: tuple[str, str], path: Path) -> str:
-    """Return the file's text with one frame changed: written anew where it is as we write it, else in place."""
+def _revised(data: bytes, edits: Edits, wanted: Edits, path: Path) -> str:
+    """Return the file's text as wanted: written anew where it is as we write it, else in place, where it differs."""
     text = data.decode("utf-8-sig")
-    if not text.strip() or text == to_text(edits):
-        return to_text(wanted)
-    import tomlkit
-
-    one = wanted.frames.get(place, FrameEdits())
-    document = tomlkit.parse(text)
-    table: Any = document
-    for part in ("objects", place[0], "cameras", place[1]):
-        table = table.get(part) if table is not None else None
-    if table is None:
-        made = f"{text.rstrip()}\n\n" + to_text(Edits({place: one})).removeprefix(f"{HEAD}\n")
-    else:
-        for key in (f.name for f in fields(FrameEdits)):
-            _revise(table, key, getattr(one, key))
-        made = tomlkit.dumps(document)
-    with contextlib.suppress(ValueError):
+    made = to_text(wanted)
+    if text.strip() and text != to_text(edits):
+        made = _revised_in_place(text, edits, wanted)
+    with contextlib.suppress(tomllib.TOMLDecodeError):
         if _validated(tomllib.loads(made), path) == wanted:
             return made
     problem = Problem(
         "E_VALUE",
         "the layout of edits.toml does not allow changes in place",
-        field=f"objects.{place[0]}.cameras.{place[1]}",
-        expected="a table of its own for every camera",
+        field="objects",
+        expected="a table of its own for every object and camera",
     )
     raise EditsInvalid(with_explanation(problem, path))
+
+
+def _revised_in_place(text: str, edits: Edits, wanted: Edits) -> str:
+    """Return a text of a person's own making with the tables changed in which `wanted` differs; a table that is missing is added at the end."""
+    import tomlkit
+
+    document = tomlkit.parse(text)
+    changes: list[tuple[tuple[str, ...], dict[str, Any], Edits]] = []
+    for name in sorted(edits.outlines.keys() | wanted.outlines.keys()):
+        corners = wanted.outlines.get(name, ())
+        if corners != edits.outlines.get(name, ()):
+            made = Edits().with_outline(name, corners)
+            values = {"outline": [list(corner) for corner in corners] or None}
+            changes.append((("objects", name), values, made))
+    for name, frame in sorted(edits.frames.keys() | wanted.frames.keys()):
+        one = wanted.frames.get((name, frame), FrameEdits())
+        if one != edits.frames.get((name, frame), FrameEdits()):
+            values = {f.name: getattr(one, f.name) for f in fields(FrameEdits)}
+            table_of = ("objects", name, "cameras", frame)
+            changes.append((table_of, values, Edits().with_frame(name, frame, one)))
+    added = []
+    for place, values, made in changes:
+        table: Any = document
+        for part in place:
+            table = table.get(part) if table is not None else None
+        if table is None:
+            added.append(to_text(made).removeprefix(f"{HEAD}\n"))
+        else:
+            if isinstance(table, tomlkit.items.Table) and table.is_super_table():
+                table.trivia.comment = table.trivia.comment_ws = (
+                    ""  # which tomlkit took from the first table below it
+                )
+            for key, value in values.items():
+                _revise(table, key, value)
+    text = tomlkit.dumps(document)
+    return "\n\n".join([text.rstrip(), *added]) if added else text
 
 
 def _revise(table: Any, key: str, value: Any) -> None:
@@ -469,8 +544,13 @@ def _row_of_corners(outline: Outline) -> str:
     return f"[{', '.join(_row(corner) for corner in outline)}]"
 
 
-def _rounded_corners(outline: Outline) -> Outline:
-    return tuple((round(x, 2) + 0.0, round(y, 2) + 0.0) for x, y in outline)
+def round_corners(outline: Iterable[Iterable[float]]) -> Outline:
+    """Round the corners of an outline as edits.toml keeps them.
+
+    >>> round_corners([(1.004, -0.001), (9, 0), (9, 2.126)])
+    ((1.0, 0.0), (9.0, 0.0), (9.0, 2.13))
+    """
+    return tuple((round(float(x), 2) + 0.0, round(float(y), 2) + 0.0) for x, y in outline)
 
 
 def _rounded(value: Any) -> Any:

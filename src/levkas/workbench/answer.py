@@ -73,6 +73,7 @@ def describe(session: CorrectionSession, known: str = "") -> dict[str, Any]:
         "stop": session.edits.stop or session.found.stop,
         "overridden": {k: getattr(session.edits, k) is not None for k in ("reject", "stop")},
         "corrections": session.edits.describe(),
+        "outline": session.outline,
         "accept": session.edits.accept,
         "note": session.edits.note,
         "can": session.can,

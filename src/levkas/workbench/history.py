@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from levkas.campaign.edits import FILE_NAME, HISTORY_NAME, FrameEdits, Pair, lock_of
+from levkas.campaign.edits import FILE_NAME, HISTORY_NAME, FrameEdits, Outline, Pair, lock_of
 from levkas.core.problems import Refused
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ QUARTERS = (0, 90, 180, 270)
 
 @dataclass(frozen=True)
 class CorrectionStep:
-    """One change of the corrections of a camera.
+    """One change of the corrections of a camera, or of the outline of its object.
 
     Parameters
     ----------
@@ -37,6 +37,8 @@ class CorrectionStep:
         By the field of `FrameEdits`: what the change took away, and what it brought.
     values : dict of str to (before, after)
         Of `reject`, `stop`, `accept` and `note`.
+    outline : (before, after) or None
+        Corners in reference px, none where no outline was drawn. Such a step changes nothing else.
 
     Examples
     --------
@@ -49,6 +51,7 @@ class CorrectionStep:
     gone: dict[str, tuple[Pair, ...]] = field(default_factory=dict)
     new: dict[str, tuple[Pair, ...]] = field(default_factory=dict)
     values: dict[str, tuple[Any, Any]] = field(default_factory=dict)
+    outline: tuple[Outline, Outline] | None = None
 
     @classmethod
     def between(cls, before: FrameEdits, after: FrameEdits) -> CorrectionStep:
@@ -77,12 +80,24 @@ class CorrectionStep:
 
     def back(self, edits: FrameEdits) -> FrameEdits:
         """Return corrections with this step taken back."""
+        return self.reversed().onward(edits)
+
+    def reversed(self) -> CorrectionStep:
+        """Return the step that takes this one back."""
         values = {name: (after, before) for name, (before, after) in self.values.items()}
-        return CorrectionStep(self.new, self.gone, values).onward(edits)
+        outline = self.outline and self.outline[::-1]
+        return CorrectionStep(self.new, self.gone, values, outline)
+
+    def changes(self, edits: FrameEdits, outline: Outline) -> bool:
+        """Tell whether the step would change anything: not where others have changed the same meanwhile."""
+        if self.outline is not None:
+            return self.outline[0] == outline
+        return self.onward(edits) != edits
 
     def to_dict(self) -> dict[str, Any]:
         """Return it JSON-ready."""
-        return {"gone": self.gone, "new": self.new, "values": self.values}
+        record = {"gone": self.gone, "new": self.new, "values": self.values}
+        return record if self.outline is None else {**record, "outline": self.outline}
 
     @classmethod
     def from_dict(cls, record: Any) -> CorrectionStep:
@@ -99,7 +114,11 @@ class CorrectionStep:
             ):
                 raise ValueError(name)
             values[name] = (before, after)
-        return cls(rows[0], rows[1], values)
+        outline = record.get("outline")
+        if outline is not None:
+            before, after = (_corners(found) for found in outline)
+            outline = before, after
+        return cls(rows[0], rows[1], values, outline)
 
 
 def _rows(name: str, found: Any) -> tuple[Pair, ...]:
@@ -109,6 +128,10 @@ def _rows(name: str, found: Any) -> tuple[Pair, ...]:
     if any(len(row) != (8 if name == "moved" else 4) for row in rows):
         raise ValueError(name)
     return rows
+
+
+def _corners(found: Any) -> Outline:
+    return tuple((float(x), float(y)) for x, y in found)
 
 
 @dataclass
@@ -132,7 +155,7 @@ class History:
         kept: list[CorrectionStep] = []
         rows = 0
         for step in reversed(self.done[-MOST_STEPS:]):
-            rows += sum(map(len, (*step.gone.values(), *step.new.values())))
+            rows += sum(map(len, (*step.gone.values(), *step.new.values(), *(step.outline or ()))))
             if rows > MOST_ROWS:
                 break
             kept.insert(0, step)

@@ -16,7 +16,15 @@ import numpy as np
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.captures import Capture
 from levkas.campaign.discovery.find_captures import find_captures
-from levkas.campaign.edits import FILE_NAME, Edits, FrameEdits, change_edits, read_edits
+from levkas.campaign.edits import (
+    FILE_NAME,
+    Edits,
+    FrameEdits,
+    Outline,
+    change_edits,
+    change_outline,
+    read_edits,
+)
 from levkas.campaign.methods import method_of
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_json
@@ -112,8 +120,8 @@ class Library:
         turn = self.history.turn(frame.capture.object)
         return frame.upright if turn is None else turn
 
-    def registered_with(self, frame: RegistrationView) -> str | None:
-        """Return the corrections with which a camera was registered last, in words; None where nothing says."""
+    def registered_with(self, frame: RegistrationView) -> dict[str, Any]:
+        """Return the corrections with which a camera was registered last, in words, and the declared outline; None where nothing says."""
         from levkas.building.build_records import BuildRecords, key_of
 
         view, capture = frame.view, frame.capture
@@ -122,7 +130,16 @@ class Library:
         edits = read_edits(self.edits_path).of_layer(capture.object, capture.layer)
         band = self._band_of(view, edits)
         name = f"edits.toml: correction of {capture.layer}{f':{band}' if band else ''}"
-        return str((stages[0] | stages[1]).get(name, "")) if any(stages) else None
+        prints = stages[0] | stages[1]
+        return {
+            "registered": str(prints.get(name, "")) if any(stages) else None,
+            "registered_outline": prints.get("outline of the object", []) if any(stages) else None,
+        }
+
+    def declared_outline(self, frame: RegistrationView) -> Outline:
+        """Return the outline that campaign.toml declares of an object, reference px; none where it does not."""
+        facts = self.campaign.objects.get(frame.capture.object)
+        return (facts.outline if facts else None) or ()
 
     def list(self) -> list[dict[str, Any]]:
         """Return every camera with the verdict of its last build, JSON-ready."""
@@ -149,7 +166,7 @@ class Library:
                         "reference" if is_reference else decision, unchecked_share(record)
                     ),
                     "reason": next(iter(reasons), ""),
-                    "corrections": self._edits(view).describe(),
+                    "corrections": self._edits(view, read_edits(self.edits_path)).describe(),
                 }
             )
         return listed
@@ -171,7 +188,9 @@ class Library:
 
     def catch_up(self, frame: RegistrationView) -> None:
         """Take over what others wrote into edits.toml of a camera; the frame's lock is held by the caller."""
-        frame.session.take(self._edits(frame.view))
+        edits = read_edits(self.edits_path)
+        outline = edits.outlines.get(frame.capture.object, ())
+        frame.session.take(self._edits(frame.view, edits), outline)
 
     def reopen(self, key: str) -> None:
         """Read the records of an object anew after a build; corrections and undo stay."""
@@ -235,13 +254,16 @@ class Library:
             reject=keys.get("reject"),
             stop=keys.get("stop", 1.0),
         )
+        edits = read_edits(self.edits_path)
         place = capture.object, f"{capture.layer}{'' if view.is_first else f':{view.sensor.name}'}"
         session = CorrectionSession(
             found,
-            self._edits(view),
+            self._edits(view, edits),
             partial(self._save, view),
             self.history.read(*place),
             partial(self.remember, *place),
+            edits.outlines.get(capture.object, ()),
+            partial(change_outline, self.edits_path, capture.object),
         )
         main = SensorView(reference, sensor_of(reference, str(ours["band"])))
         return RegistrationView(
@@ -282,9 +304,9 @@ class Library:
         text = path.read_text(encoding="utf-8") if path.is_file() else ""
         return parse_matches(text)
 
-    def _edits(self, view: SensorView) -> FrameEdits:
-        edits = read_edits(self.edits_path).of_layer(view.capture.object, view.capture.layer)
-        return edits.get(self._band_of(view, edits), FrameEdits())
+    def _edits(self, view: SensorView, edits: Edits) -> FrameEdits:
+        of_layer = edits.of_layer(view.capture.object, view.capture.layer)
+        return of_layer.get(self._band_of(view, of_layer), FrameEdits())
 
     def _band_of(self, view: SensorView, edits: Mapping[str, FrameEdits]) -> str:
         """Return the band by which edits.toml names a sensor: "" for the first, else as it has done so far, or by the band shown."""

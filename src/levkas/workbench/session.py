@@ -13,7 +13,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.campaign.edits import BY_HAND, EditsConflict, FrameEdits, Pair, round_pair
+from levkas.campaign.edits import (
+    BY_HAND,
+    EditsConflict,
+    FrameEdits,
+    Outline,
+    Pair,
+    round_corners,
+    round_pair,
+)
 from levkas.core.problems import Problem, Refused
 from levkas.geometry.transforms import Affine, Inverse, Transform
 from levkas.registration.advice import LEAST_PAIRS
@@ -27,6 +35,7 @@ from levkas.registration.manual_points import (
 from levkas.registration.mirhashemi2019 import SETTINGS, scale_only
 from levkas.registration.outliers import Cleaned, RemovalTerms, clean, cut
 from levkas.registration.record import HandMark, Matches, MatchState, RegistrationRefused
+from levkas.registration.request import check_outline
 from levkas.workbench.history import CorrectionStep, History, number_pairs
 
 if TYPE_CHECKING:
@@ -247,6 +256,10 @@ class CorrectionSession:
         Steps that can be undone and redone.
     remember : callable, optional
         Keeps the history after each change.
+    outline : (n, 2) corners, reference px
+        Of the object, as edits.toml has it for all its cameras; none where nobody drew it.
+    save_outline : callable, optional
+        Writes it, as `save` does.
     """
 
     found: RecordedPairs
@@ -254,6 +267,8 @@ class CorrectionSession:
     save: Callable[[FrameEdits, FrameEdits], FrameEdits] | None = None
     history: History = field(default_factory=History)
     remember: Callable[[History], object] | None = None
+    outline: Outline = ()
+    save_outline: Callable[[Outline, Outline], Outline] | None = None
     version: int = 0
     _view: CorrectionResult | None = None
     _drawn: tuple[int, np.ndarray] | None = None
@@ -337,7 +352,7 @@ class CorrectionSession:
         if reject <= (edits.stop or self.found.stop):
             raise refused("`reject` must be above `stop`", reject, "more than `stop`")
         last = self.history.done[-1] if self.history.done else CorrectionStep()
-        if edits != self.edits and not last.gone and set(last.values) == {name}:
+        if edits != self.edits and not (last.gone or last.outline) and set(last.values) == {name}:
             # A slider that is drawn along is one change, not one for each place it passed.
             written = self._set(edits)
             self.history.done.pop()
@@ -358,47 +373,70 @@ class CorrectionSession:
             raise refused("too few pairs are set by hand", own, f"at least {LEAST_PAIRS}")
         self._change(replace(self.edits, accept=BY_HAND if by_hand else ""))
 
+    def draw(self, corners: Outline) -> None:
+        """Replace the outline of the object, reference px; without corners it is again what the campaign declares, or what is found.
+
+        Raises
+        ------
+        OperationRefused, EditsInvalid
+            Where corners lie outside the reference, or are no polygon.
+        """
+        if corners and (problems := check_outline(corners, self.found.size)):
+            raise OperationRefused(*problems)
+        before, after = self.outline, round_corners(corners)
+        if before != after:
+            self._set_outline(before, after)
+            self._keep(CorrectionStep(outline=(before, after)), self.edits)
+
     def note(self, text: str) -> None:
         """Keep a person's own words."""
         self._change(replace(self.edits, note=text[:2000]))
 
     def undo(self) -> None:
         """Take the last change back; nothing where there is none."""
-        self._step(self.history.done, self.history.undone, CorrectionStep.back)
+        self._step(self.history.done, self.history.undone, CorrectionStep.reversed)
 
     def redo(self) -> None:
         """Do again what was undone last."""
-        self._step(self.history.undone, self.history.done, CorrectionStep.onward)
+        self._step(self.history.undone, self.history.done, replace)
 
     def refresh(self, found: RecordedPairs) -> None:
         """Go on from what a new build found; corrections and undo stay."""
         self.found, self._view = found, None
         self.version += 1
 
-    def take(self, present: FrameEdits) -> None:
-        """Go on from what others made of the corrections; undo takes back what was done here alone."""
-        if present == self.edits:
+    def take(self, present: FrameEdits, outline: Outline | None = None) -> None:
+        """Go on from what others made of the corrections, and of the outline; undo takes back what was done here alone."""
+        drawn = self.outline if outline is None else outline
+        if (present, drawn) == (self.edits, self.outline):
             return
         for steps, walk in (
-            (self.history.done, CorrectionStep.back),
-            (self.history.undone, CorrectionStep.onward),
+            (self.history.done, CorrectionStep.reversed),
+            (self.history.undone, replace),
         ):
-            while steps and walk(steps[-1], present) == present:
+            while steps and not walk(steps[-1]).changes(present, drawn):
                 steps.pop()
-        self.edits, self._view = present, None
+        if present != self.edits:
+            self._view = None
+        self.edits, self.outline = present, drawn
         self.version += 1
 
     def _step(
         self,
         source: list[CorrectionStep],
         into: list[CorrectionStep],
-        walk: Callable[[CorrectionStep, FrameEdits], FrameEdits],
+        walk: Callable[[CorrectionStep], CorrectionStep],
     ) -> None:
-        if source:
-            written = self._set(walk(source[-1], self.edits))
-            into.append(source.pop())
-            self.take(written)
-            self._remember()
+        if not source:
+            return
+        step, written = walk(source[-1]), self.edits
+        if step.outline is None:
+            written = self._set(step.onward(self.edits))
+        elif step.changes(self.edits, self.outline):
+            self._set_outline(*step.outline)
+        into.append(source.pop())
+        self.take(written)
+        self._remember()
 
     def _change(self, edits: FrameEdits) -> None:
         if edits != self.edits:
@@ -407,7 +445,7 @@ class CorrectionSession:
 
     def _keep(self, step: CorrectionStep, written: FrameEdits) -> None:
         """Note a step that was saved; a slider that came back to where it was is none."""
-        if step.back(self.edits) != self.edits:
+        if step.reversed().changes(self.edits, self.outline):
             self.history.done.append(step)
         self.history.undone.clear()
         self.take(written)
@@ -417,6 +455,16 @@ class CorrectionSession:
         if self.remember is not None:
             self.number()
             self.remember(self.history)
+
+    def _set_outline(self, before: Outline, after: Outline) -> None:
+        if self.save_outline is not None:
+            try:
+                after = self.save_outline(before, after)
+            except EditsConflict as conflict:
+                self.take(self.edits, conflict.present)
+                raise
+        self.outline = after
+        self.version += 1
 
     def _set(self, edits: FrameEdits) -> FrameEdits:
         """Save and take over; return what is saved, others' changes included."""

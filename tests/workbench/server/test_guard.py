@@ -351,6 +351,13 @@ def test_hostile_bodies_change_nothing_and_are_told_why(client, correctable):
         {"operation": "slide", "name": "stop", "value": "1e999"},
         {"operation": "move", "pair": [1, 2, 3, 4], "to": [1]},
         {"operation": {}, "pair": {}},
+        {"operation": "outline"},
+        {"operation": "outline", "corners": "all"},
+        {"operation": "outline", "corners": [[1, 2], [3, 4], [5]]},
+        {"operation": "outline", "corners": [[1, 2], [3, 4], ["5", True]]},
+        {"operation": "outline", "corners": [[1, 2], [1e300, 4], [5, 9]]},
+        {"operation": "outline", "corners": [[0, 0], [9, 9], [9, 0], [0, 9]]},
+        {"operation": "outline", "corners": [[0, 0]] * 100_000},
     ]
     for body in hostile:
         answer = ask(

@@ -134,6 +134,24 @@ def test_a_change_that_contradicts_anothers_is_refused_with_what_is_there(
     assert (folder / "edits.toml").read_bytes() != there
 
 
+def test_an_outline_that_another_drew_is_not_drawn_over_unseen(folder, servers):
+    one, other = servers
+    mine, theirs = (
+        [[10.0, 10.0], [400.0, 12.0], [390.0, 320.0]],
+        [[9.0, 9.0], [50.0, 9.0], [9.0, 50.0]],
+    )
+    other.pairs()
+    assert from_bytes(one.edit(operation="outline", corners=mine).content)["outline"] == mine
+    answer = other.edit(operation="outline", corners=theirs)
+    assert answer.status_code == 409 and answer.json()["present"] == mine
+    assert other.pairs()["outline"] == mine
+    assert other.edit(operation="outline", corners=theirs).status_code == 200
+    # What another has changed since is not taken back.
+    one.pairs()
+    assert one.edit(operation="undo").status_code == 200
+    assert read_edits(folder / "edits.toml").outlines["icon"] == tuple(map(tuple, theirs))
+
+
 def test_a_file_that_was_spoilt_by_hand_is_not_written_over(folder, servers):
     one, _ = servers
     one.edit(operation="add", pair=place(1))

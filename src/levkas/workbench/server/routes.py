@@ -18,6 +18,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from levkas.campaign.edits import EditsConflict
+from levkas.campaign.schema.values import MOST_CORNERS
 from levkas.core.locks import Taken
 from levkas.core.problems import Problem, Refused
 from levkas.database.registrations import object_outline, unchecked_share
@@ -149,7 +150,8 @@ def answering(handler: Callable[..., Response]) -> Callable[[Request], Any]:
             status = next((s for kind, s in STATUS.items() if isinstance(refusal, kind)), 422)
             record: dict[str, Any] = {"problems": [p.to_dict() for p in refusal.problems]}
             if isinstance(refusal, EditsConflict):
-                record["present"] = asdict(refusal.present)
+                present = refusal.present
+                record["present"] = list(present) if isinstance(present, tuple) else asdict(present)
             return JSONResponse({"ok": False, **record}, status)
 
     return answer
@@ -239,7 +241,8 @@ class Handlers:
         frame = self._frame(request)
         more = {
             "turn": self.library.turn_of(frame),
-            "registered": self.library.registered_with(frame),
+            "declared_outline": self.library.declared_outline(frame),
+            **self.library.registered_with(frame),
         }
         return JSONResponse({"ok": True, **describe_frame(frame), **more})
 
@@ -359,6 +362,8 @@ def change(frame: RegistrationView, body: dict[str, Any]) -> None:
     elif name == "slide":
         value = body.get("value")
         session.slide(str(body.get("name")), None if value is None else _number(value))
+    elif name == "outline":
+        session.draw(_corners(body.get("corners")))
     elif name == "accept":
         session.accept(body.get("value") is True)
     elif name == "note":
@@ -481,6 +486,14 @@ def _pair(value: Any) -> list[float]:
     if not isinstance(value, list) or len(value) != 4:
         raise refused("a pair is four numbers", str(value)[:60], "[x, y, x, y]")
     return [_number(v) for v in value]
+
+
+def _corners(value: Any) -> tuple[tuple[float, float], ...]:
+    if not isinstance(value, list) or len(value) > MOST_CORNERS:
+        raise refused("an outline is a list of corners", str(value)[:60], "[[x, y], …]")
+    if not all(isinstance(corner, list) and len(corner) == 2 for corner in value):
+        raise refused("a corner is two numbers", str(value)[:60], "[x, y]")
+    return tuple((_number(x), _number(y)) for x, y in value)
 
 
 def _files(value: Any) -> list[bytes]:
