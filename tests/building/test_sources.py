@@ -54,9 +54,9 @@ def test_no_stage_rests_on_what_only_decides_what_is_done(closures):
         "quality/targets/locating": {"calibrate", "register", "resample", "camera"},
         "quality/targets/measuring": {"camera"},
         "quality/evaluation/similarity": {"resample"},
-        "campaign/edits": {"register"},
+        "campaign/edits": {"register", "adjust"},
         "pages/report.html": {"register", "adjust", "report", "camera"},
-        "readers/raw": {"calibrate", "register", "resample", "report", "camera"},
+        "readers/raw": {"calibrate", "register", "adjust", "resample", "report", "camera"},
         "workbench/server/routes": set(),
         "cli/__init__": set(),
     }.items(),
@@ -112,7 +112,7 @@ def test_every_library_of_a_stage_is_in_its_fingerprint_or_known_to_have_no_effe
 @pytest.mark.parametrize(
     ("distribution", "stages"),
     {
-        "rawpy": {"calibrate", "register", "resample", "report", "camera", "template"},
+        "rawpy": {"calibrate", "register", "adjust", "resample", "report", "camera", "template"},
         "numcodecs": {"calibrate", "register", "resample", "camera", "catalogue"},
         "pillow": {"calibrate", "register", "resample", "report", "camera"},
         "matplotlib": {"register", "adjust", "report", "camera"},
