@@ -28,8 +28,7 @@ def page(results: Results) -> str:
         "",
         f"{sum(goals)} of {len(goals)} figures with a goal meet it; the others are marked **missed**."
         " Errors are against truth that was not fitted, in px of the reference band; a range is least to most."
-        " Below *repeat with* an empty cell means the script above."
-        " History: [measurements](development/measurements/index.md).",
+        " Below *repeat with* an empty cell means the script above.",
         "",
     ]
     for one in results.tables:

@@ -74,17 +74,3 @@ def test_the_table_of_keys_names_every_letter_of_viewer_and_workbench():
             for letter in re.findall(r"`([A-Z])`", cells[0])
         }
         assert letters(path) <= told, path
-
-
-def test_messages_quoted_in_the_documentation_are_those_of_the_code():
-    page = (ROOT / "docs/development/messages.md").read_text(encoding="utf-8")
-    quoted = re.findall(r"^\| (?!before|---)[^|]+ \| ([^|]+) \|$", page, re.M)
-    spaced = re.compile(r'"\s+f?"|\s+')  # literals over several lines
-    code = "".join(
-        spaced.sub(lambda m: "" if '"' in m[0] else " ", path.read_text(encoding="utf-8"))
-        for path in SOURCES
-        if path.suffix in {".py", ".ts"}
-    )
-    assert len(quoted) >= 40
-    parts = {part.strip() for message in quoted for part in message.split("…")}
-    assert {part for part in parts if part not in code} == set()

@@ -60,9 +60,7 @@ def test_a_weak_lamp_is_found_in_a_captured_white(captured, mosaic):
     one, other = record["lamps"]
     assert other["share"] == 1.0 and 0.7 < one["share"] < 0.87  # 0.74, drawn to the plan
     assert record["light_at_middle"] == [pytest.approx(0.74, abs=0.05), 1.0]
-    assert record["planned_drop"] == pytest.approx(
-        0.077, abs=0.003
-    )  # docs/development/measurements/light.md
+    assert record["planned_drop"] == pytest.approx(0.077, abs=0.003)
     assert record["drop"] > record["planned_drop"] + 0.03
 
 

@@ -7,7 +7,10 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+from camera import Habits, outcome_of, write_campaign
 from table import CASES, PLAIN, judge, run
+
+from levkas.building.run import build
 
 NIGHTLY = bool(os.environ.get("LEVKAS_NIGHTLY"))
 FIRST = {case.name: case for case in reversed(CASES)}
@@ -28,3 +31,18 @@ def test_a_camera_that_keeps_its_promises_is_right_without_a_word(case, tmp_path
     verdict, off = judge(case, made)
     assert (verdict, off) == ("right", [])
     assert made.words.count("\n") == 0  # the reflectance of the board is assumed, and nothing else
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("drift", "lines", "named", "stated"),
+    [(0.02, 480, True, False), (0.02, 1500, False, True), (0.0, 480, False, False)],
+)
+def test_a_lamp_that_sinks_over_a_scan_longer_than_its_white_is_named_as_far_as_it_shows(
+    drift, lines, named, stated, tmp_path
+):
+    """Of 2 % over 480 lines the white of 64 shows 0.3 %; over 1,500 lines less than its noise: the page says how much that may be."""
+    write_campaign(tmp_path / "campaign", "cube", Habits(drift=drift), (lines, 80))
+    made = outcome_of(tmp_path / "campaign", build)
+    assert ("the lamp is known between white and object" in made.words) == named
+    assert ("no change of the lamp was found within the white" in made.page) == stated

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from levkas import __version__
 from levkas.building import fingerprints
 from levkas.building.build_records import BuildRecords, Key, Written, key_of
-from levkas.building.capture_statistics import FEW_BANDS, SENSELS, levels_of
+from levkas.building.capture_statistics import FEW_BANDS, LAMP_DOUBT, SENSELS, levels_of
 from levkas.building.charts import edges_of
 from levkas.building.fingerprints import digest, written
 from levkas.building.graph import cameras_with_pages, page_key
@@ -295,9 +295,15 @@ def _of_lamp(told: Mapping[str, Any]) -> list[str]:
     if not lamps:
         return [LAMP_UNKNOWN]
     band = max(lamps, key=lambda b: abs(lamps[b]))
-    if abs(lamps[band]) <= NOTICED:
+    if abs(lamps[band]) > NOTICED:
+        return [f"{band}: the lamp changed by {100 * lamps[band]:+.2g} % within the white"]
+    unseen = max(one["sigma"] or 0.0 for one in told[LAMP].values())
+    if unseen < LAMP_DOUBT:
         return []
-    return [f"{band}: the lamp changed by {100 * lamps[band]:+.2g} % within the white"]
+    return [
+        f"no change of the lamp was found within the white; until the end of the object one of {100 * unseen:.2g} % "
+        "would not have been: capture a white after it, too"
+    ]
 
 
 LAMP_UNKNOWN = (

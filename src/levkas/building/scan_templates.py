@@ -228,7 +228,7 @@ def _of_pushbroom(context: SensorContext, shape: tuple[int, int, int]) -> ScanTe
     require_same_size(context, shape, darks, whites)
     white = whites[best_white(whites)] if whites else None
     if white is not None:
-        _note_lamp_of(context, white)
+        _note_lamp_of(context, white, lines=shape[0])
     note_light(context.told, white, darks, None, [band.label for band in sensor.bands])
     noise = noise_of(context, [], [white] if white else [], darks)
     area = WhiteArea()
@@ -238,14 +238,18 @@ def _of_pushbroom(context: SensorContext, shape: tuple[int, int, int]) -> ScanTe
     return ScanTemplates(tuple(darks), white, noise, area)
 
 
-def _note_lamp_of(context: SensorContext, white: Template) -> None:
-    """Note how the lamp changed within the white, (lines, samples, bands); a scan tells nothing of its own."""
+def _note_lamp_of(context: SensorContext, white: Template, lines: int = 1) -> None:
+    """Note how the lamp changed within the white, (lines, samples, bands); a scan of so many lines tells nothing of its own."""
     if white.shots is None:
         return
     labels = [band.label for band in context.sensor.bands]
     times = capture_times(context.sensor.object)
     single = ShotLevels(np.ones((1, len(labels))), np.zeros(len(labels)), times)
-    note_lamp(context.told, labels, lamp_between(white.shots, single))
+    note_lamp(
+        context.told,
+        labels,
+        lamp_between(white.shots, single, spans=lines / len(white.shots.levels)),
+    )
 
 
 def average_lines(

@@ -416,17 +416,19 @@ class LampChange(NamedTuple):
         )
 
 
-def lamp_between(white: ShotLevels, shot: ShotLevels) -> LampChange:
+def lamp_between(white: ShotLevels, shot: ShotLevels, *, spans: float = 1.0) -> LampChange:
     """Estimate how the lamp changed between the stacks of a white and of an object.
 
     Parameters
     ----------
     white, shot : ShotLevels
         Of the same channels. Levels of darks give the wander of the black level, in counts.
+    spans : float
+        How many times as long as the white's stack the object took: a scan of 480 lines after 64 of the white, 7.5.
 
     Notes
     -----
-    A lamp that changed by Δ within a stack may have changed as much again until the other one: u = |Δ|. Where files
+    A lamp that changed by Δ within a stack may have changed as much again until the other one: u = |Δ|, and in an object of more lines so many times as much. Where files
     state when they were captured u = |Δ| √(gap/span), as far as a lamp wanders, up to 10 |Δ|. Between whites before
     and after the object the level is interpolated, at a share x of the way, with u = |Δ| x (1 − x): so far is the
     straight line off where the lamp comes to rest at one end. Flicker f of single shots adds f² w² of each.
@@ -452,7 +454,8 @@ def lamp_between(white: ShotLevels, shot: ShotLevels) -> LampChange:
         factor, drift, weights = bridge
     else:
         for trend, stack in zip(trends, stacks, strict=True):
-            drift = np.maximum(drift, trend.reach * _reach(stack, white, shot))
+            far = max(_reach(stack, white, shot), spans)
+            drift = np.maximum(drift, trend.reach * far)
     return LampChange(
         factor,
         np.sqrt(drift**2 + flicker**2 * (weights + 1 / len(shot.levels))),
