@@ -18,10 +18,10 @@ NOT_INSTALLED = {
     "mitsuba": "mitsuba",
 }  # fmt: skip
 """Import name → distribution of the extras that the tests' environment does not have."""
-USED = ("cluster", "export", "peers", "remote", "render")
+USED = ("cluster", "export", "peers", "remote")
 """Extras that the package, or the comparison with its peers, imports."""
-UNNAMED = {"cryptography"}
-"""What a package needs only for what Levkas asks of it: dask's certificates for the workers of one machine."""
+UNNAMED = {"cryptography", "mitsuba"}
+"""What no source of the package imports: dask's certificates for the workers of one machine, and the renderer of a benchmark."""
 UNIX = ("resource", "fcntl", "pwd", "grp", "termios", "tty", "pty", "syslog")
 
 
@@ -101,7 +101,6 @@ def test_every_package_that_is_declared_is_imported():
 def test_locks_name_what_is_declared_and_no_registry():
     for lock, extras in {
         "requirements.lock": ("test", "lint", "docs"),
-        "requirements-render.lock": ("render",),
         "requirements-peers.lock": ("peers",),
         "requirements-fuzz.lock": ("fuzz",),
     }.items():

@@ -131,7 +131,7 @@ def bases(root, database):
         "evaluate": [database], "chart": [database], "publish": [database, "--check"],
         "export": [database, "--for", "envi", "-o", root / "out"], "estimate": [database],
         "map": [database, "icon1", root / "points.csv"], "plan light": [BENCH],
-        "plan exposure": ["--bits", "12"], "plan fit": [BENCH, root / "white.tif", "--bits", "12"],
+        "plan exposure": ["--bits", "12"],
         "points convert": [root / "checks.csv", root / "out.csv"],
     }  # fmt: skip
 
@@ -223,7 +223,6 @@ def test_options_of_a_cube_or_a_database_are_refused_with_a_campaign(place):
         (["estimate", "DB", "--method", "wienr"], "wiener"),
         (["plan", "light", "BENCH", "--setup-name", "propsed"], "proposed"),
         (["plan", "exposure", "--setup", "BENCH", "--setup-name", "propsed"], "proposed"),
-        (["plan", "fit", "BENCH", "WHITE", "--bits", "12", "--camera", "d8"], "d80"),
         (["points", "convert", "CHECKS", "OUT", "--to", "hugn"], "hugin"),
         (["points", "convert", "CHECKS", "OUT", "--from", "hugn"], "hugin"),
         (["publish", "DB", "--check", "--analyse", "pcaa"], "pca"),

@@ -1,4 +1,4 @@
-"""Commands that plan a session: plan light, framing, exposure, fit."""
+"""Commands that plan a session: plan light, framing, exposure."""
 
 from __future__ import annotations
 
@@ -30,29 +30,21 @@ def light(
     report: Annotated[
         Path | None, typer.Option("--report", "-o", help="HTML page to write; prints on A4.")
     ] = None,
-    render: Annotated[
-        Path | None,
-        typer.Option("--render", help="PNG of a camera's expected view; needs levkas[render]."),
-    ] = None,
     overwrite: Overwrite = False,
-    seed: Annotated[int, typer.Option(help="Seed of the random starts.", min=0)] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of the search.", min=0)] = 1,
     as_json: Json = False,
 ) -> None:
     """Evenness, glare, relief and bright field of a lighting, and the effect of each adjustment."""
     from levkas.core.ownership import require_free
     from levkas.planning.text_report import light_record, light_text
 
-    for path in filter(None, (report, render)):
-        require_free(path, overwrite=overwrite)
+    if report is not None:
+        require_free(report, overwrite=overwrite)
     record = light_record(setup, name, optimised=optimise, seed=seed)
     if report is not None:
         from levkas.pages.plan import write_report
 
         record["report"] = str(write_report(report, record.setup, name, seed=seed))
-    if render is not None:
-        from levkas.planning.render import render_sheet
-
-        record["render"] = str(render_sheet(record.setup, render, seed=seed))
     print_report("plan light", as_json, True, [], **record)
     if not as_json:
         typer.echo(light_text(record))
@@ -227,54 +219,6 @@ def _series(
         record["report"] = str(write_series(report, plans, refused))
         texts.append(f"Written: {report}")
     return record, texts
-
-
-@refusing("plan fit")
-def fit(
-    setup: SetupPath,
-    whites: Annotated[
-        list[Path], typer.Argument(help="White frames of one camera, or folders of them.")
-    ],
-    name: Lighting = None,
-    dark: Annotated[
-        list[Path] | None, typer.Option("--dark", help="Dark frame or folder; may be repeated.")
-    ] = None,
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            help="Camera of the setup with the field of the frame; default: the frame shows exactly the object."
-        ),
-    ] = None,
-    lamp: Annotated[
-        int | None, typer.Option(help="Number of the only lamp that was on, from 1.")
-    ] = None,
-    region: Annotated[
-        str | None, typer.Option(help="x,y,width,height of the board, native pixels.")
-    ] = None,
-    black: Annotated[
-        float | None, typer.Option(help="Black level in counts; default from the file.")
-    ] = None,
-    saturation: Annotated[
-        float | None,
-        typer.Option(help="Saturation in counts; default the largest code of the bits."),
-    ] = None,
-    bits: Annotated[
-        int | None,
-        typer.Option(help="Bits of the converter; default from the file or campaign."),
-    ] = None,
-    bent: Annotated[
-        bool, typer.Option("--bent", help="The board has the curvature of the object.")
-    ] = False,
-    as_json: Json = False,
-) -> None:
-    """Measure the actual positions of the lamps from a white captured under them."""
-    from levkas.planning.lamp_positions import CapturedWhite, fit_white, positions_text
-
-    white = CapturedWhite(whites, dark or (), black, saturation, bits, _four(region), camera)
-    found = fit_white(setup, white, name, lamp=lamp, bent=bent)
-    print_report("plan fit", as_json, True, [], **found.to_dict())
-    if not as_json:
-        typer.echo(positions_text(found))
 
 
 def _four(text: str | None) -> tuple[int, int, int, int] | None:

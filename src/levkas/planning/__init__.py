@@ -19,11 +19,8 @@ _HOMES = {
     "plan_dose": "exposure_plan",
     "plan_series": "exposure_series",
     "regulating_filter": "exposure_plan",
-    "render_sheet": "render",
-    "fit_lamps": "lamp_fit",
     "illuminate": "setup",
     "sample_surface": "surface",
-    "specular": "microfacet",
     "colour_temperature": "spectra",
     "GRID": "spectra",
 }
