@@ -131,7 +131,7 @@ def bases(root, database):
         "evaluate": [database], "chart": [database], "publish": [database, "--check"],
         "export": [database, "--for", "envi", "-o", root / "out"], "estimate": [database],
         "map": [database, "icon1", root / "points.csv"], "plan light": [BENCH],
-        "plan exposure": ["--bits", "12"], "plan fit": [BENCH, root / "white.tif", "--bits", "12"],
+        "plan exposure": ["--bits", "12"],
         "points convert": [root / "checks.csv", root / "out.csv"],
     }  # fmt: skip
 

@@ -100,7 +100,6 @@ for _name, _command in {
     "light": plan.light,
     "framing": plan.framing,
     "exposure": plan.exposure,
-    "fit": plan.fit,
 }.items():
     _plan.command(_name, cls=StrictCommand)(_command)
 _points.command("convert", cls=StrictCommand)(evaluate.convert)

@@ -1,4 +1,4 @@
-"""Commands that plan a session: plan light, framing, exposure, fit."""
+"""Commands that plan a session: plan light, framing, exposure."""
 
 from __future__ import annotations
 
@@ -227,54 +227,6 @@ def _series(
         record["report"] = str(write_series(report, plans, refused))
         texts.append(f"Written: {report}")
     return record, texts
-
-
-@refusing("plan fit")
-def fit(
-    setup: SetupPath,
-    whites: Annotated[
-        list[Path], typer.Argument(help="White frames of one camera, or folders of them.")
-    ],
-    name: Lighting = None,
-    dark: Annotated[
-        list[Path] | None, typer.Option("--dark", help="Dark frame or folder; may be repeated.")
-    ] = None,
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            help="Camera of the setup with the field of the frame; default: the frame shows exactly the object."
-        ),
-    ] = None,
-    lamp: Annotated[
-        int | None, typer.Option(help="Number of the only lamp that was on, from 1.")
-    ] = None,
-    region: Annotated[
-        str | None, typer.Option(help="x,y,width,height of the board, native pixels.")
-    ] = None,
-    black: Annotated[
-        float | None, typer.Option(help="Black level in counts; default from the file.")
-    ] = None,
-    saturation: Annotated[
-        float | None,
-        typer.Option(help="Saturation in counts; default the largest code of the bits."),
-    ] = None,
-    bits: Annotated[
-        int | None,
-        typer.Option(help="Bits of the converter; default from the file or campaign."),
-    ] = None,
-    bent: Annotated[
-        bool, typer.Option("--bent", help="The board has the curvature of the object.")
-    ] = False,
-    as_json: Json = False,
-) -> None:
-    """Measure the actual positions of the lamps from a white captured under them."""
-    from levkas.planning.lamp_positions import CapturedWhite, fit_white, positions_text
-
-    white = CapturedWhite(whites, dark or (), black, saturation, bits, _four(region), camera)
-    found = fit_white(setup, white, name, lamp=lamp, bent=bent)
-    print_report("plan fit", as_json, True, [], **found.to_dict())
-    if not as_json:
-        typer.echo(positions_text(found))
 
 
 def _four(text: str | None) -> tuple[int, int, int, int] | None:

@@ -20,7 +20,6 @@ _HOMES = {
     "plan_series": "exposure_series",
     "regulating_filter": "exposure_plan",
     "render_sheet": "render",
-    "fit_lamps": "lamp_fit",
     "illuminate": "setup",
     "sample_surface": "surface",
     "specular": "microfacet",
