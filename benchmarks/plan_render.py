@@ -1,6 +1,7 @@
-"""Closed forms of a plan against Mitsuba on twelve setups: python benchmarks/plan_render.py
+"""Closed forms of a plan against Mitsuba (pip install mitsuba) on twelve setups: python benchmarks/plan_render.py
 
-Each lamp is rendered alone, so that nothing is random but where in its pixel a ray starts.
+Each lamp is rendered alone, so that nothing is random but where in its pixel a ray starts. Mitsuba's
+world is right-handed with y upwards: Levkas' with y turned round.
 """
 
 import sys
@@ -10,7 +11,6 @@ import numpy as np
 from levkas.planning.light import _specular
 from levkas.planning.microfacet import AIR, GOLD_INDEX
 from levkas.planning.optimisation import Arrangement
-from levkas.planning.render import camera_object, lamp_objects, load_mitsuba
 from levkas.planning.setup import Lobe, illuminate, lobe_exponent
 from levkas.planning.surface import Surface
 
@@ -24,6 +24,8 @@ SETUPS = [
     (45, 0, 1500, 30, 0, 2000, "height"), (60, 35, 1800, 20, 0.5, 1000, "width"),
     (75, 0, 2300, 0, 0, 1000, "height"), (65, 0, 2000, 25, 0.3, 3000, "width"),
 ]  # fmt: skip
+FLIP = np.array([1.0, -1.0, 1.0])
+LOBE_PIXELS, CONE_DEG = 1024, 25.0
 GREY = {"type": "rgb"}
 MATERIALS = {
     "irradiance": {"type": "diffuse", "reflectance": {**GREY, "value": [1.0] * 3}},
@@ -37,6 +39,36 @@ MATERIALS = {
         "k": {**GREY, "value": [GOLD_INDEX.imag] * 3},
     },
 }  # fmt: skip
+
+
+def camera(mi, pixels, samples):
+    """A camera on the object's normal that shows `VIEW`."""
+    frame = mi.ScalarTransform4f().look_at((EYE * FLIP).tolist(), [0, 0, 0], [0, 1, 0])
+    return {
+        "type": "perspective", "fov": float(2 * np.degrees(np.arctan(VIEW[0] / 2 / EYE[2]))), "fov_axis": "x",
+        "to_world": frame, "near_clip": 1.0, "far_clip": 1e5,
+        "film": {"type": "hdrfilm", "width": pixels[0], "height": pixels[1], "pixel_format": "rgb",
+                 "rfilter": {"type": "box"}},
+        "sampler": {"type": "stratified", "sample_count": samples, "seed": 0},
+    }  # fmt: skip
+
+
+def emitter(mi, lamp):
+    """A point lamp; its lobe is a picture, for Mitsuba's own falloff is none that lamps have."""
+    place, level = (lamp.place * FLIP).tolist(), {**GREY, "value": [lamp.candela] * 3}
+    if lamp.lobe.exponent == 0:
+        return {"type": "point", "position": place, "intensity": level}
+    across = np.cross([0.0, 0.0, 1.0], lamp.place)
+    up = (across / np.linalg.norm(across) * FLIP).tolist()
+    at = (np.arange(LOBE_PIXELS) + 0.5) / LOBE_PIXELS * 2 - 1
+    x, y = np.meshgrid(at, at)
+    cosine = 1 / np.sqrt(1 + (x * x + y * y) * np.tan(np.radians(CONE_DEG)) ** 2)
+    lobe = mi.Bitmap(lamp.lobe(cosine).astype(np.float32)[..., None])
+    return {
+        "type": "spot", "intensity": level, "cutoff_angle": CONE_DEG, "beam_width": CONE_DEG - 1e-3,
+        "to_world": mi.ScalarTransform4f().look_at(place, ((lamp.place + lamp.axis) * FLIP).tolist(), up),
+        "texture": {"type": "bitmap", "bitmap": lobe, "raw": True, "wrap_mode": "clamp"},
+    }  # fmt: skip
 
 
 def panel(mi, radius, straight):
@@ -84,12 +116,12 @@ def compare(mi, setup, pixels=(40, 30), samples=64):
         scene = {
             "type": "scene",
             "integrator": {"type": "direct", "bsdf_samples": 0, "emitter_samples": 1},
-            "sensor": camera_object(mi, EYE, VIEW, pixels, samples),
+            "sensor": camera(mi, pixels, samples),
             "panel": {**panel(mi, radius, straight), "bsdf": material},
         }
         picture = 0.0
-        for i, lamp in enumerate(lighting.lamps):
-            made = mi.load_dict({**scene, **lamp_objects(mi, lamp, f"lamp{i}", spectral=False)})
+        for lamp in lighting.lamps:
+            made = mi.load_dict({**scene, "lamp": emitter(mi, lamp)})
             picture = picture + np.array(mi.render(made))[..., 0].astype(float) * np.pi * 1e6
         if name == "irradiance":
             ours = illuminate(lighting.lamps, points, normals)
@@ -103,7 +135,9 @@ def compare(mi, setup, pixels=(40, 30), samples=64):
 
 
 def main():
-    mi = load_mitsuba("scalar_rgb")
+    import mitsuba as mi
+
+    mi.set_variant("scalar_rgb")
     print(
         "| angle | azimuth | mm | beam | aim | bend | straight | irradiance | varnish | gold | left out |"
     )

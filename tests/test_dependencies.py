@@ -15,10 +15,9 @@ ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 NOT_INSTALLED = {
     "SimpleITK": "simpleitk", "ants": "antspyx", "itk": "itk-elastix", "mahotas": "mahotas",
-    "mitsuba": "mitsuba",
 }  # fmt: skip
 """Import name → distribution of the extras that the tests' environment does not have."""
-USED = ("cluster", "export", "peers", "remote", "render")
+USED = ("cluster", "export", "peers", "remote")
 """Extras that the package, or the comparison with its peers, imports."""
 UNNAMED = {"cryptography"}
 """What a package needs only for what Levkas asks of it: dask's certificates for the workers of one machine."""
@@ -101,7 +100,6 @@ def test_every_package_that_is_declared_is_imported():
 def test_locks_name_what_is_declared_and_no_registry():
     for lock, extras in {
         "requirements.lock": ("test", "lint", "docs"),
-        "requirements-render.lock": ("render",),
         "requirements-peers.lock": ("peers",),
         "requirements-fuzz.lock": ("fuzz",),
     }.items():

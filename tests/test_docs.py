@@ -81,17 +81,7 @@ def test_a_page_that_one_reads_is_short():
 
 
 def test_the_lock_file_names_no_registry_and_pins_by_hash():
-    for name in ("requirements-render.lock", "requirements-peers.lock", "requirements-fuzz.lock"):
+    for name in ("requirements-peers.lock", "requirements-fuzz.lock"):
         assert "://" not in (ROOT / name).read_text()
     text = (ROOT / "requirements.lock").read_text()
     assert "://" not in text and text.count("--hash=sha256:") > 300
-
-
-def test_the_lock_of_the_renderer_leaves_the_other_lock_as_it_is():
-    def pinned(name):
-        text = (ROOT / name).read_text()
-        return set(re.findall(r"^([a-z0-9-]+==[^ ;\\]+)", text, re.MULTILINE))
-
-    main, render = pinned("requirements.lock"), pinned("requirements-render.lock")
-    added = {pin.partition("==")[0] for pin in render - main}
-    assert added == {"mitsuba", "drjit"}

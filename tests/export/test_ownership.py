@@ -92,7 +92,6 @@ def test_a_page_or_table_replaces_no_file_unless_asked_to(database, tmp_path, co
         "chart": ["chart", database, "--object", "icon1", "-o", page],
         "radiometry": ["radiometry", tmp_path, "-o", page],
         "plan light": ["plan", "light", tmp_path, "-o", page],
-        "plan light render": ["plan", "light", tmp_path, "--render", page],
     }[command]
     done = CliRunner().invoke(app, list(map(str, arguments)))
     assert done.exit_code == 1 and f"{page}: found a file" in done.output

@@ -81,7 +81,6 @@ EXTRAS = {
     "export": "export: NetCDF, and MAT files of the spectral recovery challenges",
     "peers": "evaluate --compare: programs to compare with",
     "remote": "databases on web servers and in stores like S3",
-    "render": "plan: renders of a lighting setup",
 }
 """Extra of the package → what is missing without it; the others are for its development."""
 

@@ -31,7 +31,7 @@ NEEDS: dict[str, Needs] = {
     "plan exposure": WITH_FRAMES
     | WITH_OBJECT
     | {"--setup-name": ("--setup",), "--overwrite": ("--report",)},
-    "plan light": {"--overwrite": ("--report", "--render")},
+    "plan light": {"--overwrite": ("--report",)},
 }
 """Command → option → others, one of which it needs; ``$NAME`` is a variable of the environment."""
 EXCLUDES: dict[str, Needs] = {

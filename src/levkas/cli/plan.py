@@ -30,10 +30,6 @@ def light(
     report: Annotated[
         Path | None, typer.Option("--report", "-o", help="HTML page to write; prints on A4.")
     ] = None,
-    render: Annotated[
-        Path | None,
-        typer.Option("--render", help="PNG of a camera's expected view; needs levkas[render]."),
-    ] = None,
     overwrite: Overwrite = False,
     seed: Annotated[int, typer.Option(help="Seed of the random starts.", min=0)] = 1,
     as_json: Json = False,
@@ -42,17 +38,13 @@ def light(
     from levkas.core.ownership import require_free
     from levkas.planning.text_report import light_record, light_text
 
-    for path in filter(None, (report, render)):
-        require_free(path, overwrite=overwrite)
+    if report is not None:
+        require_free(report, overwrite=overwrite)
     record = light_record(setup, name, optimised=optimise, seed=seed)
     if report is not None:
         from levkas.pages.plan import write_report
 
         record["report"] = str(write_report(report, record.setup, name, seed=seed))
-    if render is not None:
-        from levkas.planning.render import render_sheet
-
-        record["render"] = str(render_sheet(record.setup, render, seed=seed))
     print_report("plan light", as_json, True, [], **record)
     if not as_json:
         typer.echo(light_text(record))

@@ -19,7 +19,6 @@ _HOMES = {
     "plan_dose": "exposure_plan",
     "plan_series": "exposure_series",
     "regulating_filter": "exposure_plan",
-    "render_sheet": "render",
     "illuminate": "setup",
     "sample_surface": "surface",
     "specular": "microfacet",

@@ -97,7 +97,7 @@ def light_text(record: dict[str, Any]) -> str:
         ]
         lines += [f"  {words}" for words in record["optimum"]["reasons"]]
     lines += [f"\n{words}" for words in dict.fromkeys(record["contradictions"])]
-    lines += [f"Written: {record[k]}" for k in ("report", "render") if k in record]
+    lines += [f"Written: {record['report']}"] * ("report" in record)
     return "\n".join(lines)
 
 
