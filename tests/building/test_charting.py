@@ -14,7 +14,7 @@ import levkas
 from levkas.building import build, status, summarise
 from levkas.building.charts import measure_charts
 from levkas.cli import app
-from levkas.colour.srgb import SRGB_TO_XYZ, encode_srgb, observer_under_d65
+from levkas.colour.srgb import SRGB_TO_XYZ, encode_srgb, observer_under
 from levkas.core.digests import hash_file
 from levkas.core.problems import Refused
 from levkas.database.validation import validate
@@ -237,7 +237,7 @@ def test_black_patches_of_eight_bits_have_no_more_signal_to_noise_than_rounding_
 
 def photograph(*, encoded=True):
     """A photograph of the chart, 8 bits, its colours as sRGB has them."""
-    grid, weights = observer_under_d65()
+    grid, weights = observer_under()
     reference = reference_of(CLASSIC)
     colours = reference.at(np.clip(grid, 380, 730)) @ weights @ np.linalg.inv(SRGB_TO_XYZ).T
     picture = np.full((250, 350, 3), 0.15)

@@ -12,7 +12,7 @@ from levkas.colour.srgb import (
     camera_matrix,
     encode_srgb,
     find_rendering,
-    observer_under_d65,
+    observer_under,
     preview,
     srgb_profile,
     visible_coverage,
@@ -133,7 +133,7 @@ def test_letters_of_channels_make_the_colours_of_figure_13():
 
 
 def test_a_camera_that_sees_as_we_do_is_colorimetric():
-    nm, target = observer_under_d65()
+    nm, target = observer_under()
     light = np.interp(nm, D65.wavelengths, D65.values)
     mixed = (target / light[:, None]) @ np.array([[1, 0.2, 0], [0.1, 1, 0.1], [0, 0.1, 1]])
     matrix, missed = camera_matrix(nm, mixed)

@@ -4,6 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from levkas.colour.gamut import gamut_cells, lab_colours, lab_of, munsell_lab, xyz_to_lab
+from levkas.colour.observer import read_table
 from levkas.colour.srgb import SRGB_TO_XYZ, encode_srgb
 from levkas.publish.swatches import _joined, draw_gamut
 
@@ -36,6 +37,13 @@ def test_every_colour_is_in_one_cell_and_counted_once(colours):
     assert cells[:, 3].sum() == len(colours)
     nearest = np.abs(np.array(colours)[:, None] - cells[None, :, :3]).max(-1).min(1)
     assert nearest.max() <= 0.5 + 1e-9
+
+
+def test_munsell_colours_are_those_of_colour_science():
+    from colour.notation.datasets.munsell.real import MUNSELL_COLOURS_REAL
+
+    theirs = [colour for _, colour in MUNSELL_COLOURS_REAL]
+    np.testing.assert_array_equal(read_table("munsell_real.csv"), theirs)
 
 
 def test_munsell_greys_reds_and_greens_lie_where_they_should():

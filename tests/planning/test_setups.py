@@ -193,7 +193,7 @@ def test_a_shallow_depth_of_field_and_a_closed_lens_are_said(rewritten):
 def test_illuminants_are_those_of_colour_science():
     import colour
 
-    for name in ("A", "D50", "D65", "E", "FL2"):
+    for name in ("A", "C", "D50", "D60", "D65", "E", "FL2", "FL3.15", "HP5", "LED-RGB1", "ID65"):
         w, power = illuminant(name)
         reference = colour.SDS_ILLUMINANTS[name]
         inside = (w >= 380) & (w <= 780)

@@ -51,7 +51,6 @@ RIM = frozenset(
 """Decide what is done, with what, and where; what comes of it is in the fingerprints themselves."""
 LIBRARIES: dict[str, tuple[str, ...]] = {
     "PIL": ("pillow",),
-    "colour": ("colour-science",),
     "cv2": ("opencv-python-headless",),
     "exifread": ("exifread",),
     "imagecodecs": ("imagecodecs",),

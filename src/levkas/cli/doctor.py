@@ -42,7 +42,6 @@ OLDEST_NODE = 20
 
 PURPOSES = {
     "bagit": "publish: BagIt",
-    "colour-science": "colour under an illuminant",
     "exifread": "EXIF of photographs",
     "filelock": "locks of databases and edits",
     "iiif-prezi3": "publish: IIIF manifests",

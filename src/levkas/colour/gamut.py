@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.colour.observer import read_table
 from levkas.colour.relighting import adaptation
 from levkas.colour.srgb import SRGB_TO_XYZ, encode_srgb, xyz_weights
 
@@ -87,12 +88,9 @@ def munsell_lab() -> np.ndarray:
 
     Notes
     -----
-    From colour-science's table of xyY under illuminant C, adapted to D65 by Bradford. That package
-    takes seconds to load.
+    `data/munsell_real.csv`: xyY under illuminant C, adapted to D65 by Bradford.
     """
-    from colour.notation.datasets.munsell.real import MUNSELL_COLOURS_REAL
-
-    table = np.array([colour for _, colour in MUNSELL_COLOURS_REAL], float)
+    table = read_table("munsell_real.csv")
     x, y, luminance = table[:, 0], table[:, 1], table[:, 2] / 100
     xyz = np.stack([x / y, np.ones(len(y)), (1 - x - y) / y], 1) * luminance[:, None]
     white = np.array([C_XY[0] / C_XY[1], 1.0, (1 - sum(C_XY)) / C_XY[1]])

@@ -1,10 +1,15 @@
-"""CIE daylight at any colour temperature, and illuminants A and E: the lights that filters simulate."""
+"""Spectra of lights: black bodies, CIE daylight at any colour temperature, and the illuminants of CIE 015:2018."""
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
-from levkas.colour.observer import read_table
+from levkas.colour.observer import read_names, read_table, tables_by_nm
+
+Light = str | tuple[np.ndarray, np.ndarray]
+"""The name of a light, or its wavelengths, nm, and relative power."""
 
 SECOND_RADIATION = 1.438776877e7
 """Planck's c2, nm·K (2019 SI)."""
@@ -73,7 +78,7 @@ def daylight(kelvin: float) -> tuple[np.ndarray, np.ndarray]:
 def illuminant(name: str) -> tuple[np.ndarray, np.ndarray] | None:
     """Return a CIE illuminant by its name, or None where there is none such.
 
-    A, E and D50, D55, D65, D75 are computed; any other is looked up in colour-science.
+    A, E and phases of daylight (D40 to D99) are computed; B, C, FL, HP, LED and ID are tables, 380 to 780 nm.
 
     Returns
     -------
@@ -95,10 +100,58 @@ def illuminant(name: str) -> tuple[np.ndarray, np.ndarray] | None:
     if wanted == "E":
         w = np.arange(300.0, 831.0, 5.0)
         return w, np.full(len(w), 100.0)
-    if wanted in ("D50", "D55", "D65", "D75"):
+    if re.fullmatch(r"D[4-9]\d", wanted):
         return daylight(100 * int(wanted[1:]) * 1.4388 / 1.4380)
-    import colour
+    names = read_names("cie_illuminants.csv")
+    if wanted not in names[1:]:
+        return None
+    table = read_table("cie_illuminants.csv")
+    return table[:, 0], table[:, names.index(wanted)]
 
-    known = colour.SDS_ILLUMINANTS
-    found = next((known[k] for k in known if k.upper() == wanted), None)
-    return None if found is None else (np.asarray(found.wavelengths), np.asarray(found.values))
+
+def light_on_grid(light: Light) -> np.ndarray:
+    """Return a light's relative power from 380 to 780 nm by 1.
+
+    Parameters
+    ----------
+    light : str or (wavelengths (n,), power (n,))
+        A name that `illuminant` knows, a black body such as ``"4000 K"``, or a measured spectrum, nm; beyond
+        its ends it keeps its first and last value.
+
+    Returns
+    -------
+    power : ndarray, (401,)
+
+    Raises
+    ------
+    ValueError
+        Where the name is not known, or the spectrum has no power.
+
+    Examples
+    --------
+    >>> power = light_on_grid("A")
+    >>> round(float(power[180] / power[20]), 3)  # 560 nm over 400 nm: 100 over 14.708
+    6.799
+    """
+    rows = tables_by_nm()
+    grid = rows[:, 0]
+    if isinstance(light, str) and light.upper() == "D65":
+        return rows[:, 4]
+    if isinstance(light, str) and (kelvin := re.fullmatch(r"(\d+(?:\.\d+)?)\s*K", light.strip())):
+        return _black_body(grid, float(kelvin.group(1)))
+    known = illuminant(light) if isinstance(light, str) else light
+    if known is None:
+        raise ValueError(
+            f"no light {light!r}; there are D40 to D99, A, C, E, FL1, LED-B1 …, and black bodies: 4000 K"
+        )
+    wavelengths, levels = (np.asarray(part, float) for part in known)
+    power = np.interp(grid, wavelengths, levels)
+    if not np.isfinite(power).all() or power.min() < 0 or power.sum() <= 0:
+        raise ValueError("a light needs power >= 0 at all wavelengths, and more than 0 at some")
+    return power
+
+
+def _black_body(wavelengths: np.ndarray, kelvin: float) -> np.ndarray:
+    if not 500 <= kelvin <= 100_000:
+        raise ValueError(f"a black body of {kelvin:g} K is outside the range of 500 to 100000 K")
+    return np.asarray(planck(wavelengths, kelvin))

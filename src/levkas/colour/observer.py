@@ -1,8 +1,7 @@
 """The CIE 1931 2° standard observer and illuminant D65, and the other tables of `colour/data`.
 
-They are files here because colour-science, which the tests compare them with, takes seconds to import:
-`cie_1931_observer_d65.csv` (CIE 018:2019 at every fifth nanometre; ISO/CIE 11664-2),
-`cie_daylight.csv` (components of daylight, CIE 015:2018) and `cie_illuminants.csv` (CIE 015:2018).
+`data/SOURCES.md` names the source of each; colour-science, 100 MB that take seconds to import, is what the tests
+compare them with.
 """
 
 from __future__ import annotations
@@ -17,10 +16,16 @@ DATA = Path(__file__).parent / "data"
 
 @cache
 def read_table(name: str) -> np.ndarray:
-    """Return the numbers of a table, (rows, columns); the first column is the wavelength, nm."""
+    """Return the numbers of a table, (rows, columns), without its head."""
     rows = np.loadtxt(DATA / name, delimiter=",", skiprows=1, encoding="utf-8")
     rows.flags.writeable = False
     return rows
+
+
+def read_names(name: str) -> list[str]:
+    """Return the names of the columns of a table."""
+    with (DATA / name).open(encoding="utf-8") as file:
+        return file.readline().strip().split(",")
 
 
 def tables() -> np.ndarray:

@@ -1,6 +1,6 @@
-"""Colour: spectra to sRGB under D65, and honest pseudo-colour where a camera sees none.
+"""Colour: spectra to XYZ under any light, to sRGB under D65, and honest pseudo-colour where a camera sees none.
 
-With S the D65 spectrum and x̄ an observer function, X = Σ S x̄ R / Σ S ȳ over 1 nm (CIE 15); bands
+With S the light and x̄ an observer function, X = Σ S x̄ R / Σ S ȳ over 1 nm (CIE 15); bands
 are interpolated linearly, so that a whole rendering is one matrix from bands to linear sRGB.
 """
 
@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.colour.illuminants import light_on_grid
 from levkas.colour.observer import DATA, tables_by_nm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from levkas.colour.illuminants import Light
     from levkas.core.cube import Band, Cube
 
 SRGB_TO_XYZ = np.array(
@@ -33,29 +35,40 @@ REFLECTANCE_CORRELATION = 0.995
 WORST_COLOUR_SHARE = 0.25
 
 
-@cache
-def observer_under_d65() -> tuple[np.ndarray, np.ndarray]:
-    """Return the CIE 1931 2° observer times D65.
+def observer_under(light: Light = "D65") -> tuple[np.ndarray, np.ndarray]:
+    """Return the CIE 1931 2° observer times a light.
+
+    Parameters
+    ----------
+    light : as in `levkas.colour.illuminants.light_on_grid`
 
     Returns
     -------
     wavelengths : ndarray, (401,), nm
         380 to 780 by 1.
     weights : ndarray, (401, 3)
-        Columns X, Y, Z; they sum to the white of sRGB, Y to 1.
+        Columns X, Y, Z; Y sums to 1, and under D65 all three to the white of sRGB.
+
+    Examples
+    --------
+    >>> observer_under("E")[1].sum(0).round(3).tolist()
+    [1.0, 1.0, 1.0]
     """
     rows = tables_by_nm()
-    weights = rows[:, 1:4] * rows[:, 4:]
-    return rows[:, 0], weights / weights.sum(0) * SRGB_TO_XYZ.sum(1)
+    weights = rows[:, 1:4] * light_on_grid(light)[:, None]
+    if isinstance(light, str) and light.upper() == "D65":
+        return rows[:, 0], weights / weights.sum(0) * SRGB_TO_XYZ.sum(1)
+    return rows[:, 0], weights / weights[:, 1].sum()
 
 
-def xyz_weights(wavelengths: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Weigh narrow bands to XYZ under D65.
+def xyz_weights(wavelengths: Sequence[float] | np.ndarray, light: Light = "D65") -> np.ndarray:
+    """Weigh narrow bands to XYZ under a light.
 
     Parameters
     ----------
     wavelengths : (bands,), nm
         In any order.
+    light : as in `levkas.colour.illuminants.light_on_grid`
 
     Returns
     -------
@@ -70,7 +83,7 @@ def xyz_weights(wavelengths: Sequence[float] | np.ndarray) -> np.ndarray:
     """
     centres = np.asarray(wavelengths, float)
     order = np.argsort(centres, kind="stable")
-    grid, table = observer_under_d65()
+    grid, table = observer_under(light)
     weights = np.empty((len(centres), 3))
     for place, band in enumerate(order):
         hat = np.interp(grid, centres[order], np.eye(len(centres))[place])
@@ -86,7 +99,7 @@ def visible_coverage(wavelengths: Sequence[float] | np.ndarray) -> float:
     >>> round(visible_coverage([400, 700]), 2), round(visible_coverage([650, 1100]), 2)
     (1.0, 0.0)
     """
-    grid, table = observer_under_d65()
+    grid, table = observer_under()
     inside = (grid >= np.min(wavelengths)) & (grid <= np.max(wavelengths))
     return float((table[inside].sum(0) / table.sum(0)).min())
 
@@ -259,7 +272,7 @@ def camera_matrix(wavelengths: np.ndarray, table: np.ndarray) -> tuple[np.ndarra
     the channels' shape. Reflectances are taken for a first-order Markov process over wavelength.
     """
     rows = tables_by_nm()
-    grid, target = observer_under_d65()
+    grid, target = observer_under()
     full = np.arange(min(380.0, wavelengths.min()), max(780.0, wavelengths.max()) + 1)
     light = np.interp(full, grid, rows[:, 4])
     seen = np.stack([np.interp(full, wavelengths, c, left=0, right=0) for c in table.T], 1)

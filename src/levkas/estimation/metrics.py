@@ -10,8 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from levkas.colour.gamut import xyz_to_lab
-from levkas.colour.relighting import white_of, xyz_weights_under
-from levkas.colour.srgb import visible_coverage
+from levkas.colour.srgb import observer_under, visible_coverage, xyz_weights
 from levkas.quality.targets.measuring import delta_e_2000
 
 MRAE_FLOOR = 0.01
@@ -102,7 +101,7 @@ def delta_e(
     ----------
     wavelengths : (bands,), nm
     illuminant : str
-        As in `levkas.colour.relighting.light_on_grid`: D65, A.
+        As in `levkas.colour.illuminants.light_on_grid`: D65, A.
 
     Examples
     --------
@@ -113,7 +112,7 @@ def delta_e(
     >>> round(float(delta_e(grey, white, bands, "A")), 2)  # 50 / (1 + 0.015·25² / √(20 + 25²))
     36.52
     """
-    weights, white = xyz_weights_under(wavelengths, illuminant), white_of(illuminant)
+    weights, white = xyz_weights(wavelengths, illuminant), observer_under(illuminant)[1].sum(0)
     labs = [
         xyz_to_lab(np.maximum(np.asarray(values, float), 0) @ weights, white)
         for values in (estimated, measured)

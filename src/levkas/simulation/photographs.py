@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
+from levkas.quality.targets.charts import CHARTS, reference_of
 from levkas.simulation.icon import age
 from levkas.simulation.painting import Canvas, Painting, Panel
 from levkas.simulation.pigments import WAVELENGTHS, paint_spectra
@@ -134,15 +135,12 @@ def patch_spectra() -> np.ndarray:
 
     Notes
     -----
-    BabelColor's average of many charts, as colour-science has it, 380–730 nm. Beyond 730 nm the
-    last value is held: nobody has published the charts there.
+    BabelColor's average of 30 charts, 380–730 nm. Beyond 730 nm the last value is held: nobody has published the
+    charts there.
     """
-    # colour-science sets numpy's printing back to that of version 1.13 for the whole process.
-    with np.printoptions():
-        from colour import SDS_COLOURCHECKERS
-
-    patches = SDS_COLOURCHECKERS["BabelColor Average"].values()
-    return np.stack([np.interp(WAVELENGTHS, sd.wavelengths, sd.values) for sd in patches])
+    published = reference_of(CHARTS["ColorChecker24"])
+    assert published is not None, "spectra of the Classic are in the package"
+    return np.stack([np.interp(WAVELENGTHS, published.wavelengths, s) for s in published.spectra])
 
 
 def paint_chart(px_per_mm: float) -> Painting:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from levkas.colour.gamut import xyz_to_lab
-from levkas.colour.srgb import SRGB_TO_XYZ, observer_under_d65, visible_coverage, xyz_weights
+from levkas.colour.srgb import SRGB_TO_XYZ, observer_under, visible_coverage, xyz_weights
 from levkas.core.cube import Band, Cube, Flag, is_flagged
 from levkas.quality.targets.charts import (
     Chart,
@@ -437,9 +437,9 @@ def compare_colours(
     to the chart itself, each patch by the matrix of all the others: an upper bound of what a
     profile would leave, and no measure of the camera's lighting.
     """
-    grid, _ = observer_under_d65()
+    grid, _ = observer_under()
     spectra = reference.at(np.clip(grid, reference.wavelengths[0], reference.wavelengths[-1]))
-    wanted = spectra @ observer_under_d65()[1]
+    wanted = spectra @ observer_under()[1]
     narrow = np.isfinite(wavelengths)
     covered = narrow.sum() >= 8 and visible_coverage(wavelengths[narrow]) >= LEAST_COVERAGE
     weights = np.zeros(means.shape[1])
@@ -472,7 +472,7 @@ def lab_of(xyz: np.ndarray) -> np.ndarray:
     >>> [round(float(v)) for v in lab_of(np.array([0.9505, 1.0, 1.089]) / 2)]
     [76, 0, 0]
     """
-    return xyz_to_lab(np.maximum(xyz, 0), observer_under_d65()[1].sum(0))
+    return xyz_to_lab(np.maximum(xyz, 0), observer_under()[1].sum(0))
 
 
 def delta_e_2000(a: np.ndarray, b: np.ndarray) -> np.ndarray:
