@@ -44,7 +44,6 @@ PURPOSES = {
     "bagit": "publish: BagIt",
     "exifread": "EXIF of photographs",
     "filelock": "locks of databases and edits",
-    "iiif-prezi3": "publish: IIIF manifests",
     "imagecodecs": "compressed TIFFs",
     "jinja2": "report pages",
     "markdown-it-py": "publish: README as a page",
@@ -57,10 +56,8 @@ PURPOSES = {
     "pillow": "previews",
     "psutil": "memory and processors",
     "pydantic": "campaign.toml",
-    "pyvips": "publish: IIIF tiles",
     "rawpy": "camera raw files",
     "rich": "progress on a terminal",
-    "rocrate": "publish: RO-Crate",
     "scikit-image": "SSIM",
     "scipy": "filters and solvers",
     "starlette": "inspect: the workbench's server",
@@ -190,7 +187,6 @@ def _look(folder: Path) -> Iterator[MachineFinding]:
             "the list of packages that it requires", "pip install -e .",
         )  # fmt: skip
     yield _libraw()
-    yield _libvips()
     yield _opencv()
     yield _codecs()
     yield _find_memory()
@@ -274,17 +270,8 @@ def _libraw() -> MachineFinding:
     )
 
 
-def _libvips() -> MachineFinding:
-    purpose, fix = "publish: IIIF tiles", 'Install libvips, or pip install "pyvips[binary]".'
-    if broken := _import_error("pyvips"):
-        return MachineFinding("libvips", "missing", broken, "a libvips that loads", purpose, fix)
-    vips = importlib.import_module("pyvips")
-    found = ".".join(str(vips.version(part)) for part in range(3))
-    return MachineFinding("libvips", "ok", found, "a libvips that loads", purpose)
-
-
 def _opencv() -> MachineFinding:
-    purpose, fix = "registration", 'pip install "opencv-python-headless>=4.10"'
+    purpose, fix = "registration", 'pip install "opencv-python-headless>=4.11"'
     expected = "SIFT, MAGSAC, PNG and JPEG"
     if broken := _import_error("cv2"):
         return MachineFinding("OpenCV", "missing", broken, expected, purpose, fix)

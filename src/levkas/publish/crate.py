@@ -1,7 +1,7 @@
 """ro-crate-metadata.json: the folder described by RO-Crate 1.1, every file and every step of its making.
 
-Spelled by the `rocrate` package from plain entities. Dates are those of the captures and of the
-publication, never the clock's.
+Entities are plain JSON-LD; the tests read them with the `rocrate` package. Dates are those of the captures and of
+the publication, never the clock's.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 NAME = "ro-crate-metadata.json"
 PREVIEW = "ro-crate-preview.html"
-VERSION = "1.1"
+PROFILE = "https://w3id.org/ro/crate/1.1"
 TERMS = {"sha256": "https://w3id.org/ro/terms/workflow-run#sha256"}
 """Words that RO-Crate 1.1 has not, and where they are explained."""
 WHOLE = ("zarr", "iiif", "viewer")
@@ -62,19 +62,17 @@ def write_crate(publication: Publication) -> Iterator[str]:
 
 def describe_crate(publication: Publication) -> dict[str, Any]:
     """Return the metadata document of a publication."""
-    from rocrate.rocrate import ROCrate
-
-    crate = ROCrate(version=VERSION)
-    crate.metadata.extra_terms.update(TERMS)
     entities: dict[str, Entity] = {}
     root = _describe_root(publication, entities)
-    for entity in entities.values():
-        crate.add_jsonld(dict(entity))
-    for key, value in root.items():
-        crate.root_dataset[key] = value
-    document: dict[str, Any] = crate.metadata.generate()
-    document["@graph"] = [_singled(e) for e in sorted(document["@graph"], key=_order)]
-    return document
+    entities[NAME] = {
+        "@id": NAME,
+        "@type": "CreativeWork",
+        "conformsTo": {"@id": PROFILE},
+        "about": {"@id": "./"},
+    }
+    entities["./"] = {"@id": "./", "@type": "Dataset", **root}
+    graph = [_singled(entity) for entity in sorted(entities.values(), key=_order)]
+    return {"@context": [f"{PROFILE}/context", TERMS], "@graph": graph}
 
 
 def _singled(entity: Entity) -> Entity:

@@ -5,9 +5,7 @@ whole addresses: they are below the publication's, or below `LOCAL` where none w
 
 from __future__ import annotations
 
-import io
 import json
-import zipfile
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -16,11 +14,11 @@ import numpy as np
 
 from levkas.colour.srgb import srgb_profile
 from levkas.core.json_safe import to_json
-from levkas.core.problems import Problem
-from levkas.core.text import counted, parse_json
+from levkas.core.text import counted
 from levkas.publish.annotations import annotations_of
 from levkas.publish.citation import cite
-from levkas.publish.publication import PublishRefused, describe_dataset
+from levkas.publish.publication import describe_dataset
+from levkas.publish.viewer.pyramid import cut, encode_jpeg, fit_within, halve
 
 if TYPE_CHECKING:
     from levkas.database.catalogue import Entry
@@ -33,13 +31,7 @@ CONTEXT = "http://iiif.io/api/presentation/3/context.json"
 
 
 def write_iiif(publication: Publication) -> Iterator[str]:
-    """Write iiif/: OBJECT/LAYER/ tiles, OBJECT/manifest.json, collection.json; and check them.
-
-    Raises
-    ------
-    PublishRefused
-        Where a rule of IIIF is not kept.
-    """
+    """Write iiif/: OBJECT/LAYER/ tiles, OBJECT/manifest.json, collection.json."""
     if not publication.iiif:
         return
     base = publication.base
@@ -71,9 +63,7 @@ def describe_object(
     shown: list[dict[str, Any]],
     notes: Annotations,
 ) -> dict[str, Any]:
-    """Return the manifest of an object, as `iiif_prezi3` spells it."""
-    from iiif_prezi3 import Manifest
-
+    """Return the manifest of an object."""
     facts, base = publication.facts.objects.get(name, {}), publication.base
     here, title = address(base, FOLDER, name), facts.get("title") or name
     width, height = layers[0].width, layers[0].height
@@ -103,7 +93,8 @@ def describe_object(
     if items := notes.of(name):
         page = {"id": f"{here}/canvas/notes", "type": "AnnotationPage", "items": items}
         canvas["annotations"] = [page]
-    record = {
+    return {
+        "@context": CONTEXT,
         "id": f"{here}/manifest.json",
         "type": "Manifest",
         "label": {"none": [title]},
@@ -114,16 +105,14 @@ def describe_object(
         "seeAlso": _records(base),
         **_rights(publication),
     }
-    return _spelled(Manifest, record)
 
 
 def describe_collection(
     publication: Publication, base: str, manifests: list[dict[str, Any]]
 ) -> dict[str, Any]:
     """Return the collection of all objects."""
-    from iiif_prezi3 import Collection
-
-    record = {
+    return {
+        "@context": CONTEXT,
         "id": address(base, FOLDER, "collection.json"),
         "type": "Collection",
         "label": {"none": [publication.facts.title]},
@@ -136,7 +125,6 @@ def describe_collection(
         "seeAlso": _records(base),
         **_rights(publication),
     }
-    return _spelled(Collection, record)
 
 
 def _page(place: str, words: str) -> dict[str, Any]:
@@ -176,22 +164,6 @@ def never_html(text: str) -> str:
     ' <b>x</b>'
     """
     return f" {text}" if text.startswith("<") else text
-
-
-def _spelled(kind: Any, record: dict[str, Any]) -> dict[str, Any]:
-    """Let the library take the record, refuse what is not IIIF, and spell it."""
-    from pydantic import ValidationError
-
-    try:
-        made: dict[str, Any] = parse_json(kind(**record).json())
-    except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(map(str, first["loc"]))
-        raise PublishRefused(
-            Problem("E_IIIF", f"IIIF takes no such value: {first['msg']}", None, field)
-        ) from error
-    made.pop("@context", None)
-    return {"@context": CONTEXT, **made}
 
 
 def _layers(publication: Publication, name: str) -> list[Entry]:
@@ -299,32 +271,40 @@ def cut_tiles(picture: np.ndarray, identifier: str) -> Iterator[tuple[str, bytes
     data : bytes
         The same at any time and for any number of threads.
     """
-    import pyvips
-
-    height, width, bands = picture.shape
-    image = pyvips.Image.new_from_memory(
-        np.ascontiguousarray(picture, np.uint8).data, width, height, bands, "uchar"
-    ).copy(interpretation="srgb")
-    image.set_type(pyvips.GValue.blob_type, "icc-profile-data", srgb_profile())
-    suffix = f".jpg[Q={QUALITY}]"  # sRGB is what browsers take an untagged tile for
-    packed = image.dzsave_buffer(
-        basename="image", layout="iiif3", id="", suffix=suffix, container="zip", tile_size=TILE
-    )
-    names: dict[str, bytes] = {}
-    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
-        for entry in archive.infolist():
-            folder, _, name = entry.filename.partition("/")
-            if name and folder == "image":  # beside it stands a file with the time
-                names[name] = archive.read(entry)
-    record = json.loads(names.pop("info.json"))
-    sizes = [thumbnail_size(width, height), (width, height)]
-    small = image.thumbnail_image(sizes[0][0], height=sizes[0][1], size="force")
-    names[f"full/{sizes[0][0]},{sizes[0][1]}/0/default.jpg"] = _jpeg(small)
-    whole = _jpeg(image)
-    names["full/max/0/default.jpg"] = whole
-    names[f"full/{width},{height}/0/default.jpg"] = whole
-    yield "info.json", (json.dumps(_info(record, identifier, sizes), indent=1) + "\n").encode()
-    yield from sorted(names.items())
+    height, width = picture.shape[:2]
+    files: dict[str, bytes] = {}
+    factors, level = [1], picture
+    while True:
+        reach = TILE * factors[-1]
+        for column, row, tile in cut(level, TILE, overlap=0):
+            x, y = column * reach, row * reach
+            wide, high = min(reach, width - x), min(reach, height - y)
+            region = "full" if (wide, high) == (width, height) else f"{x},{y},{wide},{high}"
+            size = f"{tile.shape[1]},{tile.shape[0]}"
+            # Untagged: sRGB is what browsers take a tile for.
+            files[f"{region}/{size}/0/default.jpg"] = encode_jpeg(tile, quality=QUALITY)
+        if max(level.shape[:2]) <= TILE:
+            break
+        level = halve(level)
+        factors.append(2 * factors[-1])
+    small = fit_within(picture, THUMBNAIL)
+    sizes = [(small.shape[1], small.shape[0]), (width, height)]
+    for (w, h), image in zip(sizes, (small, picture), strict=True):
+        whole = encode_jpeg(image, quality=QUALITY, profile=srgb_profile())
+        files[f"full/{w},{h}/0/default.jpg"] = files["full/max/0/default.jpg"] = whole
+    info = {
+        "@context": IMAGE_CONTEXT,
+        "id": identifier,
+        "type": "ImageService3",
+        "protocol": "http://iiif.io/api/image",
+        "profile": "level0",
+        "width": width,
+        "height": height,
+        "sizes": [{"width": w, "height": h} for w, h in dict.fromkeys(sizes)],
+        "tiles": [{"scaleFactors": factors, "width": TILE}],
+    }
+    yield "info.json", (json.dumps(info, indent=1) + "\n").encode()
+    yield from sorted(files.items())
 
 
 def thumbnail_size(width: int, height: int) -> tuple[int, int]:
@@ -344,23 +324,3 @@ def address(base: str, *parts: str) -> str:
     'https://example.org/iiif/icon%201'
     """
     return base + "/".join(quote(part, safe="@") for part in parts)
-
-
-def _info(record: dict[str, Any], identifier: str, sizes: list[tuple[int, int]]) -> dict[str, Any]:
-    """Return info.json in a fixed order, with the tiles that libvips made."""
-    return {
-        "@context": IMAGE_CONTEXT,
-        "id": identifier,
-        "type": "ImageService3",
-        "protocol": "http://iiif.io/api/image",
-        "profile": "level0",
-        "width": record["width"],
-        "height": record["height"],
-        "sizes": [{"width": w, "height": h} for w, h in dict.fromkeys(sizes)],
-        "tiles": record["tiles"],
-    }
-
-
-def _jpeg(image: Any) -> bytes:
-    data: bytes = image.jpegsave_buffer(Q=QUALITY, keep="icc")
-    return data

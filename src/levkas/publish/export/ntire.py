@@ -6,7 +6,6 @@ Their loaders read ``cube`` with h5py as (bands, width, height), pair ``Train_Sp
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import numpy as np
 
 from levkas.core.files import replacing, write_bytes, write_text
 from levkas.publish.export.layer import ExportLayer, missing_library
+from levkas.publish.viewer.pyramid import encode_jpeg
 
 QUALITY = 95
 USER_BLOCK = 512
@@ -86,14 +86,10 @@ def _write_mat73(layer: ExportLayer, path: Path) -> None:
 
 
 def _encode_jpeg(layer: ExportLayer) -> bytes:
-    from PIL import Image
-
     from levkas.database.tiff_pages import open_pages
 
     picture = open_pages(layer.path).read_render()
     if picture is None:
         height, width, _ = layer.shape
         picture = np.zeros((height, width, 3), np.uint8)
-    target = io.BytesIO()
-    Image.fromarray(picture).save(target, "JPEG", quality=QUALITY, subsampling=0)
-    return target.getvalue()
+    return encode_jpeg(picture, quality=QUALITY)

@@ -24,7 +24,7 @@ from levkas.database.tiff_pages import open_pages
 from levkas.pages.page import describe_decision
 from levkas.publish.viewer.pages import address, worst
 from levkas.publish.viewer.pictures import Source, analyses_of, pictures_of
-from levkas.publish.viewer.pyramid import encode_thumbnail, fit_within, write_pyramid
+from levkas.publish.viewer.pyramid import encode_jpeg, fit_within, write_pyramid
 from levkas.publish.viewer.spectra import write_lattices, write_spectra
 from levkas.registration.record import DECISIONS
 
@@ -162,7 +162,7 @@ def write_thumbnail(write: Write, item: Item) -> tuple[str, int, int] | None:
     if image is None:
         return None
     small = fit_within(image, THUMBNAIL_PX["card"])
-    write(f"viewer/objects/{item.name}/thumbnail.jpg", encode_thumbnail(small))
+    write(f"viewer/objects/{item.name}/thumbnail.jpg", encode_jpeg(small))
     height, width = small.shape[:2]
     return address("viewer", "objects", item.name, "thumbnail.jpg"), width, height
 
@@ -232,7 +232,7 @@ def _write_layer(
         if not thumbnail:
             thumbnail = f"layers/{number}/thumbnail.jpg"
             small = fit_within(picture.image, THUMBNAIL_PX["layer"])
-            write(f"{home}/{thumbnail}", encode_thumbnail(small))
+            write(f"{home}/{thumbnail}", encode_jpeg(small))
         pyramid = write_pyramid(
             write, f"{home}/{folder}", picture.image, key=folder, palette=picture.palette
         )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import base64
 import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -83,20 +83,16 @@ def count_levels(width: int, height: int) -> int:
     return 1 + max(width - 1, height - 1).bit_length()
 
 
-def cut(image: np.ndarray) -> Any:
-    """Yield (column, row, tile) of one level; a tile has its neighbours' nearest pixels too."""
+def cut(
+    image: np.ndarray, side: int = TILE_PX, overlap: int = OVERLAP_PX
+) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Yield (column, row, tile) of one level; a tile has its neighbours' nearest `overlap` pixels too."""
     height, width = image.shape[:2]
-    for row in range(-(-height // TILE_PX)):
-        for column in range(-(-width // TILE_PX)):
-            top, left = row * TILE_PX, column * TILE_PX
-            yield (
-                column,
-                row,
-                image[
-                    max(0, top - OVERLAP_PX) : top + TILE_PX + OVERLAP_PX,
-                    max(0, left - OVERLAP_PX) : left + TILE_PX + OVERLAP_PX,
-                ],
-            )
+    for row in range(-(-height // side)):
+        for column in range(-(-width // side)):
+            top, left = row * side, column * side
+            rows = slice(max(0, top - overlap), top + side + overlap)
+            yield column, row, image[rows, max(0, left - overlap) : left + side + overlap]
 
 
 def halve(image: np.ndarray, *, categories: bool = False) -> np.ndarray:
@@ -138,13 +134,15 @@ def encode_webp(image: np.ndarray) -> bytes:
     return target.getvalue()
 
 
-def encode_thumbnail(image: np.ndarray) -> bytes:
+def encode_jpeg(
+    image: np.ndarray, *, quality: int = THUMBNAIL_QUALITY, profile: bytes | None = None
+) -> bytes:
     """Encode (height, width) or (height, width, 3) uint8 as JPEG, colours as fine as lightness."""
     from PIL import Image
 
     target = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(image)).save(
-        target, "JPEG", quality=THUMBNAIL_QUALITY, subsampling=0, optimize=False
+        target, "JPEG", quality=quality, subsampling=0, optimize=False, icc_profile=profile
     )
     return target.getvalue()
 
