@@ -1,4 +1,4 @@
-"""Closed forms of a plan against Mitsuba (pip install mitsuba) on twelve setups: python benchmarks/plan_render.py
+"""Closed forms of a plan against Mitsuba (levkas[peers]) on twelve setups: python benchmarks/plan_render.py
 
 Each lamp is rendered alone, so that nothing is random but where in its pixel a ray starts. Mitsuba's
 world is right-handed with y upwards: Levkas' with y turned round.

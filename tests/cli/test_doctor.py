@@ -63,10 +63,10 @@ def test_an_old_libraw_is_missing_and_says_how_to_get_another(monkeypatch):
 
 
 def test_what_only_one_feature_needs_is_absent_and_no_problem(monkeypatch):
-    require(monkeypatch, "no-such-thing>=2 ; extra == 'render'")
+    require(monkeypatch, "no-such-thing>=2 ; extra == 'export'")
     examination = doctor.examine()
     absent = finding(examination, "no-such-thing")
-    assert (absent.state, absent.needed_for) == ("absent", doctor.EXTRAS["render"])
+    assert (absent.state, absent.needed_for) == ("absent", doctor.EXTRAS["export"])
     assert examination.ok
     assert f'for {absent.needed_for}. pip install "no-such-thing>=2"' in examination.text
 
