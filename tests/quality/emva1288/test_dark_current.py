@@ -125,18 +125,12 @@ def tunable(folder, *, shots):
     return folder
 
 
-@pytest.mark.parametrize("shots", [1, 3])
-def test_a_dark_time_a_band_leaves_black_gain_and_prnu_as_they_are(tmp_path, shots):
-    found = examine_with_seed(tunable(tmp_path, shots=shots))
+def test_a_dark_time_a_band_leaves_black_gain_and_prnu_as_they_are(tmp_path):
+    found = examine_with_seed(tunable(tmp_path, shots=3))
     assert found.ok, found.problems
     (channel,) = found.sensors[0].channels.values()
-    if shots == 1:  # what the dark current's pattern leaves of two bands passes for noise: 1 %
-        assert channel.gain.value == pytest.approx(GAIN, rel=0.03)
-        assert channel.black.value == pytest.approx(BLACK, abs=0.05)
-        assert channel.prnu.value == pytest.approx(PRNU, rel=0.03)
-    else:
-        check([channel])
-    assert (channel.dark_noise is None) == (shots == 1)  # one shot of each tells a bound at most
+    check([channel])
+    assert channel.dark_noise is not None
     assert channel.dark_current.value == pytest.approx(CURRENT, rel=0.02)
 
 

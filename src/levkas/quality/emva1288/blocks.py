@@ -35,8 +35,6 @@ class Blocks:
     exposure_s : float, optional
     band : str, optional
         Of a tunable filter, which may have a dark for each band.
-    level : ndarray, (n,), optional
-        Counts without light in `mean`, where they are known apart from the darks.
     """
 
     mean: np.ndarray
@@ -45,7 +43,6 @@ class Blocks:
     shots: int
     exposure_s: float | None = None
     band: str | None = None
-    level: np.ndarray | None = None
 
 
 def block_statistics(
@@ -147,41 +144,27 @@ MOST_APART = 6.0
 
 
 def pair_blocks(
-    first: Template,
-    second: Template,
-    *,
-    dark: tuple[float, float] = (0.0, 0.0),
-    pattern: str | Sequence[Sequence[str]] | None = None,
-    scaled: bool = True,
-    clipped: bool = False,
-    side: int = SIDE,
+    first: Template, second: Template, *, dark: float = 0.0, side: int = SIDE
 ) -> Blocks:
-    """Reduce two single frames of one fixed pattern to blocks, as if they were two shots of one level.
+    """Reduce two neighbouring lines of a mirror scanner's white to blocks, as if they were two shots of one level.
 
-    Behind a tunable filter the white of another band, and in an exposure series another time, show the
-    same sensels and the same scene at another level. a − α·b, with α the ratio of the two levels, is
-    free of PRNU, texture and scene; its variance is that of noise over time, K·a(1 + α) + read²(1 + α²).
+    Both show the same sensels under proportional light. a − α·b, with α the ratio of the two levels, is
+    free of PRNU; its variance is that of noise over time, K·a(1 + α) + read²(1 + α²).
 
     Parameters
     ----------
     first, second : Template, (h, w)
         Of the same sensor and, block by block, of proportional light.
-    dark : (float, float)
-        Counts without light of each.
-    pattern : str or rows of names, optional
-        Of a mosaic behind the filter: phases are reduced apart and put together.
-    scaled : bool
-        Bring `second` to the level of `first` block by block; False for darks, which differ by an offset.
-    clipped : bool
-        Use blocks with pixels at black too.
+    dark : float
+        Counts without light.
     side : int
-        Of a block, in pixels of one phase.
+        Of a block, in pixels.
 
     Returns
     -------
     blocks : Blocks
-        Of 2 shots; `mean` is counts above dark at which one shot has the variance `temporal`, and `level` the
-        counts without light at which it has the variance of the dark's. NaN where a frame is saturated, or the levels lie more than a factor of 6 apart.
+        Of 2 shots; `mean` is counts above dark at which one shot has the variance `temporal`. NaN where a frame is
+        saturated or at black, or the levels lie more than a factor of 6 apart.
 
     Examples
     --------
@@ -195,39 +178,23 @@ def pair_blocks(
     >>> round(float(gain), 3), round(float(prnu), 3)
     (0.1, 0.02)
     """
-    rows, columns = (1, 1) if pattern is None else channel_table(pattern).shape
-    bad = first.saturated | second.saturated
-    if not clipped:
-        bad = bad | first.black | second.black
-    planes = (split(a, rows, columns) for a in (first.mean - dark[0], second.mean - dark[1], bad))
-    parts = [_pair_phase(a, b, marks, scaled, side) for a, b, marks in zip(*planes, strict=True)]
-    mean, temporal, spatial, squared = np.concatenate(parts, axis=1)
-    level = (dark[0] + squared * dark[1]) / (1 + squared)  # as the two shots' noise is weighted
-    return Blocks(mean, temporal, spatial, 2, first.exposure_s, level=level)
-
-
-def _pair_phase(
-    a: np.ndarray, b: np.ndarray, bad: np.ndarray, scaled: bool, side: int
-) -> np.ndarray:
-    """Return level, variance over time, variance of the mean and squared ratio of each block, (4, n)."""
-    level, rest = without_plane(a, side)
-    other, other_rest = without_plane(b, side)
+    bad = first.saturated | second.saturated | first.black | second.black
+    level, rest = without_plane(first.mean - dark, side)
+    other, other_rest = without_plane(second.mean - dark, side)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = level / other if scaled else np.ones_like(level)
+        ratio = level / other
     known = np.isfinite(ratio) & (ratio > 1 / MOST_APART) & (ratio < MOST_APART)
     ratio = np.where(known, ratio, 1.0)
     brought = ratio[:, None] * other_rest
     apart, freedom = rest - brought, side * side - 3
     temporal = np.sum(apart**2, 1) / freedom / (1 + ratio**2)
     fixed = np.sum(rest * brought, 1) / freedom
-    alike = (1 + ratio) / (1 + ratio**2) if scaled else np.ones_like(ratio)
-    mean = level * alike if scaled else (level + other) / 2
-    stray = _strays(apart, known) | _strays(rest, known)  # hot sensels are alike in both
-    lost = without_plane(bad.astype(np.float32), side)[0] > 0
-    found = np.stack([mean, temporal, fixed * alike**2 + temporal / 2, ratio**2])
-    found[:3, lost | ~known] = np.nan
-    found[1:3, stray] = np.nan
-    return found
+    alike = (1 + ratio) / (1 + ratio**2)
+    mean, spatial = level * alike, fixed * alike**2 + temporal / 2
+    lost = (without_plane(bad.astype(np.float32), side)[0] > 0) | ~known
+    stray = _strays(apart, known) | _strays(rest, known) | lost  # hot sensels are alike in both
+    mean[lost] = temporal[stray] = spatial[stray] = np.nan
+    return Blocks(mean, temporal, spatial, 2, first.exposure_s)
 
 
 def _strays(rest: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -146,14 +146,10 @@ class DarkModel:
 
     def signal(self, stack: Blocks) -> np.ndarray:
         """Return the counts above dark of a stack, block by block."""
-        if stack.level is not None:
-            return np.asarray(stack.mean - stack.level)
         return np.asarray(stack.mean - self.under(stack.band, stack.exposure_s))
 
     def dark_signal(self, stack: Blocks) -> np.ndarray | float:
         """Return the counts of dark current in a stack beyond those in `first`: they have shot noise as light has."""
-        if stack.level is not None:
-            return np.asarray(stack.level - self.first.level) if np.isfinite(self.current) else 0.0
         times = (stack.exposure_s, self.first.exposure_s)
         if not all(times) or same_time(*times):
             return 0.0

@@ -1,14 +1,12 @@
-"""Reduction of the frames of a campaign to the stacks of each sensor: areas, line scanners, single shots.
+"""Reduction of the frames of a campaign to the stacks of each sensor: areas and line scanners.
 
-Of a line scanner every line of dark and white is a shot of all samples and bands. Where a tunable filter has
-one shot of everything, other bands and other exposures of a scene replace repeats.
+Of a line scanner every line of dark and white is a shot of all samples and bands.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,7 +27,6 @@ from levkas.quality.emva1288.blocks import (
 )
 from levkas.quality.emva1288.darks import Dark, model_darks
 from levkas.quality.emva1288.sensor_stacks import (
-    Key,
     SensorStacks,
     by_exposure,
     fit_clipped,
@@ -104,7 +101,6 @@ def _gather_frames(
         for channel, found in blocks.items():
             kind.setdefault(channel, []).append(found)
     sensor.levels = find_levels(histogram)
-    pair_single_shots(sensor, frames, objects)
     if not sensor.darks and (hidden or bench.black is not None):
         put_black(sensor, 0.0 if bench.black is None else bench.black)
     _scaling(sensor, objects, bands, hidden=not any(levels.values()))
@@ -291,7 +287,7 @@ def _pair(sensor: SensorStacks, first: np.ndarray, second: np.ndarray, level: fl
     full = sensor.bench.saturation
     a, side = _laid_out(average([first], saturation=full))
     b, _ = _laid_out(average([second], saturation=full))
-    return pair_blocks(a, b, dark=(level, level), side=side)
+    return pair_blocks(a, b, dark=level, side=side)
 
 
 def _codes_of(shots: Sequence[FrameRef]) -> np.ndarray:
@@ -350,107 +346,3 @@ def _spread_along_samples(
     with np.errstate(divide="ignore", invalid="ignore"):
         spread = (spread - noise) * centre**2 / np.mean(level**2, axis=1) + noise
     return np.where(np.isfinite(spread), spread, np.nan)
-
-
-MOST_STAND_INS = 5
-
-
-def pair_single_shots(
-    sensor: SensorStacks, frames: SensorFrames, objects: Sequence[tuple[str, tuple[FrameRef, ...]]]
-) -> None:
-    """Pair single frames of a tunable filter where no lit stack has two shots, with a note.
-
-    Whites of neighbouring bands, exposures of the first object, and darks of two bands become stacks of two
-    shots in `sensor`. What only true repeats can show, the lamp's drift and flicker, is left out.
-    """
-    lit = [b for kind in (sensor.whites, sensor.scenes) for many in kind.values() for b in many]
-    if sensor.bench.camera.kind != "bands" or any(b.shots > 1 for b in lit):
-        return
-    pairs = [
-        (_pair_darks(sensor, frames), "darks of two bands"),
-        (_pair_whites(sensor, frames), "whites of neighbouring bands"),
-        (_pair_exposures(sensor, frames, objects), "exposures of one scene"),
-    ]
-    used = [name for count, name in pairs if count]
-    if used:
-        sensor.notes.append(
-            f"one shot of everything: {', '.join(used)} stand in for repeats; the sensor's fixed pattern is "
-            "assumed to be the same in both. Drift and flicker of the lamp need two shots or more of one scene"
-        )
-
-
-def _pair_darks(sensor: SensorStacks, frames: SensorFrames) -> int:
-    """Let the darks of two bands of one time be the two shots of a dark."""
-    kept = sensor.darks.get("", [])
-    if not kept or np.isfinite(kept[0].temporal).any():
-        return 0
-    groups = [shots[0] for shots in by_exposure(frames.dark).values()]
-    alike = [f for f in groups if f.exposure_s == groups[0].exposure_s]
-    if len(alike) < 2:
-        return 0
-    first, second = (sensor.bench.average([f]) for f in alike[:2])
-    blocks = pair_blocks(
-        first, second, pattern=sensor.bench.sensor.pattern, scaled=False, clipped=True
-    )
-    sensor.darks[""][0] = Dark.of_blocks(blocks)
-    return 1
-
-
-def _pair_whites(sensor: SensorStacks, frames: SensorFrames) -> int:
-    shots = [group[0] for (band, _), group in by_exposure(frames.white).items() if band]
-    pairs = list(pairwise(shots))
-    chosen = np.unique(np.linspace(0, len(pairs) - 1, min(MOST_STAND_INS, len(pairs))).round())
-    for i in chosen.astype(int).tolist():
-        _add(sensor, frames, sensor.whites, pairs[i])
-    return len(chosen)
-
-
-def _pair_exposures(
-    sensor: SensorStacks, frames: SensorFrames, objects: Sequence[tuple[str, tuple[FrameRef, ...]]]
-) -> int:
-    made = 0
-    for _, taken in objects[:1]:
-        groups: dict[str | None, list[FrameRef]] = {}
-        for (band, time), shots in by_exposure(taken).items():
-            if time:
-                groups.setdefault(band, []).append(shots[0])
-        several = [g for g in groups.values() if len(g) > 1]
-        chosen = np.unique(
-            np.linspace(0, len(several) - 1, min(MOST_STAND_INS, len(several))).round()
-        )
-        for i in chosen.astype(int).tolist():
-            for pair in pairwise(several[i]):
-                _add(sensor, frames, sensor.scenes, pair)
-                made += 1
-    return made
-
-
-def _add(
-    sensor: SensorStacks,
-    frames: SensorFrames,
-    kind: dict[str, list],  # type: ignore[type-arg]
-    pair: tuple[FrameRef, FrameRef],
-) -> None:
-    """Add the blocks of a pair, with the counts without light that belong to both."""
-    first, second = (sensor.bench.average([frame]) for frame in pair)
-    dark = _level(sensor, frames, pair[0]), _level(sensor, frames, pair[1])
-    blocks = pair_blocks(first, second, dark=dark, pattern=sensor.bench.sensor.pattern)
-    # The time is left out: between two exposures there is none.
-    kind.setdefault("", []).append(
-        replace(blocks, mean=blocks.mean + blocks.level, exposure_s=None)
-    )
-
-
-def _level(sensor: SensorStacks, frames: SensorFrames, frame: FrameRef) -> float:
-    """Return the counts without light of a frame: of its own dark, else of others brought to its exposure."""
-    darks, time = by_exposure(frames.dark), exposure_of(frame)
-    wanted: list[Key] = [(frame.band, time), (frame.band, None), (None, time), (None, None)]
-    own = next((darks[key] for key in wanted if key in darks), None)
-    if own is None:
-        return level_under(sensor, frame.band, time)
-    return _middle(sensor.bench.average(own[:1]))
-
-
-def _middle(dark: Template) -> float:
-    """Return the mean of what is no hot sensel."""
-    return float(np.mean(dark.mean[dark.mean <= np.quantile(dark.mean, 0.995)]))
