@@ -32,8 +32,8 @@ SNR, FOLDS, SEED = 100, 5, 0
 CUBE, CHANNELS, CUBE_BANDS, ANCHORS = 1700 * 1300, 16, 33, 1500
 WIDE = 1.959964
 NAMES = {
-    "pseudo-inverse": "pseudo-inverse", "wiener": "Wiener", "principal-components": "principal components",
-    "polynomial": "polynomial", "root-polynomial": "root-polynomial", "matern": "kernel ridge, Matérn 3/2",
+    "pseudo-inverse": "pseudo-inverse", "wiener": "Wiener",
+    "root-polynomial": "root-polynomial", "matern": "kernel ridge, Matérn 3/2",
     "local-linear": "locally weighted linear", "gaussian-process": "Gaussian process",
     "matern-logit": "kernel ridge, Matérn 3/2, logit link",
 }  # fmt: skip

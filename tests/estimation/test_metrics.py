@@ -80,11 +80,6 @@ def test_colour_needs_the_visible():
     assert not metrics.sees_colour(np.arange(700.0, 1000.0, 10.0))
 
 
-def test_unknown_errors_are_left_out_of_a_summary():
-    assert metrics.summarise(np.array([1.0, np.nan]))["mean"] == 1
-    assert np.isnan(metrics.summarise(np.array([np.nan]))["maximum"])
-
-
 @pytest.mark.parametrize("values", [40, 400, 100_000])
 def test_the_metamer_floor_is_the_spread_of_spectra_of_equal_responses(values):
     """Responses of few codes coincide: a pixel is no partner of itself, and all of a group are partners."""

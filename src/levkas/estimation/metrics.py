@@ -118,20 +118,3 @@ def delta_e(
         for values in (estimated, measured)
     ]
     return delta_e_2000(*labs)
-
-
-def summarise(errors: np.ndarray) -> dict[str, float]:
-    """Return mean, median, 95th percentile and maximum of errors; NaN is left out.
-
-    >>> summarise(np.array([0.0, 1.0, 2.0, 5.0, np.nan]))
-    {'mean': 2.0, 'median': 1.5, 'p95': 4.55, 'maximum': 5.0}
-    """
-    known = errors[np.isfinite(errors)]
-    if not known.size:
-        return dict.fromkeys(("mean", "median", "p95", "maximum"), float("nan"))
-    return {
-        "mean": float(known.mean()),
-        "median": float(np.median(known)),
-        "p95": float(np.round(np.percentile(known, 95), 12)),
-        "maximum": float(known.max()),
-    }

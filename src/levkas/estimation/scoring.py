@@ -7,7 +7,6 @@ A folder holds one cube a test painting, ``OBJECT_LAYER.mat`` (MATLAB 7.3, ``cub
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,62 +18,23 @@ from levkas.database.splits import split_objects
 from levkas.estimation.experiment import FEW_PIXELS, MOST_PIXELS, EstimationStep, named_seed
 from levkas.estimation.plan import ExperimentPlan, choose_layers, title_of_database, wavelengths_of
 from levkas.estimation.report import EstimationReport, SourceReport
-from levkas.estimation.samples import EstimationRefused, PaintSamples, SampleSource, require_layers
-from levkas.estimation.scores import (
-    MethodScore,
-    PixelErrors,
-    distances,
-    metamer_floor,
-    score_pixels,
-)
+from levkas.estimation.samples import EstimationRefused, SampleSource, require_layers
+from levkas.estimation.scores import MethodScore, distances, metamer_floor, score_pixels
 from levkas.estimation.splits import EstimationFold, EstimationSplit, Part, split_paintings
 from levkas.readers.arrays import read_hdf5, read_npy
 
-ENDINGS = (".mat", ".npy")
 PLACES = ("", "Train_Spec", "Test_Spec", "Valid_Spec")
 """Folders below the one that is given in which predictions are looked for."""
 
 
-@dataclass(frozen=True)
-class Predictions:
-    """Cubes of test paintings in a folder.
-
-    Parameters
-    ----------
-    folder : Path
-    files : dict of object to Path
-    """
-
-    folder: Path
-    files: dict[str, Path]
-
-    def read(self, name: str, shape: tuple[int, int, int]) -> np.ndarray:
-        """Return the predicted cube of a painting, (height, width, bands).
-
-        Raises
-        ------
-        UnreadableCapture
-            Where it cannot be read, or is of another shape.
-        """
-        path = self.files[name]
-        if path.suffix == ".mat":
-            return read_hdf5(path, "cube", shape[::-1]).transpose(2, 1, 0)
-        return read_npy(path, shape)
-
-
 def score_predictions(plan: ExperimentPlan, folder: str | Path) -> Iterator[EstimationStep]:
-    """Score the predictions in a folder for the test paintings of a database.
+    """Score the predictions in a folder for the test paintings of a database; the last step carries the report.
 
     Parameters
     ----------
     plan : ExperimentPlan
         `database`, `target`, `sources` (whose masks are used too), and `test`: default the published split.
     folder : path
-
-    Yields
-    ------
-    step : EstimationStep
-        The last one carries the report.
 
     Raises
     ------
@@ -84,30 +44,36 @@ def score_predictions(plan: ExperimentPlan, folder: str | Path) -> Iterator[Esti
     database = Database(plan.database)
     target, groups = choose_layers(database, plan)
     sources = groups[0]
-    names = require_layers(database, [*sources, target], "--from")
-    split = _split(names, sources, plan)
-    fold = split.folds[0]
-    tested = [part.object for part in fold.test]
-    found = find_predictions(Path(folder), target, tested, [p.object for p in fold.train])
+    split = _split(require_layers(database, [*sources, target], "--from"), sources, plan)
+    tested, trained = (
+        [p.object for p in part] for part in (split.folds[0].test, split.folds[0].train)
+    )
+    files = find_predictions(Path(folder), target, tested, trained)
     source = SampleSource(database, target, MOST_PIXELS)
     wavelengths = wavelengths_of(database, target)
     label = Path(folder).resolve().name
-    parts = [source.read(part.object, sources).at_most(FEW_PIXELS) for part in fold.train]
-    trained = np.concatenate([part.responses for part in parts])
-    errors: list[PixelErrors] = []
+    known = np.concatenate(
+        [source.read(name, sources).at_most(FEW_PIXELS).responses for name in trained]
+    )
+    errors = []
     for done, name in enumerate(tested, 1):
         samples = source.read(name, sources)
-        errors.append(_score(found, source, name, samples, trained))
+        cube = _read_cube(files[name], source.layer(name, target).shape)
+        spectra = cube[samples.rows, samples.columns].astype(float)
+        if lost := int((~np.isfinite(spectra)).any(1).sum()):
+            why = "the prediction has pixels without a number where the painting was seen"
+            found = f"{lost} of {len(spectra)} scored pixels"
+            raise EstimationRefused(
+                Problem("E_VALUE", why, str(files[name]), None, found, "finite reflectance")
+            )
+        far = distances(known, samples.responses)
+        errors.append(score_pixels(name, (spectra, None), samples, wavelengths, far))
         yield EstimationStep(f"{name}: predictions of {label}", done, len(tested))
-    seed = named_seed(plan.seed, "metamers", *sources)
+    rng = np.random.default_rng(named_seed(plan.seed, "metamers", *sources))
     report = SourceReport(
-        sources,
-        channels=samples.responses.shape[1],
-        split=split,
-        scores=(MethodScore(label, tuple(errors)),),
-        floor=metamer_floor(samples, FEW_PIXELS, np.random.default_rng(seed)),
-        step=source.step(tested[0]),
-    )
+        sources, channels=samples.responses.shape[1], split=split, scores=(MethodScore(label, tuple(errors)),),
+        floor=metamer_floor(samples, FEW_PIXELS, rng), step=source.step(tested[0]),
+    )  # fmt: skip
     title = title_of_database(database)
     whole = EstimationReport(title, target, wavelengths, split.kind, (report,))
     yield EstimationStep("report", len(tested), len(tested), report=whole)
@@ -115,41 +81,32 @@ def score_predictions(plan: ExperimentPlan, folder: str | Path) -> Iterator[Esti
 
 def find_predictions(
     folder: Path, target: str, tested: Sequence[str], trained: Sequence[str]
-) -> Predictions:
-    """Return the files of all test paintings; refuse missing ones and those of training paintings, by name."""
+) -> dict[str, Path]:
+    """Return the file of each test painting; refuse missing ones and those of training paintings, by name."""
     if not folder.is_dir():
-        raise EstimationRefused(
-            Problem("E_MISSING", "there is no folder of predictions", str(folder), "--score")
-        )
-    files = {name: _file(folder, name, target) for name in (*tested, *trained)}
-    key = LayerId.parse("OBJECT", target)
-    problems = [
-        Problem(
-            "E_MISSING",
-            f"there is no prediction of the test painting {name}",
-            str(folder),
-            "--score",
-            expected=f"{LayerId(name, key.camera, key.setup).stem}.mat or .npy",
-        )
-        for name in tested
-        if files[name] is None
-    ]
-    problems += [
-        Problem(
-            "E_SPLIT_LEAK",
-            f"{name} is a training painting: its score would be meaningless",
-            str(files[name]),
-            "--score",
-            found=name,
-            expected=f"test paintings: {', '.join(tested)}",
-            fix="Remove the file from the folder, or name the test paintings with --test.",
-        )
-        for name in trained
-        if files[name] is not None
-    ]
+        why = "there is no folder of predictions"
+        raise EstimationRefused(Problem("E_MISSING", why, str(folder), "--score"))
+    key, files, problems = LayerId.parse("OBJECT", target), {}, []
+    for name in (*tested, *trained):
+        stem = LayerId(name, key.camera, key.setup).stem
+        places = [folder / place / f"{stem}{end}" for place in PLACES for end in (".mat", ".npy")]
+        path = next((path for path in places if path.is_file()), None)
+        if name in tested and path is None:
+            why, expected = (
+                f"there is no prediction of the test painting {name}",
+                f"{stem}.mat or .npy",
+            )
+            problems.append(Problem("E_MISSING", why, str(folder), "--score", expected=expected))
+        elif name in tested and path is not None:
+            files[name] = path
+        elif path is not None:
+            why = f"{name} is a training painting: its score would be meaningless"
+            wanted = f"test paintings: {', '.join(tested)}"
+            fix = "Remove the file from the folder, or name the test paintings with --test."
+            problems.append(Problem("E_SPLIT_LEAK", why, str(path), "--score", name, wanted, fix))
     if problems:
         raise EstimationRefused(*problems)
-    return Predictions(folder, {n: path for n in tested if (path := files[n]) is not None})
+    return files
 
 
 def _split(names: Sequence[str], sources: tuple[str, ...], plan: ExperimentPlan) -> EstimationSplit:
@@ -157,52 +114,23 @@ def _split(names: Sequence[str], sources: tuple[str, ...], plan: ExperimentPlan)
     if plan.train or plan.test:
         return split_paintings(names, sources, train=plan.train, test=plan.test)
     published = split_objects(Database(plan.database))
-    tested = [name for name in names if published[name] == "test"]
-    if not tested:
-        raise EstimationRefused(
-            Problem(
-                "E_SPLIT",
-                "no painting with these layers is a test painting of the published split",
-                str(plan.database),
-                "--test",
-                found=", ".join(f"{n}: {published[n]}" for n in names),
-                fix="Name test paintings with --test.",
-            )
-        )
+    parts = [(Part(name, sources), published[name] == "test") for name in names]
     train, test = (
-        tuple(Part(n, sources) for n in names if (n in tested) == held) for held in (False, True)
+        tuple(part for part, held in parts if held == wanted) for wanted in (False, True)
     )
+    if not test:
+        why = "no painting with these layers is a test painting of the published split"
+        found = ", ".join(f"{name}: {published[name]}" for name in names)
+        fix = "Name test paintings with --test."
+        raise EstimationRefused(
+            Problem("E_SPLIT", why, str(plan.database), "--test", found, fix=fix)
+        )
     note = "test paintings of the published split (splits.csv); all others are for training"
     return EstimationSplit("painting", (EstimationFold("published", train, test),), note=note)
 
 
-def _score(
-    found: Predictions,
-    source: SampleSource,
-    name: str,
-    samples: PaintSamples,
-    trained: np.ndarray,
-) -> PixelErrors:
-    wavelengths = wavelengths_of(source.database, source.target)
-    height, width, bands = source.layer(name, source.target).shape
-    cube = found.read(name, (height, width, bands))
-    spectra = cube[samples.rows, samples.columns].astype(float)
-    if not np.isfinite(spectra).all():
-        raise EstimationRefused(
-            Problem(
-                "E_VALUE",
-                "the prediction has pixels without a number where the painting was seen",
-                str(found.files[name]),
-                found=f"{int((~np.isfinite(spectra)).any(1).sum())} of {len(spectra)} scored pixels",
-                expected="finite reflectance",
-            )
-        )
-    far = distances(trained, samples.responses)
-    return score_pixels(name, (spectra, None), samples, wavelengths, far)
-
-
-def _file(folder: Path, name: str, target: str) -> Path | None:
-    key = LayerId.parse(name, target)
-    stem = LayerId(name, key.camera, key.setup).stem
-    places = [folder / place / f"{stem}{ending}" for place in PLACES for ending in ENDINGS]
-    return next((path for path in places if path.is_file()), None)
+def _read_cube(path: Path, shape: tuple[int, ...]) -> np.ndarray:
+    """Return a predicted cube, (height, width, bands); raises UnreadableCapture."""
+    if path.suffix == ".mat":
+        return read_hdf5(path, "cube", shape[::-1]).transpose(2, 1, 0)
+    return read_npy(path, shape)

@@ -15,12 +15,10 @@ import numpy as np
 from levkas.core.files import write_bytes
 from levkas.core.problems import Problem, Refused, closest_match
 from levkas.estimation.methods.gaussian_process import GaussianProcessModel, fit_gaussian_process
-from levkas.estimation.methods.kernel_ridge import KernelModel, kernel_ridge
+from levkas.estimation.methods.kernel_ridge import KernelModel, fit_kernel_ridge
 from levkas.estimation.methods.linear_model import LinearModel
 from levkas.estimation.methods.local_linear import LocalModel, fit_local_linear
 from levkas.estimation.methods.logit import fit_with_logit, read_with_logit
-from levkas.estimation.methods.polynomial import fit_polynomial
-from levkas.estimation.methods.principal_components import fit_principal_components
 from levkas.estimation.methods.pseudo_inverse import fit_pseudo_inverse
 from levkas.estimation.methods.root_polynomial import fit_root_polynomial
 from levkas.estimation.methods.wiener import fit_wiener
@@ -37,7 +35,7 @@ __all__ = [
     "with_logit",
 ]
 
-VERSION = 1
+VERSION = 2
 """Of stored models; another is refused."""
 LARGEST = 64 << 20
 """Bytes of a stored model's arrays; a Gaussian process of 1,500 anchors has 18 MB."""
@@ -53,29 +51,13 @@ ROWS = [
         r"\hat y = \bar y + (x - \bar x)(C_{xx} + \tfrac{\lambda}{n} I)^{-1} C_{xy}", "murakami2008",
     ),
     EstimationMethod(
-        "principal-components", "Principal components", fit_principal_components, LINEAR,
-        r"\hat y = \bar y + (x - \bar x) X_c^{+} Y_c V V^\top", "maloney1986",
-    ),
-    EstimationMethod(
-        "polynomial", "Polynomial", fit_polynomial, LINEAR,
-        r"\hat y = b + \sum_t B_t \prod_{c \in t} x_c", "connah2005",
-    ),
-    EstimationMethod(
         "root-polynomial", "Root-polynomial", fit_root_polynomial, LINEAR,
         r"\hat y = \sum_t B_t \Bigl(\prod_{c \in t} x_c\Bigr)^{1/|t|}", "finlayson2015",
     ),
     EstimationMethod(
-        "matern", "Kernel ridge, Matérn 3/2", kernel_ridge("matern"), KernelModel.from_arrays,
+        "matern", "Kernel ridge, Matérn 3/2", fit_kernel_ridge, KernelModel.from_arrays,
         r"\hat y = \bar y + k^\top (K + \lambda I)^{-1} Y_c,\; k = (1 + \sqrt3 r) e^{-\sqrt3 r}",
         "heikkinen2013",
-    ),
-    EstimationMethod(
-        "gaussian", "Kernel ridge, Gaussian", kernel_ridge("gaussian"), KernelModel.from_arrays,
-        r"\hat y = \bar y + k^\top (K + \lambda I)^{-1} Y_c,\; k = e^{-r^2/2}", "heikkinen2008",
-    ),
-    EstimationMethod(
-        "logarithmic", "Kernel ridge, logarithmic", kernel_ridge("logarithmic"), KernelModel.from_arrays,
-        r"\hat y = \bar y + k^\top (K + \lambda I)^{-1} Y_c,\; k \sim -\log(1 + r^2)", "eckhard2014",
     ),
     EstimationMethod(
         "local-linear", "Locally weighted linear", fit_local_linear, LocalModel.from_arrays,

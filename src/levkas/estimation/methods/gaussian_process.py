@@ -79,7 +79,7 @@ class GaussianProcessModel:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> GaussianProcessModel:
         """Return the model of some arrays."""
-        kernel = Kernel(str(arrays["name"]), float(arrays["length"]), arrays["centre"])
+        kernel = Kernel(float(arrays["length"]), arrays["centre"])
         rest = ("anchors", "coefficients", "offset", "whitening", "scale")
         return cls(kernel, float(arrays["noise"]), *(arrays[name] for name in rest))
 
@@ -94,7 +94,7 @@ def fit_gaussian_process(training: Training, rng: np.random.Generator) -> Gaussi
     chosen = covering(training, MOST_ANCHORS, rng)
     anchors = training.take(chosen)
     centre, unit = training.responses.mean(0), spread(training)
-    kernels = [Kernel("matern", length * unit, centre) for length in LENGTHS]
+    kernels = [Kernel(length * unit, centre) for length in LENGTHS]
     likelihoods = np.array([log_likelihoods(anchors, kernel, RIDGES) for kernel in kernels])
     length, noise = np.unravel_index(likelihoods.argmax(), likelihoods.shape)
     model = condition(anchors, kernels[length], float(RIDGES[noise]))

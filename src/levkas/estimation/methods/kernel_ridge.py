@@ -1,22 +1,15 @@
-"""Kernel ridge regression with Matérn 3/2, Gaussian and logarithmic kernels.
+"""Kernel ridge regression with a Matérn 3/2 kernel.
 
-    ŷ = ȳ + k(x)ᵀ (K + λ W⁻¹)⁻¹ (Y − ȳ)
+    ŷ = ȳ + k(x)ᵀ (K + λ W⁻¹)⁻¹ (Y − ȳ),   k = (1 + √3 r) exp(−√3 r),   r = |x − x′| / l
 
-    Matérn 3/2    k = (1 + √3 r) exp(−√3 r),   r = |x − x′| / l
-    Gaussian      k = exp(−r² / 2)
-    logarithmic   k = φ(x, c) + φ(x′, c) − φ(x, x′),   φ = log(1 + r²)
-
-[heikkinen2008]_, 10.1364/JOSAA.25.002444; [heikkinen2013]_, 10.1364/JOSAA.30.002444; [eckhard2014]_,
-10.1364/JOSAA.31.000541. −log(1 + r²) is positive definite on differences only; with c, the mean of the
-responses, it is so everywhere, and it estimates the same but for a constant. W weighs the samples.
-Length l and ridge λ are those of the smallest held-out error, in closed form.
+[heikkinen2013]_, 10.1364/JOSAA.30.002444. W weighs the samples. Length l and ridge λ are those of the smallest
+held-out error, in closed form.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -37,14 +30,12 @@ LENGTHS = np.geomspace(0.5, 32, 7)
 """That are tried, in units of the responses' root mean square distance from their mean."""
 RIDGES = np.logspace(-6, 1, 15)
 """That are tried, in units of the kernel's mean diagonal."""
-KERNELS = ("matern", "gaussian", "logarithmic")
 
 
 @dataclass(frozen=True)
 class Kernel:
-    """A kernel by its name, its length and the centre of the responses, (channels,)."""
+    """A Matérn 3/2 kernel: its length, and the centre of the responses, (channels,)."""
 
-    name: str
     length: float
     centre: np.ndarray
 
@@ -56,11 +47,6 @@ class Kernel:
         r += square_a
         r += square_b
         np.maximum(r, 0, out=r)
-        if self.name == "gaussian":
-            r *= -0.5
-            return np.exp(r, out=r)
-        if self.name == "logarithmic":
-            return np.asarray(np.log1p(square_a) + np.log1p(square_b) - np.log1p(r, out=r))
         r *= 3
         np.sqrt(r, out=r)
         decay = np.negative(r)
@@ -104,7 +90,7 @@ class KernelModel:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> KernelModel:
         """Return the model of some arrays."""
-        kernel = Kernel(str(arrays["name"]), float(arrays["length"]), arrays["centre"])
+        kernel = Kernel(float(arrays["length"]), arrays["centre"])
         return cls(
             kernel,
             arrays["anchors"],
@@ -114,16 +100,10 @@ class KernelModel:
         )
 
 
-def kernel_ridge(name: str) -> partial[KernelModel]:
-    """Return the fit of a method with a kernel of `KERNELS`."""
-    return partial(fit_kernel_ridge, name=name)
-
-
 def fit_kernel_ridge(
     training: Training,
     rng: np.random.Generator,
     *,
-    name: str = "matern",
     length: float | None = None,
     ridge: float | None = None,
 ) -> KernelModel:
@@ -134,8 +114,6 @@ def fit_kernel_ridge(
     training : Training
     rng : numpy Generator
         Draws the first of the farthest points.
-    name : str
-        Of `KERNELS`.
     length, ridge : float, optional
         In units of the responses, and of the kernel; chosen by default.
     """
@@ -144,9 +122,9 @@ def fit_kernel_ridge(
     centre = training.responses.mean(0)
     if length is None:
         trial = select_training(training, TRIAL_ANCHORS, rng)
-        kernels = [Kernel(name, unit * spread(training), centre) for unit in LENGTHS]
+        kernels = [Kernel(unit * spread(training), centre) for unit in LENGTHS]
         length = min((_best_ridge(trial, k)[1], k.length) for k in kernels)[1]
-    kernel = Kernel(name, length, centre)
+    kernel = Kernel(length, centre)
     if ridge is None:
         ridge = _best_ridge(training, kernel)[0]
     offset, coefficients = solve(training, kernel, ridge)

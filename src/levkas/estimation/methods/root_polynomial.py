@@ -8,13 +8,17 @@ Every term grows with the exposure as the channels do, and so does the estimate.
 
 from __future__ import annotations
 
+from itertools import combinations_with_replacement
 from math import gcd
 
 import numpy as np
 
 from levkas.estimation.methods.linear_model import LinearModel, expand, fit_ridge
-from levkas.estimation.methods.polynomial import DEGREES, MOST_TERMS, products
 from levkas.estimation.training import Training, require_samples
+
+DEGREES = (1, 2, 3)
+MOST_TERMS = 300
+"""Of a polynomial: degree 2 of 22 channels. With more the ridge decides alone, at length."""
 
 
 def fit_root_polynomial(training: Training, rng: np.random.Generator) -> LinearModel:
@@ -44,3 +48,17 @@ def roots(channels: int, degree: int) -> np.ndarray:
     terms = products(channels, degree)
     counts = [np.unique(term[term >= 0], return_counts=True)[1].tolist() for term in terms]
     return terms[[gcd(*count) == 1 for count in counts]]
+
+
+def products(channels: int, degree: int) -> np.ndarray:
+    """Return the factors of all products of one to `degree` channels, (terms, degree); −1 is none.
+
+    >>> products(2, 2).tolist()
+    [[0, -1], [1, -1], [0, 0], [0, 1], [1, 1]]
+    """
+    terms = [
+        (*term, *[-1] * (degree - size))
+        for size in range(1, degree + 1)
+        for term in combinations_with_replacement(range(channels), size)
+    ]
+    return np.array(terms, int)
