@@ -8,8 +8,8 @@ import sys
 
 import numpy as np
 
+from levkas.colour.microfacet import AIR, GOLD_INDEX
 from levkas.planning.light import _specular
-from levkas.planning.microfacet import AIR, GOLD_INDEX
 from levkas.planning.optimisation import Arrangement
 from levkas.planning.setup import Lobe, illuminate, lobe_exponent
 from levkas.planning.surface import Surface

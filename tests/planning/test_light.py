@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from levkas.colour.microfacet import AIR, facet_lobe, fresnel, lobe_reach_deg, transmitted
 from levkas.planning.light import bright_fields, compare_lightings, glare, plan_light, rough_texture
-from levkas.planning.microfacet import facet_lobe, fresnel, lobe_reach_deg, specular, transmitted
 from levkas.planning.optimisation import Arrangement, Judge
 from levkas.planning.setup import Lobe, drop, illuminate, lobe_exponent
 from levkas.planning.surface import (
@@ -28,6 +28,15 @@ def pair(thing=FLAT, beam=None, *, angle=70.0, distance=2100.0, azimuth=0.0, aim
 def drop_of(lighting, thing=FLAT, lamps=slice(None)):
     surface = sample_surface(thing.model_copy(update={"recess_mm": 0.0}))
     return 100 * drop(illuminate(lighting.lamps[lamps], surface.points, surface.normals))
+
+
+def specular(angle_deg, roughness, *, tilt_deg=0.0):
+    """Light that varnish mirrors, over a white board's, seen along the board's normal."""
+    light, tilt = np.radians(angle_deg), np.radians(tilt_deg)
+    s, p = fresnel(np.cos(light / 2), 1.5 / AIR)
+    incident = np.cos(light - tilt)
+    lobe = facet_lobe(np.cos(light / 2 - tilt), np.asarray(incident), np.cos(tilt), roughness)
+    return float((s + p) / 2 * lobe * incident / np.cos(light))
 
 
 def test_ggx_gives_the_four_digits_that_mitsuba_gives():

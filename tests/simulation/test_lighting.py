@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from levkas.planning.microfacet import facet_lobe
+from levkas.colour.microfacet import facet_lobe
 from levkas.quality.image_quality.glare import find_glare
 from levkas.simulation.cameras import camera_models, relit
 from levkas.simulation.campaigns import SimulatedSession

@@ -21,7 +21,6 @@ _HOMES = {
     "regulating_filter": "exposure_plan",
     "illuminate": "setup",
     "sample_surface": "surface",
-    "specular": "microfacet",
     "colour_temperature": "spectra",
     "GRID": "spectra",
 }

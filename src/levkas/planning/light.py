@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.planning.microfacet import (
+from levkas.colour.microfacet import (
     AIR,
     GOLD_INDEX,
     facet_lobe,

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.colour.microfacet import AIR, GOLD_INDEX, facet_lobe, fresnel
 from levkas.planning.light import eye_of
-from levkas.planning.microfacet import AIR, GOLD_INDEX, facet_lobe, fresnel
 from levkas.planning.setup import Lighting, Lobe, StudioLamp, lamp_place, lobe_exponent
 from levkas.planning.surface import sample_surface, slope_nodes
 

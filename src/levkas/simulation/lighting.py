@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from levkas.colour.microfacet import transmitted
 from levkas.core.compiled import njit
 from levkas.core.threads import in_threads
 from levkas.simulation.rendering import Texture
@@ -108,18 +109,6 @@ class SimulatedLight:
     shade: np.ndarray
     gold: np.ndarray
     varnish: np.ndarray
-
-
-def transmitted(angle_deg: float, index: float = 1.5) -> float:
-    """Return the share of unpolarised light that enters varnish at an angle, by Fresnel.
-
-    >>> round(transmitted(70.0) / transmitted(45.0), 3)
-    0.873
-    """
-    c = np.cos(np.radians(angle_deg))
-    t = np.sqrt(1 - (1 - c * c) / index**2)
-    across, along = (c - index * t) / (c + index * t), (t - index * c) / (t + index * c)
-    return float(1 - 0.5 * (across**2 + along**2))
 
 
 def light(

@@ -37,15 +37,17 @@ def fresnel(cosine: np.ndarray | float, index: complex) -> tuple[np.ndarray, np.
 
 
 def transmitted(angle_deg: float, index: float = 1.5) -> float:
-    """Return the share of unpolarised light that enters varnish, by Fresnel.
+    """Return the share of unpolarised light that enters varnish at an angle, by Fresnel.
 
     Light at 70° reads varnished paint 13 % darker than at 45°:
 
     >>> round(transmitted(70.0) / transmitted(45.0), 3)
     0.873
     """
-    s, p = fresnel(np.cos(np.radians(angle_deg)), index)
-    return float(1 - (s + p) / 2)
+    c = np.cos(np.radians(angle_deg))
+    t = np.sqrt(1 - (1 - c * c) / index**2)
+    across, along = (c - index * t) / (c + index * t), (t - index * c) / (t + index * c)
+    return float(1 - 0.5 * (across**2 + along**2))
 
 
 def facet_lobe(
@@ -79,33 +81,6 @@ def _shadow(cosine: np.ndarray, roughness: float) -> np.ndarray:
     """Return Smith's G1."""
     tan = np.sqrt(np.maximum(1 - cosine**2, 0)) / cosine
     return 2 / (1 + np.sqrt(1 + (roughness * tan) ** 2))
-
-
-def specular(angle_deg: float, roughness: float, *, tilt_deg: float = 0.0) -> float:
-    """Return the specular light of varnish over a white board's, seen along the board's normal.
-
-    Parameters
-    ----------
-    angle_deg : float
-        Of the lamp from the board's normal.
-    roughness : float
-        alpha of the facets.
-    tilt_deg : float
-        The surface's own normal, turned towards the lamp.
-
-    Examples
-    --------
-    Per cent at 45, 60, 70 and 78° (Mitsuba: 0.5930, 0.3104, 0.2739, 0.3181):
-
-    >>> [round(100 * specular(a, 0.1), 3) for a in (45.0, 60.0, 70.0, 78.0)]
-    [0.593, 0.31, 0.274, 0.318]
-    """
-    light, tilt = np.radians(angle_deg), np.radians(tilt_deg)
-    half = light / 2
-    s, p = fresnel(np.cos(half), 1.5 / AIR)
-    incident = np.cos(light - tilt)
-    lobe = facet_lobe(np.cos(half - tilt), np.asarray(incident), np.cos(tilt), roughness)
-    return float((s + p) / 2 * lobe * incident / np.cos(light))
 
 
 def lobe_reach_deg(roughness: float) -> float:
