@@ -223,7 +223,6 @@ def test_options_of_a_cube_or_a_database_are_refused_with_a_campaign(place):
         (["estimate", "DB", "--method", "wienr"], "wiener"),
         (["plan", "light", "BENCH", "--setup-name", "propsed"], "proposed"),
         (["plan", "exposure", "--setup", "BENCH", "--setup-name", "propsed"], "proposed"),
-        (["plan", "fit", "BENCH", "WHITE", "--bits", "12", "--camera", "d8"], "d80"),
         (["points", "convert", "CHECKS", "OUT", "--to", "hugn"], "hugin"),
         (["points", "convert", "CHECKS", "OUT", "--from", "hugn"], "hugin"),
         (["publish", "DB", "--check", "--analyse", "pcaa"], "pca"),

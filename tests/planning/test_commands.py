@@ -105,7 +105,7 @@ def test_a_plan_needs_neither_scipy_nor_colour_science(rewritten):
 
     code = (
         f"import sys; from levkas.planning.text_report import light_record;"
-        f"light_record({str(rewritten())!r}, optimised=True);"
+        f"light_record({str(rewritten())!r});"
         "print([m for m in ('scipy', 'colour', 'numba') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

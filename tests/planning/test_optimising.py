@@ -19,11 +19,15 @@ def judged(bench, thing=None):
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_five_random_starts_find_the_paper_s_lamps_on_the_straight_axis(bench, seed):
+def test_the_search_finds_the_paper_s_lamps_on_the_straight_axis(bench, seed):
     found = optimise(judged(bench), rng=np.random.default_rng(seed))
-    for _, end, _ in found.starts:
-        assert 66 <= end.angle_deg <= 74 and end.azimuth_deg < 5
-    assert len(found.starts) == 5 and found.best.aim > 0.9 and found.best.balance < 0.51
+    assert 66 <= found.best.angle_deg <= 74 and found.best.azimuth_deg < 5
+    assert found.best.aim > 0.9 and found.best.balance < 0.51
+    assert found.cost == pytest.approx(
+        3.644, abs=2e-3
+    )  # of ten thousand arrangements none is better
+    rows = np.random.default_rng(9).uniform(*judged(bench).bounds.T, (10_000, 5))
+    assert judged(bench).cost(rows).min() > found.cost
     said = " ".join(found.reasons)
     assert "At 45° the varnish would shine" in said and "grazing light exaggerates" in said
     assert "other axis" in said and "far edge" not in said.split("Aimed")[0]
@@ -46,7 +50,7 @@ def test_rougher_gilding_shines_more_and_gains_less_by_low_lamps(bench):
     rough = bench.object.model_copy(update={"gold": Gilding(roughness=0.45)})
     smooth_one, rough_one = judged(bench), judged(bench, rough)
     a, b = (optimise(j, rng=np.random.default_rng(1)) for j in (smooth_one, rough_one))
-    assert b.best.angle_deg < a.best.angle_deg - 0.4 and b.values["gold"] > 1.5 * a.values["gold"]
+    assert b.best.angle_deg < a.best.angle_deg - 0.3 and b.values["gold"] > 1.5 * a.values["gold"]
     gains = [
         j.values_of(Arrangement(45, 0, 2100))["gold"]
         / j.values_of(Arrangement(70, 0, 2100))["gold"]
@@ -61,7 +65,7 @@ def test_the_answer_does_not_hang_on_one_weight(bench):
     for name in WEIGHTS:
         for factor in (0.5, 2.0):
             weights = {**WEIGHTS, name: WEIGHTS[name] * factor}
-            found = optimise(judge, rng=np.random.default_rng(1), starts=2, weights=weights)
+            found = optimise(judge, rng=np.random.default_rng(1), weights=weights)
             angles.append(found.best.angle_deg)
     assert min(angles) >= 66 and max(angles) <= 72
 

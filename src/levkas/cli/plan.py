@@ -31,7 +31,7 @@ def light(
         Path | None, typer.Option("--report", "-o", help="HTML page to write; prints on A4.")
     ] = None,
     overwrite: Overwrite = False,
-    seed: Annotated[int, typer.Option(help="Seed of the random starts.", min=0)] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of the search.", min=0)] = 1,
     as_json: Json = False,
 ) -> None:
     """Evenness, glare, relief and bright field of a lighting, and the effect of each adjustment."""

@@ -58,7 +58,7 @@ def write_report(
     name : str, optional
         Of the lighting; the first without one.
     seed : int
-        Of the search's random starts.
+        Of the search.
     white : WhiteLevels, optional
         Of a camera, from which its regulating filter is computed.
 
@@ -299,10 +299,9 @@ def _best_words(best: Optimum) -> str:
         "of equal power" if found.balance < 0.51 else f"at {100 * found.balance:.0f} to "
         f"{100 - 100 * found.balance:.0f} % of the power"
     )  # fmt: skip
-    agree = sum(abs(end.angle_deg - found.angle_deg) < 2 for _, end, _ in best.starts)
     return (
         f"Two lamps {where} at {found.angle_deg:.0f}° from the normal and {found.distance_mm / 10:.0f} cm, "
-        f"{aim}, {balance}. {agree} of {len(best.starts)} searches from random starts ended there."
+        f"{aim}, {balance}."
     )
 
 

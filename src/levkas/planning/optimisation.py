@@ -1,4 +1,4 @@
-"""Optimization of a pair of lamps: a compass search from random starts, and trade-off curves.
+"""Optimization of a pair of lamps, and trade-off curves.
 
 Cost = Σ weight · (value / tolerance)²: a criterion at its tolerance costs its weight, one at half of it
 a quarter. Tolerances and weights are `criteria.TOLERANCES` and `criteria.WEIGHTS`, fixed for every
@@ -284,16 +284,13 @@ def judge_of(setup: StudioSetup, lighting: Lighting | None = None) -> Judge:
     )
 
 
-FIRST_STEP, LAST_STEP = 0.16, 0.002
-"""Of the search, in shares of the bounds."""
-
-
-MOST_ROUNDS = 150
+POPULATION, ROUNDS = 8, 100
+"""Arrangements for each of the five numbers, and generations at most; four seeds agree to 0.002° on the bench."""
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """The best arrangement, and every start of the search.
+    """The best arrangement.
 
     Parameters
     ----------
@@ -301,8 +298,6 @@ class Optimum:
     cost : float
     values : dict
         What each criterion measures there.
-    starts : tuple of (start, end, cost)
-        Every random start and where it ended.
     reasons : tuple of str
         What each change from it would cost, in sentences.
     """
@@ -310,7 +305,6 @@ class Optimum:
     best: Arrangement
     cost: float
     values: dict[str, float]
-    starts: tuple[tuple[Arrangement, Arrangement, float], ...]
     reasons: tuple[str, ...]
 
     @property
@@ -327,77 +321,36 @@ class Optimum:
             "over_tolerance": self.criteria,
             "weights": WEIGHTS,
             "tolerances": TOLERANCES,
-            "starts": [
-                {"start": a.to_dict(), "end": b.to_dict(), "cost": c} for a, b, c in self.starts
-            ],
             "reasons": list(self.reasons),
         }
 
 
 def optimise(
-    judge: Judge, *, rng: np.random.Generator, starts: int = 5,
-    weights: dict[str, float] | None = None,
-) -> Optimum:  # fmt: skip
-    """Return the arrangement of least cost, searched from random starts.
+    judge: Judge, *, rng: np.random.Generator, weights: dict[str, float] | None = None
+) -> Optimum:
+    """Return the arrangement of least cost, by differential evolution, polished by quasi-Newton steps.
 
     Parameters
     ----------
     judge : Judge
     rng : Generator
-        Draws the starts, evenly over the bounds.
-    starts : int
+        Draws the first population, evenly over the bounds.
     weights : dict, optional
         Other weights, to see how much hangs on them.
 
     Notes
     -----
-    Each round tries a step either way along every coordinate, and the pair turned to the other
-    axis; the best is taken, and where none is better the step is halved. All starts move at once.
+    Storn and Price 1997 (10.1023/A:1008202821328), as SciPy has it: all arrangements of a generation are judged at once.
     """
-    low, high = judge.bounds.T
-    at = rng.uniform(0.05, 0.95, (starts, 5))
-    begun = low + at * (high - low)
-    step = np.full(starts, FIRST_STEP)
-    cost = judge.cost(begun, weights)
-    for _ in range(MOST_ROUNDS):
-        moving = np.flatnonzero(step >= LAST_STEP)
-        if not len(moving):
-            break
-        tried = _moves(at[moving], step[moving])
-        costs = judge.cost((low + tried * (high - low)).reshape(-1, 5), weights)
-        costs = costs.reshape(len(moving), -1)
-        best = costs.argmin(1)
-        better = costs[np.arange(len(moving)), best] < cost[moving] - 1e-9
-        step[moving] *= np.where(better, 1.0, 0.5)
-        moved = moving[better]
-        at[moved] = tried[better, best[better]]
-        cost[moved] = costs[better, best[better]]
-    ends = low + at * (high - low)
-    found = tuple(
-        (_arrangement(b), _arrangement(e), float(c))
-        for b, e, c in zip(begun, ends, cost, strict=True)
-    )
-    best_one = found[int(cost.argmin())][1]
-    values = judge.values_of(best_one)
-    return Optimum(best_one, float(cost.min()), values, found, tuple(_why(judge, best_one, values)))
+    from scipy.optimize import differential_evolution
 
-
-def _arrangement(row: np.ndarray) -> Arrangement:
-    return Arrangement(**dict(zip(NAMES, map(float, row), strict=True)))
-
-
-def _moves(at: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Return what each start tries, (starts, 16, 5): steps, slants, and pairs along the two axes."""
-    unit = np.eye(5)
-    slant = np.array([[1.0, 0, 1, 0, 0], [-1, 0, 1, 0, 0]])
-    directions = np.concatenate([unit, -unit, slant])
-    tried = np.clip(at[:, None] + step[:, None, None] * directions, 0, 1)
-    turned = at.copy()
-    turned[:, 1] = 1 - turned[:, 1]
-    along, across, equal = at.copy(), at.copy(), at.copy()
-    along[:, [1, 4]], across[:, [1, 4]], equal[:, 4] = 0.0, (1.0, 0.0), 0.0
-    leaps = np.stack([turned, along, across, equal], 1)
-    return np.concatenate([tried, leaps], 1)
+    found = differential_evolution(
+        lambda columns: judge.cost(columns.T, weights), judge.bounds, popsize=POPULATION, maxiter=ROUNDS,
+        seed=rng, vectorized=True, updating="deferred",
+    )  # fmt: skip
+    best = Arrangement(*map(float, found.x))
+    values = judge.values_of(best)
+    return Optimum(best, float(found.fun), values, tuple(_why(judge, best, values)))
 
 
 @dataclass(frozen=True, eq=False)

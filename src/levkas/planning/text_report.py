@@ -97,7 +97,8 @@ def light_text(record: dict[str, Any]) -> str:
         ]
         lines += [f"  {words}" for words in record["optimum"]["reasons"]]
     lines += [f"\n{words}" for words in dict.fromkeys(record["contradictions"])]
-    lines += [f"Written: {record['report']}"] * ("report" in record)
+    if "report" in record:
+        lines.append(f"Written: {record['report']}")
     return "\n".join(lines)
 
 
