@@ -40,3 +40,18 @@ def plain(value: Any) -> Any:
     if isinstance(value, int) and not isinstance(value, bool):
         return int(value)
     return value
+
+
+def rounded(value: Any, digits: int) -> Any:
+    """Return `value` with its numbers rounded to significant digits, arrays and tuples as lists.
+
+    >>> rounded({"a": (0.123456, 1), "b": float("nan")}, 3)
+    {'a': [0.123, 1], 'b': nan}
+    """
+    if isinstance(value, dict):
+        return {key: rounded(one, digits) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [rounded(one, digits) for one in value]
+    if hasattr(value, "tolist"):
+        return rounded(value.tolist(), digits)
+    return float(f"{value:.{digits}g}") if isinstance(value, float) else value

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from levkas.core.json_safe import rounded
 from levkas.core.problems import Problem
 from levkas.estimation.budget import CONDITIONS, Budget
 from levkas.estimation.methods import METHODS
 from levkas.estimation.plan import CRITERIA
-from levkas.estimation.scores import MethodScore, noise_ceiling, rank, rounded
+from levkas.estimation.scores import DIGITS, MethodScore, noise_ceiling, rank
 from levkas.estimation.splits import SPLITS, EstimationSplit
 from levkas.estimation.stored import StoredModel
 
@@ -164,7 +165,8 @@ class EstimationReport:
                 "choose_by": self.choose_by,
                 "notes": list(self.notes),
                 "results": [source.to_dict(self.wavelengths) for source in self.sources],
-            }
+            },
+            DIGITS,
         )
 
     @property
@@ -274,7 +276,7 @@ def _csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(head)
-    table.writerows(rounded(list(row)) for row in rows)
+    table.writerows(rounded(list(row), DIGITS) for row in rows)
     return text.getvalue()
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan
-from typing import Any
 
 import numpy as np
 
@@ -292,14 +291,3 @@ def _others_of_equal(
     shared = np.bincount(group)[group[order]] > 1
     found[order[shared]] = after[shared]
     return found
-
-
-def rounded(record: Any) -> Any:
-    """Return a record with its numbers rounded to `DIGITS` significant digits."""
-    if isinstance(record, dict):
-        return {key: rounded(value) for key, value in record.items()}
-    if isinstance(record, (list, tuple)):
-        return [rounded(value) for value in record]
-    if isinstance(record, (float, np.floating)):
-        return float(f"{float(record):.{DIGITS}g}")
-    return record

@@ -120,12 +120,12 @@ class ObjectReport:
     """Address of the object in the viewer; the link is hidden until the database is published."""
 
 
-def render_page(template: str, **values: Any) -> str:
-    """Return a page as HTML by one of the templates here; every text from outside is escaped."""
+def render_page(template: str, /, *, package: str = "levkas.pages", **values: Any) -> str:
+    """Return a page as HTML by one of the templates in a package; every text from outside is escaped."""
     import jinja2
 
     def read(name: str) -> str:
-        return resources("levkas.pages").joinpath(name).read_text(encoding="utf-8")
+        return resources(package).joinpath(name).read_text(encoding="utf-8")
 
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(read), autoescape=True, trim_blocks=True, lstrip_blocks=True

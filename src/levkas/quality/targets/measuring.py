@@ -13,6 +13,7 @@ import numpy as np
 from levkas.colour.gamut import xyz_to_lab
 from levkas.colour.srgb import SRGB_TO_XYZ, observer_under, visible_coverage, xyz_weights
 from levkas.core.cube import Band, Cube, Flag, is_flagged
+from levkas.core.json_safe import rounded
 from levkas.quality.targets.charts import (
     Chart,
     ChartReference,
@@ -48,6 +49,9 @@ if TYPE_CHECKING:
 
     from levkas.quality.targets.charts import Chart, ChartReference
     from levkas.quality.targets.patches import Preblur
+
+DIGITS = 5
+"""Significant digits of numbers in records."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,16 +162,16 @@ class ChartMeasure:
             {
                 "patch": patch,
                 "pixels": int(self.table.pixels[i]),
-                "mean": _digits(self.table.mean[i]),
-                "noise": _digits(self.table.noise[i]),
-                "snr": _digits(snr[i]),
-                "snr_db": _digits(snr_db[i]),
-                "snr_db_corrected": _digits(corrected[i]),
-                "saturated": _digits(self.table.saturated[i]),
+                "mean": rounded(self.table.mean[i], DIGITS),
+                "noise": rounded(self.table.noise[i], DIGITS),
+                "snr": rounded(snr[i], DIGITS),
+                "snr_db": rounded(snr_db[i], DIGITS),
+                "snr_db_corrected": rounded(corrected[i], DIGITS),
+                "saturated": rounded(self.table.saturated[i], DIGITS),
                 "limited_by_quantisation": self.table.quantised[i].tolist(),
                 "delta_e_2000": None
                 if self.colours is None
-                else _digits(self.colours.difference[i]),
+                else rounded(self.colours.difference[i], DIGITS),
             }
             for i, patch in enumerate(self.chart.patches)
         ]
@@ -181,14 +185,14 @@ class ChartMeasure:
                     "corners": np.round(s.located.corners, 2).tolist(),
                     "agreement": float(s.located.agreement),
                     "band_agreements": [
-                        _digits(a) if np.isfinite(a) else None for a in s.located.bands
+                        rounded(a, DIGITS) if np.isfinite(a) else None for a in s.located.bands
                     ],
                 }
                 for s in self.sightings
             ],
             "noise_from": "difference of shots" if self.table.temporal else "spread in the patch",
             "preblurred": [
-                {"band": b.label, "lag1": _digits(p.lag1), "factor": float(p.factor)}
+                {"band": b.label, "lag1": rounded(p.lag1, DIGITS), "factor": float(p.factor)}
                 for b, p in zip(self.bands, self.preblurs, strict=True)
                 if p is not None and p.found
             ],
@@ -199,12 +203,6 @@ class ChartMeasure:
             "patches": patches,
             "notes": list(self.notes),
         }
-
-
-def _digits(values: Any) -> Any:
-    if np.ndim(values):
-        return [_digits(v) for v in values]
-    return float(f"{float(values):.5g}")
 
 
 def measure(
