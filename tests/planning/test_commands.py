@@ -57,7 +57,7 @@ def test_the_report_stands_alone_and_says_what_matters(bench, tmp_path):
     assert not re.search(r'(?:src|href)="(?!data:|#)', page)
     for words in (
         "Two lamps at 70°", "the bright field", "along the width", "cannot show the whole object",
-        "lx·h", "A filter that would even", "CIE 157:2004", "5 of 5 searches",
+        "lx·h", "A filter that would even", "CIE 157:2004", "of equal power",
     ):  # fmt: skip
         assert words in page, words
     assert page.count("<svg") == 7 and not re.search(r"\bnan\b", page)

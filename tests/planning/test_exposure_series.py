@@ -149,17 +149,18 @@ def test_iso_is_chosen_by_where_the_read_noise_arises(asked, read, after, longes
         assert "read noise 10.1 → 1.9 e⁻" in plan.iso_words
 
 
-def test_the_noise_is_told_by_stacks_or_by_exposures_and_never_by_texture(asked, tmp_path):
+def test_the_noise_is_measured_by_shots_and_never_by_texture_or_exposures(asked, tmp_path):
     rng = np.random.default_rng(7)
     texture = scene() * np.exp(0.3 * rng.standard_normal(scene().shape))
     frames = [
         write(tmp_path / "three", "panel", t, 0, capture(texture, t, rng)) for t in (0.1, 0.8, 6.4)
     ]
-    for found in (planned(asked, None), planned(frames, None)):
+    twice = write(tmp_path / "three", "panel", 0.8, 1, capture(texture, 0.8, rng))
+    for found in (planned(asked, None), planned([*frames, twice], None)):
         assert found.sensor.gain == pytest.approx(GAIN, rel=0.08)
         assert found.sensor.read_variance == pytest.approx(READ**2 + 1 / 12, rel=0.12)
     with pytest.raises(NoAdvice, match="one shot of an object cannot separate"):
-        planned(frames[:1], None)
+        planned(frames, None)
 
 
 def test_without_both_numbers_no_iso_is_chosen(asked):

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from levkas.calibration.full_scale import FullScale
-from levkas.calibration.noise_fit import NoiseModel, fit_noise, fit_noise_single
+from levkas.calibration.noise_fit import NoiseModel, fit_noise_of_frames
 from levkas.calibration.noise_model import Sensor
 from levkas.calibration.patterns import channel_names, channel_table, split
 from levkas.calibration.templates import Template
@@ -325,7 +325,7 @@ def _coach_band(
         raise NoAdvice(_too_faint(shot, channels))
     if is_white and min(c.unevenness for c in channels) > NO_WHITE:
         raise NoAdvice(_no_white(shot, channels))
-    noise, notes = _noise(shot, dark, black, pattern)
+    noise, notes = _noise(shots, shot, list(under.values()), black, pattern)
     prnu = _prnu(shot, black, full, pattern) if is_white else None
     sensor = Sensor(
         dark=0.0,
@@ -395,27 +395,29 @@ def planes_of(
 
 
 def _noise(
-    shot: Shot, dark: Template | None, black: float, pattern: str | Sequence[Sequence[str]] | None
+    shots: Sequence[Shot],
+    shot: Shot,
+    darks: Sequence[Template | None],
+    black: float,
+    pattern: str | Sequence[Sequence[str]] | None,
 ) -> tuple[NoiseModel, list[str]]:
-    """Fit the noise of a shot; from one shot only an upper bound follows."""
-    if dark is not None and dark.mean.shape != shot.stack.mean.shape:
-        dark = None
-    stacks = [s for s in (shot.stack, dark) if s is not None and s.count > 1]
-    noise = fit_noise(stacks, dark, black=black) if shot.stack.count > 1 else None
-    if noise is not None and noise.gain > 0:
-        return noise, []
-    single = None
-    if shot.stack.mean.ndim == 2:
-        single = fit_noise_single([shot.stack], [None], dark, black=black, pattern=pattern)
+    """Fit the noise of a sensor to all exposures of a band; from single shots only an upper bound follows."""
+    size, stacks = shot.stack.mean.shape, [s.stack for s in shots]
+    fitting = {id(dark): dark for dark in darks if dark is not None and dark.mean.shape == size}
+    alone = [None] * len(stacks) if len(size) == 2 else []  # single shots are read plane by plane
+    noise = fit_noise_of_frames(stacks, alone, list(fitting.values()), black=black, pattern=pattern)
     top = float(np.max(shot.stack.mean))
-    if single is None or not 0 < single.gain <= max(top - black, 1.0) / FEWEST_ELECTRONS:
+    least = max(top - black, 1.0) / FEWEST_ELECTRONS if alone else 0.0
+    if noise is not None and noise.source == "temporal" and noise.gain > 0:
+        return noise, []
+    if noise is None or not 0 < noise.gain <= least:
         # 8 bits of a usual sensor, or texture all over: the advice on time does not hang on it, the SNR does.
         assumed = NoiseModel(max(top, 1.0) / 20_000, 1.0, "spatial")
         return assumed, [
             "the noise could not be measured: 20,000 electrons are assumed at the peak"
         ]
     note = "one shot only: the SNR is a lower bound, because texture counts as noise; two shots measure it"
-    return single, [note]
+    return noise, [note]
 
 
 def _clipped(reading: tuple[Shot, list[Reading]]) -> Problem:

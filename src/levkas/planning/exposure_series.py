@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from math import ceil, floor, log, log10, sqrt
 from typing import TYPE_CHECKING, Any
 
@@ -32,8 +31,6 @@ SEEN = 3.0  # deviations of such a mean by which the darkest paint must stand ab
 SPARE = 0.9  # of the usable range: lamps drift and times are rounded
 MOST = 12  # exposures of a series
 ROUNDING = 1 / 12  # counts²
-GROUPS, FEWEST = 24, 200  # of sensels of like light, and sensels of a group at least
-NEAR = 4.0  # interquartile ranges, five deviations
 WORTH_SNR, WORTH_TIME = (
     0.05,
     0.2,
@@ -209,7 +206,7 @@ def plan_series(
     wish : SeriesWish
     keys : StudioCameraKeys, optional
         Of the camera in a setup file: its full well and noise in electrons. Left out, noise is what
-        shots or exposures of the object differ by, and no ISO is chosen.
+        shots of the object differ by, and no ISO is chosen.
 
     Raises
     ------
@@ -346,11 +343,9 @@ def _sensors(found: BandAdvice, keys: StudioCameraKeys | None) -> tuple[list[Sen
     Without sensor data there is one, as fitted to the frames, at their own ISO.
     """
     if keys is None:
-        noise = _noise_between(found) if found.one_shot else None
-        if found.one_shot and noise is None:
+        if found.one_shot:
             raise NoAdvice(_one_shot(found))
-        gain, read = noise or (found.sensor.gain, found.read_variance)
-        return [SensorAt(gain, read, iso=found.shot.iso)], 1.0
+        return [SensorAt(found.sensor.gain, found.read_variance, iso=found.shot.iso)], 1.0
     after = keys.read_after_e
     if after is not None and after > keys.read_e:
         raise PlanRefused(
@@ -371,50 +366,13 @@ def _sensors(found: BandAdvice, keys: StudioCameraKeys | None) -> tuple[list[Sen
     return sensors, shown
 
 
-def _noise_between(found: BandAdvice) -> tuple[float, float] | None:
-    """Return gain and variance without light from what exposures of the still scene differ by, or None.
-
-    With ρ = t_s/t_l, S − ρL has the variance read²(1/n_s + ρ²/n_l) + gain·S(1/n_s + ρ/n_l): texture and
-    PRNU cancel. Sensels are sorted by light into groups, each without what lies far off: that may have moved.
-    """
-    shots = sorted(zip(found.shots, found.levels, strict=True), key=lambda s: s[0].exposure_s or 0)
-    rows = []
-    for (short, low), (long, high) in pairwise(shots):
-        ratio = (short.exposure_s or 0.0) / (long.exposure_s or 1.0)
-        free = ~(
-            short.stack.saturated | long.stack.saturated | short.stack.black | long.stack.black
-        )
-        free &= long.stack.mean <= USABLE * found.full
-        lit = [(s.stack.mean[free].astype(float) - v) for s, v in ((short, low), (long, high))]
-        order = np.argsort(lit[0] + lit[1], kind="stable")
-        for part in np.array_split(order, min(GROUPS, len(order) // FEWEST) or 1):
-            if len(part) < FEWEST:
-                continue
-            apart, light = (lit[0] - ratio * lit[1])[part], float((ratio * lit[1])[part].mean())
-            low_q, middle, high_q = np.quantile(apart, (0.25, 0.5, 0.75))
-            near = np.abs(apart - middle) <= NEAR * max(high_q - low_q, 0.5)
-            spread = float(apart[near].var())
-            shares = 1 / short.stack.count, 1 / long.stack.count
-            rows.append(
-                (shares[0] + ratio**2 * shares[1], light * (shares[0] + ratio * shares[1]), spread)
-            )
-    table = np.array(rows)
-    if len(table) < 4:
-        return None
-    weights = 1 / np.maximum(table[:, 2], ROUNDING)
-    (read, gain), *_ = np.linalg.lstsq(
-        table[:, :2] * weights[:, None], table[:, 2] * weights, rcond=None
-    )
-    return (float(gain), max(float(read), ROUNDING)) if gain > 0 else None
-
-
 def _one_shot(found: BandAdvice) -> Problem:
     return Problem(
         "E_ONE_SHOT",
         f"{found.shot.name}: one shot of an object cannot separate the sensor's noise from the object's texture",
         found=f"{len(found.shots)} exposure{'s' * (len(found.shots) > 1)}, one shot each",
-        expected="two shots, exposures that overlap, or sensor data",
-        fix="Name a second shot or a longer exposure besides, or a setup file with the camera: --setup FILE --camera NAME.",
+        expected="two shots of an exposure, or sensor data",
+        fix="Name a second shot besides, or a setup file with the camera: --setup FILE --camera NAME.",
     )
 
 
