@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.calibration.noise_model import Sensor, snr_db
+from levkas.core.blocks import block_means
 
 CHANCE = 1e-6
 DRIFT = 0.01  # by which the lamp may grow until the object is captured, relative
@@ -118,9 +119,7 @@ def read_channel(
     """
     light, room = np.asarray(plane, float) - black, float(saturation) - black
     histogram, _ = np.histogram(light, BINS, (0.0, room))
-    high, wide = (max(1, n // CELL) for n in light.shape)
-    tall, broad = (min(n, CELL) for n in light.shape)
-    cells = light[: high * tall, : wide * broad].reshape(high, tall, wide, broad).mean((1, 3))
+    cells = block_means(light, *(min(n, CELL) for n in light.shape))
     low, mean, top = (float(q) for q in np.quantile(cells, (0.01, 0.5, 0.99)))
     return Reading(
         channel,

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.calibration.exposures import USABLE, merge_weight
+from levkas.core.blocks import block_means
 from levkas.core.problems import Problem
 from levkas.planning.exposure_advice import BandAdvice, NoAdvice, Shot, planes_of
 from levkas.planning.exposure_levels import safe_mean
@@ -314,15 +315,10 @@ def _smoothed(rates: np.ndarray, pattern: Any) -> np.ndarray:
     planes = zip(planes_of(rates, pattern), planes_of(out, pattern), strict=True)
     for (_, plane), (_, into) in planes:
         high, wide = plane.shape
-        cells = _cells(plane)
+        cells = block_means(plane, CELL)
         y, x = (np.minimum(np.arange(n) // CELL, n // CELL - 1) for n in (high, wide))
         into[...] = cells[np.ix_(y, x)]
     return out
-
-
-def _cells(plane: np.ndarray) -> np.ndarray:
-    high, wide = (n // CELL for n in plane.shape)
-    return plane[: high * CELL, : wide * CELL].reshape(high, CELL, wide, CELL).mean((1, 3))
 
 
 def _darkest(
@@ -331,7 +327,7 @@ def _darkest(
     """Return the rate of the darkest paint, its channel, and the exposure that shows it."""
     times = [plane for _, plane in planes_of(longest, pattern)]
     found = [
-        (float(np.quantile(_cells(plane), quantile)), name, float(np.max(time)))
+        (float(np.quantile(block_means(plane, CELL), quantile)), name, float(np.max(time)))
         for (name, plane), time in zip(planes_of(rates, pattern), times, strict=True)
     ]
     return min(found)

@@ -12,6 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from levkas.core.blocks import block_means
+
 SIDE = 256
 """Blocks along the longer side; at half or twice as many the same frames are told apart."""
 RIM = 50
@@ -107,7 +109,7 @@ def find_detail(
     plane = np.asarray(values[rim[0] : values.shape[0] - rim[0], rim[1] : values.shape[1] - rim[1]])
     plane = np.nan_to_num(plane.astype(np.float32), posinf=0.0, neginf=0.0)
     tile = max(period, 1)
-    plane = _means(plane, 1 if along_lines else tile, tile)
+    plane = block_means(plane, 1 if along_lines else tile, tile)
     if min(plane.shape) < 2 * LEAST_TILE:
         return Detail(np.zeros((0, 0), np.float32), np.zeros((0, 0), np.float32), 1)
     plane = plane - _light(plane)
@@ -117,25 +119,18 @@ def find_detail(
     steep = np.abs(a - c) + np.abs(b - d) if along_lines else np.hypot(a - d, b - c)
     steep = np.hypot(steep, step / tile)
     side = -(-max(steep.shape) // SIDE)
-    root = np.sqrt(_means(steep, 1 if along_lines else side, side))
+    root = np.sqrt(block_means(steep, 1 if along_lines else side, side))
     rest = root - uniform_filter(root, AROUND)
     return Detail(root, rest, side)
 
 
 def _light(plane: np.ndarray) -> np.ndarray:
     """Return the polynomial of order 4 through a frame: the fall of the light, whose slope is no detail."""
-    small = _means(plane, *(-(-n // LIGHT_SIDE) for n in plane.shape))
+    small = block_means(plane, *(-(-n // LIGHT_SIDE) for n in plane.shape))
     axes = [np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, n), ORDER) for n in small.shape]
     fit = np.linalg.pinv(axes[0]) @ small @ np.linalg.pinv(axes[1]).T
     whole = [np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, n), ORDER) for n in plane.shape]
     return np.asarray(whole[0] @ fit @ whole[1].T, np.float32)
-
-
-def _means(values: np.ndarray, tall: int, wide: int) -> np.ndarray:
-    """Return the means of blocks, the rest at the edges left out."""
-    rows, columns = values.shape[0] // tall, values.shape[1] // wide
-    blocks = values[: rows * tall, : columns * wide].reshape(rows, tall, columns, wide)
-    return np.asarray(blocks.mean(axis=(1, 3)))
 
 
 def structured_share(detail: Detail) -> float:

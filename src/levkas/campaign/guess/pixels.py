@@ -18,6 +18,7 @@ from levkas.campaign.guess.detail import (
     show_the_same,
     structured_share,
 )
+from levkas.core.blocks import block_means
 from levkas.core.problems import Refused
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ def describe_pixels(values: np.ndarray) -> Statistics:
     counts = plane.astype(np.float32)
     low, high = (float(v) for v in np.percentile(counts, (1, 99)))
     top = plane.max(initial=0)
-    block = block_means(counts, 1 + min(counts.shape) // BLOCKS)
+    block = block_means(counts.astype(np.float64), 1 + min(counts.shape) // BLOCKS)
     level = float(np.median(block)) or 1.0
     p5, p95 = np.percentile(block, (5, 95))
     return Statistics(
@@ -197,14 +198,6 @@ def is_proportional(one: np.ndarray, other: np.ndarray) -> bool:
     a, b = one - one.mean(), other - other.mean()
     size = float(np.sqrt((a * a).mean() * (b * b).mean()))
     return float((a * b).mean()) > 0.97 * size
-
-
-def block_means(values: np.ndarray, side: int) -> np.ndarray:
-    """Return the means of blocks of `side` x `side`, the rest at the edges left out."""
-    side = max(1, min(side, *values.shape))
-    height, width = (n // side for n in values.shape)
-    blocks = values[: height * side, : width * side].reshape(height, side, width, side)
-    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64))
 
 
 def _texture(values: np.ndarray) -> float:
