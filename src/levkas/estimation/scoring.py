@@ -30,16 +30,9 @@ PLACES = ("", "Train_Spec", "Test_Spec", "Valid_Spec")
 def score_predictions(plan: ExperimentPlan, folder: str | Path) -> Iterator[EstimationStep]:
     """Score the predictions in a folder for the test paintings of a database; the last step carries the report.
 
-    Parameters
-    ----------
-    plan : ExperimentPlan
-        `database`, `target`, `sources` (whose masks are used too), and `test`: default the published split.
-    folder : path
-
-    Raises
-    ------
-    EstimationRefused
-        Where predictions are missing, of another shape, or of training paintings: each file by its name.
+    Of `plan` count `database`, `target`, `sources` (whose masks are used too), and `test`: default the published
+    split. Raises EstimationRefused where predictions are missing, of another shape, or of training paintings: each
+    file by its name.
     """
     database = Database(plan.database)
     target, groups = choose_layers(database, plan)
@@ -58,13 +51,17 @@ def score_predictions(plan: ExperimentPlan, folder: str | Path) -> Iterator[Esti
     errors = []
     for done, name in enumerate(tested, 1):
         samples = source.read(name, sources)
-        cube = _read_cube(files[name], source.layer(name, target).shape)
+        path, shape = files[name], source.layer(name, target).shape
+        if path.suffix == ".mat":
+            cube = read_hdf5(path, "cube", shape[::-1]).transpose(2, 1, 0)
+        else:
+            cube = read_npy(path, shape)
         spectra = cube[samples.rows, samples.columns].astype(float)
         if lost := int((~np.isfinite(spectra)).any(1).sum()):
             why = "the prediction has pixels without a number where the painting was seen"
             found = f"{lost} of {len(spectra)} scored pixels"
             raise EstimationRefused(
-                Problem("E_VALUE", why, str(files[name]), None, found, "finite reflectance")
+                Problem("E_VALUE", why, str(path), None, found, "finite reflectance")
             )
         far = distances(known, samples.responses)
         errors.append(score_pixels(name, (spectra, None), samples, wavelengths, far))
@@ -83,9 +80,6 @@ def find_predictions(
     folder: Path, target: str, tested: Sequence[str], trained: Sequence[str]
 ) -> dict[str, Path]:
     """Return the file of each test painting; refuse missing ones and those of training paintings, by name."""
-    if not folder.is_dir():
-        why = "there is no folder of predictions"
-        raise EstimationRefused(Problem("E_MISSING", why, str(folder), "--score"))
     key, files, problems = LayerId.parse("OBJECT", target), {}, []
     for name in (*tested, *trained):
         stem = LayerId(name, key.camera, key.setup).stem
@@ -127,10 +121,3 @@ def _split(names: Sequence[str], sources: tuple[str, ...], plan: ExperimentPlan)
         )
     note = "test paintings of the published split (splits.csv); all others are for training"
     return EstimationSplit("painting", (EstimationFold("published", train, test),), note=note)
-
-
-def _read_cube(path: Path, shape: tuple[int, ...]) -> np.ndarray:
-    """Return a predicted cube, (height, width, bands); raises UnreadableCapture."""
-    if path.suffix == ".mat":
-        return read_hdf5(path, "cube", shape[::-1]).transpose(2, 1, 0)
-    return read_npy(path, shape)
