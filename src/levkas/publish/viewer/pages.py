@@ -9,11 +9,11 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from importlib.resources import files as resources
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from levkas import __version__
+from levkas.pages.page import templates_of
 from levkas.publish.citation import cite
 from levkas.registration.record import DECISIONS
 
@@ -98,15 +98,8 @@ def format_bytes(count: int) -> str:
 
 
 def _render(template: str, **facts: Any) -> str:
-    import jinja2
-
-    def read(name: str) -> str:
-        return resources("levkas.publish.viewer").joinpath(name).read_text(encoding="utf-8")
-
-    environment = jinja2.Environment(
-        loader=jinja2.FunctionLoader(read), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
-    return environment.get_template(template).render(policy=POLICY, version=__version__, **facts)
+    page = templates_of("levkas.publish.viewer").get_template(template)
+    return page.render(policy=POLICY, version=__version__, **facts)
 
 
 @dataclass(frozen=True)
