@@ -83,7 +83,7 @@ def partial_files(folder):
     return [p for p in folder.rglob("*") if PARTIAL.fullmatch(p.name)]
 
 
-@pytest.mark.parametrize("count", [2, 3])
+@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_the_bytes_are_those_of_one_process_in_any_order(
     count, plates, messages, tmp_path, monkeypatch
 ):
@@ -113,6 +113,7 @@ def test_the_bytes_are_those_of_one_process_in_any_order(
     assert not partial_files(tmp_path) and not [*tmp_path.rglob("*.asked")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("streamed", [False, True], ids=["held", "streamed"])
 def test_setups_scans_and_captures_adjusted_together_are_those_of_one_process(
     make_every_kind, tmp_path, monkeypatch, streamed
@@ -142,6 +143,7 @@ def test_setups_scans_and_captures_adjusted_together_are_those_of_one_process(
     assert hash_tree(tmp_path / "workers") == hash_tree(tmp_path / "alone")
 
 
+@pytest.mark.slow
 def test_the_line_names_what_waits_for_memory_while_a_worker_is_idle(plates, tmp_path, monkeypatch):
     folder, expected, _, _ = plates
     monkeypatch.setattr(
@@ -176,6 +178,7 @@ def test_a_task_reports_its_frames_within_the_second(monkeypatch):
     assert watch.frames == 3 and 0 < said[0] <= watch.bytes
 
 
+@pytest.mark.slow
 def test_a_killed_client_and_a_killed_worker_cost_only_what_they_were_doing(plates, tmp_path):
     folder, expected, _, _ = plates
     output = tmp_path / "database"
@@ -198,6 +201,7 @@ def test_a_killed_client_and_a_killed_worker_cost_only_what_they_were_doing(plat
     assert not partial_files(tmp_path)
 
 
+@pytest.mark.slow
 def test_what_fits_on_no_worker_is_refused_by_name_and_the_rest_goes_on(
     make_plates, tmp_path, monkeypatch
 ):
