@@ -114,7 +114,11 @@ def test_blank_target_is_refused_by_name(pair):
 
 @pytest.mark.parametrize(
     ("moved", "measured"),
-    [({}, range(30, 40)), ({32: 1.0}, [90]), ({k: k // 2 % 2 for k in range(90)}, [90])],
+    [
+        ({}, range(30, 40)),
+        pytest.param({32: 1.0}, [90], marks=pytest.mark.slow),
+        pytest.param({k: k // 2 % 2 for k in range(90)}, [90], marks=pytest.mark.slow),
+    ],
 )
 def test_of_many_bands_some_are_measured_and_all_where_neighbours_do_not_tell_of_one_another(
     moved, measured
