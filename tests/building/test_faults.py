@@ -49,7 +49,7 @@ from levkas.database.validation import validate
 
 KINDS = ("full", "failing", "kill")
 SCENES = ("new", "over", "withdrawn", "joint")
-QUICK = (("new", "full"), ("new", "kill"), ("over", "failing"))
+QUICK = (("new", "full"), ("new", "kill"))
 """Those that the fast tests hold."""
 POINTS = 7
 """Of every scene and kind in an ordinary run; benchmarks/faults.py takes all."""
@@ -860,7 +860,9 @@ def lost(scene, disk, records):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="folders are not synced there")
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "joint")) for n in SCENES]
+)
 def test_a_loss_of_power_at_any_moment_leaves_the_old_or_the_new(scenes, name):
     operations, wrong = replay(scenes[name])
     assert operations > 200

@@ -230,6 +230,7 @@ def test_a_build_registers_both_strips(built):
     assert any("share 35.63 samples" in path.read_text() for path in kept)
 
 
+@pytest.mark.slow
 def test_a_streamed_build_has_the_same_bytes(built, tmp_path, monkeypatch):
     folder, _ = built
     monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
@@ -308,7 +309,7 @@ def test_what_one_strip_lost_the_other_one_shows(tmp_path):
     assert np.abs(left[100:104, 125:128]).max() < 6 * cube.sigma[100:104, 125:128].max()
 
 
-@pytest.mark.parametrize("larger", [1.0, 0.5])
+@pytest.mark.parametrize("larger", [pytest.param(1.0, marks=pytest.mark.slow), 0.5])
 def test_sigma_of_strips_holds_when_they_are_resampled_again(tmp_path, larger):
     """Half a pixel beside the first strip, then on a grid turned by 5 degrees, as large or half as large."""
     smooth = paint(soft=6.0)

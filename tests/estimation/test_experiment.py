@@ -100,6 +100,7 @@ def test_parameters_are_chosen_on_what_is_held_out_as_the_test_is(paintings):
     assert len(np.unique(one.groups)) == len(names) - 1 and other.groups is None
 
 
+@pytest.mark.slow
 def test_parameters_chosen_by_colour_have_no_larger_colour_difference(paintings):
     found = {}
     for choice in ("rmse", "delta-e"):

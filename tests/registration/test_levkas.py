@@ -95,6 +95,7 @@ def test_same_input_gives_same_answer(pair):
     assert one.to_dict() == two.to_dict()
 
 
+@pytest.mark.slow
 def test_another_painting_is_refused(pair):
     reference, _, _ = pair
     rng = np.random.default_rng(99)
