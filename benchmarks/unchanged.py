@@ -1,10 +1,10 @@
 """Builds by two states of the code: what differs in the databases, file by file and number by number.
 
-    PYTHONPATH=OLD/src python benchmarks/unchanged.py record FOLDER [--only NAME...]
-    PYTHONPATH=NEW/src python benchmarks/unchanged.py compare FOLDER [--only NAME...] [--bytes] [-o JSON]
+    python benchmarks/unchanged.py record FOLDER [--commit COMMIT] [--only NAME...]
+    python benchmarks/unchanged.py compare FOLDER [--only NAME...] [--bytes] [-o JSON]
 
-`record` keeps raw frames, databases, maps and reports of some campaigns in FOLDER; `compare` builds the
-same frames with the code at hand and ends with 1 where a limit is exceeded. ``--only quick`` takes
+`record` keeps raw frames, databases, maps and reports of some campaigns in FOLDER, built by the code at hand or by that of
+a commit; `compare` builds the same frames with the code at hand and ends with 1 where a limit is exceeded. ``--only quick`` takes
 `QUICK`. With ``--bytes`` every byte has to be the same, but for what `differences.EXCLUDED` names.
 Otherwise files and keys have to be there, words and flags the same, numbers within `differences.LIMITS`; other
 differences are listed. The ledger beside a database (``.kept``) holds fingerprints and is not compared.
@@ -14,11 +14,13 @@ Needs only the command line, `levkas.open` and the layout of the database.
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import os
 import shutil
 import subprocess
 import sys
+import tarfile
 import tempfile
 import time
 import tomllib
@@ -41,6 +43,7 @@ from differences import (
 )
 
 HERE = Path(__file__).resolve().parents[1]
+BUILT = "src/levkas/pages/screen/built"
 POINTS = 9
 """Along either side of the grid, where maps are compared."""
 BANDS = 25
@@ -48,10 +51,11 @@ BANDS = 25
 ERROR_FLOOR = 1e-3
 """Mean errors, px, that count as this where the change is taken relative to them."""
 STREAMED = """
-import importlib, pathlib, sys, levkas
+import importlib, pathlib, re, sys, levkas
 home = pathlib.Path(levkas.__file__).parent
 for name, number in (("STREAMED_SAMPLES", 0), ("HELD_BYTES", 3_000_000)):
-    holders = [p for p in home.rglob("*.py") if f"\\n{name} = " in p.read_text()]
+    assigned = re.compile(rf"^(?:\\w+, )*{name}(?:, \\w+)* = ", re.M)
+    holders = [p for p in home.rglob("*.py") if assigned.search(p.read_text())]
     if not holders:
         sys.exit(f"no module has {name}")
     for path in holders:
@@ -266,6 +270,31 @@ def compare_errors(campaign: str, old: Any, new: Any) -> Iterator[Difference]:
 # --- commands
 
 
+def unpack(commit: str, folder: Path) -> Path:
+    """Return the sources of a commit with the pages that are built here; they are unpacked where there are none."""
+    git = ["git", "-C", str(HERE)]
+    asked = [*git, "rev-parse", "--verify", f"{commit}^{{commit}}"]
+    name = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+    target = folder / "code" / name
+    if not target.is_dir():
+        room = target.with_name(f"{name}.unfinished")
+        shutil.rmtree(room, ignore_errors=True)
+        packed = subprocess.run([*git, "archive", name, "src"], capture_output=True, check=True)
+        with tarfile.open(fileobj=io.BytesIO(packed.stdout)) as archive:
+            archive.extractall(room, filter="data")
+        if (HERE / BUILT).is_dir():
+            shutil.copytree(HERE / BUILT, room / BUILT)
+        room.rename(target)
+    return target / "src"
+
+
+def record_commit(commit: str, folder: Path, names: list[str]) -> int:
+    """Record by the code of a commit, in a process that imports it."""
+    code = {**os.environ, "PYTHONPATH": str(unpack(commit, folder)), "PYTHONUTF8": "1"}
+    command = [sys.executable, __file__, "record", str(folder), "--only", *names]
+    return subprocess.run(command, env=code, check=False).returncode
+
+
 def record(folder: Path, names: list[str]) -> int:
     for name in names:
         seconds = build_into(make_campaign(folder, name), folder / "recorded" / name)
@@ -306,12 +335,17 @@ def main() -> int:
     parser.add_argument(
         "--only", nargs="+", choices=["quick", *CAMPAIGNS], metavar="NAME", default=[]
     )
+    parser.add_argument("--commit", help="of `record`: build by the code of this commit")
     parser.add_argument("--bytes", action="store_true", help="every byte has to be the same")
     parser.add_argument("-o", "--output", type=Path, help="differences as JSON")
     given = parser.parse_args()
     quick = "quick" in given.only
     names = [n for n in CAMPAIGNS if not given.only or n in given.only or (quick and n in QUICK)]
     folder = given.folder.resolve()
+    if given.commit:
+        if given.command == "compare":
+            parser.error("--commit is of `record`; `compare` takes the code at hand")
+        return record_commit(given.commit, folder, names)
     print(f"code: {Path(find_spec('levkas').origin).parent}", flush=True)
     if given.command == "record":
         return record(folder, names)

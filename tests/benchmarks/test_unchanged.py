@@ -154,3 +154,31 @@ def test_versions_and_hashes_are_excluded(pair, tool):
 
 def test_equal_databases_are_equal(pair, tool):
     assert list(tool.compare_databases("x", *pair, exact=True)) == []
+
+
+@pytest.fixture
+def unchanged(monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    return importlib.import_module("unchanged")
+
+
+def test_the_code_of_a_commit_is_unpacked_once(unchanged, tmp_path):
+    if not (unchanged.HERE / ".git").exists():
+        pytest.skip("no history: these sources come without git")
+    source = unchanged.unpack("HEAD", tmp_path)
+    assert (source / "levkas/__init__.py").is_file()
+    assert source == unchanged.unpack("HEAD", tmp_path)
+
+
+def test_limits_of_streamed_scans_are_found_whatever_stands_beside_them(unchanged, monkeypatch):
+    import levkas.building.scans
+    import levkas.building.streaming
+
+    for module, name in (
+        (levkas.building.scans, "STREAMED_SAMPLES"),
+        (levkas.building.streaming, "HELD_BYTES"),
+    ):
+        monkeypatch.setattr(module, name, getattr(module, name))  # restored in the end
+    exec(unchanged.STREAMED, {})
+    assert levkas.building.scans.STREAMED_SAMPLES == 0
+    assert levkas.building.streaming.HELD_BYTES == 3_000_000

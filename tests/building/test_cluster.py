@@ -45,10 +45,15 @@ def no_scheduler(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def plates(make_plates, tmp_path_factory):
-    """A campaign of two objects; its database as one process builds it, the steps, and the frames read."""
-    before = FRAMES.count
-    folder = make_plates(tmp_path_factory.mktemp("plates") / "campaign")
+def campaign(make_plates, tmp_path_factory):
+    """A campaign of two objects."""
+    return make_plates(tmp_path_factory.mktemp("plates") / "campaign")
+
+
+@pytest.fixture(scope="module")
+def plates(campaign):
+    """The campaign; its database as one process builds it, the steps, and the frames read."""
+    before, folder = FRAMES.count, campaign
     report = summarise(build(folder, workers=0))
     assert report.ok
     return folder, hash_tree(folder / "database"), report, FRAMES.count - before
@@ -83,6 +88,7 @@ def partial_files(folder):
     return [p for p in folder.rglob("*") if PARTIAL.fullmatch(p.name)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 3])
 def test_the_bytes_are_those_of_one_process_in_any_order(
     count, plates, messages, tmp_path, monkeypatch
@@ -113,6 +119,7 @@ def test_the_bytes_are_those_of_one_process_in_any_order(
     assert not partial_files(tmp_path) and not [*tmp_path.rglob("*.asked")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("streamed", [False, True], ids=["held", "streamed"])
 def test_setups_scans_and_captures_adjusted_together_are_those_of_one_process(
     make_every_kind, tmp_path, monkeypatch, streamed
@@ -142,6 +149,7 @@ def test_setups_scans_and_captures_adjusted_together_are_those_of_one_process(
     assert hash_tree(tmp_path / "workers") == hash_tree(tmp_path / "alone")
 
 
+@pytest.mark.slow
 def test_the_line_names_what_waits_for_memory_while_a_worker_is_idle(plates, tmp_path, monkeypatch):
     folder, expected, _, _ = plates
     monkeypatch.setattr(
@@ -176,6 +184,7 @@ def test_a_task_reports_its_frames_within_the_second(monkeypatch):
     assert watch.frames == 3 and 0 < said[0] <= watch.bytes
 
 
+@pytest.mark.slow
 def test_a_killed_client_and_a_killed_worker_cost_only_what_they_were_doing(plates, tmp_path):
     folder, expected, _, _ = plates
     output = tmp_path / "database"
@@ -198,6 +207,7 @@ def test_a_killed_client_and_a_killed_worker_cost_only_what_they_were_doing(plat
     assert not partial_files(tmp_path)
 
 
+@pytest.mark.slow
 def test_what_fits_on_no_worker_is_refused_by_name_and_the_rest_goes_on(
     make_plates, tmp_path, monkeypatch
 ):
@@ -244,10 +254,10 @@ def drips(request):
     listening.close()
 
 
-def test_a_scheduler_that_drips_is_refused_in_bounded_time(plates, drips, tmp_path, monkeypatch):
+def test_a_scheduler_that_drips_is_refused_in_bounded_time(campaign, drips, tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "ANSWER_S", 1.0)
     with pytest.raises(Refused) as refused:
-        list(build(plates[0], output=tmp_path / "database", cluster=drips))
+        list(build(campaign, output=tmp_path / "database", cluster=drips))
     (problem,) = refused.value.problems
     assert problem.code == "E_CLUSTER" and "does not answer" in problem.message
 
@@ -333,10 +343,10 @@ def test_a_scheduler_of_this_machine_or_one_behind_tls_is_taken():
     cluster.check_address("tcp://10.0.0.7:8786", insecure=True)
 
 
-def test_the_command_refuses_as_every_command_does(plates, tmp_path, monkeypatch):
+def test_the_command_refuses_as_every_command_does(campaign, tmp_path, monkeypatch):
     def run(*more):
         found = CliRunner().invoke(
-            app, ["build", str(plates[0]), "-o", str(tmp_path / "d"), "--json", *more]
+            app, ["build", str(campaign), "-o", str(tmp_path / "d"), "--json", *more]
         )
         return found.exit_code, json.loads(found.stdout)["problems"][0]["code"]
 

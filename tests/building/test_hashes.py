@@ -92,8 +92,10 @@ def test_two_builds_write_one_index(tmp_path):
 
 
 def test_a_catalogue_of_many_layers_is_read(tmp_path):
+    """More than 16 MiB, by long names."""
+    long = "x" * 200
     row = ("", 33, 1392, 1040, 2.0, "reflectance", "accept", "a" * 64)
-    entries = [Entry(f"icon{n:06d}", "lctf-vis", *row) for n in range(160_000)]
+    entries = [Entry(f"icon{n:06d}{long}", "lctf-vis", *row) for n in range(60_000)]
     path = write_catalogue(tmp_path, entries)
     assert path.stat().st_size > 16 << 20
     assert read_catalogue(tmp_path) == tuple(entries)

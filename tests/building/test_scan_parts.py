@@ -24,7 +24,6 @@ from levkas.core.digests import hash_tree
 from levkas.core.files import PARTIAL
 from levkas.database import spectral_tiff
 from levkas.database.layout import Places
-from levkas.simulation import simulate_campaign
 
 SMALL = {
     scans: {"STREAMED_SAMPLES": 0},
@@ -32,14 +31,6 @@ SMALL = {
     spectral_tiff: {"STRIP_BYTES": 1 << 14},
 }
 """Limits under which a small scan is streamed, and its strips are of few rows."""
-
-
-@pytest.fixture(scope="module")
-def simulated(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("scan") / "campaign"
-    for _ in simulate_campaign(folder, preset="small", scale=0.2, cameras=["v10"]):
-        pass
-    return folder
 
 
 @pytest.fixture
@@ -50,12 +41,12 @@ def small(monkeypatch):
 
 
 @pytest.fixture
-def opened(simulated, small, monkeypatch):
+def opened(small_scan, small, monkeypatch):
     """Campaign, capture, and a function that opens its scan; a pixel of its pictures is of several."""
     monkeypatch.setattr(scans, "LOOKED_AT_PX", 3000)
-    campaign = load_campaign(simulated)
+    campaign = load_campaign(small_scan)
     capture = next(c for c in find_captures(campaign)[0] if c.camera == "v10")
-    shelf = TemplateCache(simulated, None, shared=False)
+    shelf = TemplateCache(small_scan, None, shared=False)
     return campaign, capture, lambda: calibrate.calibrate(capture, campaign, shelf)
 
 
@@ -134,8 +125,6 @@ def test_a_part_that_is_cut_off_is_never_joined(opened, tmp_path, monkeypatch):
     assert not [p for p in places.output.rglob("*") if p.is_file()]
 
 
-SLOW = pytest.mark.slow
-
 # --- on workers ---------------------------------------------------------------------------------
 
 PRELOAD = """
@@ -162,14 +151,14 @@ def on_workers(tmp_path, monkeypatch, small):
 
 
 @pytest.fixture(scope="module")
-def alone(simulated, tmp_path_factory):
+def alone(small_scan, tmp_path_factory):
     """The database as one process builds it in one pass, the samples of its scan, and its lines."""
     output = tmp_path_factory.mktemp("alone") / "database"
     with pytest.MonkeyPatch.context() as patch:
         for module, limits in SMALL.items():
             for name, value in limits.items():
                 patch.setattr(module, name, value)
-        report = summarise(build(simulated, output=output, workers=0))
+        report = summarise(build(small_scan, output=output, workers=0))
     assert report.ok, report.text
     return output, hash_tree(output)
 
@@ -192,13 +181,14 @@ def samples_of(output, count):
         return prod(tiff.pages[0].shape) * len(tiff.pages) / count
 
 
-@pytest.mark.parametrize("parts", [pytest.param(1, marks=SLOW), pytest.param(2, marks=SLOW), 5])
+@pytest.mark.slow
+@pytest.mark.parametrize("parts", [1, 5])
 def test_workers_share_a_scan_and_write_the_bytes_of_one_process(
-    parts, alone, simulated, on_workers, tmp_path
+    parts, alone, small_scan, on_workers, tmp_path
 ):
     output, expected = alone
     with on_workers(samples_of(output, parts)):
-        report = summarise(build(simulated, output=tmp_path / "database", workers=2))
+        report = summarise(build(small_scan, output=tmp_path / "database", workers=2))
     assert report.ok, report.text
     assert hash_tree(tmp_path / "database") == expected
     notes = record_of(tmp_path / "database")["notes"]
@@ -242,14 +232,13 @@ worker.Workplace.do = spoilt
 """
 
 
-@pytest.mark.parametrize(
-    "fault", [pytest.param(KILLED, marks=SLOW), SPOILT], ids=["killed", "spoilt"]
-)
-def test_parts_that_were_lost_are_made_again(fault, alone, simulated, on_workers, tmp_path):
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", [KILLED, SPOILT], ids=["killed", "spoilt"])
+def test_parts_that_were_lost_are_made_again(fault, alone, small_scan, on_workers, tmp_path):
     output, expected = alone
     fault = fault.replace("MARK", str(tmp_path / "mark"))
     with on_workers(samples_of(output, 3), fault):
-        report = summarise(build(simulated, output=tmp_path / "database", workers=2))
+        report = summarise(build(small_scan, output=tmp_path / "database", workers=2))
     assert report.ok, report.text
     assert [*tmp_path.glob("mark*")], "the fault was there"
     assert hash_tree(tmp_path / "database") == expected

@@ -21,24 +21,15 @@ from levkas.database.layers import Layer, write_layer
 from levkas.database.streaming_writer import write_rows
 from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Affine
-from levkas.simulation import simulate_campaign
-
-
-@pytest.fixture(scope="module")
-def simulated(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("scan") / "campaign"
-    for _ in simulate_campaign(folder, preset="small", scale=0.2, cameras=["v10"]):
-        pass
-    return folder
 
 
 @pytest.fixture
-def scan_and_cube(simulated, monkeypatch):
+def scan_and_cube(small_scan, monkeypatch):
     monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
-    campaign = load_campaign(simulated)
+    campaign = load_campaign(small_scan)
     capture = next(c for c in find_captures(campaign)[0] if c.camera == "v10")
     assert is_streamed(capture, campaign)
-    shelf = TemplateCache(simulated, None, shared=False)
+    shelf = TemplateCache(small_scan, None, shared=False)
     cube = next(iter(develop(capture, campaign, shelf).cubes.values()))
     return open_scan(capture, campaign, shelf), cube
 
@@ -189,16 +180,16 @@ def registers():
 
 
 @pytest.mark.parametrize(
-    "white",
-    [True, pytest.param(False, marks=pytest.mark.slow)],
+    ("white", "tiles"),
+    [(True, ("", "23")), pytest.param(False, ("", "23", "whole"), marks=pytest.mark.slow)],
     ids=["reflectance", "counts"],
 )
 def test_a_streamed_scan_is_built_to_the_same_bytes_by_any_rows(
-    simulated, tmp_path, monkeypatch, registers, white
+    small_scan, tmp_path, monkeypatch, registers, white, tiles
 ):
     monkeypatch.setattr(register, "register_capture", registers)
     campaign = tmp_path / "campaign"
-    shutil.copytree(simulated, campaign)
+    shutil.copytree(small_scan, campaign)
     if not white:
         text = (campaign / "campaign.toml").read_text()
         lines = [line for line in text.splitlines() if not line.startswith("white")]
@@ -206,18 +197,18 @@ def test_a_streamed_scan_is_built_to_the_same_bytes_by_any_rows(
     monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
     monkeypatch.setattr(streaming, "HELD_BYTES", 3_000_000)
     trees = []
-    for tile in ("", "23", "whole"):
+    for tile in tiles:
         monkeypatch.setenv("LEVKAS_TILE", tile)
         report = summarise(build(campaign, output=tmp_path / f"database{tile}"))
         assert report.ok, report.text
         trees.append(hash_tree(tmp_path / f"database{tile}"))
-    assert trees[0] == trees[1] == trees[2]
+    assert all(tree == trees[0] for tree in trees[1:])
     assert any("v10" in name and "native" in name for name in trees[0])
 
 
-def test_a_full_disk_is_foreseen_before_a_stage_writes(simulated, tmp_path, monkeypatch):
+def test_a_full_disk_is_foreseen_before_a_stage_writes(small_scan, tmp_path, monkeypatch):
     monkeypatch.setattr(disk, "_free_bytes", lambda folder: 50_000)
-    report = summarise(build(simulated, output=tmp_path / "database"))
+    report = summarise(build(small_scan, output=tmp_path / "database"))
     first = report.problems[0]
     assert first.code == "E_DISK_FULL" and first.found == "50000 bytes free"
     assert int(str(first.expected).split()[0]) > 100_000

@@ -78,6 +78,7 @@ def test_two_processes_with_an_object_each_lose_no_row_of_the_catalogue(plates, 
     check_whole(folder, tmp_path / "database", alone)
 
 
+@pytest.mark.slow
 def test_two_threads_at_once_make_what_one_makes(plates, tmp_path):
     folder, alone = plates
     reports = []

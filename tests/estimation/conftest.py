@@ -1,5 +1,6 @@
 """Small databases of paintings whose spectra are smooth mixtures, seen by an RGB and a spectral camera."""
 
+import importlib
 import shutil
 from pathlib import Path
 
@@ -87,6 +88,19 @@ def one_painting(tmp_path_factory) -> Path:
 def own_paintings(paintings, tmp_path) -> Path:
     """A copy of the paintings that a test may change."""
     return Path(shutil.copytree(paintings, tmp_path / "database"))
+
+
+@pytest.fixture(scope="module")
+def few_kernels():
+    """Let kernels stand on a fifth of the samples that they may take: small paintings need no more."""
+    methods = (f"levkas.estimation.methods.{name}" for name in ("kernel_ridge", "gaussian_process"))
+    kernel_ridge, gaussian_process = map(importlib.import_module, methods)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(kernel_ridge, "MOST_ANCHORS", 300)
+        patch.setattr(kernel_ridge, "TRIAL_ANCHORS", 150)
+        patch.setattr(gaussian_process, "MOST_ANCHORS", 150)
+        patch.setattr(gaussian_process, "MOST_SAMPLES", 300)
+        yield
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ from levkas.estimation.splits import split_at_random, split_paintings
 from levkas.estimation.training import mean_square, sample_weights
 
 METHODS = ("wiener", "pseudo-inverse")
+pytestmark = pytest.mark.usefixtures("few_kernels")
 
 
 def report_of(database, **options):
@@ -28,7 +29,7 @@ def command(*arguments):
 
 
 @pytest.fixture(scope="module")
-def whole(paintings):
+def whole(paintings, few_kernels):
     """The report of three methods with the error budget."""
     return report_of(paintings, sources=["rgb"], methods=(*METHODS, "matern"), budget=True)
 
@@ -99,6 +100,7 @@ def test_parameters_are_chosen_on_what_is_held_out_as_the_test_is(paintings):
     assert len(np.unique(one.groups)) == len(names) - 1 and other.groups is None
 
 
+@pytest.mark.slow
 def test_parameters_chosen_by_colour_have_no_larger_colour_difference(paintings):
     found = {}
     for choice in ("rmse", "delta-e"):

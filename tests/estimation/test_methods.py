@@ -294,6 +294,7 @@ def benchmark(monkeypatch):
     return importlib.import_module("estimation")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", ["Nikon D5100", "Nikon D80"])
 def test_kernels_are_a_quarter_better_than_a_line_on_pigments(camera, benchmark, real_data, rng):
     """Whole pigments held out, D50, SNR 100: 0.039 by a line, 0.027 by kernels with the D80."""

@@ -26,10 +26,10 @@ def sunk(turned=0.01, shift=((0.1, -0.05), (0.3, 0.0), (0.0, 0.25))):
     return LedgeShift(lines, 24.0, middle, 500.0, np.array(shift))
 
 
-def windows(truth, seed=0):
-    """What windows of three cells see: the mean of where their pixels lie."""
+def windows(truth, seed=0, step=CELL):
+    """What windows of three cells see, `step` px apart: the mean of where their pixels lie."""
     rng = np.random.default_rng(seed)
-    x, y = np.meshgrid(np.arange(24, 1000, CELL), np.arange(24, 760, CELL))
+    x, y = np.meshgrid(np.arange(24, 1000, step), np.arange(24, 760, step))
     points = np.stack([x, y], -1).reshape(-1, 2)
     spots = (np.arange(-23, 24, 2.0), 1 - np.abs(np.arange(-23, 24, 2.0)) / 24)
     around = np.stack(np.meshgrid(spots[0], spots[0]), -1).reshape(-1, 2)
@@ -60,7 +60,7 @@ def test_a_ledge_is_found_where_it_was_planted_and_its_displacement_with_it():
 
 def test_the_ladder_takes_a_ledge_where_there_is_one_and_is_nearer_to_the_truth_for_it():
     truth = Composed(sunk(), VIEW)
-    seen = windows(truth, 1)
+    seen = windows(truth, 1, 2 * CELL)
     with_it, without = (
         select_model(seen, SelectionTerms(192, cell=CELL, depth_step=True)),
         select_model(seen, SelectionTerms(192)),
@@ -101,14 +101,15 @@ def test_a_ledge_displaces_along_either_axis_evenly_and_growing_along_it():
     assert np.abs(fitted(points) - truth.steps[0](points)).max() < 0.02
 
 
+@pytest.mark.slow
 def test_what_is_seen_through_a_map_with_a_ledge_finds_the_same_ledge_again():
     truth = Composed(sunk(shift=((0.6, 0.1), (0.05, 0.0), (0.0, 0.05))), VIEW)
-    seen = windows(truth, 6)
+    seen = windows(truth, 6, 2 * CELL)
     first = select_model(seen, SelectionTerms(192, cell=CELL, depth_step=True))
     # What windows see through that map: the mean of what it leaves, added to the mean of itself.
     through = average_over_windows(first.transform, seen.points, CELL)
-    points = windows(truth, 7)
-    left = points.target - windows(first.transform, 8).target  # both noises
+    points = windows(truth, 7, 2 * CELL)
+    left = points.target - windows(first.transform, 8, 2 * CELL).target  # both noises
     again = Observations(seen.points, through + left, seen.jacobian, seen.information / 2)
     second = select_model(again, SelectionTerms(192, cell=CELL, depth_step=True))
     assert second.name.endswith("+ledge")

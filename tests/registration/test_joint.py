@@ -1,6 +1,7 @@
 """Captures by one camera adjusted together: against a planted lens, panels of other shapes, shared colour."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from levkas.registration.model_selection import SelectionTerms, select_model
 from levkas.registration.models import Observations
 
 SIZE = np.array([420.0, 320.0])
-CELL = 12.0
+CELL = 16.0
 LENS = Lens(np.array([335.0, 248.0]), 300.0, (-0.012, 0.004), (4e-4, -3e-4))
 NOISE = 0.12
 
@@ -41,6 +42,7 @@ def patches(rng, points, size=0.04, reach=40.0):
     return near @ lean
 
 
+@cache
 def sighting(number, *, bulge=0.0, noise=NOISE, labels=("a",)):
     """What windows of one capture see; `bulge` lifts the middle of the panel by so many px."""
     rng = np.random.default_rng(number)

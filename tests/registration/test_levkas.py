@@ -95,6 +95,7 @@ def test_same_input_gives_same_answer(pair):
     assert one.to_dict() == two.to_dict()
 
 
+@pytest.mark.slow
 def test_another_painting_is_refused(pair):
     reference, _, _ = pair
     rng = np.random.default_rng(99)
@@ -114,7 +115,11 @@ def test_blank_target_is_refused_by_name(pair):
 
 @pytest.mark.parametrize(
     ("moved", "measured"),
-    [({}, range(30, 40)), ({32: 1.0}, [90]), ({k: k // 2 % 2 for k in range(90)}, [90])],
+    [
+        ({}, range(30, 40)),
+        pytest.param({32: 1.0}, [90], marks=pytest.mark.slow),
+        pytest.param({k: k // 2 % 2 for k in range(90)}, [90], marks=pytest.mark.slow),
+    ],
 )
 def test_of_many_bands_some_are_measured_and_all_where_neighbours_do_not_tell_of_one_another(
     moved, measured

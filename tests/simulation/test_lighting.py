@@ -63,6 +63,7 @@ def glare_shares(seed, names):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_proposed_lamps_show_less_glare_than_one_at_45_degrees_and_crossed_sheets_least(seed):
     others = ["soft", "d65"] if seed == 1 else []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import re
 from dataclasses import dataclass, field
+from functools import cache
 from importlib.resources import files as resources
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,8 @@ from levkas.registration.record import DECISIONS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    import jinja2
 
 WORTH_NAMING = 0.1
 """Share of a layer that was not checked, from which on it is named beside the decision."""
@@ -122,6 +125,12 @@ class ObjectReport:
 
 def render_page(template: str, /, *, package: str = "levkas.pages", **values: Any) -> str:
     """Return a page as HTML by one of the templates in a package; every text from outside is escaped."""
+    return str(_templates_of(package).get_template(template).render(**values))
+
+
+@cache
+def _templates_of(package: str) -> jinja2.Environment:
+    """Return the templates that lie in a package, each compiled once in a process."""
     import jinja2
 
     def read(name: str) -> str:
@@ -131,7 +140,7 @@ def render_page(template: str, /, *, package: str = "levkas.pages", **values: An
         loader=jinja2.FunctionLoader(read), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["coded"] = mark_code
-    return environment.get_template(template).render(**values)
+    return environment
 
 
 def mark_code(text: str) -> Any:

@@ -84,6 +84,7 @@ def test_a_spectrum_of_a_hostile_layer_is_read_and_saved_as_text(browser, folder
     assert '"\'=HYPERLINK(""http' in text
 
 
+@pytest.mark.slow
 def test_read_me_and_the_page_of_the_crate_show_hostile_titles_as_text(
     browser, publish_with, tmp_path
 ):
