@@ -80,9 +80,7 @@ def test_names_of_a_catalogue_lead_no_export_out_of_its_folder(database, tmp_pat
     assert hash_tree(tmp_path) == before
 
 
-@pytest.mark.parametrize(
-    "command", ["map", "chart", "radiometry", "plan light"]
-)
+@pytest.mark.parametrize("command", ["map", "chart", "radiometry", "plan light"])
 def test_a_page_or_table_replaces_no_file_unless_asked_to(database, tmp_path, command):
     page, table = tmp_path / "page.html", tmp_path / "points.csv"
     page.write_text("three years")

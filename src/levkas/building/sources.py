@@ -42,7 +42,7 @@ LIBRARIES = (
     *("opencv-python-headless", "pillow", "rawpy", "scikit-image", "scipy", "tifffile"),
     *("tomlkit", "xarray", "zarr"),
 )
-LIBRARIES_OF_PAGES = ("colour-science", "contourpy", "jinja2", "markupsafe", "matplotlib")
+LIBRARIES_OF_PAGES = ("contourpy", "jinja2", "markupsafe", "matplotlib")
 """Distributions whose versions may be in the bytes."""
 
 
