@@ -85,7 +85,8 @@ def grid_of(folder):
 
 
 @pytest.mark.parametrize(
-    ("turn", "kind"), [(t, "jpeg") for t in range(1, 9)] + [(6, "tiff"), (5, "tiff"), (6, "dng"), (7, "dng")]
+    ("turn", "kind"),
+    [(t, "jpeg") for t in range(1, 9)] + [(6, "tiff"), (5, "tiff"), (6, "dng"), (7, "dng")],
 )
 def test_a_phone_photograph_ends_upright_where_the_proposal_is_taken(tmp_path, turn, kind):
     write(tmp_path / f"phone/icon1.{kind}", turn, kind)
