@@ -117,6 +117,8 @@ def test_a_grid_that_is_not_turned_is_named_by_the_build_and_by_map(tmp_path):
     assert len(said) == 1 and "rotate = 90 under [grid]" in said[0]
 
     assert said[0] in status(tmp_path).warnings
+    page = (tmp_path / "database/objects/icon1/report.html").read_text()
+    assert page.partition("Pictures</h2>")[0].count("EXIF orientation 6") == 1
 
     database, camera = tmp_path / "database", look_camera(text)
     warned = warn_of_turns(database, "icon1", ("grid", camera))
