@@ -27,7 +27,7 @@ MORE = (
     "a map"
 )
 UNLIKE = 3.0
-"""Ratio of the samplings of two pictures, px to px; from there on it is named as why a map folds. Half or twice changes
+"""Ratio of the samplings of two pictures, px to px; from there on it is named as why a map folds, or is not one of a camera. Half or twice changes
 advice alone."""
 BETWEEN = (
     "Choose a reference camera whose sampling lies between the two (`reference` in campaign.toml), or bin the frames of "
@@ -49,12 +49,12 @@ IN_WORKBENCH = (
 """Words of a step, and what stands for them where the workbench is open already."""
 
 
-def advice_on_folds(share: float, scale: float = 1.0) -> str:
-    """Return what to do about a map that folds where pictures have a `share` of the reference in common.
+def advice_on_shape(share: float, scale: float = 1.0) -> str:
+    """Return what to do about a map that folds, or has another scale than a camera gives, where pictures have a `share` of the reference in common.
 
     `scale` is in px of the picture per px of the reference.
 
-    >>> advice_on_folds(0.1)[:25], advice_on_folds(0.8) == BY_HAND, advice_on_folds(0.8, 1 / 5)[:25]
+    >>> advice_on_shape(0.1)[:25], advice_on_shape(0.8) == BY_HAND, advice_on_shape(0.8, 1 / 5)[:25]
     ('Capture this camera again', True, 'Choose a reference camera')
     """
     causes = [MORE] if share < LITTLE else []

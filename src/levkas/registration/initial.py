@@ -21,7 +21,7 @@ from levkas.geometry.transforms import Affine, Homography, Polynomial, Transform
 from levkas.registration.advice import (
     BETWEEN,
     LEAST_PAIRS,
-    advice_on_folds,
+    advice_on_shape,
     describe_sampling,
     is_unlike,
     percent,
@@ -310,7 +310,7 @@ def implausible(
         what = "the map of this sensor folds, or stretches more than a camera can"
         found = f"windows that match over {percent(share)} of the reference"
         found += f"; {ratio}" if is_unlike(scale) else ""
-        fix = advice_on_folds(share, scale)
+        fix = advice_on_shape(share, scale)
         return Problem("E_FOLD", what, field=sensor, found=found, fix=fix)
     return Problem(
         "E_SCALE",

@@ -20,7 +20,7 @@ from levkas.registration.advice import (
     OTHER,
     POINTS,
     REGION,
-    advice_on_folds,
+    advice_on_shape,
     describe_sampling,
     is_unlike,
     percent,
@@ -275,7 +275,7 @@ def does_not_fold(n: Numbers) -> Objection | None:
     return Objection(
         "refuse",
         f"The map folds or is undefined in {folded} of the overlap{part}.",
-        advice_on_folds(n["overlap"], scale),
+        advice_on_shape(n["overlap"], scale),
         "" if little or is_unlike(scale) else _with_lower_order(n),
     )
 
@@ -295,8 +295,8 @@ def has_plausible_shape(n: Numbers) -> Objection | None:
     if n["scale_min"] < low or n["scale_max"] > high:
         return Objection(
             "refuse",
-            f"The scale of the map is {n['scale_min']:.2g} to {n['scale_max']:.2g}; a camera gives {low:g} to {high:g}.",
-            BY_HAND,
+            f"The scale of the map is {n['scale_min']:.3g} to {n['scale_max']:.3g}; a camera gives {low:g} to {high:g}.",
+            advice_on_shape(1.0, float(np.sqrt(n["scale_min"] * n["scale_max"]))),
         )
     decisions = (
         SETTINGS.anisotropy.exceeded_by(n["anisotropy"]),
