@@ -174,7 +174,8 @@ def test_a_camera_that_samples_much_more_coarsely_is_refused_for_that(ratio):
     ("share", "advice"), [(0.12, "more of the reference"), (0.8, "same object")]
 )
 def test_a_map_that_folds_names_little_in_common_where_that_is_the_cause(share, advice):
-    objection = does_not_fold({"overlap": share, "folded": 0.04})
+    scales = {"scale_min": 0.7, "scale_max": 1.4}
+    objection = does_not_fold({"overlap": share, "folded": 0.04, **scales})
     assert advice in objection.next_step and "4 %" in objection.reason
     assert ("polynomial" in objection.on_matches) == (share > 0.5)
     x = np.linspace(0, 900, 40)
@@ -184,3 +185,22 @@ def test_a_map_that_folds_names_little_in_common_where_that_is_the_cause(share, 
     assert (
         problem.code == "E_FOLD" and advice in problem.fix and f"{share:.0%}"[:-1] in problem.found
     )
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"),
+    [(5.0, "5.0 of its px to one"), (0.2, "5.0 px of the reference to one of its own")],
+)
+@pytest.mark.parametrize("share", [0.12, 0.8])
+def test_a_map_that_folds_names_unlike_samplings_where_they_may_be_the_cause(scale, words, share):
+    scales = {"scale_min": 0.9 * scale, "scale_max": scale / 0.9}
+    objection = does_not_fold({"overlap": share, "folded": 0.04, **scales})
+    x = np.linspace(0, 900, 40)
+    points = np.stack([x, x[::-1] % 97], 1)
+    folded = Polynomial.fit(points, scale * np.abs(points - 450), order=2)
+    problem = implausible(folded, (0, 0, 900, 97), False, None, share)
+    assert problem.code == "E_FOLD" and "to one" in problem.found
+    assert words in objection.reason and not objection.on_matches
+    for step in (objection.next_step, problem.fix):
+        assert "sampling lies between the two" in step and "levkas inspect" in step
+        assert ("more of the reference" in step) == (share < 0.5)

@@ -42,6 +42,9 @@ def write(path, turn, kind="jpeg"):
         tag = (ORIENTATION, "H", 1, turn, True)
         tifffile.imwrite(path, np.asarray(stored(turn)), photometric="rgb", extratags=[tag])
         return
+    if kind == "dng":
+        write_dng(path, np.asarray(stored(turn)).astype(np.uint16) * 16, turn)
+        return
     exif = Image.Exif()
     exif[ORIENTATION] = turn
     data = BytesIO()
@@ -53,7 +56,20 @@ def write(path, turn, kind="jpeg"):
     assert np.abs(shown - np.asarray(scene())).mean() < 6  # a viewer shows the scene
 
 
-@pytest.mark.parametrize("kind", ["jpeg", "tiff", "png"])
+def write_dng(path, picture, turn):
+    """Write what a sensor with the mosaic RGGB records of a picture, (h, w, 3) uint16."""
+    mosaic = picture[..., 1].copy()
+    mosaic[::2, ::2], mosaic[1::2, 1::2] = picture[::2, ::2, 0], picture[1::2, 1::2, 2]
+    tags = [
+        (ORIENTATION, "H", 1, turn, True), (50706, "B", 4, (1, 4, 0, 0), True),
+        (50708, "s", 0, "Levkas test", True), (33421, "H", 2, (2, 2), True),
+        (33422, "B", 4, (0, 1, 1, 2), True), (50717, "I", 1, 4095, True),
+        (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),
+    ]  # fmt: skip
+    tifffile.imwrite(path, mosaic, photometric=32803, extratags=tags, metadata=None)
+
+
+@pytest.mark.parametrize("kind", ["jpeg", "tiff", "png", "dng"])
 @pytest.mark.parametrize("turn", range(1, 9))
 def test_readers_return_the_orientation_and_leave_pixels_as_they_are_stored(tmp_path, turn, kind):
     write(tmp_path / f"a.{kind}", turn, kind)
@@ -69,7 +85,8 @@ def grid_of(folder):
 
 
 @pytest.mark.parametrize(
-    ("turn", "kind"), [(t, "jpeg") for t in range(1, 9)] + [(6, "tiff"), (5, "tiff")]
+    ("turn", "kind"),
+    [(t, "jpeg") for t in range(1, 9)] + [(6, "tiff"), (5, "tiff"), (6, "dng"), (7, "dng")],
 )
 def test_a_phone_photograph_ends_upright_where_the_proposal_is_taken(tmp_path, turn, kind):
     write(tmp_path / f"phone/icon1.{kind}", turn, kind)
@@ -100,6 +117,8 @@ def test_a_grid_that_is_not_turned_is_named_by_the_build_and_by_map(tmp_path):
     assert len(said) == 1 and "rotate = 90 under [grid]" in said[0]
 
     assert said[0] in status(tmp_path).warnings
+    page = (tmp_path / "database/objects/icon1/report.html").read_text()
+    assert page.partition("Pictures</h2>")[0].count("EXIF orientation 6") == 1
 
     database, camera = tmp_path / "database", look_camera(text)
     warned = warn_of_turns(database, "icon1", ("grid", camera))

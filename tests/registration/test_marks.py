@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from levkas.registration import register
 from levkas.registration.marks import compare_marks, describe_want_of_marks
 
 SHAPE = (360, 460)
@@ -77,3 +78,18 @@ def test_marks_are_looked_for_only_where_outlines_confirm_the_map():
     assert compare_marks(one, half, EVERYWHERE & left).correlation > 0.9
     assert compare_marks(one, half, np.zeros(SHAPE, bool)) is None
     assert "too little" in describe_want_of_marks(None)
+
+
+@pytest.mark.slow
+def test_marks_that_a_much_coarser_picture_cannot_show_do_not_contradict_a_right_map():
+    import cv2
+
+    rng = np.random.default_rng(3)
+    fine = np.full((1200, 1200), 90, np.float32)
+    for _ in range(1500):
+        centre = tuple(int(v) for v in rng.integers(0, 1200, 2))
+        cv2.circle(fine, centre, int(rng.integers(4, 60)), float(rng.integers(20, 235)), -1)
+    grain = cv2.GaussianBlur(rng.standard_normal(fine.shape).astype(np.float32), (0, 0), 1.5)
+    fine += 30 * grain
+    coarse = cv2.resize(fine, (240, 240), interpolation=cv2.INTER_AREA)
+    assert register(fine, coarse).verdict.decision == "accept"

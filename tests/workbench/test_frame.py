@@ -9,6 +9,7 @@ from PIL import Image
 
 from levkas.campaign.edits import read_edits
 from levkas.geometry.transforms import Affine
+from levkas.registration.advice import BY_HAND, advise
 from levkas.registration.record import Sigma
 from levkas.workbench.correlation import find_partner
 from levkas.workbench.library import FrameMissing, Library, id_of
@@ -20,6 +21,7 @@ from levkas.workbench.pictures import (
     find_kinds,
     warped_tile,
 )
+from levkas.workbench.server.routes import describe_frame
 from levkas.workbench.session import OperationRefused
 
 PLACES = np.array([[120.0, 90.0], [300.0, 110.0], [150.0, 250.0], [330.0, 260.0]])
@@ -181,3 +183,18 @@ def test_the_uncertainty_is_drawn_from_what_the_record_says_of_the_band():
     assert drawn.low == 0 and drawn.high == pytest.approx(0.4, abs=0.01)
     with pytest.raises(MapMissing):
         draw_sigma(record, "R", (100, 100))
+
+
+def test_a_refused_camera_shows_the_outline_and_a_next_step_for_who_has_the_workbench_open(frame):
+    corners = [[10.0, 10.0], [400.0, 12.0], [390.0, 320.0]]
+    frame.main_record["model"] = {"mask": {"outline": corners}}
+    frame.record["model"] = {"kind": "none"}
+    frame.record["verdict"] = {
+        "decision": "refuse",
+        "reasons": ["no"],
+        "next_step": advise(BY_HAND, 0),
+    }
+    shown = describe_frame(frame)
+    assert shown["outline"] == corners
+    step = shown["verdict"]["next_step"]
+    assert "mark four points that both pictures show" in step and "levkas inspect" not in step

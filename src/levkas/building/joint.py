@@ -282,8 +282,8 @@ def _shown(outside: Sequence[Sequence[float]], points: np.ndarray) -> np.ndarray
 def _write_verdict(record: dict[str, Any]) -> None:
     """Judge the adjusted maps, and add to the reasons which captures each sensor was adjusted with."""
     verdict = judge_windows(_whole(record["verdict"]["numbers"])).to_dict()
-    if verdict["decision"] == "refuse":
-        verdict["next_step"] = advise(verdict["next_step"], record.get("pairs_by_hand", 0))
+    pairs = record.get("pairs_by_hand", 0)
+    verdict["next_step"] = advise(verdict["next_step"], pairs, verdict["decision"])
     said = []
     for sensor in record["model"]["sensors"]:
         told = sensor.get("joint")

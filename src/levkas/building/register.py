@@ -17,14 +17,12 @@ from levkas.building.build_records import Written
 from levkas.building.control_points import declared_points, joined, placed_in, placed_pairs
 from levkas.campaign.edits import BY_HAND
 from levkas.campaign.methods import DEFAULT_METHOD
-from levkas.campaign.schema.toml import to_inline_toml
 from levkas.core.files import make_folder, remove, together, write_bytes, write_json, write_text
 from levkas.core.problems import Problem, Refused
-from levkas.geometry import from_dict
+from levkas.database.registrations import describe_lying
 from levkas.geometry.transforms import Affine, Composed
 from levkas.pages.figures import draw_basis, draw_trace
 from levkas.readers.frames import read_headers
-from levkas.readers.orientation import describe_turn, grid_keys
 from levkas.registration import Registration, RegistrationRefused, register
 from levkas.registration.joint import SensorObservations
 from levkas.registration.manual_points import ManualPoints
@@ -125,7 +123,7 @@ def publish_registration(
         files = write_registration(places, capture, measured.record, measured.matches)
     verdict, layer = measured.record["verdict"], f"{capture.object}/{capture.layer}"
     judged = f"{layer}: {' '.join(verdict['reasons'])}"
-    lasting = [f"{layer}: {text}" for text in _lies(measured.record)]
+    lasting = [f"{layer}: {text}" for text in describe_lying(measured.record)]
     if verdict["decision"] == "by hand":
         lasting.append(judged)
     notes = {
@@ -136,22 +134,6 @@ def publish_registration(
     doubtful = verdict["decision"] == "warn" and not measured.problems
     warnings = (*lasting, *([judged] if doubtful else []))
     return Written(files, notes, warnings=warnings, problems=measured.problems)
-
-
-def _lies(record: dict[str, Any]) -> list[str]:
-    """Say that files of the reference camera are turned where the grid is not."""
-    orientation, grid = record["target"].get("orientation"), record["grid"]["transform"]
-    camera = record["reference"]["camera"]
-    if orientation is None or record["camera"] != camera or record["setup"]:
-        return []
-    slope = from_dict(grid).jacobian(np.zeros((1, 2)))[0]
-    if np.diag(slope).min() <= 0 or abs(slope[0, 1]) > 0.1 * slope[0, 0]:
-        return []  # a person turned it, this way or another
-    keys = ", ".join(f"{k} = {to_inline_toml(v)}" for k, v in grid_keys(orientation).items())
-    return [
-        f"viewers show this file {describe_turn(orientation)} (EXIF orientation {orientation}), and the grid is not turned: "
-        f"the object does not stand upright in layers and report. Write {keys} under [grid], and build again."
-    ]
 
 
 def draw_figures(record: dict[str, Any]) -> list[list[str]]:

@@ -24,6 +24,7 @@ from levkas.core.instructions import describe_instructions
 from levkas.core.problems import Refused
 from levkas.core.text import counted
 from levkas.database.registrations import (
+    describe_lying,
     describe_pairs,
     mm_per_px,
     outside_share,
@@ -188,6 +189,7 @@ def _layer(
         reasons=verdict["reasons"],
         next_step=verdict["next_step"],
         warnings=calibrated.get("warnings", []),
+        lying=" ".join(describe_lying(record)),
         by_hand=describe_pairs(record),
         unchecked=unchecked_share(record),
         outside=outside_share(record),

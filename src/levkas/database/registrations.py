@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from levkas.campaign.schema.toml import to_inline_toml
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import counted, read_json
 from levkas.database.containment import check_inside, check_plain_names
 from levkas.geometry import from_dict
+from levkas.readers.orientation import describe_turn, grid_keys
 from levkas.registration.advice import describe_placement
 from levkas.registration.foreground import contains
 from levkas.registration.record import Sigma
@@ -115,6 +117,21 @@ def describe_pairs(record: Mapping[str, Any]) -> str:
     if not count:
         return ""
     return f"aligned with {counted(count, 'pair')} by hand"
+
+
+def describe_lying(record: Mapping[str, Any]) -> list[str]:
+    """Return in words that the object does not stand upright: files of the reference camera are turned, and the grid is not."""
+    orientation = (record.get("target") or {}).get("orientation")
+    if orientation is None or record["camera"] != record["reference"]["camera"] or record["setup"]:
+        return []
+    slope = from_dict(record["grid"]["transform"]).jacobian(np.zeros((1, 2)))[0]
+    if np.diag(slope).min() <= 0 or abs(slope[0, 1]) > 0.1 * slope[0, 0]:
+        return []  # a person turned it, this way or another
+    keys = ", ".join(f"{k} = {to_inline_toml(v)}" for k, v in grid_keys(orientation).items())
+    return [
+        f"viewers show this file {describe_turn(orientation)} (EXIF orientation {orientation}), and the grid is not turned: "
+        f"the object does not stand upright in layers and report. Write {keys} under [grid], and build again."
+    ]
 
 
 def unchecked_share(record: Mapping[str, Any]) -> float:

@@ -32,6 +32,10 @@ OUTLINE = (64, 200, 235)
 """Of the object, over its picture: cyan is rare in paintings."""
 
 
+OUTSIDE = 110
+"""Brightness of a picture outside the outline, 0 to 255: dark enough to be seen at the size of a stamp."""
+
+
 CLEAR = (24, 22, 19)
 
 
@@ -240,7 +244,10 @@ def _draw_outline(preview: Path, record: Mapping[str, Any], outline: np.ndarray)
     small = picture.resize([max(1, round(side * scale)) for side in picture.size])
     corners = (corners + 0.5) * scale - 0.5
     closed = [tuple(corner) for corner in np.vstack([corners, corners[:1]]).tolist()]
-    ImageDraw.Draw(small).line(closed, fill=OUTLINE, width=2)
+    within = Image.new("L", small.size, OUTSIDE)
+    ImageDraw.Draw(within).polygon(closed, fill=255)
+    small = Image.composite(small, Image.new("RGB", small.size), within)
+    ImageDraw.Draw(small).line(closed, fill=OUTLINE, width=3)
     mask = record["model"]["mask"]
     how = "Found on an even ground." if mask["automatic"] else "As declared."
     return _small(

@@ -56,6 +56,7 @@ class LayerReport:
     reasons: Sequence[str] = ()
     next_step: str = ""
     warnings: Sequence[str] = ()
+    lying: str = ""
     by_hand: str = ""
     unchecked: float = 0.0
     outside: float = 0.0

@@ -74,6 +74,8 @@ def _overlay(layers: Sequence[LayerReport], mm_per_px: float | None) -> Iterator
         names = ", ".join(one.name for one in laid)
         yield mark, f"Registered to {reference}: {names}; no held-out error was measured."
     for one in layers:
+        if one.lying:
+            yield "warn", f"{one.name}: {one.lying}"
         if one.decision == "refuse":
             yield "refuse", f"{one.name} was left out: its registration was refused."
         elif one.by_hand:

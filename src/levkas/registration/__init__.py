@@ -149,8 +149,8 @@ def register(
         if placed:
             raise
         raise _with_advice(refused, pairs_given) from None
-    if found.verdict.decision == "refuse" and not placed:
-        step = advise(found.verdict.next_step, pairs_given)
+    if not placed:
+        step = advise(found.verdict.next_step, pairs_given, found.verdict.decision)
         found = replace(found, verdict=replace(found.verdict, next_step=step))
     return _with_checks(found, target, given)
 

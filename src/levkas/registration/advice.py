@@ -26,27 +26,70 @@ MORE = (
     "Capture this camera again with more of the reference in view: both show too little in common for the shape of "
     "a map"
 )
+UNLIKE = 3.0
+"""Ratio of the samplings of two pictures, px to px; from there on it is named as why a map folds, or is not one of a camera. Half or twice changes
+advice alone."""
+BETWEEN = (
+    "Choose a reference camera whose sampling lies between the two (`reference` in campaign.toml), or bin the frames of "
+    "the finer camera"
+)
 LOOK = "Compare both pictures in the report, with the flicker, before you use this layer."
 REGION = "Do not use the layer there, or add pairs there in `levkas inspect CAMPAIGN`."
+COMPARED = (
+    "Do not use the layer there, unless both pictures agree there in `levkas inspect CAMPAIGN`."
+)
+"""In place of `REGION` where pairs were given: they move the map, and confirm none of it."""
+IN_WORKBENCH = (
+    (f" {SCREEN}", ""),
+    (SCREEN, ""),
+    (POINTS.partition("mark")[0], ""),
+    (ACCEPT.partition(", ")[2], 'press "Place by hand"'),
+    (" in `levkas inspect CAMPAIGN`", " here"),
+)
+"""Words of a step, and what stands for them where the workbench is open already."""
 
 
-def advice_on_folds(share: float) -> str:
-    """Return what to do about a map that folds where pictures have a `share` of the reference in common.
+def advice_on_shape(share: float, scale: float = 1.0) -> str:
+    """Return what to do about a map that folds, or has another scale than a camera gives, where pictures have a `share` of the reference in common.
 
-    >>> advice_on_folds(0.1)[:25], advice_on_folds(0.8) == BY_HAND
-    ('Capture this camera again', True)
+    `scale` is in px of the picture per px of the reference.
+
+    >>> advice_on_shape(0.1)[:25], advice_on_shape(0.8) == BY_HAND, advice_on_shape(0.8, 1 / 5)[:25]
+    ('Capture this camera again', True, 'Choose a reference camera')
     """
-    return f"{MORE}, or {POINTS}." if share < LITTLE else BY_HAND
+    causes = [MORE] if share < LITTLE else []
+    causes += [BETWEEN] if is_unlike(scale) else []
+    return f"{'. '.join(causes)}, or {POINTS}." if causes else BY_HAND
 
 
-def advise(step: str, pairs: int) -> str:
-    """Return the next step after a refusal, as it names the workbench and does not want the `pairs` that were given.
+def is_unlike(scale: float) -> bool:
+    """Tell whether two pictures sample the object so differently that it may be why a map folds."""
+    return bool(max(scale, 1 / max(scale, 1e-9)) > UNLIKE)
+
+
+def describe_sampling(scale: float) -> str:
+    """Return px of a picture per px of the reference, in words.
+
+    >>> describe_sampling(7.96), describe_sampling(0.2)
+    ('8.0 of its px to one of the reference', '5.0 px of the reference to one of its own')
+    """
+    if scale < 1:
+        return f"{1 / max(scale, 1e-9):.1f} px of the reference to one of its own"
+    return f"{scale:.1f} of its px to one of the reference"
+
+
+def advise(step: str, pairs: int, decision: str = "refuse") -> str:
+    """Return the next step of a decision, as it does not want the `pairs` that were given; of a refusal, as it names the workbench.
 
     >>> advise("Check the focus.", 0)[:41], advise(BY_HAND, 4).count("four points")
     ('Check the focus. `levkas inspect CAMPAIGN', 0)
     >>> advise(f"{POINTS}.", 3)
     'run `levkas inspect CAMPAIGN`, open this camera and mark 1 more point that both pictures show.'
+    >>> advise(REGION, 0, "warn") == REGION, advise(REGION, 1, "warn") == COMPARED
+    (True, True)
     """
+    if decision != "refuse":
+        return step.replace(REGION, COMPARED) if pairs else step
     if pairs >= LEAST_PAIRS:
         if POINTS in step:
             return step.replace(POINTS, ACCEPT)
@@ -55,6 +98,17 @@ def advise(step: str, pairs: int) -> str:
         more = counted(LEAST_PAIRS - pairs, "more point")
         step = step.replace("four points", more)
     return step if "levkas inspect" in step else f"{step} {SCREEN}".strip()
+
+
+def in_workbench(step: str) -> str:
+    """Return a next step for a person who has the workbench open.
+
+    >>> in_workbench(f"{POINTS}."), in_workbench(f"Check the focus. {SCREEN}")
+    ('mark four points that both pictures show.', 'Check the focus.')
+    """
+    for words, here in IN_WORKBENCH:
+        step = step.replace(words, here)
+    return step
 
 
 def describe_placement(found: Mapping[str, Any]) -> str:

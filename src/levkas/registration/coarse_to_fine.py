@@ -222,9 +222,13 @@ class SensorTask:
         )
 
     def measure_marks(self, found: RefinedMap) -> Marks | None:
-        """Compare marks on a grid about as fine as the coarser picture, around the windows that confirm a map."""
+        """Compare marks on a grid about as fine as the coarser picture, around the windows that confirm a map.
+
+        On a finer one, marks of the finer picture are fine detail that the coarser one cannot show.
+        """
         best = [band.label for band in self.bands].index(found.course["band"])
-        step, whole = self.plain_step, Composed(found.chromatic.transform(best), found.base)
+        step = max(1, round(1 / self.scale))
+        whole = Composed(found.chromatic.transform(best), found.base)
         band, reference = self.bands[best], self.reference.principal_image(step)
         target = self.resample(band, whole, step)
         own = self.images[band.label]

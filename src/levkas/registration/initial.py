@@ -18,7 +18,14 @@ import numpy as np
 from levkas.core.problems import Problem
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Homography, Polynomial, Transform
-from levkas.registration.advice import LEAST_PAIRS, advice_on_folds, percent
+from levkas.registration.advice import (
+    BETWEEN,
+    LEAST_PAIRS,
+    advice_on_shape,
+    describe_sampling,
+    is_unlike,
+    percent,
+)
 from levkas.registration.features import (
     KeyPoints,
     ScaledFeatures,
@@ -297,22 +304,21 @@ def implausible(
     """
     values, determinant = _local_shape(transform, box, mirrored)
     low, high = SETTINGS.scales
+    scale = float(np.median(values))
+    ratio = describe_sampling(scale)
     if not _is_steady(values, determinant) or ((values > low) & (values < high)).all():
         what = "the map of this sensor folds, or stretches more than a camera can"
         found = f"windows that match over {percent(share)} of the reference"
-        return Problem("E_FOLD", what, field=sensor, found=found, fix=advice_on_folds(share))
-    scale = float(np.median(values))
-    ratio = f"{scale:.1f} of its px to one of the reference"
-    if scale < 1:
-        ratio = f"{1 / scale:.1f} px of the reference to one of its own"
+        found += f"; {ratio}" if is_unlike(scale) else ""
+        fix = advice_on_shape(share, scale)
+        return Problem("E_FOLD", what, field=sensor, found=found, fix=fix)
     return Problem(
         "E_SCALE",
         "this sensor samples the object too unlike the reference to be registered",
         field=sensor,
         found=ratio,
         expected=f"at most {high:.0f} to one, either way",
-        fix="Choose a reference camera whose sampling lies between the two (`reference` in campaign.toml), or bin "
-        "the frames of the finer camera.",
+        fix=f"{BETWEEN}.",
     )
 
 

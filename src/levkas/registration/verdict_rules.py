@@ -20,7 +20,9 @@ from levkas.registration.advice import (
     OTHER,
     POINTS,
     REGION,
-    advice_on_folds,
+    advice_on_shape,
+    describe_sampling,
+    is_unlike,
     percent,
 )
 from levkas.registration.line_displacement import describe_displacement
@@ -136,6 +138,9 @@ class VerdictSettings:
 
 
 SETTINGS = VerdictSettings()
+LEAST_TERMS = 3
+"""Coefficients of a polynomial of order 1, the lowest that is fitted."""
+TRY_LEVKAS = "try the method `levkas`"
 #: Name among the numbers of a sensor without one.
 ONLY = "sensor"
 
@@ -188,7 +193,7 @@ def enough_matches(n: Numbers) -> Objection | None:
         "refuse",
         f"Only {n['kept']} matches were kept. A map with {n['terms']} coefficients for each of x and y "
         f"needs at least {least}.",
-        f"{OTHER}; if they do, raise `reject` or try the method `levkas`.",
+        f"{OTHER}; if they do, raise `reject` or {TRY_LEVKAS}.",
     )
 
 
@@ -199,7 +204,7 @@ def more_than_chance(n: Numbers) -> Objection | None:
     return Objection(
         "refuse",
         f"{n['kept']} matches were kept. Of pairs formed at random {n['chance_kept']} are kept: the map may be due to chance.",
-        f"{OTHER}; if they do, lower `reject` or try the method `levkas`.",
+        f"{OTHER}; if they do, lower `reject` or {TRY_LEVKAS}.",
     )
 
 
@@ -264,13 +269,22 @@ def does_not_fold(n: Numbers) -> Objection | None:
     if n["folded"] == 0:
         return None
     folded, little = percent(n["folded"]), n["overlap"] < LITTLE
+    scale = float(np.sqrt(n["scale_min"] * n["scale_max"])) if "scale_min" in n else 1.0
     part = f", which is {percent(n['overlap'])} of the reference" if little else ""
+    part += f"; {describe_sampling(scale)}" if is_unlike(scale) else ""
     return Objection(
         "refuse",
         f"The map folds or is undefined in {folded} of the overlap{part}.",
-        advice_on_folds(n["overlap"]),
-        "" if little else f"{OTHER}; if they do, lower the order of the polynomial.",
+        advice_on_shape(n["overlap"], scale),
+        "" if little or is_unlike(scale) else _with_lower_order(n),
     )
+
+
+def _with_lower_order(n: Numbers) -> str:
+    """Return the advice to fit a polynomial of lower order, where there is one."""
+    is_least = n.get("terms") == LEAST_TERMS
+    other = TRY_LEVKAS if is_least else "lower the order of the polynomial"
+    return f"{OTHER}; if they do, {other}."
 
 
 def has_plausible_shape(n: Numbers) -> Objection | None:
@@ -281,8 +295,8 @@ def has_plausible_shape(n: Numbers) -> Objection | None:
     if n["scale_min"] < low or n["scale_max"] > high:
         return Objection(
             "refuse",
-            f"The scale of the map is {n['scale_min']:.2g} to {n['scale_max']:.2g}; a camera gives {low:g} to {high:g}.",
-            BY_HAND,
+            f"The scale of the map is {n['scale_min']:.3g} to {n['scale_max']:.3g}; a camera gives {low:g} to {high:g}.",
+            advice_on_shape(1.0, float(np.sqrt(n["scale_min"] * n["scale_max"]))),
         )
     decisions = (
         SETTINGS.anisotropy.exceeded_by(n["anisotropy"]),
@@ -307,7 +321,7 @@ def predicts_matches(n: Numbers) -> Objection | None:
         return Objection(
             "refuse",
             f"The held-out error is {text}: the map fits its own matches and is wrong between them.",
-            f"{OTHER}; if they do, lower the order of the polynomial.",
+            _with_lower_order(n),
         )
     if n["held_out_p90"] > 3 * n["tolerance"]:
         return Objection(
@@ -337,7 +351,7 @@ def windows_agree(n: Numbers) -> Objection | None:
             "refuse",
             f"Only {n['agreeing']} of the {n['found']} check windows that were found agree with the map{median}.",
             BY_HAND,
-            f"{OTHER}; if they do, raise `reject` or try the method `levkas`.",
+            f"{OTHER}; if they do, raise `reject` or {TRY_LEVKAS}.",
         )
     return None
 
@@ -349,7 +363,7 @@ def fits_nowhere_else(n: Numbers) -> Objection | None:
             "refuse",
             "The pictures agree better at another shift: the map is in the wrong place.",
             BY_HAND,
-            f"{OTHER}; if they do, try the method `levkas`, or {POINTS}.",
+            f"{OTHER}; if they do, {TRY_LEVKAS}, or {POINTS}.",
         )
     decision = SETTINGS.rival.exceeded_by(n["rival"])
     if decision is None:
@@ -381,7 +395,7 @@ def matches_cover(n: Numbers) -> Objection | None:
         return Objection(
             "refuse",
             f"The map is wrong in {percent(n['off_share'])} of the overlap.",
-            f"{OTHER}; if they do, raise `reject` or try the method `levkas`.",
+            f"{OTHER}; if they do, raise `reject` or {TRY_LEVKAS}.",
         )
     if n["coverage"] < SETTINGS.coverage.refuse:
         return Objection(

@@ -227,7 +227,7 @@ def test_a_verdict_is_as_of_the_last_registration_only_until_the_next(bench):
     page.wait_for_selector(".verdict:has-text('as of the last registration')")
     words = told(page, "session.value.corrections")
     frame = server.library.open(id_of("icon", "xray"))
-    assert server.library.registered_with(frame) is None
+    assert server.library.registered_with(frame)["registered"] is None
     page.evaluate(
         f"""() => {{ const {{ frame }} = levkasWorkbench.store;
         frame.value = {{ ...frame.value, registered: {words!r} }}; }}"""

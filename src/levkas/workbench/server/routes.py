@@ -24,6 +24,7 @@ from levkas.core.problems import Problem, Refused
 from levkas.database.registrations import object_outline, unchecked_share
 from levkas.pages.page import describe_decision
 from levkas.pages.screen import read_built
+from levkas.registration.advice import in_workbench
 from levkas.workbench.answer import describe, to_bytes
 from levkas.workbench.frame import SIDES, RegistrationView, SensorView
 from levkas.workbench.history import QUARTERS
@@ -380,9 +381,13 @@ def describe_frame(frame: RegistrationView) -> dict[str, Any]:
     """Return what a screen needs to know of a camera before its pairs, JSON-ready."""
     verdict = frame.record.get("verdict", {})
     model = frame.record.get("model", {})
+    outline = object_outline(frame.record)
+    if not len(outline):  # of a refused camera the record does not say: that of the reference does
+        outline = object_outline(frame.main_record)
     found = frame.session.found
     judged = {k: verdict.get(k) for k in ("decision", "reasons", "next_step")}
     judged["words"] = describe_decision(str(judged["decision"]), unchecked_share(frame.record))
+    judged["next_step"] = in_workbench(judged["next_step"] or "")
     judged["reasons"] = reasons_of(frame, judged["reasons"] or [])
     sensors = [s for s in model.get("sensors", []) if isinstance(s, dict)]
     sensors = [s for s in sensors if s.get("sensor") == frame.view.sensor.name] or sensors
@@ -410,7 +415,7 @@ def describe_frame(frame: RegistrationView) -> dict[str, Any]:
         "ladder": [s.get("ladder", {}) for s in sensors[:1]],
         "chosen": [s.get("base", "") for s in sensors[:1]],
         "basis": basis_of(frame),
-        "outline": object_outline(frame.record).tolist(),
+        "outline": outline.tolist(),
     }
 
 
