@@ -43,10 +43,10 @@ def patches(rng, points, size=0.04, reach=40.0):
 
 
 @cache
-def sighting(number, *, bulge=0.0, noise=NOISE, labels=("a",)):
+def sighting(number, *, bulge=0.0, noise=NOISE, labels=("a",), cell=CELL):
     """What windows of one capture see; `bulge` lifts the middle of the panel by so many px."""
     rng = np.random.default_rng(number)
-    x, y = np.meshgrid(np.arange(20, 400, CELL), np.arange(20, 300, CELL))
+    x, y = np.meshgrid(np.arange(20, 400, cell), np.arange(20, 300, cell))
     points = np.stack([x.ravel(), y.ravel()], 1)
     seen = truth(number)
     away = points - SIZE / 2
@@ -56,7 +56,7 @@ def sighting(number, *, bulge=0.0, noise=NOISE, labels=("a",)):
     target = seen(lifted) + np.einsum("nab,nb->na", jacobian, drawn)
     known = np.broadcast_to(np.eye(2) / noise**2, (len(points), 2, 2)).copy()
     observed = Observations(points, target, jacobian, known)
-    terms = SelectionTerms(4 * CELL, 2.01 * CELL, CELL, depth_step=True)
+    terms = SelectionTerms(4 * cell, 2.01 * cell, cell, depth_step=True)
     selected = select_model(observed, terms)
     return SensorObservations(
         "",
@@ -79,7 +79,7 @@ def missed(base, number):
 
 @pytest.mark.slow
 def test_mates_bring_noisy_captures_nearer_to_the_truth():
-    captures = [sighting(k) for k in range(4)]
+    captures = [sighting(k, cell=12.0) for k in range(4)]
     before = after = 0.0
     for k, mine in enumerate(captures[:3]):
         found = adjust_jointly(mine, captures[:k] + captures[k + 1 :])
