@@ -139,3 +139,32 @@ def test_a_page_says_that_a_white_of_one_shot_tells_nothing_of_the_lamp(drifted,
     once = Built(tmp_path / "c", lambda name, shot, band=0: 1.0, whites=1)
     assert "how the lamp changed was not measured" in once.camera
     assert "how the lamp changed was not measured" not in drifted.camera
+
+
+class Scanned:
+    """A scan of 480 lines after a white of 100 under a lamp, built: what is said of the lamp."""
+
+    def __init__(self, folder, lamp):
+        shape = (480, 60)
+        camera, (tones, _) = Camera(shape), scene(shape)
+        camera.response, camera.black = camera.response[:1], camera.black[:1]
+        built(write_campaign(folder, "cube", camera, tones, lamp=lamp))
+        provenance = json.loads((folder / "database/objects/panel/provenance.json").read_text())
+        (step,) = [one for one in provenance["steps"] if one["stage"] == "calibrate"]
+        self.budget = {one["source"]: one for one in step.get("uncertainty", [])}
+        self.report = (folder / "database/objects/panel/report.html").read_text()
+        self.camera = (folder / "database/cameras/cam/report.html").read_text()
+
+
+def sinking(name, line, band=0):
+    """Two per cent from the first line of the white to the last of the object."""
+    return 1 - 0.02 * {"dark": 0, "white": line, "panel": 100 + line}[name] / 579
+
+
+def test_a_lamp_that_sinks_along_a_scan_is_known_to_what_it_does_up_to_the_last_line(tmp_path):
+    made = Scanned(tmp_path / "c", sinking)
+    lamp = made.budget["lamp between white and object"]["bands"]
+    last = 0.02 * (50 + 480) / 579
+    assert list(lamp.values()) == pytest.approx([last] * 4, rel=0.3)
+    assert "the lamp is known between white and object to" in made.report
+    assert "within the white" in made.camera

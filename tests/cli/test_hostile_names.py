@@ -95,7 +95,9 @@ def test_an_address_that_is_none_is_refused(address):
             "radiometry FOLDER -o ADDRESS", "chart ADDRESS")),
     ],
 )  # fmt: skip
-def test_an_address_in_place_of_a_folder_is_shown_as_it_was_written(words, address, tmp_path, monkeypatch):
+def test_an_address_in_place_of_a_folder_is_shown_as_it_was_written(
+    words, address, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     found = run(*words.replace("ADDRESS", address).replace("FOLDER", str(tmp_path)).split())
     assert found.exit_code != 0
