@@ -251,7 +251,9 @@ def describe_lamp(learnt: Mapping[str, Mapping[str, Any]]) -> list[str]:
             changes = [f"{100 * (one['flicker'] or 0):.2g} % rms from shot to shot"]
         advice = "capture whites before and after the object with the time in their files"
         if one.get("reach") and one["white"]:
-            changes[-1] += f", from which the object's last line lies {one['reach']:.2g} times as far"
+            changes[-1] += (
+                f", from which the object's last line lies {one['reach']:.2g} times as far"
+            )
         if one.get("reach"):
             advice = "scan more lines of the white, evenly lit"
         notes.append(

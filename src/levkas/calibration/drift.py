@@ -512,8 +512,8 @@ def trend_of(stack: ShotLevels) -> Trend:
     if count > 2:
         square = (rest**2).sum(0) / (count - 2)
         flicker = np.where(square > 4 * noise**2, np.sqrt(np.maximum(square - noise**2, 0)), 0.0)
-        error = np.sqrt(square) * span / spread
-        change = np.where(np.abs(change) > SIGMAS * error, change, 0.0)
+        change = np.where(np.abs(change) > SIGMAS * np.sqrt(square) * span / spread, change, 0.0)
+        error = np.sqrt(np.maximum(square, noise**2)) * span / spread
     return Trend(change, np.hypot(change, noise * span / spread), flicker, error)
 
 

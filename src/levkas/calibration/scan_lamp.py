@@ -7,6 +7,7 @@ white may go on so along the lines of the object.
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import ndtr, stdtrit
 
 from levkas.calibration.drift import LONG, SIGMAS, LampChange, trend_of
 from levkas.calibration.templates import ShotLevels
@@ -15,6 +16,8 @@ GROUPS = 8
 """Of neighbouring bands whose lamp is alike: lamps change smoothly over the spectrum. Of a lamp that sinks by 0.2 % within 40
 lines, 580 bands of 0.1 to 2 % noise, the rms error of Δ is 0.11 %; 0.07 % with 4 groups, 0.12 % with 16. With every band by
 itself noise passed for a change in 6 of 30 steady scans."""
+FEWEST = 5
+"""Lines of a white that show anything: the scatter of fewer is known too badly to tell a change from flicker."""
 
 
 def lamp_along(white: ShotLevels, lines: int) -> LampChange:
@@ -35,7 +38,7 @@ def lamp_along(white: ShotLevels, lines: int) -> LampChange:
     Notes
     -----
     u = |Δ| (n/2 + lines)/n, up to 10 |Δ|: lamps settle. Δ is the change of a group of neighbouring bands, where it shows
-    none that of all bands together, beyond four standard deviations of what lines scatter, with the error of that.
+    none that of all bands together, beyond what is as rare as four standard deviations (Student's t, by the scatter of the lines), with the error of that.
     Where neither shows any, u is what noise leaves open within the white, and `unseen` what could be beyond it.
 
     Examples
@@ -47,10 +50,16 @@ def lamp_along(white: ShotLevels, lines: int) -> LampChange:
     (8.0, [0.016, 0.016, 0.016])
     """
     count, bands = white.levels.shape
+    none = np.full(bands, np.nan)
+    if count < FEWEST:
+        return LampChange(np.ones(bands), np.zeros(bands), none, none, none, timed=False)
+    # As probable by chance as SIGMAS of the normal distribution.
+    chance = -float(stdtrit(count - 2, ndtr(-SIGMAS)))
     of_band = np.arange(bands) * min(GROUPS, bands) // bands
     group, every = trend_of(_joined(white, of_band)), trend_of(_joined(white, 0 * of_band))
-    known = group.change != 0
-    change = np.where(known, group.change, every.change)[of_band]
+    known = np.abs(group.change) > chance * group.error
+    together = np.where(np.abs(every.change) > chance * every.error, every.change, 0.0)
+    change = np.where(known, group.change, together)[of_band]
     error = np.where(known, group.error, every.error)[of_band]
     reach = (count / 2 + lines) / count
     flicker = trend_of(white).flicker
@@ -60,11 +69,11 @@ def lamp_along(white: ShotLevels, lines: int) -> LampChange:
         np.ones(bands),
         np.nan_to_num(np.hypot(drift, np.nan_to_num(flicker) * np.sqrt(1 + 1 / count))),
         change,
-        np.full(bands, np.nan),
+        none,
         flicker,
         timed=False,
         reach=reach,
-        unseen=float(np.nan_to_num(SIGMAS * every.error[0] * reach)),
+        unseen=float(np.nan_to_num(chance * every.error[0] * reach)),
     )
 
 
