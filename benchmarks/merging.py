@@ -1,7 +1,7 @@
 """Whole builds of merged exposures against truth and the Cramér–Rao bound, over three and a half decades.
 
     python benchmarks/merging.py [--side 256] [--read 2.0] [--whites 16] [--darks 8] [--bend 0.06] [--leak 0.0018]
-    python benchmarks/merging.py --painted   # discs of all tones in place of patches, beside one another's saturated sensels
+    python benchmarks/merging.py --painted   # discs of all tones beside one another's saturated sensels; bend 0.06, leak 0.0018
     python benchmarks/motion.py   # what is flagged as moved, of cameras as they are
 
 A sensor of 12 bits in 16-bit files (black 50, 2 electrons a count) takes one shot of twelve patches,
@@ -229,11 +229,14 @@ def main() -> None:
     parser.add_argument("--whites", type=int, default=16)
     parser.add_argument("--darks", type=int, default=8, help="of each exposure")
     parser.add_argument("--only", default="", help="for example bands:darks")
-    parser.add_argument("--bend", type=float, default=0.0, help="share that is lost at full scale")
+    parser.add_argument("--bend", type=float, help="share that is lost at full scale")
     parser.add_argument("--painted", action="store_true", help="discs in place of patches")
-    parser.add_argument("--leak", type=float, default=0.0, help="share lent to each neighbour")
+    parser.add_argument("--leak", type=float, help="share lent to each neighbour")
     add_option(parser)
     told = parser.parse_args()
+    for name, painted in (("leak", 0.0018), ("bend", 0.06)):
+        if getattr(told, name) is None:
+            setattr(told, name, painted if told.painted else 0.0)
     figures = {}
     for kind in KINDS:
         for black in ("campaign", "frames", "dng", "darks"):
@@ -242,10 +245,10 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as folder:
                 found = measured(Path(folder), kind, black, told)
             name = {"campaign": "campaign.toml", "dng": "DNG"}.get(black, black)
+            name = "painting" if told.painted else name
             for column, several in zip(COLUMNS, found.T, strict=True):
                 figures[f"{kind}, {name}", column] = (several.min(), several.max())
-    if not (told.painted or told.bend or told.leak):
-        record(told.results, "merging", figures)
+    record(told.results, "merging", figures)
 
 
 if __name__ == "__main__":
