@@ -36,7 +36,7 @@ def test_a_camera_that_keeps_its_promises_is_right_without_a_word(case, tmp_path
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("drift", "lines", "named", "stated"),
-    [(0.02, 480, True, False), (0.02, 1500, False, True), (0.0, 160, False, True)],
+    [(0.02, 480, True, False), (0.02, 1500, False, True), (0.0, 480, False, True)],
 )
 def test_a_lamp_that_sinks_over_a_scan_longer_than_its_white_is_named_as_far_as_it_shows(
     drift, lines, named, stated, tmp_path
