@@ -1,14 +1,15 @@
 """Whole builds of merged exposures against truth and the Cramér–Rao bound, over three and a half decades.
 
-    python benchmarks/merging.py [--side 256] [--read 2.0] [--whites 16] [--darks 8] [--bend 0.06]
-    python benchmarks/merging.py --painted [--leak 0.0018]   # beside saturated sensels, by the merge alone
+    python benchmarks/merging.py [--side 256] [--read 2.0] [--whites 16] [--darks 8] [--bend 0.06] [--leak 0.0018]
+    python benchmarks/merging.py --painted   # discs of all tones beside one another's saturated sensels; bend 0.06, leak 0.0018
     python benchmarks/motion.py   # what is flagged as moved, of cameras as they are
 
 A sensor of 12 bits in 16-bit files (black 50, 2 electrons a count) takes one shot of twelve patches,
 0.0003 to 0.95, at four exposures 4x apart, and a stack of a white at one of them. `levkas build` makes
 reflectance of it: as a tunable filter and as a mosaic; with the black level in campaign.toml, in the
 frames (TIFF's and DNG's tag 50714) or only in darks. In a corner of each patch the scene changes before
-the longest exposure that does not saturate there.
+the longest exposure that does not saturate there. `--bend` is the share that the response lacks at full scale, y = x − bend x² / full;
+`--leak` what a sensel lends to each neighbour, 0.3 of that diagonally: of a saturated one what its well holds.
 
 For each patch: the mean of R over truth; variance of R over the Cramér–Rao bound of the unsaturated
 exposures (with the white's and the darks' own noise, whose shots are what there is); spread of
@@ -18,6 +19,7 @@ are looked at, in native pixels: what demosaicing makes of the others is not the
 
 import argparse
 import tempfile
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -26,9 +28,6 @@ import tifffile
 from results import add_option, record
 
 from levkas.building import build
-from levkas.calibration.exposures import merge_exposures
-from levkas.calibration.noise_fit import NoiseModel
-from levkas.calibration.templates import average
 from levkas.core.cube import Flag
 
 BLACK, GAIN, FULL = 50.0, 0.5, 4095
@@ -56,6 +55,8 @@ KINDS = {
 }
 
 
+DECADES = (0.01, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0)
+"""Of what is painted; patches are each their own."""
 COLUMNS = ("bias", "variance / bound", "spread")
 
 
@@ -67,6 +68,29 @@ def scene(side: int) -> tuple[np.ndarray, np.ndarray]:
     return panel, np.kron(np.ones((3, 4)), square) > 0
 
 
+def painting(side: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return discs of all tones as large as the patches are, and that nothing moves."""
+    rng, shape = np.random.default_rng(3), (3 * side, 4 * side)
+    tones = np.full([4 * n for n in shape], 0.3, np.float32)
+    for _ in range(shape[0] * shape[1] // 350):
+        tone = float(np.exp(rng.uniform(np.log(0.005), np.log(0.95))))
+        place = rng.integers(0, [4 * n for n in shape[::-1]]).tolist()
+        cv2.circle(tones, place, int(rng.integers(6, 120)), tone, -1, cv2.LINE_AA)
+    blurred = cv2.GaussianBlur(tones, (0, 0), 2)
+    made = cv2.resize(blurred, shape[::-1], interpolation=cv2.INTER_AREA).astype(float)
+    return made, np.zeros(shape, bool)
+
+
+def responses(shape: tuple[int, int]) -> np.ndarray:
+    """Return what sensels make of the same light."""
+    return 1 + 0.01 * np.random.default_rng(2).standard_normal(shape)
+
+
+def lent(light: np.ndarray, told: argparse.Namespace) -> np.ndarray:
+    """Return what sensels have of their neighbours."""
+    return cv2.filter2D(light, -1, told.leak * np.array([[0.3, 1, 0.3], [1, 0, 1], [0.3, 1, 0.3]]))
+
+
 def longest(reflectance: np.ndarray) -> np.ndarray:
     """Return the index of the longest exposure that is not saturated."""
     full = [WHITE * reflectance * t + BLACK < 0.9 * FULL for t in TIMES]
@@ -75,8 +99,8 @@ def longest(reflectance: np.ndarray) -> np.ndarray:
 
 def write(folder: Path, kind: str, black: str, told: argparse.Namespace) -> None:
     rng = np.random.default_rng([ord(letter) for letter in kind + black])
-    panel, moving = scene(told.side)
-    response = 1 + 0.01 * np.random.default_rng(2).standard_normal(panel.shape)
+    panel, moving = painting(told.side) if told.painted else scene(told.side)
+    response = responses(panel.shape)
     (folder / "raw").mkdir()
     last = longest(panel)
     taken = [("panel", i, t, 1) for i, t in enumerate(TIMES)]
@@ -94,6 +118,7 @@ def write(folder: Path, kind: str, black: str, told: argparse.Namespace) -> None
         seen = {"panel": panel, "white": 1 + 0 * panel, "dark": 0 * panel}[name]
         seen = np.where(moving & (last == index), CHANGE * seen, seen)
         electrons = WHITE * time * seen * response / GAIN
+        electrons = electrons + lent(np.minimum(electrons, (FULL - BLACK) / GAIN), told)
         for shot in range(shots):
             light = GAIN * rng.poisson(electrons)
             light -= told.bend * light**2 / (FULL - BLACK)
@@ -117,16 +142,27 @@ def write(folder: Path, kind: str, black: str, told: argparse.Namespace) -> None
     (folder / "campaign.toml").write_text(keys)
 
 
-def bound(reflectance: float, black: str, told: argparse.Namespace) -> float:
-    """Return the least variance of R that the frames allow."""
+def bound(
+    rate: np.ndarray, of_white: np.ndarray, black: str, told: argparse.Namespace
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the least variance of R that the frames allow, of counts a second, and where an exposure's use is clear."""
     read = told.read**2 + 1 / 12
     dark = read / told.darks if black == "darks" else 0.0
-    rate = WHITE * reflectance
-    usable = [t for t in TIMES if rate * t + BLACK < 0.98 * FULL]
-    of_rate = 1 / sum(t**2 / (GAIN * rate * t + read + dark) for t in usable)
-    white = WHITE * WHITE_TIME
-    of_white = ((GAIN * white + read) / told.whites + dark) / white**2
-    return of_rate / WHITE**2 + reflectance**2 * of_white
+    weight, clear = np.zeros(rate.shape), np.ones(rate.shape, bool)
+
+    def slope(counts: np.ndarray) -> np.ndarray:
+        return 1 - 2 * told.bend * counts / (FULL - BLACK)
+
+    for t in TIMES:
+        x = rate * t
+        code = x - told.bend * x**2 / (FULL - BLACK) + BLACK
+        usable = (code < 0.98 * FULL) & (slope(x) > 0.5)
+        weight += usable * t**2 / (GAIN * x + (read + dark) / slope(x) ** 2)
+        clear &= np.abs(code - 0.98 * FULL) > 0.03 * FULL
+    white = of_white * WHITE_TIME
+    of_own = (GAIN * white + read / slope(white) ** 2) / told.whites + dark / slope(white) ** 2
+    reflectance = rate / of_white
+    return 1 / weight / of_white**2 + reflectance**2 * of_own / white**2, clear
 
 
 def measured(folder: Path, kind: str, black: str, told: argparse.Namespace) -> np.ndarray:
@@ -140,89 +176,50 @@ def measured(folder: Path, kind: str, black: str, told: argparse.Namespace) -> n
         np.moveaxis(np.atleast_3d(tifffile.imread(f"{stem}{part}.tif").T), (0, 1), (1, 0))
         for part in ("", ".flags", ".sigma")
     )
-    panel, moving = scene(told.side)
+    panel, moving = painting(told.side) if told.painted else scene(told.side)
     y, x = np.indices(panel.shape)
     channel = (y % 2) * 2 + x % 2 if values.shape[2] > 1 else 0 * y
     if black == "dng":  # red, green, blue; green on two phases
         channel = np.array([0, 1, 1, 2])[channel]
     pick = lambda cube: np.take_along_axis(cube, channel[..., None], 2)[..., 0]  # noqa: E731
     value, flag, spread = pick(values), pick(flags), pick(sigma)
+    response = responses(panel.shape)
+    white, seen = (WHITE * (part + lent(part, told)) for part in (response, panel * response))
+    truth = seen / white
+    least, clear = bound(seen, white, black, told)
+    inside, there = np.ones(panel.shape, bool), moving
+    if not told.painted:
+        edge = 3
+        rim = np.pad(np.ones((told.side - 2 * edge,) * 2, bool), edge)
+        corner = np.zeros((told.side,) * 2, bool)
+        corner[: told.side // 8 + edge, : told.side // 8 + edge] = True
+        inside, corner = (np.kron(np.ones((3, 4)), part) > 0 for part in (rim, corner))
+        there = inside & moving & np.roll(moving, (-edge, -edge), (0, 1))
+        inside, clear = inside & ~corner, clear | True
+    if told.painted:
+        parts = [(low, (truth >= low) & (truth < high)) for low, high in pairwise(DECADES)]
+    else:
+        parts = [(reflectance, panel == reflectance) for reflectance in PATCHES]
     print(f"\n{kind}, black from {black}")
     print(
         "      R   bias %  (± of it)   variance/bound   (R − truth)/sigma   moved where not %   and where %"
     )
-    tile = np.zeros((told.side, told.side), bool)
-    edge = 3
-    tile[edge:-edge, edge:-edge] = True
-    inside = np.kron(np.ones((3, 4)), tile) > 0
-    still = inside & ~np.kron(
-        np.ones((3, 4)),
-        np.pad(
-            np.ones((told.side // 8 + edge,) * 2), ((0, told.side - told.side // 8 - edge),) * 2
-        ),
-    ).astype(bool)
-    there = inside & moving & (np.roll(moving, (-edge, -edge), (0, 1)))
     found = []
-    for reflectance in PATCHES:
-        part = panel == reflectance
-        here = part & still
-        r = value[here]
-        bias, own = (
-            100 * (r.mean() / reflectance - 1),
-            100 * r.std() / reflectance / np.sqrt(r.size),
-        )
-        over = r.var() / bound(reflectance, black, told)
-        z = ((r - reflectance) / spread[here]).std()
+    usable = inside & clear & (flag & ~np.uint8(Flag.MOVED) == 0) if told.painted else inside
+    for reflectance, part in parts:
+        here = part & usable
+        miss = value[here] - truth[here]
+        ratio = 100 * miss / truth[here]
+        bias, own = ratio.mean(), ratio.std() / np.sqrt(miss.size)
+        over = ((miss - miss.mean()) ** 2 / least[here]).mean()
+        z = (miss / spread[here]).std()
         false = 100 * np.mean(flag[here] & Flag.MOVED > 0)
-        true = 100 * np.mean(flag[part & there] & Flag.MOVED > 0)
+        true = 100 * np.mean(flag[part & there] & Flag.MOVED > 0) if moving.any() else np.nan
         print(
             f"{reflectance:7.4f}  {bias:+7.2f}  {own:7.2f}  {over:12.3f} {z:16.3f} {false:20.2f} {true:15.0f}"
         )
         found.append((bias, over, z))
     return np.array(found)
-
-
-def painted(told: argparse.Namespace) -> None:
-    """Merge a scene of discs of all tones on a sensor that leaks, and print variance over the bound by reflectance."""
-    rng, side = np.random.default_rng(3), 2 * told.side
-    tones = np.full((4 * side, 4 * side), 0.3, np.float32)
-    for _ in range(side * side // 350):
-        tone = float(np.exp(rng.uniform(np.log(0.005), np.log(0.95))))
-        place = rng.integers(0, 4 * side, 2).tolist()
-        cv2.circle(tones, place, int(rng.integers(6, 120)), tone, -1, cv2.LINE_AA)
-    scene = cv2.resize(
-        cv2.GaussianBlur(tones, (0, 0), 2), (side, side), interpolation=cv2.INTER_AREA
-    )
-    kernel = told.leak * np.array([[0.3, 1, 0.3], [1, 0, 1], [0.3, 1, 0.3]])
-    light, noise = WHITE * scene.astype(float) / GAIN, NoiseModel(GAIN, told.read**2 + 1 / 12)
-    shots = []
-    for t in TIMES:
-        lent = cv2.filter2D(np.minimum(light * t, (FULL - BLACK) / GAIN), -1, kernel)
-        codes = GAIN * rng.poisson(light * t + lent) + rng.normal(BLACK, told.read, scene.shape)
-        codes = np.rint(codes).clip(0, FULL).astype(np.uint16)
-        shots.append(average([codes], saturation=FULL, exposure_s=t))
-    merged = merge_exposures(shots, saturation=FULL, black=BLACK, noise=noise).template
-    truth = GAIN * (light + cv2.filter2D(light, -1, kernel))
-    ends = np.array([truth * t + BLACK - 0.98 * FULL for t in TIMES])
-    least = 1 / sum(
-        (e < 0) * t**2 / noise.variance(truth * t) for e, t in zip(ends, TIMES, strict=True)
-    )
-    clear = ~merged.saturated & (np.abs(ends) > 0.03 * FULL).all(0)
-    miss = merged.mean - truth
-    for low, high in (
-        (0.01, 0.03),
-        (0.03, 0.06),
-        (0.06, 0.12),
-        (0.12, 0.25),
-        (0.25, 0.5),
-        (0.5, 1),
-    ):
-        part = clear & (truth >= WHITE * low) & (truth < WHITE * high)
-        over, bias = np.mean(miss[part] ** 2 / least[part]), 100 * np.mean(miss[part] / truth[part])
-        z = np.std(miss[part] / np.sqrt(merged.variance[part]))
-        print(
-            f"R {low:g} to {high:g}: variance/bound {over:.3f}, bias {bias:+.3f} %, (R − truth)/sigma {z:.3f}"
-        )
 
 
 def main() -> None:
@@ -232,14 +229,14 @@ def main() -> None:
     parser.add_argument("--whites", type=int, default=16)
     parser.add_argument("--darks", type=int, default=8, help="of each exposure")
     parser.add_argument("--only", default="", help="for example bands:darks")
-    parser.add_argument("--bend", type=float, default=0.0, help="share that is lost at full scale")
-    parser.add_argument("--painted", action="store_true")
-    parser.add_argument("--leak", type=float, default=0.0018, help="share lent to each neighbour")
+    parser.add_argument("--bend", type=float, help="share that is lost at full scale")
+    parser.add_argument("--painted", action="store_true", help="discs in place of patches")
+    parser.add_argument("--leak", type=float, help="share lent to each neighbour")
     add_option(parser)
     told = parser.parse_args()
-    if told.painted:
-        painted(told)
-        return
+    for name, painted in (("leak", 0.0018), ("bend", 0.06)):
+        if getattr(told, name) is None:
+            setattr(told, name, painted if told.painted else 0.0)
     figures = {}
     for kind in KINDS:
         for black in ("campaign", "frames", "dng", "darks"):
@@ -248,6 +245,7 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as folder:
                 found = measured(Path(folder), kind, black, told)
             name = {"campaign": "campaign.toml", "dng": "DNG"}.get(black, black)
+            name = "painting" if told.painted else name
             for column, several in zip(COLUMNS, found.T, strict=True):
                 figures[f"{kind}, {name}", column] = (several.min(), several.max())
     record(told.results, "merging", figures)

@@ -19,6 +19,7 @@ def test_an_address_is_no_folder_to_build_into(folder, call, monkeypatch, tmp_pa
     with pytest.raises(Refused) as refused:
         call(folder, output="s3://museum/icons")
     assert "address" in refused.value.problems[0].message
+    assert refused.value.problems[0].file == "s3://museum/icons"
     assert not [*tmp_path.iterdir()]
 
 

@@ -139,3 +139,21 @@ def test_a_page_says_that_a_white_of_one_shot_tells_nothing_of_the_lamp(drifted,
     once = Built(tmp_path / "c", lambda name, shot, band=0: 1.0, whites=1)
     assert "how the lamp changed was not measured" in once.camera
     assert "how the lamp changed was not measured" not in drifted.camera
+
+
+def sinking(name, line, band=0):
+    """Two per cent from the first line of a white of 100 to the last of an object of 480."""
+    return 1 - 0.02 * {"dark": 0, "white": line, "panel": 100 + line}[name] / 579
+
+
+def test_a_lamp_that_sinks_along_a_scan_is_in_the_budget_up_to_its_last_line(tmp_path):
+    folder, shape = tmp_path / "c", (480, 60)
+    camera, (tones, _) = Camera(shape), scene(shape)
+    camera.response, camera.black = camera.response[:1], camera.black[:1]
+    built(write_campaign(folder, "cube", camera, tones, lamp=sinking))
+    provenance = json.loads((folder / "database/objects/panel/provenance.json").read_text())
+    (step,) = [one for one in provenance["steps"] if one["stage"] == "calibrate"]
+    (lamp,) = [one for one in step["uncertainty"] if one["source"].startswith("lamp")]
+    assert [*lamp["bands"].values()] == pytest.approx([0.02 * (50 + 480) / 579] * 4, rel=0.4)
+    report = (folder / "database/objects/panel/report.html").read_text()
+    assert "last line lies 5.3 times as far" in report

@@ -85,6 +85,26 @@ def test_an_address_that_is_none_is_refused(address):
         assert run(*words).exit_code == 1
 
 
+@pytest.mark.parametrize(
+    ("words", "address"),
+    [
+        ("simulate ADDRESS", "https://museum.org/a/b"),
+        ("simulate ADDRESS", "file:///srv/icons"),
+        *((words, "s3://museum/icons.x") for words in (
+            "build ADDRESS", "status ADDRESS", "look ADDRESS", "publish ADDRESS", "radiometry ADDRESS", "simulate ADDRESS",
+            "radiometry FOLDER -o ADDRESS", "chart ADDRESS")),
+    ],
+)  # fmt: skip
+def test_an_address_in_place_of_a_folder_is_shown_as_it_was_written(
+    words, address, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    found = run(*words.replace("ADDRESS", address).replace("FOLDER", str(tmp_path)).split())
+    assert found.exit_code != 0
+    assert f" {address}" in found.output and str(tmp_path) not in found.output
+    assert not [*tmp_path.iterdir()]
+
+
 # --- keys of a campaign -----------------------------------------------------------------------
 
 CAMPAIGN = """

@@ -295,20 +295,21 @@ def _of_lamp(told: Mapping[str, Any]) -> list[str]:
     if not lamps:
         return [LAMP_UNKNOWN]
     band = max(lamps, key=lambda b: abs(lamps[b]))
-    if abs(lamps[band]) > NOTICED:
+    scan = told[LAMP][band]
+    if abs(lamps[band]) * max(scan.get("reach", 0.0), 1.0) > NOTICED:
         return [f"{band}: the lamp changed by {100 * lamps[band]:+.2g} % within the white"]
-    unseen = max(one["sigma"] or 0.0 for one in told[LAMP].values())
-    if unseen < LAMP_DOUBT:
-        return []
-    return [
-        f"no change of the lamp was found within the white; until the end of the object one of {100 * unseen:.2g} % "
-        "would not have been: capture a white after it, too"
-    ]
+    if scan.get("unseen", 0.0) > LAMP_DOUBT:
+        return [LAMP_UNSEEN.format(percent=100 * scan["unseen"])]
+    return []
 
 
 LAMP_UNKNOWN = (
     "how the lamp changed was not measured, and sigma does not contain it: capture the white more than once, best before and "
     "after the objects, with the time in its files"
+)
+LAMP_UNSEEN = (
+    "no change of the lamp was found within the white; a steady one of {percent:.2g} % until the end of the object would not have "
+    "been, and sigma does not contain it: scan more lines of the white"
 )
 BY_ITSELF = (
     "the camera's white is a chart: the colours of that chart were fitted to the "

@@ -218,6 +218,8 @@ def note_lamp(
         }
         notes[label] = {name: as_number(float(value)) for name, value in numbers.items()}
         notes[label]["interpolated"] = lamp.timed
+        if lamp.reach:
+            notes[label] |= {"reach": as_number(lamp.reach), "unseen": as_number(lamp.unseen)}
 
 
 def describe_lamp(learnt: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -225,8 +227,11 @@ def describe_lamp(learnt: Mapping[str, Mapping[str, Any]]) -> list[str]:
     bands = {label: one for told in learnt.values() for label, one in told.get(LAMP, {}).items()}
     notes = []
     # Of a weak band noise alone leaves the drift in doubt: that is no change of the lamp.
-    measured = ("white", "object", "flicker")
-    changed = [label for label, one in bands.items() if any(one[name] for name in measured)]
+    changed = [
+        label
+        for label, one in bands.items()
+        if one["white"] or one["object"] or (one["flicker"] or 0.0) >= LAMP_DOUBT
+    ]
     worst = max(changed, key=lambda label: bands[label]["sigma"], default="")
     factors = {label: one["factor"] for label, one in bands.items() if one["interpolated"]}
     if factors and any(factor != 1 for factor in factors.values()):
@@ -244,10 +249,17 @@ def describe_lamp(learnt: Mapping[str, Mapping[str, Any]]) -> list[str]:
         ]
         if not changes:
             changes = [f"{100 * (one['flicker'] or 0):.2g} % rms from shot to shot"]
+        advice = "capture whites before and after the object with the time in their files"
+        if one.get("reach") and one["white"]:
+            changes[-1] += (
+                f", from which the object's last line lies {one['reach']:.2g} times as far"
+            )
+        if one.get("reach"):
+            advice = "scan more lines of the white, evenly lit"
         notes.append(
             f"the lamp is known between white and object to {100 * one['sigma']:.2g} % (one standard deviation, common to all "
             f"pixels; {worst}), because it changed by {' and '.join(changes)}; sigma of pixels does not include this. Let "
-            "lamps warm up, and capture whites before and after the object with the time in their files"
+            f"lamps warm up, and {advice}"
         )
     dark = max(bands, key=lambda label: bands[label]["black_sigma"], default="")
     if bands and bands[dark]["black_sigma"] >= BLACK_DOUBT:

@@ -19,6 +19,7 @@ from levkas.calibration.darks import level_under
 from levkas.calibration.drift import average_steady, lamp_between
 from levkas.calibration.exposures import best_exposure
 from levkas.calibration.noise_fit import fit_noise
+from levkas.calibration.scan_lamp import lamp_along
 from levkas.calibration.sensor_context import (
     Times,
     by_exposure,
@@ -227,8 +228,10 @@ def _of_pushbroom(context: SensorContext, shape: tuple[int, int, int]) -> ScanTe
     whites = templates_by_exposure(sensor.white, partial(average_lines, context, darks=darks))
     require_same_size(context, shape, darks, whites)
     white = whites[best_white(whites)] if whites else None
-    if white is not None:
-        _note_lamp_of(context, white, lines=shape[0])
+    if white is not None and white.shots is not None:
+        lines = shape[0] * len(sensor.object)  # strips are captured one after the other
+        labels = [band.label for band in sensor.bands]
+        note_lamp(context.told, labels, lamp_along(white.shots, lines))
     note_light(context.told, white, darks, None, [band.label for band in sensor.bands])
     noise = noise_of(context, [], [white] if white else [], darks)
     area = WhiteArea()
@@ -238,18 +241,14 @@ def _of_pushbroom(context: SensorContext, shape: tuple[int, int, int]) -> ScanTe
     return ScanTemplates(tuple(darks), white, noise, area)
 
 
-def _note_lamp_of(context: SensorContext, white: Template, lines: int = 1) -> None:
-    """Note how the lamp changed within the white, (lines, samples, bands); a scan of so many lines tells nothing of its own."""
+def _note_lamp_of(context: SensorContext, white: Template) -> None:
+    """Note how the lamp changed between the whites of a mirror scanner; a scan tells nothing of its own."""
     if white.shots is None:
         return
     labels = [band.label for band in context.sensor.bands]
     times = capture_times(context.sensor.object)
     single = ShotLevels(np.ones((1, len(labels))), np.zeros(len(labels)), times)
-    note_lamp(
-        context.told,
-        labels,
-        lamp_between(white.shots, single, spans=lines / len(white.shots.levels)),
-    )
+    note_lamp(context.told, labels, lamp_between(white.shots, single))
 
 
 def average_lines(

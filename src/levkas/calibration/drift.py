@@ -390,6 +390,10 @@ class LampChange(NamedTuple):
         Standard deviation from shot to shot about those lines; NaN with fewer than three shots.
     timed : bool
         Whether whites before and after the object are interpolated.
+    reach : float
+        Of a scan: the span from the middle of its white to the object's last line, over the white's; else 0.
+    unseen : float
+        Of a scan: the least steady change up to its last line that the white would show; else 0.
     """
 
     factor: np.ndarray
@@ -398,6 +402,8 @@ class LampChange(NamedTuple):
     shot: np.ndarray
     flicker: np.ndarray
     timed: bool
+    reach: float = 0.0
+    unseen: float = 0.0
 
     def in_groups(self, which: np.ndarray, count: int) -> LampChange:
         """Return means over channels that belong together: `which` group each is of, 0 to `count` − 1."""
@@ -416,19 +422,17 @@ class LampChange(NamedTuple):
         )
 
 
-def lamp_between(white: ShotLevels, shot: ShotLevels, *, spans: float = 1.0) -> LampChange:
+def lamp_between(white: ShotLevels, shot: ShotLevels) -> LampChange:
     """Estimate how the lamp changed between the stacks of a white and of an object.
 
     Parameters
     ----------
     white, shot : ShotLevels
         Of the same channels. Levels of darks give the wander of the black level, in counts.
-    spans : float
-        How many times as long as the white's stack the object took: a scan of 480 lines after 64 of the white, 7.5.
 
     Notes
     -----
-    A lamp that changed by Δ within a stack may have changed as much again until the other one: u = |Δ|, and in an object of more lines so many times as much. Where files
+    A lamp that changed by Δ within a stack may have changed as much again until the other one: u = |Δ|. Where files
     state when they were captured u = |Δ| √(gap/span), as far as a lamp wanders, up to 10 |Δ|. Between whites before
     and after the object the level is interpolated, at a share x of the way, with u = |Δ| x (1 − x): so far is the
     straight line off where the lamp comes to rest at one end. Flicker f of single shots adds f² w² of each.
@@ -445,7 +449,7 @@ def lamp_between(white: ShotLevels, shot: ShotLevels, *, spans: float = 1.0) -> 
     ([1.01], [0.0075])
     """
     stacks = white, shot
-    trends = [_trend(one) for one in stacks]
+    trends = [trend_of(one) for one in stacks]
     freedom = np.array([max(len(one.levels) - 2, 0) for one in stacks])
     squares = sum(n * np.nan_to_num(t.flicker) ** 2 for n, t in zip(freedom, trends, strict=True))
     flicker = np.sqrt(squares / max(int(freedom.sum()), 1))
@@ -454,8 +458,7 @@ def lamp_between(white: ShotLevels, shot: ShotLevels, *, spans: float = 1.0) -> 
         factor, drift, weights = bridge
     else:
         for trend, stack in zip(trends, stacks, strict=True):
-            far = max(_reach(stack, white, shot), spans)
-            drift = np.maximum(drift, trend.reach * far)
+            drift = np.maximum(drift, trend.reach * _reach(stack, white, shot))
     return LampChange(
         factor,
         np.sqrt(drift**2 + flicker**2 * (weights + 1 / len(shot.levels))),
@@ -477,22 +480,25 @@ def black_between(dark: ShotLevels) -> LampChange:
     return lamp_between(replace(dark, times_s=None), ShotLevels(one, one[0]))
 
 
-class _Trend(NamedTuple):
+class Trend(NamedTuple):
     """Change of a stack's level from first to last along a line, NaN of one shot; how far it reaches; rms about it.
 
-    Where flicker explains the change, it is 0. `reach` is its size with the error that noise gives it.
+    Where flicker explains the change, it is 0. `reach` is its size with the error that noise gives it, `error` what
+    noise and flicker give it.
     """
 
     change: np.ndarray
     reach: np.ndarray
     flicker: np.ndarray
+    error: np.ndarray
 
 
-def _trend(stack: ShotLevels) -> _Trend:
+def trend_of(stack: ShotLevels) -> Trend:
+    """Fit a straight line to the levels of a stack, channel by channel."""
     count, channels = stack.levels.shape
     none = np.full(channels, np.nan)
     if count < 2:
-        return _Trend(none, np.zeros(channels), none)
+        return Trend(none, np.zeros(channels), none, none)
     at, levels = np.arange(count, dtype=float), stack.levels
     if (times := _times(stack)) is not None:
         order = np.argsort(times, kind="stable")
@@ -502,12 +508,13 @@ def _trend(stack: ShotLevels) -> _Trend:
     change = at @ levels / spread**2 * span
     rest = levels - levels.mean(0) - np.outer(at / span, change)
     noise = np.where(np.isfinite(stack.error), stack.error, 0.0)
-    flicker = none
+    flicker, error = none, noise * span / spread
     if count > 2:
         square = (rest**2).sum(0) / (count - 2)
         flicker = np.where(square > 4 * noise**2, np.sqrt(np.maximum(square - noise**2, 0)), 0.0)
         change = np.where(np.abs(change) > SIGMAS * np.sqrt(square) * span / spread, change, 0.0)
-    return _Trend(change, np.hypot(change, noise * span / spread), flicker)
+        error = np.sqrt(np.maximum(square, noise**2)) * span / spread
+    return Trend(change, np.hypot(change, noise * span / spread), flicker, error)
 
 
 def _times(stack: ShotLevels) -> np.ndarray | None:

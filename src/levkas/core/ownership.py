@@ -17,7 +17,7 @@ from typing import Literal
 from levkas.core.digests import hash_file
 from levkas.core.disk import WriteRefused
 from levkas.core.files import DROPPINGS, OURS
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import SCHEMES, Problem, Refused
 from levkas.core.text import read_json, what_stands_at
 
 Kind = Literal["database", "publication", "bag"]
@@ -27,8 +27,6 @@ IMPRINT = "database.toml"
 MARK = "# Written by Levkas. A build goes on only in a folder that bears this line.\n"
 RECORD = "levkas-files.json"
 """Beside files that were written one by one: name → SHA-256, null while it is being written."""
-SCHEMES = re.compile(r"(abfss?|az|dav|file|ftp|gcs|gs|hf|https?|s3a?|sftp|ssh|webdav):", re.I)
-"""Beginnings of addresses, as a path has them: no folder of anybody's is called so."""
 LONGEST_MARK = 4096
 """Bytes of a file that a mark is looked for in."""
 _MANIFEST = re.compile(rb"# levkas manifest 1: ")
@@ -103,7 +101,7 @@ def is_address(path: str | Path) -> bool:
     >>> is_address("s3://museum/icons"), is_address(Path("/home/https:/museum.org")), is_address("C:/icons")
     (True, True, False)
     """
-    return any(SCHEMES.fullmatch(part) for part in Path(path).parts)
+    return any(re.fullmatch(f"({SCHEMES}):", part, re.IGNORECASE) for part in Path(path).parts)
 
 
 class OwnFiles:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from itertools import islice
@@ -13,6 +14,9 @@ LONGEST_VALUE = 2000
 LONGEST_SHOWN = 240
 """Characters of a value in the lines that people read."""
 LONGEST_NAME = 80
+SCHEMES = "abfss?|az|dav|file|ftp|gcs|gs|hf|https?|s3a?|sftp|ssh|webdav"
+"""Beginnings of addresses: no folder of anybody's is called so, with a colon."""
+_ADDRESS = re.compile(rf"(?:.*?[/\\])?((?:{SCHEMES}):)[/\\]([^/\\].*)", re.IGNORECASE | re.DOTALL)
 MOST_COMPARED = 20_000
 """Pairs of names whose likeness is looked at, one after the other; each takes some 10 µs."""
 
@@ -53,6 +57,10 @@ class Problem:
     expected: Any = None
     fix: str | None = None
 
+    def __post_init__(self) -> None:
+        if self.file is not None:
+            object.__setattr__(self, "file", _as_written(self.file))
+
     def __hash__(self) -> int:
         """Problems are told once each, also those that found a list."""
         return hash((self.code, self.message, self.file, self.field, str(self.found), self.fix))
@@ -85,6 +93,18 @@ class Problem:
         """Return the fields as JSON-ready values; what is unknown is ``None``."""
         plain = (str, int, float, bool, type(None))
         return {k: v if isinstance(v, plain) else str(v) for k, v in asdict(self).items()}
+
+
+def _as_written(path: str) -> str:
+    """Return an address as a person wrote it, of which a path has one slash and perhaps the working folder.
+
+    >>> _as_written("/home/anna/s3:/museum/icons"), _as_written("file:/srv/icons"), _as_written("a/b")
+    ('s3://museum/icons', 'file:///srv/icons', 'a/b')
+    """
+    if (found := _ADDRESS.fullmatch(path)) is None:
+        return path
+    slashes = "///" if found[1].lower() == "file:" else "//"
+    return found[1] + slashes + found[2].replace("\\", "/")
 
 
 def _shortened(text: str) -> str:
