@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from levkas.geometry import pixel_maps
-from levkas.geometry.pixel_maps import lay, lay_runs
+from levkas.geometry.pixel_maps import lay, lay_bands
+from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Affine, Composed, Lens
 
 SHAPE = (90, 130)
@@ -22,21 +23,17 @@ MAPS = [band_map(band) for band in range(37)]
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])
-@pytest.mark.parametrize("most_bytes", [0, 1e6, np.inf])
-def test_bands_lie_where_they_lie_by_themselves(monkeypatch, threads, most_bytes):
+def test_bands_lie_where_they_lie_by_themselves(monkeypatch, threads):
     monkeypatch.setenv("LEVKAS_THREADS", threads)
-    seen = 0
-    for lattice in lay_runs(MAPS, SHAPE, most_bytes):
-        assert lattice.first == seen
-        for band in range(lattice.count):
-            alone = lay(MAPS[seen + band], SHAPE).lattices[0]
-            assert alone.segment == lattice.segment
-            assert np.array_equal(lattice.table[..., band], alone.table)
-        seen += lattice.count
-    assert seen == len(MAPS)
+    lattices = [*lay_bands(MAPS, SHAPE)]
+    assert len(lattices) == len(MAPS)
+    for lattice, transform in zip(lattices, MAPS, strict=True):
+        alone = lay(transform, SHAPE).lattices[0]
+        assert alone.segment == lattice.segment
+        assert np.array_equal(lattice.table, alone.table)
 
 
-def test_tables_of_single_bands_are_let_go_before_they_are_used(monkeypatch):
+def test_few_tables_are_held_at_a_time(monkeypatch):
     made = []
 
     def noted(*arguments, lay_band=pixel_maps._lay_band):
@@ -45,6 +42,23 @@ def test_tables_of_single_bands_are_let_go_before_they_are_used(monkeypatch):
         return lattice
 
     monkeypatch.setattr(pixel_maps, "_lay_band", noted)
-    for _ in lay_runs(MAPS, SHAPE, 0):
-        assert made
-        assert not any(table() is not None for table in made)
+    for _ in lay_bands(MAPS, SHAPE):
+        assert sum(table() is not None for table in made) <= pixel_maps.AT_ONCE + 1
+    assert len(made) == len(MAPS)
+
+
+@pytest.mark.parametrize("bands", [1, 3, 37])
+def test_a_band_with_a_map_of_its_own_is_as_by_itself(bands):
+    rng = np.random.default_rng(bands)
+    cube = rng.random((80, 120, bands), np.float32)
+    cube[rng.random(cube.shape) < 0.001] = np.nan
+    flags = (8 * (rng.random(cube.shape) < 0.01)).astype(np.uint8)
+    variance = rng.random(cube.shape, np.float32)
+    whole = warp(cube, MAPS[:bands], SHAPE, flags=flags, variance=variance)
+    for band in range(bands):
+        parts = (np.ascontiguousarray(a[..., band]) for a in (flags, variance))
+        marks, noise = parts
+        alone = warp(cube[..., band], MAPS[band], SHAPE, flags=marks, variance=noise)
+        assert np.array_equal(whole.values[..., band], alone.values, equal_nan=True)
+        assert np.array_equal(whole.flags[..., band], alone.flags)
+        assert np.array_equal(whole.variance[..., band], alone.variance, equal_nan=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from math import prod
 from typing import TYPE_CHECKING, Any
@@ -11,8 +10,9 @@ import numpy as np
 
 from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
 from levkas.core.files import make_folder
-from levkas.core.machine import count_threads, memory_bound
+from levkas.core.machine import memory_bound
 from levkas.core.problems import Problem, Refused
+from levkas.core.threads import each
 from levkas.database.layers import Layer, write_tiffs
 from levkas.database.spectral_tiff import read_tiff_pages
 from levkas.readers.frames import read_facts
@@ -104,9 +104,8 @@ class PackedSigma:
 
     def __init__(self, sigma: np.ndarray) -> None:
         self._shape = sigma.shape
-        with ThreadPoolExecutor(count_threads()) as pool:
-            parts = (sigma[y : y + PACKED_ROWS] for y in range(0, len(sigma), PACKED_ROWS))
-            self._parts = list(pool.map(_pack, parts))
+        parts = [sigma[y : y + PACKED_ROWS] for y in range(0, len(sigma), PACKED_ROWS)]
+        self._parts = each(_pack, parts)
 
     def unpack(self) -> np.ndarray:
         """Return sigma as it was, float32, in memory of its own."""
@@ -118,8 +117,7 @@ class PackedSigma:
             rows = sigma[number * PACKED_ROWS : (number + 1) * PACKED_ROWS]
             imagecodecs.blosc_decode(self._parts[number], out=rows.reshape(-1).view(np.uint8).data)
 
-        with ThreadPoolExecutor(count_threads()) as pool:
-            list(pool.map(fill, range(len(self._parts))))
+        each(fill, range(len(self._parts)))
         return sigma
 
 

@@ -28,8 +28,8 @@ from levkas.calibration.templates import (
 from levkas.calibration.whites import PERFECT, WhiteBoard, check_white, reflectance_table
 from levkas.core.compiled import njit
 from levkas.core.cube import Flag
-from levkas.core.machine import over_rows
 from levkas.core.problems import Problem
+from levkas.core.threads import in_threads
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def flat_field(
         dark_correlation(under, white_under),
         _shares_of_line(wide, model) if known else np.empty((3, 0)),
     )
-    over_rows(lambda y, end: _flatten(y, end, inputs, *made, variance), size[0])
+    in_threads(_flatten, size[0], inputs, *made, variance, worth=made[0].size)
     values, flags = (part.reshape(shape) for part in made)
     quantity = "counts" if white is None and board.unit is None else "reflectance"
     return Calibrated(values, flags, variance.reshape(shape) if known else None, quantity, notes)

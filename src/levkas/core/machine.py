@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 import os
 import threading
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
 THREADS, TILE, MEMORY = "LEVKAS_THREADS", "LEVKAS_TILE", "LEVKAS_MEMORY"
 
@@ -65,15 +63,6 @@ def count_threads(most: int | None = None) -> int:
     told = os.environ.get(THREADS, "").strip()
     count = int(told) if told.isdecimal() and int(told) > 0 else _processors()
     return count if most is None else min(count, most)
-
-
-def over_rows(work: Callable[[int, int], None], height: int) -> None:
-    """Call `work(start, stop)` for some rows at a time, in threads; raises what it raises."""
-    count = count_threads()
-    edges = [height * part // (2 * count) for part in range(2 * count + 1)]
-    with ThreadPoolExecutor(count) as pool:
-        for job in [pool.submit(work, *edge) for edge in pairwise(edges)]:
-            job.result()
 
 
 def tile_rows(chosen: int, whole: int) -> int:

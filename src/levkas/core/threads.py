@@ -28,23 +28,21 @@ _here = threading.local()
 
 
 def in_threads(
-    kernel: Callable[..., None], rows: int, *arguments: Any, worth: int | None = None
-) -> None:
-    """Run ``kernel(start, stop, …)`` on bands of rows; each row is written by one thread only.
+    kernel: Callable[..., Made], rows: int, *arguments: Any, worth: int | None = None
+) -> list[Made]:
+    """Run ``kernel(start, stop, …)`` on bands of rows, and return what it returns of each.
 
-    `worth` is the number of values, where they are not in one of the arrays. Within `each` there is
-    one thread for all of them: the others have bands of their own.
+    Each row is written by one thread only. `worth` is the number of values, where they are not in one of
+    the arrays. Within `each` there is one thread for all of them: the others have bands of their own.
     """
     workers = count_threads(MOST_OF_ROWS)
     if worth is None:
         worth = max(a.size for a in arguments if isinstance(a, np.ndarray))
     if rows < 4 * workers or workers == 1 or worth < WORTH_THREADS or _is_one_of_several():
-        kernel(0, rows, *arguments)
-        return
+        return [kernel(0, rows, *arguments)]
     edges = np.linspace(0, rows, 2 * workers + 1).astype(int).tolist()
     jobs = [_pool(workers).submit(kernel, a, b, *arguments) for a, b in pairwise(edges)]
-    for job in jobs:
-        job.result()
+    return [job.result() for job in jobs]
 
 
 def each(work: Callable[..., Made], *items: Iterable[Any]) -> list[Made]:
@@ -100,5 +98,5 @@ def _is_one_of_several() -> bool:
 
 @cache
 def _pool(workers: int) -> ThreadPoolExecutor:
-    """Threads that stay: a registration asks for them thousands of times."""
-    return ThreadPoolExecutor(workers, thread_name_prefix="registration")
+    """Return threads that stay: a registration takes them thousands of times."""
+    return ThreadPoolExecutor(workers, thread_name_prefix="rows")

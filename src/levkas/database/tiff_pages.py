@@ -14,6 +14,7 @@ import numpy as np
 
 from levkas.core.machine import count_threads
 from levkas.core.problems import Problem, Refused
+from levkas.core.threads import each
 from levkas.readers.facts import COPY_AGAIN, UnreadableCapture, check_ratio
 from levkas.readers.tiff import LARGEST_RATIO, check_strips
 from levkas.readers.tiff_directories import kinds_of_pages
@@ -97,8 +98,7 @@ class TiffPages:
         def fetch(place: int) -> None:
             cube[:, :, place] = self.read_page(chosen[place], start, stop)
 
-        with ThreadPoolExecutor(count_threads(2)) as pool:
-            list(pool.map(fetch, range(len(chosen))))
+        each(fetch, range(len(chosen)))
         return cube
 
     def planes(

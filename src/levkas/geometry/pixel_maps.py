@@ -10,15 +10,13 @@ evaluated at every pixel.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import groupby
-from math import ceil, floor, inf
+from math import ceil, floor
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.core.machine import count_threads
+from levkas.core.threads import each
 from levkas.geometry.depth_step import LedgeShift
 
 if TYPE_CHECKING:
@@ -31,7 +29,8 @@ of 30 px so much is a third of a pixel of its place."""
 LADDER = ((128, 32), (32, 16), (8, 8), (4, 4), (2, 2))
 """Distance of nodes and length of segments, grid px."""
 NODES = 6
-LANES = 16
+AT_ONCE = 8
+"""Bands whose maps are laid side by side: their tables are held together."""
 CHECKS = 400
 """Check points on either axis, at most: fewer would miss the slope of a ledge."""
 FEW = 50
@@ -49,18 +48,13 @@ FAR = -float(1 << 30)
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """A run of bands whose maps are laid out alike.
+    """The map of one band, or of all, laid out.
 
     Parameters
     ----------
-    first : int
-    count : int or None
-        The bands; None: one map for however many there are.
-    transforms : tuple of Transform
-        One for all bands, or one each.
+    transform : Transform
     table : ndarray or None
-        (rows, segments, 10), for bands with maps of their own (rows, segments, 10, count):
-        coefficients of 1, t, t², t³ of x and of y along a segment, source px, and the scales along
+        (rows, segments, 10): coefficients of 1, t, t², t³ of x and of y along a segment, source px, and the scales along
         x and y, source px per grid px. None: the maps are evaluated at every pixel.
     segment : int
         Grid px.
@@ -70,9 +64,7 @@ class Lattice:
         Largest scale.
     """
 
-    first: int
-    count: int | None
-    transforms: tuple[Transform, ...]
+    transform: Transform
     table: np.ndarray | None
     segment: int
     error: float
@@ -94,6 +86,7 @@ class PixelMap:
     bands : int or None
         None: one map for however many bands there are.
     lattices : tuple of Lattice
+        One for all bands, or one each.
     """
 
     shape: tuple[int, int]
@@ -129,52 +122,36 @@ def lay(transforms: Transform | Sequence[Transform], shape: tuple[int, int]) -> 
     if height < 1 or width < 1:
         raise ValueError(f"a grid of {width} x {height} px has no pixel")
     bands = len(transforms) if isinstance(transforms, Sequence) else None
-    return PixelMap((height, width), bands, tuple(lay_runs(transforms, (height, width))))
+    return PixelMap((height, width), bands, tuple(lay_bands(transforms, (height, width))))
 
 
-def lay_runs(
-    transforms: Transform | Sequence[Transform],
-    shape: tuple[int, int],
-    most_bytes: float = inf,
+def lay_bands(
+    transforms: Transform | Sequence[Transform], shape: tuple[int, int]
 ) -> Iterator[Lattice]:
-    """Yield the lattices of `lay`, a new one wherever those held take more than `most_bytes`."""
+    """Yield the lattices of `lay`: of all bands where they share one map, else of each.
+
+    Tables of a scan's bands can take more memory than its pixels: no more than `AT_ONCE` are held here.
+    """
     if not isinstance(transforms, Sequence):
-        yield _lay_band(transforms, shape, 0)
-        return
+        transforms = [transforms]
     if not transforms:
         raise ValueError("there is no transform: give one for all bands, or one for each")
-    if all(t is transforms[0] for t in transforms):
-        yield _lay_band(transforms[0], shape, 0)
-        return
-    run = [_lay_band(transforms[0], shape, 0)]
+    first = _lay_band(transforms[0], shape)
     # Bands of a capture are bent alike: a lattice too coarse for the first is not tried for others.
-    ladder = [rung for rung in LADDER if rung[1] <= run[0].segment] or LADDER
-    with ThreadPoolExecutor(count_threads()) as pool:
-        for first in range(0, len(transforms), LANES):
-            some = range(max(first, 1), min(first + LANES, len(transforms)))
-            run.extend(
-                pool.map(lambda band: _lay_band(transforms[band], shape, band, ladder), some)
-            )
-            held = sum(one.table.nbytes for one in run if one.table is not None)
-            if held > most_bytes:
-                yield from _joined(run, pool)
-        yield from _joined(run, pool)
-
-
-def _joined(bands: list[Lattice], pool: Executor) -> Iterator[Lattice]:
-    """Yield runs of bands laid alike; `bands` is empty after that, and holds no table meanwhile."""
-    runs = [
-        list(run) for _, run in groupby(bands, key=lambda one: (one.segment, one.coarsest > COARSE))
-    ]
-    bands.clear()
-    while runs:
-        yield _join(runs.pop(0), pool)
+    ladder = [rung for rung in LADDER if rung[1] <= first.segment] or LADDER
+    yield first
+    del first
+    if all(one is transforms[0] for one in transforms):
+        return
+    for start in range(1, len(transforms), AT_ONCE):
+        some = each(lambda one: _lay_band(one, shape, ladder), transforms[start : start + AT_ONCE])
+        while some:
+            yield some.pop(0)
 
 
 def _lay_band(
     transform: Transform,
     shape: tuple[int, int],
-    band: int,
     ladder: Sequence[tuple[int, int]] = LADDER,
 ) -> Lattice:
     height, width = shape
@@ -192,8 +169,8 @@ def _lay_band(
         error = _error(transform, table, shape, segment, (x, y), _tolerance(transform, coarsest))
         if error is not None:
             coarsest = max(coarsest, float(table[..., 8:].max()))
-            return Lattice(band, None, (transform,), table, segment, error, coarsest)
-    return Lattice(band, None, (transform,), None, 1, 0.0, coarsest)
+            return Lattice(transform, table, segment, error, coarsest)
+    return Lattice(transform, None, 1, 0.0, coarsest)
 
 
 def _asked(transform: Transform, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -236,32 +213,6 @@ def _tolerance(transform: Transform, scale: float) -> float:
     steps = getattr(transform, "steps", (transform,))
     ledges = [step.most for step in steps if isinstance(step, LedgeShift)]
     return max([TOLERANCE_PX, *(LEDGE_SHARE * most * scale for most in ledges)])
-
-
-def _join(run: list[Lattice], pool: Executor) -> Lattice:
-    tables = [one.table for one in run if one.table is not None]
-    return Lattice(
-        run[0].first,
-        len(run),
-        tuple(one.transforms[0] for one in run),
-        _stacked(tables, pool) if tables else None,
-        run[0].segment,
-        max(one.error for one in run),
-        max(one.coarsest for one in run),
-    )
-
-
-def _stacked(tables: list[np.ndarray], pool: Executor) -> np.ndarray:
-    """Return the bands' tables beside one another, copied a row at a time: what a row takes stays in the cache."""
-    whole = np.empty((*tables[0].shape, len(tables)))
-
-    def copy(row: int) -> None:
-        for band, table in enumerate(tables):
-            whole[row, ..., band] = table[row]
-
-    for _ in pool.map(copy, range(len(whole))):
-        pass
-    return whole
 
 
 def _checks(nodes: np.ndarray) -> np.ndarray:
@@ -308,7 +259,7 @@ def _table(nodes: np.ndarray, shape: tuple[int, int], segment: int) -> np.ndarra
 def _evaluate(
     table: np.ndarray, shape: tuple[int, int], segment: int, x: np.ndarray, y: np.ndarray
 ) -> np.ndarray:
-    """Return what a band's table says at a raster of whole grid px, (rows x columns, 2)."""
+    """Return where a table puts a raster of whole grid px, (rows x columns, 2)."""
     from levkas.geometry.pixel_maps_kernel import follow
 
     rows = table.shape[0]
@@ -319,16 +270,15 @@ def _evaluate(
 
 
 def exact_table(lattice: Lattice, shape: tuple[int, int], start: int, stop: int) -> np.ndarray:
-    """Evaluate the maps at every pixel of rows `start` to `stop`, blocks of `BLOCK` rows.
+    """Evaluate the map at every pixel of rows `start` to `stop`, blocks of `BLOCK` rows.
 
     Returns
     -------
-    table : ndarray, (stop - start, width, 10, maps), or without the last axis for one shared map
+    table : ndarray, (stop - start, width, 10)
         As `Lattice.table`, a segment a pixel; far away where there is no answer.
     """
     width = shape[1]
-    maps = len(lattice.transforms)
-    table = np.zeros((stop - start, width, 10, maps))
+    table = np.zeros((stop - start, width, 10))
     for low in range(start - start % BLOCK, stop, BLOCK):
         high = min(low + BLOCK, shape[0])
         above, below = max(low - 1, 0), min(high + 1, shape[0])
@@ -336,17 +286,16 @@ def exact_table(lattice: Lattice, shape: tuple[int, int], start: int, stop: int)
         points = np.stack([x.ravel(), y.ravel()], 1).astype(float)
         here = slice(max(low, start) - start, min(high, stop) - start)
         part = slice(max(low, start) - above, min(high, stop) - above)
-        for m, transform in enumerate(lattice.transforms):
-            with np.errstate(all="ignore"):
-                places = np.asarray(transform(points), float).reshape(*x.shape, 2)
-                far = ~(np.abs(places) < -FAR / 4).all(-1)
-                for axis in range(2):
-                    p = places[..., axis]
-                    slopes = [np.gradient(p, axis=k) if p.shape[k] > 1 else 0 * p for k in (0, 1)]
-                    scale = np.nan_to_num(np.hypot(*slopes), nan=1.0, posinf=1.0)
-                    table[here, :, 8 + axis, m] = scale[part]
-                    table[here, :, 4 * axis, m] = np.where(far, FAR, p)[part]
-    return table[..., 0] if maps == 1 else table
+        with np.errstate(all="ignore"):
+            places = np.asarray(lattice.transform(points), float).reshape(*x.shape, 2)
+            far = ~(np.abs(places) < -FAR / 4).all(-1)
+            for axis in range(2):
+                p = places[..., axis]
+                slopes = [np.gradient(p, axis=k) if p.shape[k] > 1 else 0 * p for k in (0, 1)]
+                scale = np.nan_to_num(np.hypot(*slopes), nan=1.0, posinf=1.0)
+                table[here, :, 8 + axis] = scale[part]
+                table[here, :, 4 * axis] = np.where(far, FAR, p)[part]
+    return table
 
 
 def widths(scales: np.ndarray) -> np.ndarray:

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import ceil
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.core.machine import count_threads, tile_rows
+from levkas.core.machine import tile_rows
+from levkas.core.threads import in_threads
+from levkas.core.transpose import transpose
 from levkas.geometry.pixel_maps import (
     COARSE,
     Lattice,
     PixelMap,
     exact_table,
     lay,
-    lay_runs,
+    lay_bands,
     row_reach,
     tap_rows,
     widths,
@@ -30,11 +31,10 @@ if TYPE_CHECKING:
 
 REACH = 2.0
 """Of the kernel, source px."""
-LANES = 16
-"""Bands with maps of their own that the kernel takes together."""
-MAP_BYTES = 1 << 28
+PLANES = 16
+"""Bands with maps of their own that are held as planes at a time: a cache line of float32."""
 BLOCK_BYTES = 1 << 26
-"""Most memory of the maps of one block of rows, where no lattice serves."""
+"""Most memory of the map of one block of rows, where no lattice serves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,8 @@ def warp(
     source, shape = np.asarray(source), _checked_shape(shape)
     flat = source.ndim == 2
     held_from = _check(source, flags, variance, held)
-    values, marks, noise = _cube(source), _cube(flags), _cube(variance)
+    values: Any = _cube(source)
+    marks, noise = _cube(flags), _cube(variance)
     bands = 1 if flat else source.shape[2]
     maps = _checked_maps(transforms, bands)
     start, stop = _checked_rows(rows, shape[0])
@@ -137,8 +138,11 @@ def warp(
     for target in (warped.values, warped.flags, warped.variance):
         if target is not None and any(np.may_share_memory(target, a) for a in shared):
             raise ValueError("`out` is in the memory of what is read")
-    kernel = _Kernel.of((values, marks, noise), held_from, warped, start)
-    absent = sum(kernel.run(lattice, shape, (start, stop)) for lattice in _lattices(maps, shape))
+    frame, lattices = _Frame(values, marks, noise, *held_from), _lattices(maps, shape)
+    if _is_shared(maps):
+        absent = _resample(next(lattices), shape, (start, stop), frame, warped)
+    else:
+        absent = _resample_planes(lattices, shape, (start, stop), frame, warped)
     if absent:
         raise ValueError(
             f"rows {start} to {stop} of the grid need more than the source rows held, {held_from[0]} "
@@ -148,14 +152,19 @@ def warp(
 
 
 def _lattices(transforms: Maps, shape: tuple[int, int]) -> Iterator[Lattice]:
-    """Lay the maps of some bands at a time: those of a scan can take more memory than its pixels."""
-    shape = (int(shape[0]), int(shape[1]))
     if isinstance(transforms, PixelMap):
         if transforms.shape != shape:
             raise ValueError(f"the maps were laid on a grid of {transforms.shape}, not {shape}")
         yield from transforms.lattices
     else:
-        yield from lay_runs(transforms, shape, MAP_BYTES)
+        yield from lay_bands(transforms, shape)
+
+
+def _is_shared(maps: Maps) -> bool:
+    """Return whether all bands have one map."""
+    if isinstance(maps, PixelMap):
+        return len(maps.lattices) == 1
+    return not isinstance(maps, Sequence) or all(one is maps[0] for one in maps)
 
 
 def source_rows(
@@ -278,89 +287,132 @@ def _squeezed(warped: Warped) -> Warped:
 
 
 @dataclass(frozen=True, eq=False)
-class _Kernel:
-    """The compiled loops, and the arrays of one call of `warp` as they take them."""
+class _Frame:
+    """Values, flags and variance of a source, (rows, width, bands), the latter two or None.
 
-    loops: Any
-    source: Any
-    result: Any
-    threads: int
-
-    @classmethod
-    def of(
-        cls,
-        cubes: tuple[Any, Any, Any],
-        held: tuple[int, int],
-        warped: Warped,
-        start: int,
-    ) -> _Kernel:
-        """Take values, flags and variance of the source, the latter two or None."""
-        from levkas.geometry import resample_kernels as loops
-
-        values, flags, variance = cubes
-        threads, no_noise = count_threads(), np.empty((0, 0, 0), np.float32)
-        if values.dtype == np.uint8:
-            values = values.astype(np.uint16)
-        suspect = np.empty((0, 0) if flags is None else values.shape[:2], np.uint8)
-        if flags is not None:
-            _in_threads(
-                lambda low, high: loops.find_suspects(low, high, flags, suspect) or 0,
-                (0, len(flags)),
-                threads,
-            )
-        source = loops.SourceFrame(
-            values,
-            no_noise if variance is None else variance.astype(np.float32, copy=False),
-            np.empty((0, 0, 0), np.uint8) if flags is None else flags,
-            suspect,
-            *held,
-        )
-        noise = no_noise if warped.variance is None else warped.variance
-        result = loops.Result(warped.values, noise, warped.flags, start)
-        return cls(loops, source, result, threads)
-
-    def run(self, lattice: Lattice, shape: tuple[int, int], rows: tuple[int, int]) -> int:
-        """Resample the bands of one lattice; return how often a source row was not held."""
-        blocks, exact = [rows], lattice.table is None
-        if exact:
-            chosen = BLOCK_BYTES // (80 * shape[1] * len(lattice.transforms))
-            step = tile_rows(chosen, rows[1] - rows[0])
-            blocks = [(r, min(r + step, rows[1])) for r in range(rows[0], rows[1], step)]
-        return sum(self._run_block(lattice, shape, block, exact) for block in blocks)
-
-    def _run_block(
-        self, lattice: Lattice, shape: tuple[int, int], rows: tuple[int, int], exact: bool
-    ) -> int:
-        table = exact_table(lattice, shape, *rows) if lattice.table is None else lattice.table
-        if table.ndim == 3:
-            table = table[..., None]
-        # Fewer maps than the kernel takes at once: the last one again.
-        maps = max(table.shape[3], LANES) if lattice.count is not None else 1
-        table = table[:, :, :, np.minimum(np.arange(maps), table.shape[3] - 1)]
-        wide = lattice.coarsest > COARSE
-        table = np.ascontiguousarray(table[:, :, : 10 if wide else 8])
-        if wide:
-            table[:, :, 8:] = widths(table[:, :, 8:])
-        nodes = self.loops.Nodes(table, *shape, rows[0], lattice.segment, exact, lattice.widest)
-        args: tuple[Any, ...] = (nodes, self.source, self.result)
-        loop = self.loops.shared_rows
-        if lattice.count is not None:
-            loop, args = self.loops.own_rows, (*args, lattice.first, lattice.count)
-        return _in_threads(lambda low, high: loop(low, high, *args), rows, self.threads)
-
-
-def _in_threads(work: Callable[[int, int], int], rows: tuple[int, int], threads: int) -> int:
-    """Add up what ``work(start, stop)`` gives on blocks of rows.
-
-    Threads of our own around kernels without the interpreter's lock: numba's parallel loops end the
-    process where two threads enter them at once.
+    Its first row is row `top` of an image of `height` rows.
     """
-    count = rows[1] - rows[0]
-    # Some rows together: what they share of the source is read once.
-    least = min(8, ceil(count / threads))
-    step = tile_rows(min(64, max(least, ceil(count / (4 * threads)))), count)
-    starts = range(rows[0], rows[1], step)
-    if threads == 1 or len(starts) == 1:
-        return sum(work(start, min(start + step, rows[1])) for start in starts)
-    with ThreadPoolExecutor(threads) as pool:
-        return sum(pool.map(lambda start: work(start, min(start + step, rows[1])), starts))
+
+    values: np.ndarray
+    flags: np.ndarray | None
+    variance: np.ndarray | None
+    top: int
+    height: int
+
+
+def _resample_planes(
+    lattices: Iterator[Lattice],
+    shape: tuple[int, int],
+    rows: tuple[int, int],
+    frame: _Frame,
+    warped: Warped,
+) -> int:
+    """Resample every band through its own map, some at a time as planes; return as `_resample` does."""
+    absent, bands = 0, frame.values.shape[2]
+    for first in range(0, bands, PLANES):
+        some = slice(first, min(first + PLANES, bands))
+        values, flags, variance = (
+            None if cube is None else _planes(cube[..., some])
+            for cube in (frame.values, frame.flags, frame.variance)
+        )
+        made = _result((some.stop - first, *warped.values.shape[:2]), variance is not None, None)
+        for k in range(some.stop - first):
+            plane = partial(_plane, band=k)
+            one = _Frame(plane(values), plane(flags), plane(variance), frame.top, frame.height)
+            out = Warped(plane(made.values), plane(made.flags), plane(made.variance))
+            absent += _resample(next(lattices), shape, rows, one, out)
+        for name in ("values", "flags", "variance"):
+            if getattr(made, name) is not None:
+                _interleave(getattr(made, name), getattr(warped, name)[..., some])
+    return absent
+
+
+def _plane(planes: Any, band: int) -> Any:
+    return None if planes is None else planes[band][..., None]
+
+
+def _planes(cube: np.ndarray) -> np.ndarray:
+    """Return a cube's bands as planes, (bands, rows, width)."""
+    rows, width, bands = cube.shape
+    planes = np.empty((bands, rows, width), cube.dtype)
+
+    def turn(start: int, stop: int) -> None:
+        part = transpose(cube[start:stop].reshape(-1, bands))
+        planes[:, start:stop] = part.reshape(bands, -1, width)
+
+    in_threads(turn, rows, worth=cube.size)
+    return planes
+
+
+def _interleave(planes: np.ndarray, cube: np.ndarray) -> None:
+    """Write planes, (bands, rows, width), to the bands of a cube."""
+    bands, rows, width = planes.shape
+
+    def turn(start: int, stop: int) -> None:
+        part = transpose(planes[:, start:stop].reshape(bands, -1))
+        cube[start:stop] = part.reshape(-1, width, bands)
+
+    in_threads(turn, rows, worth=cube.size)
+
+
+def _resample(
+    lattice: Lattice,
+    shape: tuple[int, int],
+    rows: tuple[int, int],
+    frame: _Frame,
+    warped: Warped,
+) -> int:
+    """Resample all bands through one map; return how often a source row was not held."""
+    from levkas.geometry import resample_kernels as loops
+
+    no_noise = np.empty((0, 0, 0), np.float32)
+    values, flags, variance = frame.values, frame.flags, frame.variance
+    source = loops.SourceFrame(
+        values.astype(np.uint16) if values.dtype == np.uint8 else values,
+        no_noise if variance is None else variance.astype(np.float32, copy=False),
+        np.empty((0, 0, 0), np.uint8) if flags is None else flags,
+        _suspects(flags),
+        frame.top,
+        frame.height,
+    )
+    noise = no_noise if warped.variance is None else warped.variance
+    result = loops.Result(warped.values, noise, warped.flags, rows[0])
+    step = rows[1] - rows[0]
+    if lattice.table is None:
+        step = tile_rows(BLOCK_BYTES // (80 * shape[1]), step)
+    absent = 0
+    for start in range(*rows, step):
+        stop = min(start + step, rows[1])
+        nodes = _nodes(lattice, shape, (start, stop))
+        parts = in_threads(
+            lambda a, b, y=start, n=nodes: loops.resample_rows(y + a, y + b, n, source, result),
+            stop - start,
+            worth=warped.values[0].size * (stop - start),
+        )
+        absent += sum(parts)
+    return absent
+
+
+def _suspects(flags: np.ndarray | None) -> np.ndarray:
+    """Return the flags that any band of a pixel has, (rows, width); empty where there are none."""
+    from levkas.geometry import resample_kernels as loops
+
+    if flags is None:
+        return np.empty((0, 0), np.uint8)
+    if flags.shape[2] == 1:
+        return flags[..., 0]
+    suspect = np.empty(flags.shape[:2], np.uint8)
+    in_threads(loops.find_suspects, len(flags), flags, suspect)
+    return suspect
+
+
+def _nodes(lattice: Lattice, shape: tuple[int, int], rows: tuple[int, int]) -> Any:
+    """Return the map on some rows of the grid as the compiled loop takes it."""
+    from levkas.geometry import resample_kernels as loops
+
+    exact, wide = lattice.table is None, lattice.coarsest > COARSE
+    table = exact_table(lattice, shape, *rows) if lattice.table is None else lattice.table
+    table = table[:, :, : 10 if wide else 8].copy()
+    if wide:
+        table[:, :, 8:] = widths(table[:, :, 8:])
+    return loops.Nodes(table, *shape, rows[0], lattice.segment, exact, lattice.widest)

@@ -1,9 +1,7 @@
 """Compiled loops of resampling: Keys's cubic convolution, bands innermost.
 
-A pixel of the grid is interpolated from a box of source pixels, the *taps*. Where all bands share one
-map, the box and its weights are computed once and the loop over bands is innermost; where each band
-has its own, blocks of bands share a box that holds the taps of each, and a weight is 0 beyond a band's
-own reach. Weights are float64, sums float32 (float64 where
+A pixel of the grid is interpolated from a box of source pixels, the *taps*. The box and its weights are
+computed once and the loop over bands is innermost. Weights are float64, sums float32 (float64 where
 the kernel is widened) in one order and without fastmath, so that a value depends
 on nothing but its taps. Flags and pixels that are not there take the slow path, `_gather`.
 
@@ -21,7 +19,7 @@ import numpy as np
 
 from levkas.core.compiled import njit
 
-F, U = np.float32, np.uint64
+F = np.float32
 NODES = 6
 """Nodes a map is interpolated from down the rows: exact for polynomials of order 5."""
 OUTSIDE, NEAR = np.uint8(1), np.uint8(64)
@@ -29,8 +27,6 @@ LIGHTEST = 1 / 32
 """A tap that weighs less than this share of the heaviest hands on no flag."""
 SNAP = 2.0**20
 """Places are rounded to this part of a pixel: the identity copies bits."""
-BLOCK = 16
-"""Bands with maps of their own that are interpolated together."""
 
 
 class SourceFrame(NamedTuple):
@@ -60,7 +56,7 @@ class Result(NamedTuple):
 class Nodes(NamedTuple):
     """Where grid pixels fall in the source: cubics along segments of rows.
 
-    `table` is (rows, segments, 8 or 10, maps): coefficients of 1, t, t², t³ of x, then of y, t in px
+    `table` is (rows, segments, 8 or 10): coefficients of 1, t, t², t³ of x, then of y, t in px
     from the segment's start; then, where kernels are widened, how many times along x and y. Its first
     and last row belong to the first and last row of the grid of (`height`, `width`) px. With `exact`
     there is a row and a segment for each pixel, rows from `first` on. Kernels are never widened more
@@ -89,13 +85,12 @@ def find_suspects(start, stop, flags, suspect):
 
 @njit
 def _mix(nodes, y, segment, part):
-    """Interpolate the cubics of a segment between the rows of nodes, (channels, maps)."""
+    """Interpolate the cubics of a segment between the rows of nodes, (channels,)."""
     table = nodes.table
     rows = table.shape[0]
     if nodes.exact:
-        for c in range(part.shape[0]):
-            for m in range(part.shape[1]):
-                part[c, m] = table[y - nodes.first, segment, c, m]
+        for c in range(len(part)):
+            part[c] = table[y - nodes.first, segment, c]
         return
     place = y * ((rows - 1) / (nodes.height - 1))
     first = min(max(floor(place) - NODES // 2 + 1, 0), rows - NODES)
@@ -105,25 +100,24 @@ def _mix(nodes, y, segment, part):
         for j in range(NODES):
             if j != i:
                 weight *= (place - first - j) / (i - j)
-        for c in range(part.shape[0]):
-            for m in range(part.shape[1]):
-                part[c, m] += weight * table[first + i, segment, c, m]
+        for c in range(len(part)):
+            part[c] += weight * table[first + i, segment, c]
 
 
 @njit
-def _follow(part, m, t):
-    """Return where map `m` is at `t` px along its segment, (x, y)."""
-    x = part[0, m] + t * (part[1, m] + t * (part[2, m] + t * part[3, m]))
-    y = part[4, m] + t * (part[5, m] + t * (part[6, m] + t * part[7, m]))
+def _follow(part, t):
+    """Return where the map is at `t` px along its segment, (x, y)."""
+    x = part[0] + t * (part[1] + t * (part[2] + t * part[3]))
+    y = part[4] + t * (part[5] + t * (part[6] + t * part[7]))
     return np.floor(x * SNAP + 0.5) / SNAP, np.floor(y * SNAP + 0.5) / SNAP
 
 
 @njit
-def _widths(part, m, widest):
-    """Return how many times the kernel of map `m` is widened along x and y."""
-    if part.shape[0] == 8:
+def _widths(part, widest):
+    """Return how many times the kernel is widened along x and y."""
+    if len(part) == 8:
         return 1.0, 1.0
-    return min(max(1.0, part[8, m]), widest), min(max(1.0, part[9, m]), widest)
+    return min(max(1.0, part[8]), widest), min(max(1.0, part[9]), widest)
 
 
 @njit
@@ -410,22 +404,22 @@ def _shared_pixel(source, result, at, spot, done, weights):
 
 
 @njit(cache=True)
-def shared_rows(start, stop, nodes, source, result):
-    """Resample grid rows `start` to `stop` of all bands through one map.
+def resample_rows(start, stop, nodes, source, result):
+    """Resample grid rows `start` to `stop` of all bands through the map of `nodes`.
 
     Returns how many pixels need a source row that is not held.
     """
     values, variance, out, noise = source.values, source.variance, result.values, result.variance
     suspect, top, inner = source.suspect, source.top, _inner(source)
-    weights, part = _scratch(nodes.widest, values.shape[2]), np.empty(nodes.table.shape[2:])
+    weights, part = _scratch(nodes.widest, values.shape[2]), np.empty(nodes.table.shape[2])
     absent = 0
     # Segment by segment from top to bottom: what the rows share of the source stays in the cache.
     for x0 in range(0, nodes.width, nodes.segment):
         for y in range(start, stop):
             _mix(nodes, y, x0 // nodes.segment, part)
-            wide_x, wide_y = _widths(part, 0, nodes.widest)
+            wide_x, wide_y = _widths(part, nodes.widest)
             for x in range(x0, min(x0 + nodes.segment, nodes.width)):
-                px, py = _follow(part, 0, float(x - x0))
+                px, py = _follow(part, float(x - x0))
                 fx, fy, spot = int(px), int(py) - top, (y - result.first, x)
                 fast = wide_x == wide_y == 1.0 and _is_inner(fx, fy, inner)
                 care = not fast
@@ -444,130 +438,4 @@ def shared_rows(start, stop, nodes, source, result):
                 if care:
                     at = px, py, wide_x, wide_y
                     absent += _shared_pixel(source, result, at, spot, fast, weights)
-    return absent
-
-
-@njit(inline="always")
-def _lane_weights(curves, begin, maps, t, u):
-    """Write the weights of five taps on an axis for a block of bands from `s` on; return the second tap.
-
-    That is the pixel the places lie in; some may lie in the next. Else there is no such pixel: -2.
-    """
-    # Unsigned indices: signed ones may count from the end, and keep the loop from being vectorised.
-    place = curves[begin + U(2) * maps] + t * curves[begin + U(3) * maps]
-    pixel = np.floor(curves[begin] + t * (curves[begin + maps] + t * place))
-    low = high = far = 0
-    for m in range(BLOCK):
-        i = begin + U(m)
-        place = curves[i + U(2) * maps] + t * curves[i + U(3) * maps]
-        place = curves[i] + t * (curves[i + maps] + t * place)
-        rest = np.floor(place * SNAP + 0.5) / SNAP - pixel
-        low += rest < 0.0
-        high += rest >= 1.0
-        far += abs(rest - 0.5) > 1.5
-        u[0, m] = F(rest)
-    if far or (low and high):
-        return -2
-    shift = F(1.0) if low else F(0.0)
-    half, one = F(0.5), F(1.0)
-    for m in range(BLOCK):
-        rest = u[0, m] + shift
-        beyond = one if rest >= one else F(0.0)
-        t = rest - beyond
-        square = t * t
-        here = one - beyond
-        a = t * ((one - half * t) * t - half)
-        b = square * (F(1.5) * t - F(2.5)) + one
-        c = t * ((F(2.0) - F(1.5) * t) * t + half)
-        d = square * (half * t - half)
-        u[0, m] = here * a
-        u[1, m] = here * b + beyond * a
-        u[2, m] = here * c + beyond * b
-        u[3, m] = here * d + beyond * c
-        u[4, m] = beyond * d
-    return int(pixel) - (1 if low else 0)
-
-
-@njit(inline="always")
-def _sum_patch(flat, begin, step, wide, u, v, sums):
-    """Sum the 5 x 5 taps from flat index `begin` on for a block of bands."""
-    for m in range(BLOCK):
-        u0, u1, u2, u3, u4 = u[0, m], u[1, m], u[2, m], u[3, m], u[4, m]
-        total, i = F(0), begin + U(m)
-        for r in range(5):
-            line = u0 * F(flat[i]) + u1 * F(flat[i + step]) + u2 * F(flat[i + U(2) * step])
-            line += u3 * F(flat[i + U(3) * step]) + u4 * F(flat[i + U(4) * step])
-            total += v[r, m] * line
-            i += wide
-        sums[m] = total
-
-
-@njit
-def _gather_block(source, result, maps_of_block, spot, first, done, weights):
-    """Resample each band of a block with care; values that are finite stay if `done`."""
-    (part, s, count, t, widest), absent = maps_of_block, 0
-    for m in range(count):
-        wide_x, wide_y = _widths(part, s + m, widest)
-        px, py = _follow(part, s + m, t)
-        always = not done or not np.isfinite(result.values[spot[0], spot[1], first + m])
-        at = px, py, wide_x, wide_y
-        absent += _gather(source, result, at, spot, first + m, always, weights)
-    return absent
-
-
-@njit(cache=True)
-def own_rows(start, stop, nodes, source, result, first, count):
-    """Resample grid rows `start` to `stop` of `count` bands from `first` on, each through its own map.
-
-    Returns how often a band needs a source row that is not held.
-    """
-    values, variance, out, noise = source.values, source.variance, result.values, result.variance
-    suspect, top, inner = source.suspect, source.top, _inner(source)
-    (_, width, bands), taps, noises = values.shape, values.reshape(-1), variance.reshape(-1)
-    step, wide = U(bands), U(width * bands)
-    weights, part = _scratch(nodes.widest, values.shape[2]), np.empty(nodes.table.shape[2:])
-    curves, maps, n = part.reshape(-1), U(part.shape[1]), min(BLOCK, count)
-    u, v = np.empty((5, BLOCK), F), np.empty((5, BLOCK), F)
-    sums, flat, absent = np.empty(BLOCK, F), out.reshape(-1), 0
-    for x0 in range(0, nodes.width, nodes.segment):
-        for y in range(start, stop):
-            _mix(nodes, y, x0 // nodes.segment, part)
-            for x in range(x0, min(x0 + nodes.segment, nodes.width)):
-                spot, t = (y - result.first, x), float(x - x0)
-                for block in range(0, count, BLOCK):
-                    s = max(0, min(block, count - BLOCK))
-                    b = first + s
-                    fast = part.shape[0] == 8
-                    if fast:
-                        fx = _lane_weights(curves, U(s), maps, t, u)
-                        fy = _lane_weights(curves, U(s) + U(4) * maps, maps, t, v) - top
-                        fast = _is_inner(fx, fy, inner) and _is_inner(fx + 1, fy + 1, inner)
-                        # Where bands are fewer than a block, those of the pixel after are read too.
-                        last = ((fy + 3) * width + fx + 3) * bands + b + BLOCK
-                        fast &= last <= taps.size
-                    strange = n
-                    if fast:
-                        corner = U(((fy - 1) * width + fx - 1) * bands + b)
-                        _sum_patch(taps, corner, step, wide, u, v, sums)
-                        strange = 0
-                        for m in range(BLOCK):
-                            strange += sums[m] - sums[m] != 0
-                        to = U((spot[0] * nodes.width + x) * bands + b)
-                        for m in range(n):
-                            flat[to + U(m)] = sums[m]
-                        if noise.size:
-                            for tap in range(5):
-                                for m in range(BLOCK):
-                                    u[tap, m] *= u[tap, m]
-                                    v[tap, m] *= v[tap, m]
-                            _sum_patch(noises, corner, step, wide, u, v, sums)
-                            for m in range(n):
-                                noise[spot[0], x, b + m] = sums[m]
-                        if suspect.size and _any_suspect(suspect, fx - 1, 5, fy - 1, 5):
-                            strange = n
-                    if strange:
-                        maps_of_block = part, s, n, t, nodes.widest
-                        absent += _gather_block(
-                            source, result, maps_of_block, spot, b, fast, weights
-                        )
     return absent

@@ -13,7 +13,7 @@ import numpy as np
 
 from levkas.core.compiled import njit
 from levkas.core.cube import Flag, is_flagged
-from levkas.core.machine import over_rows
+from levkas.core.threads import in_threads
 
 WHITE_PAINT = 0.9
 """Reflectance of the whitest paint: what saturates below it is overexposed, not glare."""
@@ -107,7 +107,7 @@ def find_glare(
     """
     height, width = values.shape[:2]
     signs, noise = np.zeros((height, width), np.uint8), _noise(sigma)
-    over_rows(lambda a, b: _judge_pixels(a, b, values, flags, noise, signs), height)
+    in_threads(_judge_pixels, height, values, flags, noise, signs)
     lifted = np.zeros((height, width), bool)
     if other is not None:
         if gains is None:
@@ -134,7 +134,7 @@ def mark_glare(values: np.ndarray, flags: np.ndarray, sigma: np.ndarray | None =
     [[[16, 0]]]
     """
     noise = _noise(sigma)
-    over_rows(lambda a, b: _mark_bands(a, b, values, flags, noise), len(values))
+    in_threads(_mark_bands, len(values), values, flags, noise)
 
 
 def flag_glare(flags: np.ndarray, found: Glare) -> None:
