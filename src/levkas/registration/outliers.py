@@ -5,7 +5,7 @@ G = Σ q qᵀ over the pairs that are kept, z = G⁻¹ q_j and h = q_j·z of the
 
     r_i ← r_i + (q_i·z) r_j / (1 − h),    G⁻¹ ← G⁻¹ + z zᵀ / (1 − h)
 
-([sherman1950]_). A factorisation from scratch, every thousand rounds and whenever too much has left, keeps
+([sherman1950]_). A factorisation from scratch, every 256 rounds and whenever too much has left, keeps
 rounding below what could change the order in which pairs leave.
 """
 
@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.core.compiled import njit
 from levkas.core.problems import Problem
 from levkas.geometry.transforms import Polynomial, design_matrix, frame_of
 from levkas.registration.record import RegistrationRefused, Trace
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 #: Errors that differ by less, px, are equal.
 TIE_PX = 1e-9
 #: Rounds, growth of the inverse, and freedom of a pair in the fit, at which it is factored anew.
-ROUNDS, LARGEST_INVERSE, LEAST_FREEDOM = 1024, 50.0, 1e-3
+ROUNDS, LARGEST_INVERSE, LEAST_FREEDOM = 256, 50.0, 1e-3
 
 
 @dataclass(frozen=True)
@@ -215,9 +214,9 @@ def clean(
     model = Polynomial(terms.order, rounds[-1].centre, rounds[-1].spread, models[-1])
     residual = np.linalg.norm(model(target) - reference, axis=1)
     design = design_matrix(target[kept], terms.order, model.centre, model.spread)
-    q = orthonormalise(np.ascontiguousarray(design.T))[0]
     without = residual.copy()
-    without[kept] /= np.maximum(1 - np.square(q).sum(0), 1e-12)
+    leverage = np.square(np.linalg.qr(design)[0]).sum(1)
+    without[kept] /= np.maximum(1 - leverage, 1e-12)
     return Cleaned(model, kept, left, residual, without, trace, models)
 
 
@@ -251,37 +250,74 @@ def _remove(
 ) -> Iterator[_Many]:
     """Yield the rounds from the pairs `kept`, (n,) bool, on, many at a time; those of `stays` never leave."""
     target, reference = np.asarray(target, float), np.asarray(reference, float)
-    rows = np.flatnonzero(kept)
+    # In the order in which equals leave.
+    rows = np.lexsort((*target.T[::-1], *reference.T[::-1]))
+    rows = rows[kept[rows]]
     if len(rows) < terms.coefficients:
         raise _too_few(len(rows), terms, len(kept))
-    rank = np.empty(len(target), np.int64)
-    rank[_sorted_rows(reference, target)] = np.arange(len(target))
     frame = frame_of(target[rows])
     middle = reference[rows].mean(0)
     while True:
         design = design_matrix(target[rows], terms.order, *frame)
-        q, r = orthonormalise(np.ascontiguousarray(design.T))
-        if r[-1, -1] == 0:
+        q, r = np.linalg.qr(design)
+        if (np.abs(np.diag(r)) <= 1e-10 * np.linalg.norm(design, axis=0)).any():
             raise _undetermined(len(rows), terms.order)
-        solved, residual = fit_rows(q, np.ascontiguousarray((reference[rows] - middle).T))
-        history, worst, largest = remove_worst(
-            q, residual, solved, rank[rows], float(terms.stop), stays[rows]
-        )
-        models = solve_triangular(r, history)
+        history, worst, largest = _leave(q, reference[rows] - middle, terms.stop, ~stays[rows])
+        models = np.linalg.solve(r, np.concatenate(history, 1)).reshape(len(r), -1, 2)
+        models = models.transpose(1, 0, 2).copy()
         models[:, 0] += middle
-        yield _Many(frame[0], frame[1], models, rows[worst], largest)
+        yield _Many(frame[0], frame[1], models, rows[worst], np.array(largest))
         if largest[-1] <= terms.stop:
             return
         rows = np.delete(rows, worst)
 
 
-def _sorted_rows(reference: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Return rows by reference x, y, target x, y; the first alone decides where no two pairs share it."""
-    rows = np.argsort(reference[:, 0], kind="stable")
-    along = reference[rows, 0]
-    if (along[1:] > along[:-1]).all():
-        return rows
-    return np.lexsort((*target.T[::-1], *reference.T[::-1]))
+def _leave(
+    q: np.ndarray, values: np.ndarray, stop: float, may_leave: np.ndarray
+) -> tuple[list[np.ndarray], list[int], list[float]]:
+    """Let the worst pair leave until `stop`, or until the factorisation should be made anew.
+
+    Parameters
+    ----------
+    q : ndarray, (n, terms)
+        Orthonormal columns. Of errors within `TIE_PX` the first row leaves.
+    values : ndarray, (n, 2), px
+    stop : float, px
+    may_leave : ndarray of bool, (n,)
+
+    Returns
+    -------
+    history : list of ndarray, (terms, 2)
+        Coefficients on q before each removal.
+    worst : list of int
+    largest : list of float
+        The last is at most `stop` where the work is done; it is 0 where no pair may leave.
+    """
+    solved = q.T @ values
+    residual, inverse = values - q @ solved, np.eye(q.shape[1])
+    here = may_leave.copy()
+    history: list[np.ndarray] = []
+    worst: list[int] = []
+    largest: list[float] = []
+    while True:
+        error = np.where(here, np.sqrt(np.square(residual).sum(1)), 0.0)
+        j = int(np.argmax(here & (error >= error.max() - TIE_PX)))
+        history.append(solved)
+        worst.append(j)
+        largest.append(float(error[j]))
+        if largest[-1] <= stop or len(worst) == ROUNDS or len(q) - len(worst) <= q.shape[1]:
+            break
+        z = inverse @ q[j]
+        free = 1 - q[j] @ z
+        if free < LEAST_FREEDOM:
+            break
+        inverse = inverse + np.outer(z, z) / free
+        if inverse.diagonal().max() > LARGEST_INVERSE:
+            break
+        solved = solved - np.outer(z, residual[j] / free)
+        residual = residual + np.outer(q @ z, residual[j] / free)
+        here[j] = False
+    return history, worst, largest
 
 
 def _trace(
@@ -343,168 +379,3 @@ def _undetermined(found: int, order: int) -> RegistrationRefused:
             fix="Check that both pictures have detail over the whole object.",
         )
     )
-
-
-# --- compiled loops
-
-
-@njit(cache=True)
-def orthonormalise(columns):  # type: ignore[no-untyped-def]
-    """Factor the transposed design, (terms, n), into orthonormal rows q and triangular r.
-
-    Gram–Schmidt, twice: as orthonormal as Householder's, and the same on any number of threads.
-    ``columns = rᵀ q``; a zero on r's diagonal says that the pairs do not determine the fit.
-    """
-    q = columns.copy()
-    terms, n = q.shape
-    r = np.zeros((terms, terms))
-    for a in range(terms):
-        start = _dot(q[a], q[a])
-        for _ in range(2):
-            for b in range(a):
-                share = _dot(q[b], q[a])
-                r[b, a] += share
-                for i in range(n):
-                    q[a, i] -= share * q[b, i]
-        norm = np.sqrt(_dot(q[a], q[a]))
-        if norm <= 1e-10 * np.sqrt(start):
-            return q, r
-        r[a, a] = norm
-        q[a] /= norm
-    return q, r
-
-
-@njit(cache=True)
-def _dot(a, b):  # type: ignore[no-untyped-def]
-    s0 = s1 = s2 = s3 = 0.0
-    whole = len(a) - len(a) % 4
-    for i in range(0, whole, 4):
-        s0 += a[i] * b[i]
-        s1 += a[i + 1] * b[i + 1]
-        s2 += a[i + 2] * b[i + 2]
-        s3 += a[i + 3] * b[i + 3]
-    for i in range(whole, len(a)):
-        s0 += a[i] * b[i]
-    return (s0 + s1) + (s2 + s3)
-
-
-@njit(cache=True)
-def fit_rows(q, values):  # type: ignore[no-untyped-def]
-    """Return (solved, residual), (terms, 2) and (2, n), of `values`, (2, n), on orthonormal q."""
-    terms, n = q.shape
-    solved = np.empty((terms, 2))
-    residual = values.copy()
-    for a in range(terms):
-        for axis in range(2):
-            solved[a, axis] = _dot(q[a], residual[axis])
-            for i in range(n):
-                residual[axis, i] -= solved[a, axis] * q[a, i]
-    return solved, residual
-
-
-@njit(cache=True)
-def solve_triangular(r, history):  # type: ignore[no-untyped-def]
-    """Return x, (rounds, terms, 2), of r x = each of `history`; r is upper triangular."""
-    solved = np.empty_like(history)
-    terms = len(r)
-    for i in range(len(history)):
-        for axis in range(2):
-            for a in range(terms - 1, -1, -1):
-                rest = history[i, a, axis]
-                for b in range(a + 1, terms):
-                    rest -= r[a, b] * solved[i, b, axis]
-                solved[i, a, axis] = rest / r[a, a]
-    return solved
-
-
-@njit(cache=True)
-def remove_worst(q, residual, solved, rank, stop, pinned):  # type: ignore[no-untyped-def]
-    """Remove the worst pair until `stop`, or until the factorisation should be made anew.
-
-    Parameters
-    ----------
-    q : (terms, n), residual : (2, n), solved : (terms, 2)
-        Of `orthonormalise` and `fit_rows`.
-    rank : (n,) int
-        Among equals within `TIE_PX` the lowest rank leaves.
-    stop : float
-    pinned : (n,) bool
-        Pairs that never leave, whatever their error.
-
-    Returns
-    -------
-    history : (rounds, terms, 2)
-        Coefficients on q before each removal.
-    worst : (rounds,) int, largest : (rounds,)
-        The last has ``largest <= stop`` where the work is done; its pair is -1 where all are pinned.
-    """
-    terms, n = q.shape
-    history = np.empty((ROUNDS, terms, 2))
-    worst = np.empty(ROUNDS, np.int64)
-    largest = np.empty(ROUNDS)
-    here, inverse = solved.copy(), np.eye(terms)
-    z, squares = np.empty(terms), np.empty(n)
-    for i in range(n):  # pairs that cannot leave have a square of -1
-        squares[i] = -1.0 if pinned[i] else residual[0, i] ** 2 + residual[1, i] ** 2
-    count = 0
-    while True:
-        j = _worst(squares, rank)
-        error = np.sqrt(squares[j]) if j >= 0 else 0.0
-        history[count], worst[count], largest[count] = here, j, error
-        count += 1
-        if error <= stop or count == ROUNDS or n - count <= terms:
-            break
-        free = _direction(inverse, q[:, j], z)
-        if free < LEAST_FREEDOM:
-            break
-        fx, fy = residual[0, j] / free, residual[1, j] / free
-        grown = 0.0
-        for a in range(terms):
-            here[a, 0] -= z[a] * fx
-            here[a, 1] -= z[a] * fy
-            for b in range(terms):
-                inverse[a, b] += z[a] * z[b] / free
-            grown = max(grown, inverse[a, a])
-        if grown > LARGEST_INVERSE:
-            break
-        squares[j] = -1.0
-        _move(q, residual, squares, z, fx, fy)
-    return history[:count], worst[:count], largest[:count]
-
-
-@njit(cache=True)
-def _worst(squares, rank):  # type: ignore[no-untyped-def]
-    """Return the row with the largest square; among equals, that of the lowest rank; -1 where all are negative."""
-    floor = max(np.sqrt(max(squares.max(), 0.0)) - TIE_PX, 0.0) ** 2
-    j = -1
-    for i in range(len(squares)):
-        if squares[i] >= floor and (j < 0 or rank[i] < rank[j]):
-            j = i
-    return j
-
-
-@njit(cache=True)
-def _direction(inverse, row, z):  # type: ignore[no-untyped-def]
-    """Set z = G⁻¹ q_j and return 1 − h, the freedom that the pair has in the fit."""
-    free = 1.0
-    for a in range(len(z)):
-        z[a] = 0.0
-        for b in range(len(z)):
-            z[a] += inverse[a, b] * row[b]
-    for a in range(len(z)):
-        free -= z[a] * row[a]
-    return free
-
-
-@njit(cache=True)
-def _move(q, residual, squares, z, fx, fy):  # type: ignore[no-untyped-def]
-    """Move the residuals to the fit without the pair that left."""
-    part = z[0] * q[0]
-    for a in range(1, len(q)):
-        for i in range(len(part)):
-            part[i] += z[a] * q[a, i]
-    for i in range(len(part)):
-        residual[0, i] += part[i] * fx
-        residual[1, i] += part[i] * fy
-        if squares[i] >= 0.0:
-            squares[i] = residual[0, i] ** 2 + residual[1, i] ** 2
