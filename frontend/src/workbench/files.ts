@@ -13,7 +13,7 @@ const DIALECTS: [string, string][] = [
   ["elastix", "ITK, elastix (two .txt)"],
   ["napari", "napari (two CSV)"],
   ["butterfly", "Butterfly Registrator (CSV)"],
-  ["cpselect", "MATLAB cpselect (.mat)"],
+  ["cpselect", "MATLAB cpselect (.csv)"],
 ];
 const CHUNK = 0x8000; // bytes that one call makes characters of
 

@@ -83,7 +83,7 @@ DIALECTS: dict[str, Dialect] = {
     "butterfly": Dialect(
         "Butterfly Registrator", (".csv",), "corner", _holds("frames"), butterfly, needs_sizes=True
     ),
-    "cpselect": Dialect("MATLAB cpselect", (".mat",), "one", ALL, cpselect),
+    "cpselect": Dialect("MATLAB cpselect", (".csv",), "one", ALL, cpselect),
 }
 
 
