@@ -1,40 +1,30 @@
-"""A campaign of many objects whose build is finished: status, a build with nothing to do, opening, the index made again.
+"""A campaign of many objects whose build is finished: status, a build with nothing to do, opening.
 
-    python benchmarks/large_database.py [OBJECTS] [--full | --index [--flat]] [--in FOLDER]
+    python benchmarks/large_database.py [OBJECTS] [--in FOLDER]
 
 No pixel is computed: small frames, empty products, and records as a build keeps them. The hashes of
-frames and products are real, so that all of it is fresh; the first `levkas build` writes the catalogue and the
-index. `--full` also compares every stage, with and without a frame that was changed. A finished FOLDER is measured again.
-
-`--index` is for 100,000 objects: real frames, a real catalogue, the folders of a database and of its records with an empty file in
-the lowest, and the index of a build of them; `--flat` leaves out those of Zarr, nine tenths. What reads the index alone sees no difference.
+frames and products are real, so that all of it is fresh; the first `levkas build` writes the catalogue.
+A finished FOLDER is measured again.
 """
 
 import argparse
-import math
-import os
 import resource
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
-from contextlib import suppress
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from levkas.building import build_records, fingerprints, sources
-from levkas.building.build_index import INDEX, StageCounts, read_inputs, write_index
 from levkas.building.build_records import BuildRecords, Key
 from levkas.building.claiming import claim
 from levkas.building.fingerprints import Inputs
-from levkas.building.plan import Plan, read_plan
-from levkas.campaign.campaign import load_campaign
+from levkas.building.plan import read_plan
 from levkas.core.json_safe import to_json
-from levkas.database.catalogue import Entry, write_catalogue
 from levkas.database.layout import Places
 
 CAMPAIGN = """
@@ -50,7 +40,6 @@ kind = "image"
 files = "xray/{target}.png"
 """
 CAMERAS = ("photo", "xray")
-ARRAYS = ("values/c/0/0", "flags/c/0/0", "band/c", "wavelength/c", "fwhm/c")
 FILES = 10
 """Products of a stage; 61 of an object of two cameras, with its page, beside seven records and two frames."""
 
@@ -99,35 +88,6 @@ def _keep(
     records.keep(key, prints, made, **notes)
 
 
-def make_index(root: Path, *, flat: bool) -> None:
-    """Write catalogue and folders, and the index that a build of them would end with."""
-    started = time.time_ns()
-    campaign = load_campaign(root)
-    places = Places(campaign.output)
-    plan = Plan(campaign, [], {}, {}, {}, tuple(str(root / camera) for camera in CAMERAS))
-    before = read_inputs(plan, places, started)
-    names = sorted(path.stem for path in (root / CAMERAS[0]).iterdir())
-    claim(campaign, places, [], names)
-    for name in names:
-        make_folders(places, name, flat=flat)
-    row = ("", 1, 8, 8, math.nan, "counts", "accept", "0" * 64)
-    write_catalogue(places.output, [Entry(n, camera, *row) for n in names for camera in CAMERAS])
-    counts = StageCounts(frozenset(), states=Counter(fresh=7 * len(names) + 1))
-    write_index(plan, places, before, counts, writes=True)
-
-
-def make_folders(places: Places, name: str, *, flat: bool) -> None:
-    """Make the folders of an object of two cameras, as many as a build does unless they are to be few."""
-    layers = [] if flat else [f"zarr/{name}.zarr/{camera}" for camera in CAMERAS]
-    arrays = [f"{layer}/{array}" for layer in layers for array in ARRAYS]
-    folders = [f"objects/{name}", *([] if flat else [f"objects/{name}/registration"]), *arrays]
-    made = [f"{places.output}/{folder}" for folder in folders]
-    for path in (*made, *(f"{places.kept}/{name}/{camera}" for camera in CAMERAS)):
-        with suppress(FileExistsError):
-            os.makedirs(path)  # noqa: PTH103 -- millions
-            os.close(os.open(f"{path}/0", os.O_CREAT | os.O_WRONLY))
-
-
 def write_frames(root: Path, count: int) -> None:
     """Write campaign.toml and two small pictures an object."""
     picture = cv2.imencode(".png", np.full((8, 8), 100, np.uint8))[1].tobytes()
@@ -158,16 +118,15 @@ def measure(what: str, code: str) -> None:
     print("\n".join(told[-3:]), file=sys.stderr, flush=True)
 
 
-def measure_all(root: Path, *, full: bool) -> None:
+def measure_all(root: Path) -> None:
     """Print the table."""
 
     def command(*arguments: str) -> str:
         return CLI.format(arguments=[*arguments, str(root)])
 
-    index = root / "database.kept" / INDEX
     print("| what | s | CPU s | MB |\n|---|---:|---:|---:|")
-    if not index.is_file():
-        measure("`levkas build`, which writes catalogue and index", command("build"))
+    if not (root / "database" / "catalogue.csv").is_file():
+        measure("`levkas build`, which writes the catalogue", command("build"))
     measure("`levkas status`", command("status"))
     measure("`levkas build`, nothing to do", command("build"))
     measure("`levkas.open`, the layers of one object", OPEN.format(root=str(root)))
@@ -175,28 +134,21 @@ def measure_all(root: Path, *, full: bool) -> None:
     data = frame.read_bytes()
     frame.write_bytes(data)
     measure("`levkas status`, one frame touched", command("status"))
-    if full:
-        measure("`levkas build`, one frame touched", command("build"))
-        measure("`levkas status --full`", command("status", "--full"))
-        index.unlink()
-        measure("`levkas status`, the index missing", command("status"))
+    measure("`levkas build`, one frame touched", command("build"))
 
 
 def main() -> None:
     """Make, measure, and remove what was made."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("objects", type=int, nargs="?", default=500)
-    parser.add_argument("--full", action="store_true")
-    parser.add_argument("--index", action="store_true")
-    parser.add_argument("--flat", action="store_true")
     parser.add_argument("--in", dest="folder", type=Path)
     told = parser.parse_args()
     root = told.folder or Path(tempfile.mkdtemp())
     try:
         if not (root / "campaign.toml").is_file():
             write_frames(root, told.objects)
-            make_index(root, flat=told.flat) if told.index else make(root)
-        measure_all(root, full=told.full)
+            make(root)
+        measure_all(root)
     finally:
         if told.folder is None:
             shutil.rmtree(root)

@@ -264,8 +264,7 @@ class Step:
 
     `done` of `total` stages are behind us, this one counted where it has ended, and `place` is the stage's
     in the graph. The last step of a build has the database's folder as its `output`. `where` says of a
-    cluster how many workers it has, and how many tasks wait for memory. `unlisted` counts stages that ended as
-    before, by their states, and have no step of their own, and `compared` says how that is known.
+    cluster how many workers it has, and how many tasks wait for memory.
     """
 
     key: Key
@@ -278,8 +277,6 @@ class Step:
     output: Path | None = None
     place: int = 0
     where: str = ""
-    unlisted: tuple[tuple[str, int], ...] = ()
-    compared: str = ""
 
     @property
     def finished(self) -> bool:
@@ -322,16 +319,6 @@ class BuildReport:
         return self.draws()
 
     @property
-    def unlisted(self) -> dict[str, int]:
-        """Number of stages without a step of their own, by their states."""
-        return {state: number for step in self.stages for state, number in step.unlisted}
-
-    @property
-    def compared(self) -> str:
-        """How the states are known, where not every stage was compared with its record."""
-        return next((step.compared for step in self.stages if step.compared), "")
-
-    @property
     def ok(self) -> bool:
         """Whether nothing was refused and nothing failed."""
         return not any(_lost(step) for step in self.stages)
@@ -340,7 +327,6 @@ class BuildReport:
     def text(self) -> str:
         """What a person wants to know at the end."""
         states = Counter(step.state for step in self.stages)
-        states.update(self.unlisted)
         told = [f"{states[s]} {s}" for s in FINISHED if states[s]]
         lines = [f"warning: {warning}" for warning in _gathered(self.warnings)]
         # What was refused is among the problems, where it is said once.
@@ -349,17 +335,15 @@ class BuildReport:
         ]
         where = f": {self.output}" if self.output else ""
         lines.append(f"{', '.join(told) or 'nothing to do'}{where}")
-        return "\n".join([*lines, *([self.compared] if self.compared else [])])
+        return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields of `build --json` and `status --json`."""
-        told = {"unlisted": self.unlisted, "compared": self.compared} if self.compared else {}
         return {
             "output": str(self.output) if self.output else None,
             "stages": [step.to_dict() for step in self.stages],
             "warnings": list(self.warnings),
             **({"layers": list(self.layers)} if self.layers else {}),
-            **told,
         }
 
 

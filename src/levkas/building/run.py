@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -11,18 +10,9 @@ from functools import partial
 from importlib.util import find_spec
 from itertools import chain, groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from levkas.building import fingerprints, sources
-from levkas.building.build_index import (
-    LARGE,
-    InputFolders,
-    StageCounts,
-    drop_index,
-    open_index,
-    read_inputs,
-    write_index,
-)
 from levkas.building.build_records import CATALOGUE, BuildRecords, Key, Written, key_of
 from levkas.building.camera_pages import prints_of_page, write_camera_page
 from levkas.building.catalogue import (
@@ -51,7 +41,7 @@ from levkas.building.removal import (
     removal,
 )
 from levkas.building.template_cache import TemplateCache
-from levkas.campaign.campaign import Campaign, load_campaign
+from levkas.campaign.campaign import load_campaign
 from levkas.campaign.edits import sweep_corrections
 from levkas.core.internal_errors import as_refusal
 from levkas.core.problems import Problem, Refused
@@ -70,7 +60,7 @@ def build(
     output: str | Path | None = None,
     objects: list[str] | None = None,
     keep_removed: bool = False,
-    verify: bool | Literal["full"] = False,
+    verify: bool = False,
     cluster: str | None = None,
     workers: int | None = None,
     insecure: bool = False,
@@ -88,9 +78,8 @@ def build(
     keep_removed : bool
         Leave layers, objects, cameras and charts in the database that the campaign no longer has. They
         are moved to the folder OUTPUT.removed otherwise.
-    verify : bool or "full"
-        Read every file anew, whatever its size, times and inode say; ``"full"``: compare every stage with its
-        record by these, also where the index of a large campaign says that nothing has changed.
+    verify : bool
+        Read every file anew, whatever its size, times and inode say.
     cluster : str, optional
         Address of a dask scheduler, ``tcp://HOST:PORT``, whose workers do the tasks; else that in
         $DASK_SCHEDULER_ADDRESS. They see all files under the same paths.
@@ -120,60 +109,29 @@ def build(
     from levkas.core.sweeping import sweep
 
     where = _chosen(cluster, workers, insecure)
-
-    started_ns = time.time_ns()
     campaign = load_campaign(path)
     places = places_of(campaign, output)
-    if not (verify or objects) and (known := _nothing_to_do(campaign, places)):
-        yield from known
-        return
     whole = plan_of(campaign)
     plan = whole.of(objects) if objects else whole
     spectra_of(campaign, setups_of(campaign))  # refused before any work
-    before = _inputs(whole, places, started_ns) if not objects else None
     claim(campaign, places, whole.captures, whole.names)
     with building(places.kept, workers=where is not None):
-        drop_index(places)
         for folder in (places.output, places.kept):
             sweep(folder)
         sweep_corrections(campaign.root)
         sources.remember(places.kept / sources.CODE)
-        records = BuildRecords(
-            places.kept, places.output, keep_removed=keep_removed, verify=verify is True
-        )
+        records = BuildRecords(places.kept, places.output, keep_removed=keep_removed, verify=verify)
         gone = no_longer_there(campaign, records, plan.captures, plan.refusals, plan.pages, objects)
         total = _count(plan) + bool(describe(gone, records))
         templates = TemplateCache(
             places.kept / "templates", records.hashes, shared=len(plan.names) > 1
         )
         endings = Endings(campaign, places, records, plan.graph)
-        counts = _counts_of(plan)
-        with _executor(where, endings, templates, verify=verify is True) as executor:
+        with _executor(where, endings, templates, verify=verify) as executor:
             steps = _steps(plan, endings, executor, templates, gone, whole=not objects)
-            for step in _numbered(steps, plan.graph, total):
-                yield counts.add(step, records)
+            yield from _numbered(steps, plan.graph, total)
         records.hashes.save()
         sources.keep(places.kept / sources.CODE)
-        write_index(plan, places, before, counts, writes=True)
-
-
-def _nothing_to_do(campaign: Campaign, places: Places) -> list[Step]:
-    """Return the steps of a build of a large campaign where nothing has changed since the last; else none."""
-    index = open_index(campaign, places)
-    if index is None or index.tries_again or not index.is_current():
-        return []
-    steps = index.steps(building=True) or []
-    total = index.total
-    return [replace(step, done=total, total=total) for step in steps]
-
-
-def _inputs(plan: Plan, places: Places, started_ns: int) -> InputFolders | None:
-    """Look at the inputs of a campaign that is large enough for an index."""
-    return read_inputs(plan, places, started_ns) if _count(plan) >= LARGE else None
-
-
-def _counts_of(plan: Plan) -> StageCounts:
-    return StageCounts(frozenset(step.key for steps in plan.lost().values() for step in steps))
 
 
 class Where(NamedTuple):
@@ -310,7 +268,7 @@ def status(
     path: str | Path,
     *,
     output: str | Path | None = None,
-    verify: bool | Literal["full"] = False,
+    verify: bool = False,
 ) -> BuildReport:
     """Return of every stage whether it is fresh or stale, and why; no pixel is read.
 
@@ -320,15 +278,13 @@ def status(
         A campaign's folder or its campaign.toml.
     output : path, optional
         The database, instead of the campaign's own `output`.
-    verify : bool or "full"
+    verify : bool
         As of `build`.
 
     Returns
     -------
     report : BuildReport
-        `stages`: a `Step` each with `state` and `why`; `text`: a line a stage that is not fresh. Of a large
-        campaign that has an index, and without `verify`, the states are those of the last build, with what
-        of its inputs has changed since.
+        `stages`: a `Step` each with `state` and `why`; `text`: a line a stage that is not fresh.
 
     Raises
     ------
@@ -340,19 +296,14 @@ def status(
     >>> [str(step.key.stage) for step in status(plates).stages if step.state == "stale"]
     []
     """
-    started_ns = time.time_ns()
     campaign = load_campaign(path)
     places = places_of(campaign, output)
-    index = None if verify else open_index(campaign, places)
-    if index is not None and (known := index.steps()) is not None:
-        return summarise(known, places.output)
     plan = plan_of(campaign)
     check_apart(campaign, places.output, plan.captures)
-    before = _inputs(plan, places, started_ns)
     sources.remember(places.kept / sources.CODE)
-    records = BuildRecords(places.kept, places.output, verify=verify is True)
+    records = BuildRecords(places.kept, places.output, verify=verify)
     lost = plan.lost()
-    inputs = Inputs(campaign, records, unread=verify is not True)
+    inputs = Inputs(campaign, records, unread=not verify)
     ended: dict[Key, Step] = {}
     by_object: dict[str, list[Step]] = {name: [*steps] for name, steps in lost.items()}
     refused: dict[tuple[str, str], Step] = {}
@@ -376,11 +327,6 @@ def status(
     if why := describe(gone, records):
         steps.append(Step(REMOVED, "stale", why))
     steps.append(_state_of_catalogue(plan, places, records, steps))
-    if before is not None and places.kept.is_dir():
-        counts = _counts_of(plan)
-        for step in steps:
-            counts.add(step, records)
-        write_index(plan, places, before, counts, writes=False)
     report = summarise(steps, places.output)
     states = {step.key: step.state for step in steps}
     warnings = (*campaign.without_effect, *report.warnings)

@@ -45,7 +45,7 @@ RIM = frozenset(
     for name in (
         *("run", "plan", "executor", "stages", "endings", "worker", "graph"),
         *("cluster", "cluster_executor", "task_queue", "build_records", "fingerprints", "sources"),
-        *("removal", "claiming", "build_index"),
+        *("removal", "claiming"),
     )
 ) | {"levkas.campaign.campaign", "levkas.campaign.discovery.find_captures", "levkas.core.ownership"}
 """Decide what is done, with what, and where; what comes of it is in the fingerprints themselves."""

@@ -21,7 +21,6 @@ from levkas.cli.output import (
 )
 
 VERIFY = "Read every file again, even if size, times and inode are unchanged."
-FULL = "Compare every stage of a large campaign with its record instead of using the index of the last build."
 
 
 @refusing("look")
@@ -67,7 +66,6 @@ def build(
         ),
     ] = False,
     verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
-    full: Annotated[bool, typer.Option("--full", help=FULL)] = False,
     cluster: Annotated[
         str | None,
         typer.Option(
@@ -95,7 +93,7 @@ def build(
         output=output,
         objects=objects,
         keep_removed=keep_removed,
-        verify=verify or ("full" if full else False),
+        verify=verify,
         cluster=cluster,
         workers=workers,
         insecure=insecure,
@@ -113,7 +111,6 @@ def status(
     campaign: CampaignPath,
     output: DatabasePath = None,
     verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
-    full: Annotated[bool, typer.Option("--full", help=FULL)] = False,
     graph: Annotated[
         bool,
         typer.Option("--graph", help="Print the stages and their inputs as a Mermaid chart."),
@@ -123,9 +120,7 @@ def status(
     """List the stale stages of a database, with the reasons."""
     from levkas.building import status as status_of
 
-    report = status_of(
-        campaign, output=output, verify=verify or ("full" if full or graph else False)
-    )
+    report = status_of(campaign, output=output, verify=verify)
     if graph and not as_json:
         typer.echo(report.graph, nl=False)
         return
