@@ -19,7 +19,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from levkas.building import build_records, fingerprints, sources
+from levkas.building import build_records, fingerprints
 from levkas.building.build_records import BuildRecords, Key
 from levkas.building.claiming import claim
 from levkas.building.fingerprints import Inputs
@@ -49,7 +49,6 @@ def make(root: Path) -> None:
     plan = read_plan(root)
     places = Places(plan.campaign.output)
     claim(plan.campaign, places, plan.captures, plan.names)
-    sources.remember(places.kept / sources.CODE)
     # Without a sync a record: 700,000 of them.
     build_records.write_json = lambda path, record: path.write_text(to_json(record))
     records = BuildRecords(places.kept, places.output)
@@ -71,7 +70,6 @@ def make(root: Path) -> None:
             if done % 1000 == 0:
                 save()
     save()
-    sources.keep(places.kept / sources.CODE)
 
 
 def _keep(

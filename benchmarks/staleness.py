@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from levkas.building import build, sources, status, summarise
+from levkas.building import build, status, summarise
 
 HERE = Path(__file__).resolve().parent
 make = runpy.run_path(str(HERE.parent / "tests/building/every_kind.py"))["make"]
@@ -257,33 +257,11 @@ def run(folder: Path) -> Counter[tuple[str, str]]:
     return found
 
 
-def run_modules(folder: Path) -> Counter[tuple[str, str]]:
-    """Change every module of a copy of the package, and compare whose code changes with who imports it."""
-    package = shutil.copytree(
-        sources.HERE, folder / "levkas", ignore=shutil.ignore_patterns("__pycache__", "built")
-    )
-    read = sources.Sources(package)
-    used = {stage: read.closure(stage) for stage in sources.ENTRIES}
-    contents = {stage: read.version(stage) for stage in sources.ENTRIES}
-    found: Counter[tuple[str, str]] = Counter()
-    for path in sorted(package.rglob("*.py")):
-        text = path.read_bytes()
-        path.write_bytes(text + b"\n")
-        now = {stage for stage in sources.ENTRIES if read.version(stage) != contents[stage]}
-        path.write_bytes(text)
-        found["a module of the package", "changes"] += 1
-        found["a module of the package", "as they should"] += now == {
-            stage for stage in used if path in used[stage]
-        }
-    return found
-
-
 if __name__ == "__main__":
     given = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp())
     shutil.rmtree(given / "campaign", ignore_errors=True)
     shutil.rmtree(given / "copy", ignore_errors=True)
-    shutil.rmtree(given / "levkas", ignore_errors=True)
-    counted = run(given) + run_modules(given)
+    counted = run(given)
     print(
         "| what was changed | changes | exactly what depends on it was stale |\n| --- | --- | --- |"
     )

@@ -14,7 +14,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from ipaddress import ip_address
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
@@ -24,7 +23,6 @@ from distributed import Client, Future, LocalCluster, WorkerPlugin, get_worker
 from distributed.core import rpc
 from distributed.security import Security
 
-from levkas.building import sources
 from levkas.core.machine import THREADS, count_threads, memory_bound
 from levkas.core.problems import Problem, Refused
 
@@ -272,7 +270,7 @@ class Cluster:
                 ) from error
         return self._client
 
-    def greet(self, kept: Path) -> None:
+    def greet(self) -> None:
         """Have every worker, also those that come later, limit its threads and say what it is."""
         topic = f"levkas-{self.build}"
         client = self.client
@@ -282,7 +280,7 @@ class Cluster:
                 self._prepared.clear()
                 client.subscribe_topic(topic, self._hear)
                 try:
-                    bounded(partial(client.register_plugin, Greeting(topic, str(kept)), name=topic))
+                    bounded(partial(client.register_plugin, Greeting(topic), name=topic))
                 except (OSError, TimeoutError):
                     raise
                 except Exception as error:  # whatever a worker raises that cannot load Levkas
@@ -397,15 +395,14 @@ def _not_prepared(address: str, error: Exception) -> Problem:
 class Greeting(WorkerPlugin):  # type: ignore[misc]
     """Prepares a worker: threads, memory, resources; and says what it is."""
 
-    def __init__(self, topic: str, kept: str) -> None:
-        self.topic, self.kept = topic, kept
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
 
     async def setup(self, worker: Any) -> None:
         """Prepare a worker that is there, or that has just come."""
         from levkas.building.worker import facts, prepare
 
         size = prepare(worker.state.nthreads, worker.memory_manager.memory_limit)
-        await asyncio.to_thread(sources.remember, Path(self.kept) / sources.CODE)
         told = await asyncio.to_thread(facts)
         await worker.set_resources(**{SLOT: 1, BYTES: size})
         worker.log_event(self.topic, {"worker": worker.address, "bytes": size, **told})

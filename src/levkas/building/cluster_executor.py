@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any
 from distributed import Future
 from distributed.scheduler import KilledWorker
 
-from levkas.building import sources
 from levkas.building.build_records import CATALOGUE
 from levkas.building.cluster import Cluster, no_workers_s
 from levkas.building.endings import OF_THE_MACHINES, Due, Endings, refusal_of
@@ -162,9 +161,8 @@ class ClusterExecutor:
             ThreadPoolExecutor(1, thread_name_prefix="hashing") as self._hasher,
         ):
             try:
-                sources.keep(self._places.kept / sources.CODE)
                 self._lay(tasks)
-                self._cluster.greet(self._places.kept)
+                self._cluster.greet()
                 said = ""
                 while self._queue.open:
                     if (waiting := self._waiting_for_workers()) is not None:
@@ -380,7 +378,7 @@ class ClusterExecutor:
                 self._release(one["page"])
         now = time.monotonic()
         if now - self._counted > LOOK_S or any("bytes" in one for one in told):
-            self._cluster.greet(self._places.kept)  # where the scheduler was started again
+            self._cluster.greet()  # where the scheduler was started again
             self._there = self._cluster.workers()
             self._counted = now
         for key, flight in list(self._flying.items()):

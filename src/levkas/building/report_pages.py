@@ -14,7 +14,7 @@ from levkas.building import fingerprints
 from levkas.building.build_records import Key, key_of
 from levkas.building.fingerprints import written
 from levkas.building.graph import keys_of
-from levkas.building.sources import LIBRARIES
+from levkas.building.sources import LIBRARIES, LIBRARIES_OF_PAGES
 from levkas.calibration.chart_light import CHART_WHITE
 from levkas.calibration.drift import common_uncertainty
 from levkas.calibration.sensor_context import Times, times_of
@@ -426,7 +426,7 @@ def _frames(campaign: Campaign, capture: Capture, inputs: dict[str, str]) -> lis
 
 def _libraries() -> dict[str, str]:
     found = {}
-    for name in sorted(name for names in LIBRARIES.values() for name in names):
+    for name in sorted(LIBRARIES + LIBRARIES_OF_PAGES):
         try:
             found[name] = version(name)
         except PackageNotFoundError:  # another build of the same library: its version is not known

@@ -12,7 +12,7 @@ from itertools import chain, groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from levkas.building import fingerprints, sources
+from levkas.building import fingerprints
 from levkas.building.build_records import CATALOGUE, BuildRecords, Key, Written, key_of
 from levkas.building.camera_pages import prints_of_page, write_camera_page
 from levkas.building.catalogue import (
@@ -119,7 +119,6 @@ def build(
         for folder in (places.output, places.kept):
             sweep(folder)
         sweep_corrections(campaign.root)
-        sources.remember(places.kept / sources.CODE)
         records = BuildRecords(places.kept, places.output, keep_removed=keep_removed, verify=verify)
         gone = no_longer_there(campaign, records, plan.captures, plan.refusals, plan.pages, objects)
         total = _count(plan) + bool(describe(gone, records))
@@ -131,7 +130,6 @@ def build(
             steps = _steps(plan, endings, executor, templates, gone, whole=not objects)
             yield from _numbered(steps, plan.graph, total)
         records.hashes.save()
-        sources.keep(places.kept / sources.CODE)
 
 
 class Where(NamedTuple):
@@ -300,7 +298,6 @@ def status(
     places = places_of(campaign, output)
     plan = plan_of(campaign)
     check_apart(campaign, places.output, plan.captures)
-    sources.remember(places.kept / sources.CODE)
     records = BuildRecords(places.kept, places.output, verify=verify)
     lost = plan.lost()
     inputs = Inputs(campaign, records, unread=not verify)

@@ -24,7 +24,7 @@ from levkas.building.build_records import BuildRecords, Key, Written
 from levkas.building.endings import refusal_of
 from levkas.building.graph import Graph, Task
 from levkas.building.plan import read_plan
-from levkas.building.sources import ENTRIES, code_version
+from levkas.building.sources import STAGES, code_version
 from levkas.building.stages import Damaged, Stages
 from levkas.building.template_cache import TemplateCache
 from levkas.core.digests import hash_file, stamp_of
@@ -122,7 +122,7 @@ def receipt_path(records: BuildRecords, key: Key, part: tuple[int, ...] = ()) ->
 @cache
 def code_digest() -> str:
     """Hash the code of all stages, the versions of the libraries that compute among it."""
-    return hashlib.sha256(repr([code_version(stage) for stage in ENTRIES]).encode()).hexdigest()
+    return hashlib.sha256(repr([code_version(stage) for stage in STAGES]).encode()).hexdigest()
 
 
 def digest_of(task: Task) -> str:
