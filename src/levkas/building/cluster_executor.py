@@ -24,10 +24,10 @@ from distributed.scheduler import KilledWorker
 
 from levkas.building.build_records import CATALOGUE
 from levkas.building.cluster import Cluster, no_workers_s
-from levkas.building.endings import OF_THE_MACHINES, Due, Endings, refusal_of
 from levkas.building.fingerprints import digest, of_calibration
 from levkas.building.graph import Step, Task, captures_of
 from levkas.building.native_cubes import CUBE_BYTES, TooLarge, count_values
+from levkas.building.outcomes import OF_THE_MACHINES, Due, Outcomes, refusal_of
 from levkas.building.scans import bytes_of_pass, is_streamed
 from levkas.building.task_queue import TaskQueue, hash_key
 from levkas.building.worker import (
@@ -132,9 +132,9 @@ class Flight:
 class ClusterExecutor:
     """Runs the tasks of captures on a cluster, and says how each ends; as `Executor` does in one process."""
 
-    def __init__(self, endings: Endings, cluster: Cluster, path: Path, *, verify: bool) -> None:
-        self._endings, self._records, self._cluster = endings, endings.records, cluster
-        self._graph, self._places = endings.graph, endings.places
+    def __init__(self, outcomes: Outcomes, cluster: Cluster, path: Path, *, verify: bool) -> None:
+        self._outcomes, self._records, self._cluster = outcomes, outcomes.records, cluster
+        self._graph, self._places = outcomes.graph, outcomes.places
         self._path, self._verify = path, verify
         self._queue = TaskQueue(self._graph)
         self._flying: dict[Key, Flight] = {}
@@ -183,7 +183,7 @@ class ClusterExecutor:
         if self._untidy:
             for folder in (self._places.output, self._places.kept):
                 sweep(folder)
-        ended = self._endings.ended
+        ended = self._outcomes.ended
         order = {key: ended[key] for key in self._graph if key in ended}
         ended |= {key: ended.pop(key) for key in order}
 
@@ -236,7 +236,7 @@ class ClusterExecutor:
         for task in tasks:
             if task.key.stage == "calibrate":
                 capture, hashes = captures_of(task)[0], self._records.hashes
-                job = self._hasher.submit(of_calibration, self._endings.campaign, capture, hashes)
+                job = self._hasher.submit(of_calibration, self._outcomes.campaign, capture, hashes)
                 job.add_done_callback(partial(self._report, {"hashed": hash_key(task.key)}))
 
     def _report(self, event: dict[str, Any], ended: Running[Any]) -> None:
@@ -256,18 +256,18 @@ class ClusterExecutor:
                 return
             worker, key = self._queue.take(idle, self._there)
             task = self._graph[key]
-            if (key.object, key.layer) in self._endings.lost:
+            if (key.object, key.layer) in self._outcomes.lost:
                 self._release(key)
                 continue
-            if (step := self._endings.without_reference(task)) is not None:
-                yield self._endings.note(step)
+            if (step := self._outcomes.without_reference(task)) is not None:
+                yield self._outcomes.note(step)
                 self._release(key)
                 continue
-            due = self._endings.due(task)
+            due = self._outcomes.due(task)
             if due.why:
                 yield from self._begin(due, worker)
             else:
-                yield from self._end(task, self._endings.fresh(key))
+                yield from self._end(task, self._outcomes.fresh(key))
 
     def _held(self) -> int:
         """Count the tasks, without parts of one, that wait for a worker with the memory."""
@@ -277,11 +277,11 @@ class ClusterExecutor:
         """Send a task, or refuse it where no worker has the memory."""
         task = due.task
         attempts = self._tried.pop(task.key, [])
-        need = memory_needed(task, self._endings.campaign)
+        need = memory_needed(task, self._outcomes.campaign)
         flight = Flight(due, need, to=worker, attempts=attempts)
-        self._endings.begin(task)
+        self._outcomes.begin(task)
         if refused := self._too_large(flight):
-            yield from self._end(task, self._endings.refuse(task, refused))
+            yield from self._end(task, self._outcomes.refuse(task, refused))
             return
         self._flying[task.key] = flight
         yield Step(task.key, "running", due.why)
@@ -389,7 +389,7 @@ class ClusterExecutor:
                 if flight.future is not None:
                     self._cluster.cancel([flight.future])
                 yield from self._end(
-                    flight.due.task, self._endings.refuse(flight.due.task, refused)
+                    flight.due.task, self._outcomes.refuse(flight.due.task, refused)
                 )
             elif flight.future is None:
                 self._resend(flight)
@@ -435,7 +435,7 @@ class ClusterExecutor:
             self._count_frames(flight, told["frames"])
             yield from self._commit(flight)
         elif refused := self._give_up(flight, error):
-            yield from self._end(task, self._endings.refuse(task, refused))
+            yield from self._end(task, self._outcomes.refuse(task, refused))
         else:
             self._resend(flight)
 
@@ -445,7 +445,7 @@ class ClusterExecutor:
         del self._flying[key]
         self._cuts[key] = cuts
         for rows in pairwise(cuts):
-            need = memory_needed(flight.due.task, self._endings.campaign, rows)
+            need = memory_needed(flight.due.task, self._outcomes.campaign, rows)
             part = Flight(flight.due, need, rows)
             self._flying[part.key] = part
             self._queue.wait(key, part.key)
@@ -490,14 +490,14 @@ class ClusterExecutor:
             problem = Problem(
                 "E_DAMAGED", "a file was damaged at every attempt to write it", found=name
             )
-            yield from self._end(task, self._endings.refuse(task, Refused(problem)))
+            yield from self._end(task, self._outcomes.refuse(task, Refused(problem)))
             return
         self._queue.wait(task.key, key)
         del self._flying[flight.key]
         if flight.part:  # what it lacks is made when all are joined
             self._release(flight.key)
         if key not in self._flying:
-            due = self._endings.due(self._graph[key])
+            due = self._outcomes.due(self._graph[key])
             yield from self._begin(due._replace(why=f"{name} was damaged"), "")
 
     def _commit(self, flight: Flight) -> Iterator[Step]:
@@ -508,7 +508,7 @@ class ClusterExecutor:
             if again := self._give_up(
                 flight, NotShared("the result is not visible on this machine")
             ):
-                yield from self._end(task, self._endings.refuse(task, again))
+                yield from self._end(task, self._outcomes.refuse(task, again))
             else:
                 self._resend(flight)
             return
@@ -520,7 +520,7 @@ class ClusterExecutor:
             return
         try:
             if is_refused(receipt):
-                step = self._endings.refuse(task, refusal_in(receipt))
+                step = self._outcomes.refuse(task, refusal_in(receipt))
             else:
                 for part, folder in (
                     ("files", self._places.output),
@@ -530,7 +530,7 @@ class ClusterExecutor:
                         records.hashes.take(folder / name, entry)
                 self._drop_parts(task.key)
                 other = receipt["instructions"] != instructions_in_use()
-                step = self._endings.keep(
+                step = self._outcomes.keep(
                     flight.due,
                     written_of(receipt, self._places),
                     seconds=receipt["seconds"],
@@ -538,13 +538,13 @@ class ClusterExecutor:
                     **({"instructions": receipt["instructions"]} if other else {}),
                 )
         except Refused as error:
-            step = self._endings.refuse(task, error)
+            step = self._outcomes.refuse(task, error)
         for suffix in (RECEIPT, ASKED):
             remove(records.path_of(task.key, suffix))
         yield from self._end(task, step)
 
     def _end(self, task: Task, step: Step) -> Iterator[Step]:
-        yield self._endings.note(self._endings.end(task, step))
+        yield self._outcomes.note(self._outcomes.end(task, step))
         self._cuts.pop(task.key, None)
         mine = [flight for flight in self._flying.values() if flight.due.task.key == task.key]
         for flight in mine:  # parts too, where one of them was refused

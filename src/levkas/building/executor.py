@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from levkas.building import fingerprints
 from levkas.building.build_records import Key
-from levkas.building.endings import Due, Endings
 from levkas.building.graph import Step, Task, captures_of
+from levkas.building.outcomes import Due, Outcomes
 from levkas.building.stages import Stages
 from levkas.core.machine import keep_memory
 
@@ -32,16 +32,16 @@ class Executor:
 
     warnings: tuple[str, ...] = ()
 
-    def __init__(self, endings: Endings, templates: TemplateCache) -> None:
-        self._endings, self._records = endings, endings.records
-        self._graph, self._lost = endings.graph, endings.lost
+    def __init__(self, outcomes: Outcomes, templates: TemplateCache) -> None:
+        self._outcomes, self._records = outcomes, outcomes.records
+        self._graph, self._lost = outcomes.graph, outcomes.lost
         self._stages = Stages(
-            endings.campaign, endings.places, endings.records, templates, endings.graph
+            outcomes.campaign, outcomes.places, outcomes.records, templates, outcomes.graph
         )
         self._held = self._stages.held
         self._checked: set[Key] = set()
         self._calibrations: dict[str, list[Task]] = {}
-        for key, task in endings.graph.items():
+        for key, task in outcomes.graph.items():
             if key.stage == "calibrate":
                 self._calibrations.setdefault(key.object, []).append(task)
         self._hashing: set[str] = set()
@@ -50,7 +50,7 @@ class Executor:
     def run(self, tasks: Sequence[Task]) -> Iterator[Step]:
         """Yield each task of captures as it begins and as it ends, in the order of `tasks`."""
         keep_memory()
-        note = self._endings.note
+        note = self._outcomes.note
         with (
             ThreadPoolExecutor(1, thread_name_prefix="writing") as self._writer,
             ThreadPoolExecutor(1, thread_name_prefix="hashing") as self._hasher,
@@ -72,22 +72,22 @@ class Executor:
         except Exception as error:  # outside of what computes and writes, which have their own
             yield from self._written(of=layer)
             if layer not in self._lost:
-                task = next(t for t in tasks if t.key not in self._endings.ended)
-                yield self._endings.end(task, self._endings.refuse(task, error))
+                task = next(t for t in tasks if t.key not in self._outcomes.ended)
+                yield self._outcomes.end(task, self._outcomes.refuse(task, error))
 
     def _capture(self, layer: Layer, tasks: list[Task]) -> Iterator[Step]:
         """Do those of some tasks of one capture that are due."""
         if layer in self._lost:
             return
-        if (step := self._endings.without_reference(tasks[0])) is not None:
+        if (step := self._outcomes.without_reference(tasks[0])) is not None:
             yield step
             return
-        plan = [self._endings.due(task) for task in tasks]
+        plan = [self._outcomes.due(task) for task in tasks]
         due = [one.task for one in plan if one.why]
         for key in dict.fromkeys(key for task in due for key in (*task.needs, *task.uses)):
             if all(task.key != key for task in tasks):
                 yield from self._mend(key)
-        if (step := self._endings.without_reference(tasks[0])) is not None:
+        if (step := self._outcomes.without_reference(tasks[0])) is not None:
             yield step
             return
         last = tasks.index(due[-1]) if due else 0
@@ -99,14 +99,14 @@ class Executor:
     def _mend(self, key: Key) -> Iterator[Step]:
         """Do a task again whose products are damaged, before another reads them."""
         task = self._graph.get(key)
-        ended = self._endings.ended
+        ended = self._outcomes.ended
         done = key in ended and ended[key].state == "fresh"
         if task is None or task.capture is None or not done or key in self._checked:
             return
         for before in task.needs:
             yield from self._mend(before)
         if name := self._damaged(key):
-            yield from self._run([self._endings.due(task)._replace(why=f"{name} was damaged")])
+            yield from self._run([self._outcomes.due(task)._replace(why=f"{name} was damaged")])
 
     def _damaged(self, key: Key) -> str:
         if key in self._checked:
@@ -126,7 +126,7 @@ class Executor:
             if not why:
                 yield from self._written(of=layer)
                 if layer not in self._lost:
-                    yield self._endings.end(task, self._endings.fresh(task.key))
+                    yield self._outcomes.end(task, self._outcomes.fresh(task.key))
                 if layer in self._lost:
                     return
                 continue
@@ -140,7 +140,7 @@ class Executor:
                 if layer in self._lost:
                     return
             if isinstance(write, Step):
-                yield self._endings.end(task, write)
+                yield self._outcomes.end(task, write)
                 return
             seconds = round(time.monotonic() - started, 2)
             job = self._writer.submit(self._write, Due(task, prints, why), write, seconds)
@@ -155,10 +155,10 @@ class Executor:
     def _compute(self, task: Task) -> Write | Step:
         """Do what a task computes; return what writes it, or the step of one that was refused."""
         try:
-            self._endings.begin(task)
+            self._outcomes.begin(task)
             return self._stages.compute(task)
         except Exception as error:
-            return self._endings.refuse(task, error)
+            return self._outcomes.refuse(task, error)
 
     # --- what is being written ------------------------------------------------------------------
 
@@ -166,9 +166,9 @@ class Executor:
         """Write what a task made and record it; runs in the writer's thread."""
         try:
             made = write(partial(self._records.forget, due.task.key))
-            return self._endings.keep(due, made, seconds=seconds)
+            return self._outcomes.keep(due, made, seconds=seconds)
         except Exception as error:
-            return self._endings.refuse(due.task, error)
+            return self._outcomes.refuse(due.task, error)
 
     def _written(self, *, of: Layer | None = None, but: Layer | None = None) -> Iterator[Step]:
         """Wait for what is being written, and yield how those tasks ended."""
@@ -178,13 +178,13 @@ class Executor:
             if layer == but or (of is not None and layer != of):
                 continue
             self._waiting.remove(waiting)
-            yield self._endings.end(task, job.result())
+            yield self._outcomes.end(task, job.result())
 
     def _hash_ahead(self, name: str) -> None:
         """Hash the frames of an object beside the work; what fails is met again when it is due."""
         if name not in self._hashing:
             self._hashing.add(name)
-            campaign, hashes = self._endings.campaign, self._records.hashes
+            campaign, hashes = self._outcomes.campaign, self._records.hashes
             for task in self._calibrations.get(name, ()):
                 capture = captures_of(task)[0]
                 self._hasher.submit(fingerprints.of_calibration, campaign, capture, hashes)

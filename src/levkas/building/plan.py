@@ -10,7 +10,7 @@ from pathlib import Path
 from levkas.building.build_records import Key, key_of
 from levkas.building.camera_pages import CameraPage, camera_pages
 from levkas.building.graph import Graph, Step, by_object, graph_of, ordered
-from levkas.building.removal import NoReference, refused_step
+from levkas.building.outcomes import NoReference, refused_step
 from levkas.campaign.campaign import Campaign, CampaignInvalid, load_campaign
 from levkas.campaign.discovery.captures import Capture, Refusals
 from levkas.campaign.discovery.check_names import check_edits, check_names

@@ -24,14 +24,14 @@ from levkas.building.catalogue import (
     write_catalogue_of,
 )
 from levkas.building.claiming import building, check_apart, claim, places_of
-from levkas.building.endings import Endings, fresh_step, within
 from levkas.building.executor import Executor
 from levkas.building.fingerprints import Inputs
 from levkas.building.graph import BuildReport, Graph, Step, Task, draw, summarise
-from levkas.building.plan import Plan, plan_of
-from levkas.building.removal import (
+from levkas.building.outcomes import (
     REMOVED,
+    Outcomes,
     describe,
+    fresh_step,
     is_of_the_disk,
     no_longer_there,
     no_reference,
@@ -39,7 +39,9 @@ from levkas.building.removal import (
     put_away_stage,
     refused_step,
     removal,
+    within,
 )
+from levkas.building.plan import Plan, plan_of
 from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.edits import sweep_corrections
@@ -125,9 +127,9 @@ def build(
         templates = TemplateCache(
             places.kept / "templates", records.hashes, shared=len(plan.names) > 1
         )
-        endings = Endings(campaign, places, records, plan.graph)
-        with _executor(where, endings, templates, verify=verify) as executor:
-            steps = _steps(plan, endings, executor, templates, gone, whole=not objects)
+        outcomes = Outcomes(campaign, places, records, plan.graph)
+        with _executor(where, outcomes, templates, verify=verify) as executor:
+            steps = _steps(plan, outcomes, executor, templates, gone, whole=not objects)
             yield from _numbered(steps, plan.graph, total)
         records.hashes.save()
 
@@ -174,23 +176,23 @@ def _chosen(cluster: str | None, workers: int | None, insecure: bool) -> Where |
 
 @contextmanager
 def _executor(
-    where: Where | None, endings: Endings, templates: TemplateCache, *, verify: bool
+    where: Where | None, outcomes: Outcomes, templates: TemplateCache, *, verify: bool
 ) -> Iterator[Executor | ClusterExecutor]:
     """Yield what does the tasks of captures."""
     if where is None:
-        yield Executor(endings, templates)
+        yield Executor(outcomes, templates)
         return
     from levkas.building.cluster import connected
 
     with connected(where.address, where.workers, insecure=where.insecure) as cluster:
         from levkas.building.cluster_executor import ClusterExecutor  # loaded beside the workers
 
-        yield ClusterExecutor(endings, cluster, endings.campaign.path, verify=verify)
+        yield ClusterExecutor(outcomes, cluster, outcomes.campaign.path, verify=verify)
 
 
 def _steps(
     plan: Plan,
-    endings: Endings,
+    outcomes: Outcomes,
     executor: Executor | ClusterExecutor,
     templates: TemplateCache,
     gone: Sequence[Key],
@@ -198,7 +200,7 @@ def _steps(
     whole: bool,
 ) -> Iterator[Step]:
     """Yield the steps of a build."""
-    campaign, places, records = plan.campaign, endings.places, endings.records
+    campaign, places, records = plan.campaign, outcomes.places, outcomes.records
     lost = plan.lost()
     for step in (step for steps in lost.values() for step in steps):
         put_away(step.key.object, step.key.camera, step.key.setup, records)
@@ -211,10 +213,10 @@ def _steps(
 
     def write_page(task: Task) -> Iterator[Step]:
         if task.key.stage == "camera":
-            return _camera(plan, endings, templates, task)
+            return _camera(plan, outcomes, templates, task)
         name = task.key.object
-        ended = sorted(endings.of(name), key=lambda step: places_in_graph[step.key])
-        return _report(plan, places, records, endings.inputs, task, [*lost[name], *ended])
+        ended = sorted(outcomes.of(name), key=lambda step: places_in_graph[step.key])
+        return _report(plan, places, records, outcomes.inputs, task, [*lost[name], *ended])
 
     tasks = [task for task in plan.graph.values() if task.key != CATALOGUE]
     if isinstance(executor, Executor):
@@ -416,11 +418,11 @@ def _report(
     return _page(plan, records, task, prints, write)
 
 
-def _camera(plan: Plan, endings: Endings, templates: TemplateCache, task: Task) -> Iterator[Step]:
+def _camera(plan: Plan, outcomes: Outcomes, templates: TemplateCache, task: Task) -> Iterator[Step]:
     """Write the page of a camera where it is stale."""
-    page, records = plan.pages[task.key], endings.records
-    prints = partial(prints_of_page, page, plan.campaign, records, endings.inputs, endings.lost)
-    write = partial(write_camera_page, page, plan.campaign, endings.places, records, templates)
+    page, records = plan.pages[task.key], outcomes.records
+    prints = partial(prints_of_page, page, plan.campaign, records, outcomes.inputs, outcomes.lost)
+    write = partial(write_camera_page, page, plan.campaign, outcomes.places, records, templates)
     return _page(plan, records, task, prints, write)
 
 

@@ -31,9 +31,9 @@ STAGES = {
 """The folders of each stage's code; figures of a registration are drawn by `pages`."""
 RIM = frozenset(
     (
-        *("run", "plan", "executor", "stages", "endings", "worker", "graph", "hashes"),
+        *("run", "plan", "executor", "stages", "outcomes", "worker", "graph", "hashes"),
         *("cluster", "cluster_executor", "task_queue", "build_records", "fingerprints", "sources"),
-        *("removal", "claiming", "layer_verdicts", "estimates"),
+        *("claiming", "layer_verdicts", "estimates"),
     )
 )
 """Modules of `building` that decide what is done, with what, and where; what comes of it is in the fingerprints."""

@@ -21,8 +21,8 @@ import psutil
 
 from levkas import __version__
 from levkas.building.build_records import BuildRecords, Key, Written
-from levkas.building.endings import refusal_of
 from levkas.building.graph import Graph, Task
+from levkas.building.outcomes import refusal_of
 from levkas.building.plan import read_plan
 from levkas.building.sources import STAGES, code_version
 from levkas.building.stages import Damaged, Stages
