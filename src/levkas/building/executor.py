@@ -188,3 +188,25 @@ class Executor:
             for task in self._calibrations.get(name, ()):
                 capture = captures_of(task)[0]
                 self._hasher.submit(fingerprints.of_calibration, campaign, capture, hashes)
+
+
+class DryRun:
+    """Stands in for the executor where nothing is to be done: `status`."""
+
+    warnings: tuple[str, ...] = ()
+
+    def __init__(self, outcomes: Outcomes) -> None:
+        self._outcomes = outcomes
+
+    def run(self, tasks: Sequence[Task]) -> Iterator[Step]:
+        """Yield of each task of captures whether it is fresh, stale or refused; none behind one that is refused."""
+        outcomes = self._outcomes
+        for task in tasks:
+            layer = task.key.object, task.key.layer
+            due = outcomes.due(task)  # other setups are compared with what this would be
+            if layer in outcomes.lost:
+                continue
+            step = outcomes.without_reference(task) or outcomes.state(due)
+            if step.state == "refused":
+                outcomes.lost[layer] = step
+            yield outcomes.note(step)

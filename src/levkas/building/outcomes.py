@@ -44,14 +44,25 @@ class Outcomes:
     places : Places
     records : BuildRecords
     graph : Graph
+    dry : bool
+        Nothing is done, recorded or withdrawn: `status`.
+    unread : bool
+        As of `Inputs`.
     """
 
     def __init__(
-        self, campaign: Campaign, places: Places, records: BuildRecords, graph: Graph
+        self,
+        campaign: Campaign,
+        places: Places,
+        records: BuildRecords,
+        graph: Graph,
+        *,
+        dry: bool = False,
+        unread: bool = False,
     ) -> None:
         self.campaign, self.places, self.records = campaign, places, records
-        self.graph = graph
-        self.inputs = Inputs(campaign, records)
+        self.graph, self.dry = graph, dry
+        self.inputs = Inputs(campaign, records, unread=unread)
         self.ended: dict[Key, Step] = {}
         self._by_object: dict[str, dict[Key, Step]] = {}
         self.lost: dict[Layer, Step] = {}
@@ -72,6 +83,27 @@ class Outcomes:
         """Return what a task is made of, and why it must be done; all that it reads has ended."""
         prints = self.inputs.of(task, self.lost)
         return Due(task, prints, self.records.why_stale(task.key, prints))
+
+    def state(self, due: Due) -> Step:
+        """Return whether a stage is fresh, stale, or was refused when it was made of the same."""
+        key = due.task.key
+        if not due.why:
+            return fresh_step(key, self.records)
+        if problems := self.records.refusal(key, due.prints):
+            root = self.campaign.root
+            there = (replace(p, file=p.file and str(root / p.file)) for p in problems)
+            return refused_step(key, Refused(*there))
+        return Step(key, "stale", due.why)
+
+    def lose(self, step: Step, refused: Refused | None) -> Step:
+        """Move out what was made of a capture that cannot even be begun; return how it ends."""
+        if self.dry:
+            return step
+        for stage in STAGES:
+            put_away_stage(replace(step.key, stage=stage), self.records)
+        return (
+            refused_step(step.key, self.records.with_report(step.key, refused)) if refused else step
+        )
 
     def begin(self, task: Task) -> None:
         """Record the existing files before a task is done."""
@@ -98,9 +130,9 @@ class Outcomes:
         if failed is None or task.leads:
             return None
         refused = no_reference(lead.object, lead.layer, failed)
-        if not refused.of_the_disk:
-            put_away(capture.object, capture.camera, capture.setup, self.records)
         step = refused_step(key_of(capture, "calibrate"), refused)
+        if not refused.of_the_disk:
+            self.lose(step, None)
         self.lost[capture.object, capture.layer] = step
         return step
 
@@ -219,12 +251,6 @@ def withdraw(
         records.forget(CATALOGUE)
     for path in there:
         remove(path)
-
-
-def put_away(name: str, camera: str, setup: str, records: BuildRecords) -> None:
-    """Move out what was made of a capture that cannot even be begun."""
-    for stage in STAGES:
-        put_away_stage(Key(name, camera, setup, stage), records)
 
 
 def put_away_stage(key: Key, records: BuildRecords) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from levkas.building import fingerprints
-from levkas.building.build_records import CATALOGUE, BuildRecords, Key, Written, key_of
+from levkas.building.build_records import CATALOGUE, BuildRecords, Key, Written
 from levkas.building.camera_pages import prints_of_page, write_camera_page
 from levkas.building.catalogue import (
     by_others,
@@ -24,18 +24,16 @@ from levkas.building.catalogue import (
     write_catalogue_of,
 )
 from levkas.building.claiming import building, check_apart, claim, places_of
-from levkas.building.executor import Executor
+from levkas.building.executor import DryRun, Executor
 from levkas.building.fingerprints import Inputs
 from levkas.building.graph import BuildReport, Graph, Step, Task, draw, summarise
 from levkas.building.outcomes import (
     REMOVED,
+    Due,
     Outcomes,
     describe,
-    fresh_step,
     is_of_the_disk,
     no_longer_there,
-    no_reference,
-    put_away,
     put_away_stage,
     refused_step,
     removal,
@@ -193,21 +191,20 @@ def _executor(
 def _steps(
     plan: Plan,
     outcomes: Outcomes,
-    executor: Executor | ClusterExecutor,
+    executor: Executor | DryRun | ClusterExecutor,
     templates: TemplateCache,
     gone: Sequence[Key],
     *,
     whole: bool,
 ) -> Iterator[Step]:
-    """Yield the steps of a build."""
+    """Yield the steps of a build; of a dry one, what they would be."""
     campaign, places, records = plan.campaign, outcomes.places, outcomes.records
     lost = plan.lost()
     for step in (step for steps in lost.values() for step in steps):
-        put_away(step.key.object, step.key.camera, step.key.setup, records)
         refused = plan.refusals.get((step.key.object, step.key.camera, step.key.setup))
-        yield refused_step(step.key, records.with_report(step.key, refused)) if refused else step
+        yield outcomes.lose(step, refused)
     for name in plan.names:
-        if Key(name, stage="report") not in plan.graph:
+        if Key(name, stage="report") not in plan.graph and not outcomes.dry:
             put_away_stage(Key(name, stage="report"), records)
     places_in_graph = {key: place for place, key in enumerate(plan.graph)}
 
@@ -216,27 +213,50 @@ def _steps(
             return _camera(plan, outcomes, templates, task)
         name = task.key.object
         ended = sorted(outcomes.of(name), key=lambda step: places_in_graph[step.key])
-        return _report(plan, places, records, outcomes.inputs, task, [*lost[name], *ended])
+        return _report(plan, outcomes, task, [*lost[name], *ended])
 
     tasks = [task for task in plan.graph.values() if task.key != CATALOGUE]
-    if isinstance(executor, Executor):
-        for of_captures, group in groupby(tasks, lambda task: task.capture is not None):
-            mine = list(group)
-            pages = chain.from_iterable(map(write_page, mine))
-            yield from executor.run(mine) if of_captures else pages
-    else:
+    stale = False
+    for step in _done(executor, tasks, write_page):
+        stale |= step.state == "stale"
+        yield step
+    if not outcomes.dry:
+        yield from removal(gone, records)
+    elif why := describe(gone, records):
+        stale = True
+        yield Step(REMOVED, "stale", why)
+    step = _catalogue(plan, outcomes, whole=whole, stale=stale)
+    warnings = (*campaign.without_effect, *executor.warnings, *step.warnings)
+    yield replace(step, output=places.output, warnings=warnings)
+
+
+def _done(
+    executor: Executor | DryRun | ClusterExecutor,
+    tasks: Sequence[Task],
+    write_page: Callable[[Task], Iterator[Step]],
+) -> Iterator[Step]:
+    """Yield the steps of all tasks but the catalogue's; on a cluster pages are written beside the others."""
+    if not isinstance(executor, Executor | DryRun):
         yield from executor.run(tasks, write_page)
-    yield from removal(gone, records)
+        return
+    for of_captures, group in groupby(tasks, lambda task: task.capture is not None):
+        mine = list(group)
+        pages = chain.from_iterable(map(write_page, mine))
+        yield from executor.run(mine) if of_captures else pages
+
+
+def _catalogue(plan: Plan, outcomes: Outcomes, *, whole: bool, stale: bool) -> Step:
+    """Write what speaks of all layers where it is stale; of a dry build, say whether it is."""
+    campaign, places, records = plan.campaign, outcomes.places, outcomes.records
+    if outcomes.dry:
+        return _state_of_catalogue(plan, places, records, listed_are_stale=stale)
     try:
-        step = write_catalogue_of(campaign, places, records, plan.captures, plan.names, whole=whole)
+        return write_catalogue_of(campaign, places, records, plan.captures, plan.names, whole=whole)
     except Refused:
         raise
     except Exception as error:
-        step = refused_step(
-            CATALOGUE, records.with_report(CATALOGUE, as_refusal(error, "catalogue"))
-        )
-    warnings = (*campaign.without_effect, *executor.warnings, *step.warnings)
-    yield replace(step, output=places.output, warnings=warnings)
+        refused = records.with_report(CATALOGUE, as_refusal(error, "catalogue"))
+        return refused_step(CATALOGUE, refused)
 
 
 def _count(plan: Plan) -> int:
@@ -301,83 +321,20 @@ def status(
     plan = plan_of(campaign)
     check_apart(campaign, places.output, plan.captures)
     records = BuildRecords(places.kept, places.output, verify=verify)
-    lost = plan.lost()
-    inputs = Inputs(campaign, records, unread=not verify)
-    ended: dict[Key, Step] = {}
-    by_object: dict[str, list[Step]] = {name: [*steps] for name, steps in lost.items()}
-    refused: dict[tuple[str, str], Step] = {}
-    for task in plan.graph.values():
-        key = task.key
-        if task.capture is not None:
-            step = _state(plan, records, inputs, task, refused)
-            if step is not None:
-                ended[step.key] = step
-                by_object[key.object].append(step)
-            continue
-        if key.stage == "report":
-            prints_of = partial(_report_prints, plan, inputs, key.object, by_object[key.object])
-        elif key.stage == "camera":
-            prints_of = partial(prints_of_page, plan.pages[key], campaign, records, inputs, refused)
-        else:
-            continue
-        ended[key] = _state_of(plan, records, key, prints_of)
-    steps = [*(step for steps in lost.values() for step in steps), *ended.values()]
     gone = no_longer_there(campaign, records, plan.captures, plan.refusals, plan.pages, None)
-    if why := describe(gone, records):
-        steps.append(Step(REMOVED, "stale", why))
-    steps.append(_state_of_catalogue(plan, places, records, steps))
+    templates = TemplateCache(places.kept / "templates", records.hashes, shared=True)
+    outcomes = Outcomes(campaign, places, records, plan.graph, dry=True, unread=not verify)
+    steps = [*_steps(plan, outcomes, DryRun(outcomes), templates, gone, whole=True)]
     report = summarise(steps, places.output)
     states = {step.key: step.state for step in steps}
-    warnings = (*campaign.without_effect, *report.warnings)
-    return replace(report, warnings=warnings, draws=partial(draw, plan.graph, states))
-
-
-def _state(
-    plan: Plan,
-    records: BuildRecords,
-    inputs: Inputs,
-    task: Task,
-    refused: dict[tuple[str, str], Step],
-) -> Step | None:
-    """Return whether a task of a capture is fresh, stale or refused; None behind one that is refused."""
-    capture, lead, key = task.capture, task.reference, task.key
-    layer = (key.object, key.layer)
-    prints = inputs.of(task, refused)  # other setups are compared with what this would be
-    if layer in refused or capture is None or lead is None:
-        return None
-    if not task.leads and (failed := refused.get((lead.object, lead.layer))):
-        step = refused_step(
-            key_of(capture, "calibrate"), no_reference(key.object, lead.layer, failed)
-        )
-    else:
-        step = _state_of(plan, records, key, lambda: prints)
-    if step.state == "refused":
-        refused[layer] = step
-    return step
-
-
-def _state_of(
-    plan: Plan, records: BuildRecords, key: Key, prints_of: Callable[[], dict[str, Any]]
-) -> Step:
-    """Return whether a stage is fresh, stale, or was refused when it was made of the same."""
-    try:
-        prints = prints_of()
-    except Exception as error:
-        return Step(key, "stale", as_refusal(error, "its files cannot be read").problems[0].message)
-    if not (why := records.why_stale(key, prints)):
-        return fresh_step(key, records)
-    if problems := records.refusal(key, prints):
-        root = plan.campaign.root
-        there = (replace(p, file=p.file and str(root / p.file)) for p in problems)
-        return refused_step(key, Refused(*there))
-    return Step(key, "stale", why)
+    return replace(report, draws=partial(draw, plan.graph, states))
 
 
 def _state_of_catalogue(
-    plan: Plan, places: Places, records: BuildRecords, steps: Sequence[Step]
+    plan: Plan, places: Places, records: BuildRecords, *, listed_are_stale: bool
 ) -> Step:
     """Return whether catalogue and manifest are stale, because what they list is, or by themselves."""
-    if any(step.state == "stale" for step in steps):
+    if listed_are_stale:
         return Step(CATALOGUE, "stale", "it lists stale files")
     others = by_others(places, records)
     why = why_catalogue_is_stale(plan.campaign, places, records, plan.captures, plan.names, others)
@@ -397,16 +354,9 @@ def _report_prints(plan: Plan, inputs: Inputs, name: str, steps: Sequence[Step])
     return fingerprints.of_report(plan.campaign, name, layers, plan.layers.get(name, []))
 
 
-def _report(
-    plan: Plan,
-    places: Places,
-    records: BuildRecords,
-    inputs: Inputs,
-    task: Task,
-    steps: list[Step],
-) -> Iterator[Step]:
-    """Write the page of an object where it is stale."""
-    name = task.key.object
+def _report(plan: Plan, outcomes: Outcomes, task: Task, steps: list[Step]) -> Iterator[Step]:
+    """Write the page of an object where it is stale; `steps` is how its captures ended."""
+    name, places, records = task.key.object, outcomes.places, outcomes.records
 
     def write() -> Written:
         from levkas.building.report_pages import write_report  # heavy
@@ -414,8 +364,8 @@ def _report(
         captures = [c for c in plan.captures if c.object == name]
         return Written(write_report(plan.campaign, places, records, captures, steps), {})
 
-    prints = partial(_report_prints, plan, inputs, name, steps)
-    return _page(plan, records, task, prints, write)
+    prints = partial(_report_prints, plan, outcomes.inputs, name, steps)
+    return _page(plan, outcomes, task, prints, write)
 
 
 def _camera(plan: Plan, outcomes: Outcomes, templates: TemplateCache, task: Task) -> Iterator[Step]:
@@ -423,31 +373,35 @@ def _camera(plan: Plan, outcomes: Outcomes, templates: TemplateCache, task: Task
     page, records = plan.pages[task.key], outcomes.records
     prints = partial(prints_of_page, page, plan.campaign, records, outcomes.inputs, outcomes.lost)
     write = partial(write_camera_page, page, plan.campaign, outcomes.places, records, templates)
-    return _page(plan, records, task, prints, write)
+    return _page(plan, outcomes, task, prints, write)
 
 
 def _page(
     plan: Plan,
-    records: BuildRecords,
+    outcomes: Outcomes,
     task: Task,
     prints_of: Callable[[], dict[str, Any]],
     write: Callable[[], Written],
 ) -> Iterator[Step]:
     """Write a page where it is stale; whatever is raised refuses this page, and nothing else."""
-    key = task.key
+    key, records = task.key, outcomes.records
     prints: dict[str, Any] = {}
     try:
         prints = prints_of()
         why = records.why_stale(key, prints)
-        if not why:
-            yield Step(key, "fresh", warnings=tuple(records.notes(key).get("warnings", ())))
+        if outcomes.dry or not why:
+            yield outcomes.state(Due(task, prints, why))
             return
         yield Step(key, "running", why)
         made = write()
         records.keep(key, prints, made.files, **made.notes)
     except Exception as error:
         what = " ".join(part for part in (key.object, key.camera, "page") if part)
-        refused = records.with_report(key, as_refusal(error, what))
+        refused = as_refusal(error, what)
+        if outcomes.dry:
+            yield Step(key, "stale", refused.problems[0].message)
+            return
+        refused = records.with_report(key, refused)
         if not is_of_the_disk(refused.problems):
             put_away_stage(key, records)  # an older one speaks of layers that may be gone
             records.refuse(key, prints, within(plan.campaign, refused.problems))
