@@ -336,3 +336,14 @@ def test_the_page_of_an_object_follows_what_a_refusal_found(campaign):
     assert "one report: stale" in status(campaign).text
     assert not summarise(build(campaign)).ok
     assert "day, night, noon" in (campaign / "database/objects/one/report.html").read_text()
+
+
+def test_templates_that_no_calibration_is_made_with_any_more_are_removed(campaign):
+    folder = campaign / "database.kept" / "templates"
+    before = {path.name for path in folder.iterdir()}
+    lightens("filters/dark_500nm.tif")(campaign)
+    assert summarise(build(campaign)).ok
+    after = {path.name for path in folder.iterdir()}
+    assert len(after) == len(before) and after != before
+    assert {step.state for step in build(campaign)} == {"fresh"}
+    assert {path.name for path in folder.iterdir()} == after

@@ -129,7 +129,15 @@ def build(
         with _executor(where, outcomes, templates, verify=verify) as executor:
             steps = _steps(plan, outcomes, executor, templates, gone, whole=not objects)
             yield from _numbered(steps, plan.graph, total)
+        if not objects:
+            templates.remove_all_but(_used_templates(records))
         records.hashes.save()
+
+
+def _used_templates(records: BuildRecords) -> set[str]:
+    """Return the names of the templates that recorded calibrations were made with."""
+    keys = (key for key in records.recorded() if key.stage == "calibrate")
+    return {name for key in keys for name in records.notes(key).get("templates", ())}
 
 
 class Where(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
 
 from levkas.building.build_records import BuildRecords, Key, Written, key_of
@@ -57,6 +57,7 @@ class Held:
         from levkas.building.native_cubes import Native, PackedSigma
 
         self.let_go()
+        self.templates.used.clear()
         made = calibrate(capture, self.campaign, self.templates)
         self.streams = not isinstance(made, Native)
         self._capture, self._native = capture, made.without_sigma()
@@ -184,7 +185,9 @@ class Stages:
 
         capture, _ = captures_of(task)
         made = self.held.calibrate(capture)
-        return partial(write_calibrated, made, capture, self.campaign, self.places, cuts)
+        used = sorted(self.held.templates.used)
+        write = partial(write_calibrated, made, capture, self.campaign, self.places, cuts)
+        return lambda before: _with_notes(write(before), templates=used)
 
     def _measure(self, task: Task) -> Write:
         from levkas.building.register import write_measured
@@ -268,3 +271,7 @@ class Stages:
         cube = resample(native, target.transforms, target.grid, sigmas, mosaics, lights, seams)
         del native
         return partial(write_resampled, cube, flag_glare_in(cube, target), target, frame)
+
+
+def _with_notes(made: Written, **notes: Any) -> Written:
+    return made._replace(notes={**made.notes, **notes})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from levkas.building.hashes import Hashes
 from levkas.building.sources import made_with
 from levkas.calibration.templates import DarkFit, ShotLevels, Template
 from levkas.campaign.discovery.captures import FrameRef
-from levkas.core.files import make_folder, replacing
+from levkas.core.files import make_folder, remove, replacing
 
 
 class TemplateCache:
@@ -27,11 +27,17 @@ class TemplateCache:
     hashes : Hashes
         Of the frames.
     shared : bool
-        Whether more than one object will ask; a template for one is not worth its disk space.
+        Whether more than one object needs them; a template for one is not worth its disk space.
+
+    Attributes
+    ----------
+    used : set of str
+        Names of the files that were read or written since `used` was cleared.
     """
 
     def __init__(self, folder: Path, hashes: Hashes, *, shared: bool) -> None:
         self.folder, self.hashes, self.shared = folder, hashes, shared
+        self.used: set[str] = set()
 
     def template(
         self, frames: Sequence[FrameRef], average: Callable[[], Template], **parameters: object
@@ -47,6 +53,7 @@ class TemplateCache:
             content = [*self.hashes.of_frame(frame.path).values()]
             digest.update(f"{content}:{frame.page}:{frame.exposure_s};".encode())
         path = self.folder / f"{digest.hexdigest()[:24]}.npz"
+        self.used.add(path.name)
         try:
             return _read(path)
         except (OSError, ValueError, KeyError, zipfile.BadZipFile):
@@ -54,6 +61,12 @@ class TemplateCache:
         make_folder(self.folder)
         _write(path, made)
         return made
+
+    def remove_all_but(self, names: Collection[str]) -> None:
+        """Remove the templates that no calibration is made with; raises WriteRefused."""
+        for path in sorted(self.folder.glob("*.npz")):
+            if path.name not in names:
+                remove(path)
 
 
 def _read(path: Path) -> Template:
