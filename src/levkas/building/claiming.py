@@ -5,20 +5,19 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from socket import gethostname
 from typing import TYPE_CHECKING
 
-from levkas.building.hashes import HASHES
 from levkas.campaign.campaign import CampaignInvalid
 from levkas.campaign.schema.cross_checks import unusable_output
 from levkas.core.disk import refusing
+from levkas.core.locks import Taken, locked, take
 from levkas.core.ownership import IMPRINT, MARK, is_address, made, require_outside, stands_in
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_json, unusable_name
-from levkas.database.catalogue import COLUMNS, DatabaseRefused, read_catalogue
+from levkas.database.catalogue import DatabaseRefused, read_catalogue
 from levkas.database.layout import Places
 
 if TYPE_CHECKING:
@@ -29,6 +28,8 @@ OWNER = "campaign.json"
 """Among what is kept: the folder of the campaign, relative, so that both may be moved together."""
 IN_USE = "build.lock"
 """Among what is kept: held by every build while it runs; who holds it alone is in it."""
+IN_TURN = "catalogue.lock"
+"""There while the files that speak of all layers are written."""
 FIX = 'Give a new folder with -o, or write output = "database".'
 
 
@@ -109,14 +110,14 @@ def _not_apart(campaign: Campaign, why: str, output: str) -> Problem:
 def _strangers(campaign: Campaign, places: Places, objects: set[str]) -> Iterator[Problem]:
     """Yield what stands where the build would write, and is not of this campaign's builds."""
     found = stands_in(places.output)
-    if found and not (found == "a folder" and _is_database(places)):
+    if found and not (found == "a folder" and made(places.output) == "database"):
         ours = made(places.output) if found == "a folder" else None
         what = f"a {ours} by Levkas" if ours else "a folder that Levkas did not write"
         found = what if found == "a folder" else found
         yield _problem(places.output, found, "an empty folder, or a database that Levkas built")
         return
     kept = stands_in(places.kept)
-    if kept and not (kept == "a folder" and _is_kept(places.kept)):
+    if kept and not (kept == "a folder" and (places.kept / OWNER).is_file()):
         yield _problem(places.kept, kept, "the kept data of an earlier build")
         return
     yield from _links(places.output)
@@ -134,32 +135,6 @@ def _strangers(campaign: Campaign, places: Places, objects: set[str]) -> Iterato
         if others:
             here = ", ".join(sorted(objects))
             yield _problem(places.output, f"objects {', '.join(sorted(others))}", f"only {here}")
-
-
-def _is_database(places: Places) -> bool:
-    if (ours := made(places.output)) is not None:
-        return ours == "database"
-    # What was built before there was a mark: its catalogue and imprint, and the records beside it.
-    return (
-        (places.output / IMPRINT).is_file()
-        and _begins(places.output / "catalogue.csv", ",".join(COLUMNS) + "\n")
-        and _has_hashes(places.kept)
-    )
-
-
-def _is_kept(folder: Path) -> bool:
-    return (folder / OWNER).is_file() or _has_hashes(folder)
-
-
-def _has_hashes(folder: Path) -> bool:
-    return any((folder / name).is_file() for name in (HASHES, "hashes.json"))
-
-
-def _begins(path: Path, text: str) -> bool:
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(text)) == text.encode()
 
 
 def _links(root: Path) -> Iterator[Problem]:
@@ -201,33 +176,20 @@ def _problem(path: Path, found: str, expected: str) -> Problem:
     )
 
 
-try:
-    import fcntl
-except ImportError:  # Windows has no locks of folders: there, no turns are taken
-    fcntl = None  # type: ignore[assignment]
-
 PATIENCE_S = 120.0
-PAUSE_S = 0.05
 
 
 @contextlib.contextmanager
 def in_turn(folder: Path, *, patience_s: float = PATIENCE_S) -> Iterator[None]:
-    """Let one build at a time into the block, by a lock of `folder` that ends with its process.
+    """Let one build at a time into the block, for what they keep in `folder`.
 
     It spares work and keeps two from undoing each other's last words; nothing hangs on it for long:
-    whoever waited `patience_s`, or stands on a file system without locks, goes on.
+    whoever waited `patience_s` goes on.
     """
-    if fcntl is None:
+    with contextlib.ExitStack() as turn:
+        with contextlib.suppress(Taken):
+            turn.enter_context(locked(folder / IN_TURN, patience_s=patience_s))
         yield
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        until = time.monotonic() + patience_s
-        while not _locked(descriptor) and time.monotonic() < until:
-            time.sleep(PAUSE_S)
-        yield
-    finally:
-        os.close(descriptor)
 
 
 @contextlib.contextmanager
@@ -243,15 +205,12 @@ def building(folder: Path, *, workers: bool) -> Iterator[None]:
     Refused
         ``E_BUSY``, at once.
     """
-    if fcntl is None:
-        yield
-        return
     path = folder / IN_USE
     with refusing(path, None):
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     try:
-        if not _locked(descriptor, fcntl.LOCK_EX if workers else fcntl.LOCK_SH):
-            alone = not (workers and _locked(descriptor, fcntl.LOCK_SH))
+        if take(descriptor, shared=not workers) is False:
+            alone = not (workers and take(descriptor, shared=True))
             who = os.pread(descriptor, 200, 0).decode("utf-8", "replace") if alone else ""
             raise Refused(_busy(path, who or "a build in one process", workers=workers))
         if workers:
@@ -276,14 +235,3 @@ def _busy(path: Path, who: str, *, workers: bool) -> Problem:
         "no other build while workers are used",
         "Wait for it, or stop it; then build again. Finished stages are kept.",
     )
-
-
-def _locked(descriptor: int, kind: int | None = None) -> bool:
-    """Whether the lock is ours, or cannot be had here at all."""
-    try:
-        fcntl.flock(descriptor, (fcntl.LOCK_EX if kind is None else kind) | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return True
-    return True

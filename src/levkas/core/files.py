@@ -24,15 +24,11 @@ from typing import TYPE_CHECKING, Any
 
 from levkas.core.disk import WriteRefused, refusing, require_space
 from levkas.core.json_safe import to_json
+from levkas.core.locks import take
 from levkas.core.problems import Problem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
-
-try:
-    import fcntl
-except ImportError:  # Windows has no advisory locks of this kind: nothing is swept there
-    fcntl = None  # type: ignore[assignment]
 
 PARTIAL = re.compile(r".*\.partial-[0-9a-f]{8}")
 """Names of what is not finished, by whomever."""
@@ -554,10 +550,9 @@ def move_files(names: Iterable[str], source: str | Path, target: str | Path) -> 
 
 def _hold(descriptor: int, path: Path) -> bool:
     # A sweep may come between the making of a partial file and this lock: then it is made anew.
-    if fcntl is None:
+    if os.name == "nt":
         return True
-    with contextlib.suppress(OSError):  # a file system without locks has nothing swept either
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    take(descriptor)  # a file system without locks has nothing swept either
     try:
         return path.stat().st_ino == os.fstat(descriptor).st_ino
     except FileNotFoundError:

@@ -1,4 +1,7 @@
-"""Locks between threads, processes and machines by a file that exists only while it is held."""
+"""Locks between threads, processes and machines: a file that exists only while it is held, or an open one.
+
+A lock ends with the process that holds it, however that ends.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,11 @@ from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+try:
+    import fcntl
+except ImportError:  # Windows: open files are not locked there
+    fcntl = None  # type: ignore[assignment]
 
 PATIENCE_S = 20.0
 PAUSE_S = 0.005
@@ -63,3 +71,16 @@ def locked(path: Path, *, patience_s: float = PATIENCE_S) -> Iterator[None]:
         if os.name == "nt":  # which removes no open file
             with contextlib.suppress(OSError):
                 path.unlink()
+
+
+def take(descriptor: int, *, shared: bool = False) -> bool | None:
+    """Lock an open file until it is closed, at once: whether that was possible; None without locks here."""
+    if fcntl is None:
+        return None
+    try:
+        fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        return None
+    return True

@@ -8,11 +8,7 @@ from pathlib import Path
 
 from levkas.core.disk import refusing
 from levkas.core.files import OURS, discard, partial_stem
-
-try:
-    import fcntl
-except ImportError:  # Windows has no advisory locks of this kind: nothing is swept there
-    fcntl = None  # type: ignore[assignment]
+from levkas.core.locks import take
 
 
 def sweep(folder: str | Path) -> list[Path]:
@@ -52,7 +48,7 @@ def sweep_beside(path: str | Path) -> list[Path]:
 
 
 def _abandoned(path: Path) -> bool:
-    if fcntl is None:
+    if os.name == "nt":  # nothing is swept where open files are not locked
         return False
     try:
         descriptor = os.open(
@@ -61,9 +57,6 @@ def _abandoned(path: Path) -> bool:
     except OSError:
         return False
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
+        return take(descriptor) is True
     finally:
         os.close(descriptor)
-    return True
