@@ -1,8 +1,8 @@
 """Every damage of a database found, and the file named.
 
 With a manifest every file is hashed and compared; without one, or with a damaged one, files are
-decoded and held against one another, which finds less: a flipped bit in an uncompressed TIFF that
-no catalogue has the hash of is seen by nobody.
+decoded and compared, which finds less: a flipped bit in an uncompressed TIFF that no catalogue has the
+hash of is not found.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from levkas.core.machine import count_threads
 from levkas.core.problems import Problem
 from levkas.database.catalogue import NAME as CATALOGUE
 from levkas.database.catalogue import DatabaseRefused, read_catalogue
-from levkas.database.consistency import check_structure, is_alike
 from levkas.database.containment import find_escapes
+from levkas.database.decoding import check_structure
 from levkas.database.manifest import (
     NAME,
     Listed,
@@ -322,7 +322,8 @@ def _check_damaged_manifest(
     with ThreadPoolExecutor(max(1, threads)) as pool:
         hashes = list(pool.map(lambda e: _hash(root / e.name), entries))
     for entry, digest in zip(entries, hashes, strict=True):
-        if not is_alike(entry.sha256, digest):
+        # Of a hash that a damage changed most digits stay; another one shares four of 64 by chance.
+        if sum(map(str.__eq__, entry.sha256, digest)) <= 32:
             told = {"found": f"sha256 {digest}", "expected": entry.sha256}
             yield _problem(root, entry.name, "E_DAMAGED", "its bytes have changed", **told)
     unknown = [n for n in names if n not in manifest.files and n != NAME]
