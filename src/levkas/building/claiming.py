@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from socket import gethostname
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING
 from levkas.campaign.campaign import CampaignInvalid
 from levkas.campaign.schema.cross_checks import unusable_output
 from levkas.core.disk import refusing
-from levkas.core.locks import Taken, locked, take
+from levkas.core.locks import take
 from levkas.core.ownership import IMPRINT, MARK, is_address, made, require_outside, stands_in
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_json, unusable_name
@@ -28,8 +29,6 @@ OWNER = "campaign.json"
 """Among what is kept: the folder of the campaign, relative, so that both may be moved together."""
 IN_USE = "build.lock"
 """Among what is kept: held by every build while it runs; who holds it alone is in it."""
-IN_TURN = "catalogue.lock"
-"""There while the files that speak of all layers are written."""
 FIX = 'Give a new folder with -o, or write output = "database".'
 
 
@@ -176,20 +175,27 @@ def _problem(path: Path, found: str, expected: str) -> Problem:
     )
 
 
-PATIENCE_S = 120.0
+PATIENCE_S, PAUSE_S = 120.0, 0.05
 
 
 @contextlib.contextmanager
 def in_turn(folder: Path, *, patience_s: float = PATIENCE_S) -> Iterator[None]:
-    """Let one build at a time into the block, for what they keep in `folder`.
+    """Let one build at a time into the block, by a lock of `folder` that ends with its process.
 
     It spares work and keeps two from undoing each other's last words; nothing hangs on it for long:
-    whoever waited `patience_s` goes on.
+    whoever waited `patience_s`, or stands on a file system without locks, goes on.
     """
-    with contextlib.ExitStack() as turn:
-        with contextlib.suppress(Taken):
-            turn.enter_context(locked(folder / IN_TURN, patience_s=patience_s))
+    if os.name == "nt":  # no locks of folders
         yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        until = time.monotonic() + patience_s
+        while take(descriptor) is False and time.monotonic() < until:
+            time.sleep(PAUSE_S)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 @contextlib.contextmanager
