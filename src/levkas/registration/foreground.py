@@ -19,9 +19,9 @@ MARGIN_PX = 4
 """Width of the rim of the object that is not compared: there the ground shines through smoothing and parallax."""
 LEAST_RIM = 0.6
 """Share of the frame's rim that an even ground takes."""
-MOST_UNEVEN = 0.2
+MOST_UNEVEN = 0.1
 """Five standard deviations of the rim, a share of the picture's range, up to which it is an even ground. Of photographs of
-objects on a ground 0.00 to 0.17, of pictures that fill their frame 0.4 and more."""
+paintings and sections on a ground 0.00 to 0.05, of pictures that fill their frame 0.16 and more."""
 LEAST_OBJECT = 0.1
 """Share of the frame below which what stands out from a ground is not taken for the object."""
 LEAST_BODY = 0.001
