@@ -179,10 +179,18 @@ def _decode_text(path: Path, kind: str) -> None:
         (parse_json if path.name == CRATE else parse_bounded)(text)
     elif kind == ".toml":
         read_toml(path)
-    elif kind == ".csv" and len({len(row) for row in csv.reader(text.splitlines()) if row}) > 1:
-        raise ValueError("its rows differ in their number of cells")
+    elif kind == ".csv":
+        _check_rows(text)
     elif kind in (".html", ".htm") and not text.rstrip().lower().endswith("</html>"):
         raise ValueError("it is truncated")
+
+
+def _check_rows(text: str) -> None:
+    """Refuse a table of which a row has other cells than the first."""
+    rows = [row for row in csv.reader(text.splitlines()) if row]
+    for number, row in enumerate(rows, 1):
+        if len(row) != len(rows[0]):
+            raise ValueError(f"row {number} has {len(row)} cells, the first {len(rows[0])}")
 
 
 def _reason(error: BaseException) -> str:
