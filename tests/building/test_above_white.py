@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 import tifffile
 
+from levkas.building.above_white import count_above, describe_above
 from levkas.building.calibrate import develop
 from levkas.building.scans import open_scan
 from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
+from levkas.core.cube import Band, Cube, Flag
 
 SIZE, NM = (60, 80), (450, 550, 650)
 CAMPAIGN = """
@@ -58,7 +60,7 @@ def said(warnings):
 def test_the_share_above_the_white_is_said_with_its_bands(tmp_path, kind):
     (warning,) = said(develop(*make(tmp_path / "c", kind, 1.5)).warnings)
     beyond = np.mean(np.linspace(0.2, 0.8, SIZE[1]) * 1.5 > 1.02)  # 23 per cent
-    assert f"{100 * beyond:.2g} % of the object" in warning
+    assert f"{100 * beyond:.3g} % of the object" in warning
     assert "550 nm (1 of 3 bands)" in warning
 
 
@@ -79,3 +81,34 @@ def test_noise_of_a_weak_band_is_not_spoken_of(tmp_path, kind):
     native = develop(*make(tmp_path / "c", kind, 1.24, noise=200))
     assert np.mean(native.cubes[""].values[..., 1] > 1.02) > 0.03  # of 0.25 to 0.99
     assert not said(native.warnings)
+
+
+@pytest.mark.parametrize("bright", [1.5, 4.0])
+def test_what_is_far_above_the_white_is_no_glare(tmp_path, bright):
+    """Glare is white and in most bands at once: one band four times too bright is not, nor is a whole object."""
+    (warning,) = said(develop(*make(tmp_path / "c", "bands", bright)).warnings)
+    assert "550 nm (1 of 3 bands)" in warning
+
+
+def test_an_object_of_several_times_its_white_is_named():
+    values = np.full((20, 20, 3), 2.5, np.float32)
+    flags = np.full(values.shape, Flag.GLARE, np.uint8)
+    bands = tuple(Band(label) for label in "RGB")
+    cube = Cube(values, flags, np.full(values.shape, 0.01, np.float32), bands)
+    assert "100 % of the object is brighter" in describe_above(count_above(cube), cube.labels)[0]
+    # A tenth of it is gold under a lamp.
+    values[2:] = 0.4
+    cube = Cube(values, np.where(values > 1, flags, 0).astype(np.uint8), cube.sigma, bands)
+    assert describe_above(count_above(cube), cube.labels) == []
+
+
+@pytest.mark.parametrize(("dark", "named"), [(0.0, False), (0.01, True)])
+def test_a_dark_that_is_too_bright_is_named_by_values_below_it(dark, named):
+    rng = np.random.default_rng(2)
+    truth = np.geomspace(0.002, 1, 400).reshape(20, 20, 1)
+    values = (truth - dark + rng.normal(0, 0.001, (20, 20, 3))).astype(np.float32)
+    bands = tuple(Band(label) for label in "RGB")
+    flags = np.zeros(values.shape, np.uint8)
+    cube = Cube(values, flags, np.full(values.shape, 0.001, np.float32), bands)
+    text = " ".join(describe_above(count_above(cube), cube.labels))
+    assert ("darker than its dark" in text) == named

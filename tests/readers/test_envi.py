@@ -115,6 +115,14 @@ def test_a_scanner_states_day_and_time_of_a_scan_apart(tmp_path):
     )
 
 
+@pytest.mark.parametrize("zone", ["", "Z", "+02:00", "-0500", ".250+02:00"])
+def test_the_zone_of_an_acquisition_time_is_read(tmp_path, zone):
+    said = f"acquisition time = 2024-05-03T16:00:00{zone}"
+    assert (
+        read_facts(write_envi(tmp_path, CUBE, extra=said)).captured == f"2024-05-03T16:00:00{zone}"
+    )
+
+
 @pytest.mark.parametrize(
     ("said", "read"),
     [

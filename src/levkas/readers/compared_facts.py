@@ -146,11 +146,15 @@ def compare_wavelengths(a: Sequence[float], b: Sequence[float]) -> Severity:
 def compare_names(a: Sequence[str], b: Sequence[str]) -> Severity:
     """Compare the names of bands: another order is refused, other names are noted.
 
-    ENVI writes the name of its file into those of bands, so other names alone contradict nothing.
+    ENVI writes the name of its file into those of bands, so other names alone contradict nothing. Case does not count.
+
+    >>> compare_names(["blue", "red"], ["Red", "Blue"]), compare_names(["blue", "red"], ["Blue", "Red"])
+    ('refused', 'same')
     """
-    if len(a) != len(b) or list(a) == list(b):
+    one, other = ([name.strip().casefold() for name in names] for names in (a, b))
+    if len(one) != len(other) or one == other:
         return "same"
-    return "refused" if set(a) & set(b) else "noted"
+    return "refused" if set(one) & set(other) else "noted"
 
 
 def compare_types(a: str, b: str) -> Severity:

@@ -218,7 +218,10 @@ def _band_facts(header: EnviHeader, bands: int) -> dict[str, Any]:
 
 def _date(header: EnviHeader) -> str | None:
     for key in ("acquisition time", "acquisition date", "date"):
-        found = re.search(r"\d{4}-[01]\d-[0-3]\d(?:[T ]\d\d:\d\d:\d\d)?", header.text(key))
+        found = re.search(
+            r"\d{4}-[01]\d-[0-3]\d(?:[T ]\d\d:\d\d:\d\d(?:\.\d+)?(?:Z|[+-]\d\d:?\d\d)?)?",
+            header.text(key),
+        )
         if found:
             start = header.text("start time")  # Specim's, beside a date without time
             clock = re.search(r"\d\d:\d\d:\d\d", start) if len(found[0]) == 10 else None
