@@ -17,7 +17,7 @@ def bent(light, bend, cubic=0.0):
     return light * (1 - bend * share - cubic * share**2)
 
 
-def points(bend=0.0, *, cubic=0.0, times=TIMES, really=None, seed=2):
+def points(bend=0.0, *, cubic=0.0, times=TIMES, really=None, seed=2, full=FULL):
     """Points of a series that states `times`, and really took others."""
     rng = np.random.default_rng(seed)
     shots = []
@@ -25,8 +25,8 @@ def points(bend=0.0, *, cubic=0.0, times=TIMES, really=None, seed=2):
         light = GAIN * rng.poisson(RATES * time / GAIN)
         codes = np.rint(bent(light, bend, cubic) + rng.normal(BLACK, READ, light.shape))
         codes = codes.clip(0, FULL).astype(np.uint16)
-        shots.append(average([codes], saturation=FULL, exposure_s=stated))
-    return find_points(shots, saturation=FULL, black=BLACK, contrast=ALIKE)
+        shots.append(average([codes], saturation=full, exposure_s=stated))
+    return find_points(shots, saturation=full, black=BLACK, contrast=ALIKE)
 
 
 @pytest.mark.parametrize(
@@ -39,6 +39,15 @@ def test_a_planted_curve_comes_back(bend, cubic):
     # The slope in the dark is the scale: what counts is how light goes from there on.
     assert np.abs(off).max() < max(0.002, 3 * found.error)
     assert found.error < 0.003 and found.rms < 0.002 < found.rms_line
+
+
+def test_a_curve_of_twelve_bits_in_files_of_sixteen_comes_back():
+    """Nobody declares the bits: 5 per cent of 65,535 are most of the codes that there are."""
+    full, times = 65535.0, (0.25, 0.5, 0.9)
+    found = find_response(points(0.08, times=times, full=full), full - BLACK)
+    light = np.linspace(50, 3200, 50)
+    assert np.abs(found.light(bent(light, 0.08)) / light - 1).max() < 0.004
+    assert find_response(points(0.0, times=times, full=full), full - BLACK) is None
 
 
 def test_a_linear_sensor_has_no_curve():
