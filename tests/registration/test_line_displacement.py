@@ -231,7 +231,7 @@ def test_tiles_show_a_wobble_along_the_lines_and_say_nothing_across_them():
     wobbling = tiles(20, shift=0.5 * np.sin(2 * np.pi * y / 60))
     found = measured(noisy(tiles(20), 1), noisy(wobbling, 2), Affine.identity())
     assert found.course.kind == "period" and found.course.period == pytest.approx(60, rel=0.03)
-    assert found.alike and found.across == 0.0 and found.to_dict()["alike"]
+    assert found.common_edges and found.across == 0.0 and found.to_dict()["common_edges"]
 
 
 def test_too_few_lines_are_not_measured(front):

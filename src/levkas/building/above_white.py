@@ -19,63 +19,72 @@ SURE = 2.0
 does, at 3 a light that is 5 per cent too bright hides in noise of 1 per cent."""
 LEFT_OUT = Flag.OUTSIDE | Flag.DEFECT
 MUCH = 0.3
-"""Share of a band that glare may take: gold and varnish under a bad lamp show a fifth. Beyond it the white is too dark."""
-DARK, BLACKENED, LEAST_DARK = 0.01, 0.1, 0.002
-"""Reflectance up to which a paint is dark; share of dark values that may lie below zero by more than their noise (chance: 2 per
-cent); least such share of the object, so that a few sensels count as nothing."""
+"""Share of a band that glare may take; beyond it the white is too dark. Two paintings under one lamp at 45 degrees have 0.09
+and 0.11, in a line scanner 0.05 and 0.07."""
+SURELY_BELOW, FEW_BELOW = 4.0, 0.002
+"""Standard deviations below zero that no noise explains (3 values in 100,000), and share of a band that may lie there."""
 
 
 def count_above(cube: Cube) -> np.ndarray:
     """Count values above the perfect diffuser and below the dark by more than their noise, band by band, without defects.
 
-    Glare that most bands show in one place is that of the surface; what only a few bands show there is their own light.
+    Glare that half of the bands or more show in one place is that of the surface; what fewer show there is light of their own.
 
     Returns
     -------
-    counts : ndarray, (6, bands), int64
-        Above and all without glare, above and all with it, below zero and dark. Nothing but zeros of counts.
+    counts : ndarray, (5, bands), int64
+        Above and all beside glare, above and all with it, and below. Nothing but zeros of counts.
 
     Examples
     --------
     >>> from levkas.core.cube import Band
-    >>> values = np.array([[[0.5], [1.2]]], np.float32)
-    >>> count_above(Cube(values, np.zeros(values.shape, np.uint8), None, (Band("R"),)))[:2].tolist()
-    [[1], [2]]
+    >>> values = np.array([[[0.5], [1.2], [-0.1]]], np.float32)
+    >>> cube = Cube(values, np.zeros(values.shape, np.uint8), np.full(values.shape, 0.01, np.float32), (Band("R"),))
+    >>> count_above(cube).ravel().tolist()
+    [1, 3, 1, 3, 1]
     """
-    counts = np.zeros((6, len(cube.bands)), np.int64)
     if cube.quantity != "reflectance":
-        return counts
+        return np.zeros((5, len(cube.bands)), np.int64)
     seen = ~is_flagged(cube.flags, LEFT_OUT)
+    above = seen & (cube.values > (ABOVE if cube.sigma is None else ABOVE + SURE * cube.sigma))
+    with_glare = [_of_bands(above), _of_bands(seen)]
+    beside = with_glare
     glare = is_flagged(cube.flags, Flag.GLARE)
-    common = glare & (glare.mean(-1, keepdims=True) >= 0.5)
-    noise = 0.0 if cube.sigma is None else SURE * cube.sigma
-    above = seen & (cube.values > ABOVE + noise)
-    dark = seen & (cube.values < DARK) & (cube.sigma is not None)
-    parts = (above & ~common, seen & ~common, above, seen, dark & (cube.values < -noise), dark)
-    return np.stack([np.count_nonzero(part, axis=(0, 1)) for part in parts]).astype(np.int64)
+    if glare.any():
+        paint = glare.mean(-1, keepdims=True) < 0.5
+        beside = [_of_bands(above & (paint | ~glare)), _of_bands(seen & (paint | ~glare))]
+    below = np.zeros(len(cube.bands), np.int64)
+    if cube.sigma is not None:
+        below = _of_bands(seen & (cube.values < -SURELY_BELOW * cube.sigma))
+    return np.stack([*beside, *with_glare, below])
+
+
+def _of_bands(marked: np.ndarray) -> np.ndarray:
+    """Return how many values of each band are marked, (bands,); view by view takes 0.1 to 0.7 of the time of one count over two axes."""
+    return np.array([np.count_nonzero(marked[..., k]) for k in range(marked.shape[-1])], np.int64)
 
 
 def describe_above(counts: np.ndarray, labels: Sequence[str]) -> list[str]:
     """Say in which bands more than a few per cent are brighter than the white, or darker than the dark; nothing where none is.
 
-    >>> counts = np.array([[9, 1], [100, 100], [9, 1], [100, 100], [0, 0], [0, 0]])
-    >>> describe_above(counts, ["500 nm", "600 nm"])[0][:47]
+    >>> describe_above(np.array([[9, 1], [100, 100], [9, 1], [100, 100], [0, 0]]), ["500 nm", "600 nm"])[0][:47]
     '9 % of the object is brighter than a perfect wh'
     """
-    without, whole = (counts[k] / np.maximum(counts[k + 1], 1) for k in (0, 2))
-    shares = np.where(whole > MUCH, whole, without)
-    least = np.where(whole > MUCH, MUCH, FEW)
-    below = counts[4] / np.maximum(counts[3], 1)
-    black = (below > LEAST_DARK) & (counts[4] > BLACKENED * counts[5])
+    above, seen, above_with_glare, seen_with_glare, below = counts
+    shares, least = above / np.maximum(seen, 1), FEW
+    whole = above_with_glare / np.maximum(seen_with_glare, 1)
+    if (whole > MUCH).any():
+        shares, least = whole, MUCH
+    dark = below / np.maximum(seen_with_glare, 1)
     said = []
     if (odd := _worst(shares, shares > least)).size:
         said.append(
             f"{100 * shares[odd[0]]:.3g} % of the object is brighter than a perfect white in {_names(odd, labels)}: "
             "check that white and object had one light, exposure and setting"
         )
-    if (odd := _worst(below, black)).size:
+    if (odd := _worst(dark, dark > FEW_BELOW)).size:
         said.append(
-            f"{100 * below[odd[0]]:.3g} % of the object is darker than its dark by more than noise in {_names(odd, labels)}: the "
+            f"{100 * dark[odd[0]]:.3g} % of the object is darker than its dark by more than noise in {_names(odd, labels)}: the "
             "dark was warmer or longer than the object, or saw light. Dark paint is too dark by as much; capture darks beside the object"
         )
     return said

@@ -280,7 +280,7 @@ class ScanPass:
     def __init__(self, scan: Scan) -> None:
         self._scan = scan
         self.lost = np.zeros(scan.shape[2], np.int64)
-        self.above = np.zeros((6, scan.shape[2]), np.int64)
+        self.above = np.zeros((5, scan.shape[2]), np.int64)
         self._projecting = Projecting(scan.subspace) if scan.subspace else None
 
     def blocks(self, start: int = 0, stop: int | None = None) -> Iterator[Cube]:

@@ -22,7 +22,6 @@ from levkas.calibration.templates import CalibrationRefused, Template
 from levkas.core.problems import Problem
 
 USED = (0.05, 0.95)  # of saturation, as EMVA 1288 has it
-SCARCE = 0.25  # of saturation: below it the brightest signal takes its place
 GROUPS = 20
 FEWEST = 50  # pixels of a group
 MANY_ROWS = 600  # of a frame; the rest adds nothing to means that are known to 0.1 %
@@ -200,7 +199,7 @@ def _points(
 
     # Codes of 12 bits in files of 16 use little of what could be: the largest is their scale.
     largest = float(signal.max(initial=0.0, where=usable))
-    low = USED[0] * (saturation if largest > SCARCE * saturation else largest)
+    low = USED[0] * min(saturation, largest)
     high = USED[1] * saturation
     fits = usable & (signal < high)
     longest = len(times) - 1 - np.argmax(fits[::-1], 0)

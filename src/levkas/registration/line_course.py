@@ -31,7 +31,7 @@ class CourseSettings:
     least_deviations, least_step : float
         Covariance of the parts, and height of a step, in standard deviations by chance, from which lines are displaced.
         Of 250 honest pairs, real and simulated, few covariances had more than 2 (`benchmarks/line_displacement.py`).
-    dependent, averaged : float; int, lines
+    common_edges, averaged : float; int, lines
         Mean correlation, along the scan, of how much detail the parts show, averaged over some lines, from which they are no
         independent witnesses: below 0.1 of 95 % of painted scans, 0.25 to 0.8 of nine in ten grids of tiles.
     edge_lines : int
@@ -62,7 +62,7 @@ class CourseSettings:
     stray: float = 8.0
     least_deviations: float = 4.0
     least_step: float = 6.0
-    dependent: float = 0.15
+    common_edges: float = 0.15
     averaged: int = 3
     edge_lines: int = 8
     outer: float = 0.4
@@ -127,7 +127,7 @@ def find_course(shifts: LineShifts, sizes: np.ndarray) -> tuple[Course | None, f
 class LineShifts:
     """Shifts of the parts of lines about their course along the scan, (lines, parts, 2) px.
 
-    `information` is that of each, 1/px², 0 where unknown; `weight` the same, less of shifts that stray. `alike` says
+    `information` is that of each, 1/px², 0 where unknown; `weight` the same, less of shifts that stray. `common_edges` says
     whether all parts show their detail in the same lines. Edges that run along the lines through all parts, as on a chart or
     of a grid of tiles, move what lies beside them where sharpness differs, in all parts alike: then nothing is
     known across the lines, and those shifts are 0.
@@ -136,7 +136,7 @@ class LineShifts:
     shift: np.ndarray
     information: np.ndarray
     weight: np.ndarray
-    alike: bool = False
+    common_edges: bool = False
 
     @classmethod
     def of(cls, shift: np.ndarray, information: np.ndarray) -> LineShifts | None:
@@ -221,12 +221,12 @@ def _without_course(shift: np.ndarray, information: np.ndarray) -> LineShifts:
                 typical = 1.4826 * float(np.median(np.abs(rest[seen]))) + 1e-6
                 w = known / (1 + (rest / (SETTINGS.stray * typical)) ** 2)
             left[:, part, axis], weight[:, part, axis] = np.where(seen, rest, 0.0), w
-    if alike := _are_alike(information[..., 1]):
+    if common_edges := _have_common_edges(information[..., 1]):
         left[..., 1] = 0.0
-    return LineShifts(left, information, weight, alike)
+    return LineShifts(left, information, weight, common_edges)
 
 
-def _are_alike(information: np.ndarray) -> bool:
+def _have_common_edges(information: np.ndarray) -> bool:
     """Tell whether parts, (lines, parts) 1/px², show their detail in the same lines, beside a smooth course of it."""
     whole = (information > 0).all(1)
     if whole.sum() < SETTINGS.least_lines:
@@ -236,7 +236,7 @@ def _are_alike(information: np.ndarray) -> bool:
     basis = np.polynomial.legendre.legvander(np.linspace(-1, 1, len(detail)), SETTINGS.degree)
     rest = detail - basis @ np.linalg.lstsq(basis, detail, rcond=None)[0]
     above = np.triu_indices(rest.shape[1], 1)
-    return bool(np.corrcoef(rest.T)[above].mean() > SETTINGS.dependent)
+    return bool(np.corrcoef(rest.T)[above].mean() > SETTINGS.common_edges)
 
 
 def _is_whole(shifts: LineShifts, axis: int) -> bool:

@@ -103,7 +103,7 @@ class LineDisplacement:
         Of the whole displacement, what a flexible map follows of it included; None where lines are not displaced beyond chance.
     displacement : ndarray, (n, 2), reference px
         Of every line as measured, along and across; NaN where unknown.
-    alike : bool
+    common_edges : bool
         Whether all parts show their detail in the same lines, so that nothing is known across them.
     step : int, reference px
         Of the grid on which it was measured.
@@ -119,7 +119,7 @@ class LineDisplacement:
     noise: float
     course: Course | None
     displacement: np.ndarray
-    alike: bool = False
+    common_edges: bool = False
     step: int = 1
 
     @property
@@ -150,7 +150,7 @@ class LineDisplacement:
             "size_px": course and round(course.size, 4),
             "period_lines": course and (round(course.period, 2) if course.period > 0 else None),
             "place": course and (course.place if course.place >= 0 else None),
-            "alike": self.alike,
+            "common_edges": self.common_edges,
             "step": self.step,
         }
 
@@ -351,5 +351,5 @@ def _describe(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:
         float(np.hypot(*(noise * sizes))),
         course,
         common * sizes,
-        shifts.alike,
+        shifts.common_edges,
     )
