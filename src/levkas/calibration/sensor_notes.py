@@ -151,12 +151,9 @@ def _describe_response(context: SensorContext) -> list[str]:
     found = context.told.get(RESPONSE)
     if not found:
         return []
-    most = abs(float(sum(found["terms"])))
-    # Where counts use little of the full scale, the curve says nothing about that end.
-    end = f", at full scale by {100 * most:.1f} %" if most < 0.5 else ""
     return [
         f"{context.camera.name}: the sensor is not linear: its exposure series deviate by {100 * found['rms_line']:.1f} % rms "
-        f"from a line{end}. Frames of object and white are corrected by the curve that they "
+        "from a line. Frames of object and white are corrected by the curve that they "
         f"show, which leaves {100 * found['rms']:.2f} % and is known to {100 * found['error']:.2g} %"
     ]
 
