@@ -1,6 +1,6 @@
 """Methods by SSIM, and the maps of one layer: python examples/figure_14_ssim.py FOLDER out.png
 
-FOLDER is what `levkas evaluate CAMPAIGN --compare -o FOLDER` wrote.
+FOLDER is what `levkas methods CAMPAIGN -o FOLDER` wrote.
 """
 
 import json

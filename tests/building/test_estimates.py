@@ -21,7 +21,7 @@ GUESS = "guess"
 
 
 def estimate(database, name):
-    """Write a layer as `levkas estimate --apply` does, from the photograph."""
+    """Write a layer as `levkas estimate apply` does, from the photograph."""
     facts = {"method": "wiener", "from": ["photo"], "fitted to": "vis", "training": ["one"]}
     shape = Database(database)[name]["photo"].values.shape[:2]
     cube = Cube(np.ones((*shape, 2), np.float32), np.zeros((*shape, 2), np.uint8), None,
@@ -59,7 +59,7 @@ def test_an_estimated_layer_goes_when_its_source_is_built_again_or_its_object_le
     cv2.imwrite(str(folder / "photo/one.png"), np.clip(photo.astype(int) + 9, 0, 255))
     report = summarise(build(folder))
     (warning,) = [w for w in report.warnings if GUESS in w]
-    assert "photo was built again" in warning and "levkas estimate --apply" in warning
+    assert "photo was built again" in warning and "levkas estimate apply" in warning
     assert estimated(database) == {"two"} and validate(database).ok
     assert not [*database.rglob(f"one_{GUESS}*")] and not [
         *(database / "zarr/one.zarr").glob(GUESS)

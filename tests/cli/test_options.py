@@ -1,7 +1,11 @@
 """Every option of every command acts, or is refused: alone where it needs another, twice where one counts, with a name that is none."""
 
+import ast
+import inspect
 import re
+import textwrap
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -16,16 +20,17 @@ BENCH = Path(__file__).resolve().parents[2] / "examples" / "plan"
 
 
 def commands(command=None, name=()):
-    """Yield the words and parameters of every command."""
+    """Yield the words of every command, and the command."""
     command = command or typer.main.get_command(app)
     if not hasattr(command, "commands"):
-        yield " ".join(name), command.params
+        yield " ".join(name), command
         return
     for word, inner in command.commands.items():
         yield from commands(inner, (*name, word))
 
 
-EACH = dict(commands())
+EACH = {name: command.params for name, command in commands()}
+CALLBACKS = {name: command.callback for name, command in commands()}
 
 
 def named(name, word):
@@ -40,12 +45,17 @@ def words_of(name, word, value="1"):
     param = named(name, word)
     if param.param_type_name == "argument":
         return [value]
-    return [word] if getattr(param, "is_flag", False) else [word, value]
+    if getattr(param, "is_flag", False):
+        return [word]
+    choices = [one for one in get_args(param.type_descriptor.annotation) if isinstance(one, str)]
+    return [word, *(choices[:1] or [value])]
 
 
 def run(name, *words):
     required = ["x" for p in EACH[name] if p.required and p.param_type_name == "argument"]
-    required += ["--for", "envi"] if name == "export" and "--for" not in words else []
+    for param in EACH[name]:
+        if param.required and param.opts[0].startswith("--") and param.opts[0] not in words:
+            required += [param.opts[0], "envi"]
     return CliRunner().invoke(app, [*name.split(), *required, *map(str, words)])
 
 
@@ -66,6 +76,55 @@ def test_an_option_that_acts_only_with_another_is_refused_alone(name, monkeypatc
         refused = run(name, *words_of(name, option))
         assert refused.exit_code == 2, option
         assert f"{option} acts only with {needed[0]}" in " ".join(refused.output.split())
+
+
+def uses(body, known, found, conditions):
+    """Add to `found`, name by name, under which conditions on parameters each use of it stands."""
+    conditions = set(conditions)
+    for node in body:
+        if isinstance(node, ast.Name) and node.id in known:
+            found.setdefault(node.id, []).append(conditions - {(node.id, True), (node.id, False)})
+        if isinstance(node, (ast.If, ast.IfExp)):
+            tested = {n.id for n in ast.walk(node.test) if isinstance(n, ast.Name)} & known
+            negated = isinstance(node.test, ast.UnaryOp) or "Is()" in ast.dump(node.test)
+            then, other = ({(name, yes) for name in tested} for yes in (not negated, negated))
+            body, orelse = (
+                part if isinstance(part, list) else [part] for part in (node.body, node.orelse)
+            )
+            if orelse and isinstance(orelse[-1], ast.Raise):
+                then = set()  # nothing is ignored where nothing else is done
+            uses([node.test], known, found, conditions)
+            uses(body, known, found, conditions | then)
+            uses(orelse, known, found, conditions | other)
+            if isinstance(body[-1], ast.Return) or "Exit" in ast.dump(body[-1]):
+                conditions |= other
+        else:
+            uses(ast.iter_child_nodes(node), known, found, conditions)
+
+
+@pytest.mark.parametrize("name", CALLBACKS)
+def test_what_acts_only_with_or_without_another_option_is_declared(name):
+    """Read from the code of every command, so for all pairs of its options."""
+    params = {p.name: next((o for o in p.opts if o.startswith("--")), p.name) for p in EACH[name]}
+    tree = ast.parse(textwrap.dedent(inspect.getsource(inspect.unwrap(CALLBACKS[name]))))
+    found = {}
+    uses(tree.body[0].body, set(params), found, ())
+    for used, option in params.items():
+        assert used in found, f"{option} has no effect"
+        for other, given in set.intersection(*found[used]) - {
+            ("as_json", True),
+            ("as_json", False),
+        }:
+            if given:
+                needed = NEEDS.get(name, {})
+                direct = needed.get(option, ())
+                indirect = [far for near in direct for far in needed.get(near, ())]
+                assert params[other] in {*direct, *indirect}, (option, params[other])
+            else:
+                assert option in EXCLUDES.get(name, {}).get(params[other], ()), (
+                    params[other],
+                    option,
+                )
 
 
 @pytest.mark.parametrize("name", EXCLUDES)
@@ -103,7 +162,7 @@ def test_an_option_is_given_once_or_with_another_value(name, param):
 
 # --- names that are none ----------------------------------------------------------------------
 
-FREE = {("simulate", "--preset"), ("simulate", "--setup"), ("estimate", "--object")}
+FREE = {("simulate", "--preset"), ("simulate", "--setup"), ("estimate apply", "--object")}
 """They need a new folder or a model: `tests/simulation` and `tests/estimation` have them."""
 
 
@@ -126,12 +185,15 @@ def place(tmp_path_factory, made_database):
 
 def bases(root, database):
     """What each command is given besides the option that is tried."""
+    frames = [root / "white.tif", "--bits", "12"]
     return {
         "build": [root], "status": [root], "radiometry": [root], "inspect": [root],
         "evaluate": [database], "chart": [database], "publish": [database, "--check"],
         "export": [database, "--for", "envi", "-o", root / "out"], "estimate": [database],
         "map": [database, "icon1", root / "points.csv"], "plan light": [BENCH],
-        "plan exposure": ["--bits", "12"],
+        "plan exposure": frames, "plan filter": [*frames, "--setup", BENCH, "--camera", "d80"], "plan series": frames,
+        "methods": [database], "loops": [database],
+        "estimate score": [database, root], "estimate apply": [database, root / "m.npz", "new"],
         "points convert": [root / "checks.csv", root / "out.csv"],
     }  # fmt: skip
 
@@ -143,15 +205,18 @@ def bases(root, database):
 def test_a_name_that_is_none_is_refused_in_every_option(name, param, place, made_database):
     if (name, param.opts[0]) in FREE:
         return
-    values = {"frames": place / "white.tif", "--setup": BENCH, "--points": place / "checks.csv",
-              "--apply": place / "m.npz"}  # fmt: skip
-    words = [*name.split(), *bases(place, made_database)[name]]
+    values = {"frames": place / "white.tif", "--setup": BENCH, "--points": place / "checks.csv"}
+    base = bases(place, made_database)[name]
     wanted = next(o for o in param.opts if o.startswith("--"))
+    if wanted in base:
+        at = base.index(wanted)
+        del base[at : at + 2]
+    words = [*name.split(), *base]
     for option in (wanted, *NEEDS.get(name, {}).get(wanted, ())[:1]):
         for needed in NEEDS.get(name, {}).get(option, ())[:1]:
             words += words_of(name, needed, str(values.get(needed, "")))
-    if name == "plan exposure" and str(place / "white.tif") not in words:
-        words.append(place / "white.tif")
+    if name == "plan exposure" and "--setup" in words:
+        del words[2:5]  # frames
     result = CliRunner().invoke(app, [str(w) for w in (*words, wanted, "nonsense")])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
@@ -214,8 +279,8 @@ def test_options_of_a_cube_or_a_database_are_refused_with_a_campaign(place):
         (["chart", "DB", "--object", "icom1"], "icon1"),
         (["export", "DB", "--for", "envi", "--object", "icom1"], "icon1"),
         (["export", "DB", "--for", "envi", "--camera", "d8"], "d80"),
-        (["evaluate", "DB", "--compare", "--object", "icom1"], "icon1"),
-        (["evaluate", "DB", "--compare", "--method", "lefkas"], "levkas"),
+        (["methods", "DB", "--object", "icom1"], "icon1"),
+        (["methods", "DB", "--method", "lefkas"], "levkas"),
         (["map", "DB", "icom1", "POINTS"], "icon1"),
         (["map", "DB", "icon1", "POINTS", "--to", "d8"], "d80"),
         (["map", "DB", "icon1", "POINTS", "--to", "vis:550 mm"], "550 nm"),

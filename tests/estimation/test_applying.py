@@ -67,7 +67,7 @@ def test_sigma_is_the_method_s_own_or_the_held_out_error_of_the_band(own_paintin
 
 
 def test_the_record_names_model_sources_and_training(own_paintings, models):
-    ran = command(own_paintings, "--apply", models / "rgb_wiener.npz", "-o", "guess", "--json")
+    ran = command("apply", own_paintings, models / "rgb_wiener.npz", "guess", "--json")
     assert ran.exit_code == 0, ran.stderr
     record = json.loads((own_paintings / "objects/icon1/icon1_guess.estimate.json").read_text())
     tiff = next(
@@ -122,7 +122,7 @@ def predictions(paintings, tmp_path):
 
 
 def test_predictions_made_elsewhere_get_the_same_scores(paintings, predictions):
-    ran = command(paintings, "--score", predictions, "--from", "rgb", "--test", "icon2", "--json")
+    ran = command("score", paintings, predictions, "--from", "rgb", "--test", "icon2", "--json")
     assert ran.exit_code == 0, ran.stderr
     (method,) = json.loads(ran.stdout)["results"][0]["methods"]
     assert method["method"] == "network" and method["rmse"] == pytest.approx(0.05, rel=1e-4)
@@ -135,8 +135,8 @@ def test_what_was_exported_for_the_challenges_scores_as_perfect(paintings, tmp_p
     list(export(paintings, "ntire", output=tmp_path / "out", objects=["icon2"], cameras=["vis"]))
     folder = tmp_path / "out" / "vis"
     ran = command(
+        "score",
         paintings,
-        "--score",
         folder,
         "--from",
         "rgb",
@@ -163,7 +163,7 @@ def test_what_was_exported_for_the_challenges_scores_as_perfect(paintings, tmp_p
 )  # fmt: skip
 def test_unusable_predictions_are_refused_by_name(paintings, predictions, harm, code, named):
     harm(predictions)
-    ran = command(paintings, "--score", predictions, "--from", "rgb", "--test", "icon2", "--json")
+    ran = command("score", paintings, predictions, "--from", "rgb", "--test", "icon2", "--json")
     (problem,) = json.loads(ran.stdout)["problems"]
     assert ran.exit_code == 1 and problem["code"] == code
     assert named in f"{problem['file']} {problem['expected']}"
@@ -187,7 +187,7 @@ def test_a_prediction_that_leads_to_another_file_is_refused(paintings, tmp_path)
         plan.set_external(str(tmp_path / "secret").encode(), 0, h5py.h5f.UNLIMITED)
         space = h5py.h5s.create_simple((16, 48, 40))
         h5py.h5d.create(mat.id, b"cube", h5py.h5t.IEEE_F32LE, space, plan)
-    ran = command(paintings, "--score", folder, "--from", "rgb", "--test", "icon2", "--json")
+    ran = command("score", paintings, folder, "--from", "rgb", "--test", "icon2", "--json")
     (problem,) = json.loads(ran.stdout)["problems"]
     assert ran.exit_code == 1 and problem["code"] == "E_UNREADABLE"
     assert "another file" in problem["message"]
@@ -229,7 +229,7 @@ def test_a_model_whose_arrays_do_not_fit_is_refused_and_nothing_is_written(
 ):
     before = hash_tree(own_paintings)
     model = stored(models, tmp_path, HARM[harm])
-    ran = command(own_paintings, "--apply", model, "-o", "guess", "--json")
+    ran = command("apply", own_paintings, model, "guess", "--json")
     assert ran.exit_code == 1, ran.output
     (problem,) = json.loads(ran.stdout)["problems"]
     assert problem["code"] in ("E_MODEL", "E_CHANNELS") and problem["fix"]
@@ -238,6 +238,6 @@ def test_a_model_whose_arrays_do_not_fit_is_refused_and_nothing_is_written(
 
 def test_an_object_that_the_database_has_not_is_refused_by_its_name(own_paintings, models):
     model = models / "rgb_wiener.npz"
-    ran = command(own_paintings, "--apply", model, "-o", "guess", "--object", "icom1", "--json")
+    ran = command("apply", own_paintings, model, "guess", "--object", "icom1", "--json")
     (problem,) = json.loads(ran.stdout)["problems"]
     assert ran.exit_code == 1 and problem["found"] == "icom1" and "icon1" in problem["fix"]

@@ -158,7 +158,7 @@ def test_a_captured_white_regulates_the_filter_on_the_command_line(bench, rewrit
     white, dark = write_white(tmp_path / "raw", bench)
     page = tmp_path / "plan.html"
     asked = [
-        *("exposure", white, "--dark", dark, "--pattern", "RGGB", "--bits", "12"),
+        *("filter", white, "--dark", dark, "--pattern", "RGGB", "--bits", "12"),
         *("--setup", path, "--camera", "d80"),
     ]
     told = run(*asked, "-o", page)
@@ -187,17 +187,13 @@ def test_a_captured_white_regulates_the_filter_on_the_command_line(bench, rewrit
 def test_whites_that_cannot_regulate_are_refused(bench, rewritten, tmp_path):
     path = rewritten()
     white, dark = write_white(tmp_path / "raw", bench)
-    given = ("exposure", white, "--dark", dark, "--bits", "12", "--setup", path)
+    given = ("filter", white, "--dark", dark, "--bits", "12", "--setup", path)
     assert run(*given, "--pattern", "RGGB", "--camera", "lctf-vis").exit_code == 1
     told = run(*given, "--camera", "d80", "--json")  # no pattern: one channel
     assert [p["code"] for p in json.loads(told.stdout)["problems"]] == ["E_CHANNELS"]
-    of_object = run(*given, "--pattern", "RGGB", "--camera", "d80", "--object", "--json")
-    assert "regulating_filters" not in json.loads(
-        of_object.stdout
-    )  # its noise plans a series instead
     clipped, _ = write_white(tmp_path / "over", bench, full=1.4)
     told = run(
-        "exposure",
+        "filter",
         clipped,
         "--pattern",
         "RGGB",

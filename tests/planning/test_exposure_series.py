@@ -188,18 +188,18 @@ def test_what_frames_or_sensor_cannot_give_is_refused(asked, tmp_path):
 def test_the_command_plans_writes_its_page_and_its_record(asked, tmp_path):
     page = tmp_path / "series.html"
     names = [str(p) for p in asked]
-    options = ["--object", "--black", "64", "--bits", "12", "--quantile", "0.05", "-o", str(page)]
-    done = CliRunner().invoke(app, ["plan", "exposure", *names, *options, "--json"])
+    options = ["--black", "64", "--bits", "12", "--quantile", "0.05", "-o", str(page)]
+    done = CliRunner().invoke(app, ["plan", "series", *names, *options, "--json"])
     assert done.exit_code == 0, done.output
     series = json.loads(done.stdout)["series"][0]
     assert 3 <= len(series["exposures"]) <= 4 and series["snr_darkest_series"] >= 19.9
     text = page.read_text()
     assert "SNR" in text and f"<strong>{series['exposures'][0]['time_s']:g}</strong>" in text
-    told = CliRunner().invoke(app, ["plan", "exposure", *names, *options[:-2]])
-    one = CliRunner().invoke(app, ["plan", "exposure", names[0], *options[:-2]])
+    told = CliRunner().invoke(app, ["plan", "series", *names, *options[:-2]])
+    one = CliRunner().invoke(app, ["plan", "series", names[0], *options[:-2]])
     assert one.exit_code == 0 and "set " in one.stdout and "no series for" in one.stdout
     assert "merged" in told.stdout and 'exposures = "merge"' in told.stdout
     assert (
-        CliRunner().invoke(app, ["plan", "exposure", *names, *options]).exit_code != 0
+        CliRunner().invoke(app, ["plan", "series", *names, *options]).exit_code != 0
     )  # stands there
-    assert CliRunner().invoke(app, ["plan", "exposure", *names, "--camera", "x"]).exit_code != 0
+    assert CliRunner().invoke(app, ["plan", "series", *names, "--camera", "x"]).exit_code != 0

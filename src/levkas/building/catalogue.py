@@ -142,7 +142,7 @@ def _left_of(names: Iterable[str], ours: Iterable[str]) -> list[str]:
 
 
 def _estimated_files(places: Places) -> tuple[str, ...]:
-    """Return how the names of files of estimated layers begin; ``levkas estimate --apply`` makes them."""
+    """Return how the names of files of estimated layers begin; ``levkas estimate apply`` makes them."""
     from levkas.database.catalogue import ESTIMATED, DatabaseRefused, read_catalogue
 
     try:

@@ -75,7 +75,7 @@ def put_away_estimates(
         where = records.put_away(_files_of(places, layer))
         warnings.append(
             f"{layer.object}/{layer.name}: this layer is estimated, and {why}; it was moved to "
-            f"{where or 'nowhere: its files are gone'}. `levkas estimate --apply` makes it again"
+            f"{where or 'nowhere: its files are gone'}. `levkas estimate apply` makes it again"
         )
     return tuple(warnings)
 

@@ -17,14 +17,21 @@ from levkas.core.instructions import hold_instructions
 ORDER = {
     "Begin": ("doctor", "demo", "look", "plan", "simulate"),
     "Build": ("build", "status", "inspect", "points"),
-    "Measure": ("radiometry", "chart", "evaluate", "validate"),
-    "Use": ("map", "estimate", "export", "publish"),
+    "Measure": ("radiometry", "chart", "evaluate", "methods", "loops", "validate"),
+    "Use": ("map", "estimate", "estimate apply", "estimate score", "export", "publish"),
 }
 """Commands as `levkas --help` lists them: in groups, in the order of work."""
 
 
 class Grouped(typer.core.TyperGroup):
-    """Commands listed in groups, each with the whole of its first sentence."""
+    """Commands listed in groups, each with the whole of its first sentence; some have a name of two words."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        """Return the command that words begin with: ``estimate apply`` before ``estimate``."""
+        two = " ".join(args[:2])
+        if two in self.commands:
+            return two, self.commands[two], args[2:]
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write a list of commands for each group."""
@@ -45,7 +52,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 _plan = typer.Typer(
-    help="Plan light, framing and exposure.", no_args_is_help=True, rich_markup_mode=None
+    help="Plan light, framing, exposures and filters.", no_args_is_help=True, rich_markup_mode=None
 )
 _points = typer.Typer(
     help="Control points of other programs.", no_args_is_help=True, rich_markup_mode=None
@@ -83,7 +90,11 @@ for _name, _command in {
     "build": build.build,
     "status": build.status,
     "estimate": estimate.estimate,
+    "estimate apply": estimate.apply,
+    "estimate score": estimate.score,
     "evaluate": evaluate.evaluate,
+    "methods": evaluate.methods,
+    "loops": evaluate.loops,
     "validate": build.validate,
     "chart": measure.chart,
     "map": evaluate.map_points,
@@ -100,6 +111,8 @@ for _name, _command in {
     "light": plan.light,
     "framing": plan.framing,
     "exposure": plan.exposure,
+    "filter": plan.regulating_filter,
+    "series": plan.series,
 }.items():
     _plan.command(_name, cls=StrictCommand)(_command)
 _points.command("convert", cls=StrictCommand)(evaluate.convert)

@@ -75,7 +75,7 @@ EXTRAS = {
     "cluster": "build --workers and --cluster",
     "docs": "the documentation, and figures of the examples and benchmarks",
     "export": "export: NetCDF, and MAT files of the spectral recovery challenges",
-    "peers": "evaluate --compare: programs to compare with",
+    "peers": "methods: programs to compare with",
     "remote": "databases on web servers and in stores like S3",
 }
 """Extra of the package → what is missing without it; the others are for its development."""

@@ -1,30 +1,41 @@
-"""The command that estimates spectra from the channels of registered cameras."""
+"""Commands that estimate spectra from the channels of registered cameras: estimate, estimate apply, estimate score."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from levkas.cli.output import Json, Overwrite, draw_steps, finish, print_report, refusing
 
+Database = Annotated[Path, typer.Argument(help="Database folder.")]
+Sources = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--from",
+        help="Layer to estimate from, or several joined: d80,msbs; may be repeated. Default: each "
+        "camera with broad channels.",
+    ),
+]
+Target = Annotated[
+    str, typer.Option("--to", help="Layer with the spectra to estimate; default the reference.")
+]
+Train = Annotated[
+    list[str] | None, typer.Option("--train", help="Train on this painting; may be repeated.")
+]
+Test = Annotated[
+    list[str] | None, typer.Option("--test", help="Test on this painting; may be repeated.")
+]
+Seed = Annotated[int, typer.Option(help="Random seed.", min=0)]
+
 
 @refusing("estimate")
 def estimate(
-    database: Annotated[Path, typer.Argument(help="Database folder.")],
-    sources: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--from",
-            help="Layer to estimate from, or several joined: d80,msbs; may be repeated. Default: each "
-            "camera with broad channels.",
-        ),
-    ] = None,
-    target: Annotated[
-        str, typer.Option("--to", help="Layer with the spectra to estimate; default the reference.")
-    ] = "",
+    database: Database,
+    sources: Sources = None,
+    target: Target = "",
     methods: Annotated[
         list[str] | None,
         typer.Option("--method", help="Only this method; may be repeated. Default: all."),
@@ -32,35 +43,11 @@ def estimate(
     split: Annotated[
         str, typer.Option(help="painting, chart, camera, lighting, or random (optimistic).")
     ] = "painting",
-    train: Annotated[
-        list[str] | None, typer.Option("--train", help="Train on this painting; may be repeated.")
-    ] = None,
-    test: Annotated[
-        list[str] | None, typer.Option("--test", help="Test on this painting; may be repeated.")
-    ] = None,
+    train: Train = None,
+    test: Test = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            help="Folder for page, JSON, CSV, error maps and models; with --apply: name of the layer.",
-        ),
-    ] = None,
-    model: Annotated[
-        Path | None,
-        typer.Option(
-            "--apply", help="Write an estimated layer with this model (.npz of an earlier -o)."
-        ),
-    ] = None,
-    objects: Annotated[
-        list[str] | None,
-        typer.Option("--object", help="With --apply: only this object; may be repeated."),
-    ] = None,
-    predictions: Annotated[
-        Path | None,
-        typer.Option(
-            "--score", help="Score predictions from other software, one cube per test painting."
-        ),
+        typer.Option("--output", "-o", help="Folder for page, JSON, CSV, error maps and models."),
     ] = None,
     no_budget: Annotated[bool, typer.Option("--no-budget", help="Skip the error budget.")] = False,
     choose_by: Annotated[
@@ -69,41 +56,77 @@ def estimate(
             help="Error by which methods choose their parameters: rmse, or delta-e of colours under D65."
         ),
     ] = "rmse",
-    seed: Annotated[int, typer.Option(help="Random seed.", min=0)] = 1,
+    seed: Seed = 1,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Estimate the spectra of held-out paintings from few channels, and report how well."""
+    from levkas.estimation.experiment import run_experiment
     from levkas.estimation.plan import ExperimentPlan
 
-    if model is not None and output is not None:
-        _apply(database, model, output, objects or (), as_json)
-        return
     plan = ExperimentPlan(
         database, sources or (), target, methods or (), split, train or (), test or (),
         budget=not no_budget, models=output is not None, choose_by=choose_by, seed=seed,
     )  # fmt: skip
-    if predictions is None:
-        from levkas.estimation.experiment import run_experiment
+    _report("estimate", run_experiment(plan), output, overwrite, as_json)
 
-        steps = run_experiment(plan)
-    else:
-        from levkas.estimation.scoring import score_predictions
 
-        steps = score_predictions(plan, predictions)
+@refusing("estimate score")
+def score(
+    database: Database,
+    predictions: Annotated[
+        Path, typer.Argument(help="Folder with one cube for each test painting.")
+    ],
+    sources: Sources = None,
+    target: Target = "",
+    train: Train = None,
+    test: Test = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Folder for page, JSON, CSV and error maps."),
+    ] = None,
+    seed: Seed = 1,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Score spectra that other software predicted as the methods of Levkas are scored."""
+    from levkas.estimation.plan import ExperimentPlan
+    from levkas.estimation.scoring import score_predictions
+
+    plan = ExperimentPlan(
+        database, sources or (), target, train=train or (), test=test or (), seed=seed
+    )
+    steps = score_predictions(plan, predictions)
+    _report("estimate score", steps, output, overwrite, as_json)
+
+
+@refusing("estimate apply")
+def apply(
+    database: Database,
+    model: Annotated[Path, typer.Argument(help="Model, .npz of an earlier `levkas estimate -o`.")],
+    layer: Annotated[str, typer.Argument(help="Name of the new layer.")],
+    objects: Annotated[
+        list[str] | None, typer.Option("--object", help="Only this object; may be repeated.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Write a layer that is estimated with a model; it is never called a measurement."""
+    from levkas.estimation.applying import apply_model
+
+    steps = draw_steps(apply_model(database, model, layer, objects=objects or ()), as_json)
+    files = [str(path) for step in steps for path in step.files]
+    print_report("estimate apply", as_json, True, [], layer=layer, estimated=True, files=files)
+    if not as_json:
+        typer.echo(f"{len(steps)} layers {layer} estimated, not measured")
+
+
+def _report(
+    command: str, steps: Iterable[Any], output: Path | None, overwrite: bool, as_json: bool
+) -> None:
+    """Show the steps of an experiment, write its page where one is wanted, and print its report."""
     report = draw_steps(steps, as_json)[-1].report
     if output is not None:
         from levkas.pages.estimation import write_page
 
         write_page(report, output, overwrite=overwrite)
-    finish("estimate", report, as_json)
-
-
-def _apply(database: Path, model: Path, layer: Path, objects: Sequence[str], as_json: bool) -> None:
-    from levkas.estimation.applying import apply_model
-
-    steps = draw_steps(apply_model(database, model, str(layer), objects=objects), as_json)
-    files = [str(path) for step in steps for path in step.files]
-    print_report("estimate", as_json, True, [], layer=str(layer), estimated=True, files=files)
-    if not as_json:
-        typer.echo(f"{len(steps)} layers {layer} estimated, not measured")
+    finish(command, report, as_json)

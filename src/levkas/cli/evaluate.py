@@ -1,4 +1,4 @@
-"""Commands about positions: evaluate, map, points convert."""
+"""Commands about positions: evaluate, methods, loops, map, points convert."""
 
 from __future__ import annotations
 
@@ -17,104 +17,104 @@ from levkas.cli.output import (
     refusing,
 )
 
+Database = Annotated[
+    Path,
+    typer.Argument(
+        help="Database folder or its address (s3://…, https://…), or the campaign it was built from.",
+        parser=path_or_address,
+    ),
+]
+Truth = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder `truth` of a simulated campaign; the default is beside the campaign."
+    ),
+]
+Points = Annotated[
+    Path | None,
+    typer.Option(
+        help="Check points: CSV with object, camera, band, reference_x, reference_y, x, y, or a file of BigWarp, QGIS, Hugin, napari …"
+    ),
+]
+Frame = Annotated[
+    str | None,
+    typer.Option(help="OBJECT/CAMERA[@SETUP][:BAND] of the points in a file of another program."),
+]
+
 
 @refusing("evaluate")
 def evaluate(
-    database: Annotated[
-        Path,
-        typer.Argument(
-            help="Database folder or its address (s3://…, https://…), or the campaign it was built from.",
-            parser=path_or_address,
-        ),
-    ],
-    truth: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder `truth` of a simulated campaign; the default is beside the campaign."
-        ),
-    ] = None,
-    points: Annotated[
-        Path | None,
-        typer.Option(
-            help="Check points: CSV with object, camera, band, reference_x, reference_y, x, y, or a file of BigWarp, QGIS, Hugin, napari …"
-        ),
-    ] = None,
-    frame: Annotated[
-        str | None,
-        typer.Option(
-            help="OBJECT/CAMERA[@SETUP][:BAND] of the points in a file of another program."
-        ),
-    ] = None,
+    database: Database,
+    truth: Truth = None,
+    points: Points = None,
+    frame: Frame = None,
     maps: Annotated[
         Path | None, typer.Option(help="Folder for SSIM maps as PNG, one per layer.")
-    ] = None,
-    loops: Annotated[
-        bool, typer.Option(help="Also register every pair of cameras and measure the loop closure.")
-    ] = False,
-    compared: Annotated[
-        bool,
-        typer.Option(
-            "--compare",
-            help="Register every layer again with several methods and compare them in a table.",
-        ),
-    ] = False,
-    methods: Annotated[
-        list[str] | None,
-        typer.Option("--method", help="With --compare: only this method; may be repeated."),
-    ] = None,
-    objects: Annotated[
-        list[str] | None,
-        typer.Option("--object", help="With --compare: only this object; may be repeated."),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="With --compare: folder for page, JSON and SSIM maps."),
-    ] = None,
-    time_limit_s: Annotated[
-        float | None,
-        typer.Option(
-            "--time-limit", help="With --compare: time limit for one method and layer, s.", min=1
-        ),
     ] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Report SSIM, and the error of every band at truth or check points.
-
-    --compare compares Levkas with the paper's method, its competitors and current programs.
-    """
-    from levkas.database.remote import place
-    from levkas.quality.evaluation.layer_report import assess, locate
-
-    if compared:
-        from levkas.quality.comparison import KnownPositions, compare
-
-        table = compare(
-            database, methods=methods or (), known=KnownPositions(truth, points, frame),
-            objects=objects or (), output=output, overwrite=overwrite, time_limit_s=time_limit_s,
-            draw=lambda rows: draw_steps(rows, as_json),
-        )  # fmt: skip
-        if output is not None:
-            from levkas.pages.comparison import write_page
-
-            write_page(table, output, overwrite=overwrite)
-        print_report("evaluate", as_json, True, list(table.problems), **table.to_dict())
-        if not as_json:
-            typer.echo(table.text)
-        return
+    """Report SSIM, and the error of every band at truth or check points."""
+    from levkas.quality.evaluation.layer_report import assess
 
     report = assess(
         database, truth=truth, points=points, frame=frame, maps=maps, overwrite=overwrite
     )
-    more, text = {}, report.text
-    if loops:
-        from levkas.quality.evaluation.loop_closure import close_database, loops_text
-
-        more["loops"] = close_database(locate(place(database))[0])
-        text = f"{text}\n\n{loops_text(more['loops'])}"
-    print_report("evaluate", as_json, True, report.problems, results=report.results, **more)
+    print_report("evaluate", as_json, True, report.problems, results=report.results)
     if not as_json:
-        typer.echo(text)
+        typer.echo(report.text)
+
+
+@refusing("loops")
+def loops(database: Database, as_json: Json = False) -> None:
+    """Register every pair of cameras and report how far the loops of maps are from closing."""
+    from levkas.database.remote import place
+    from levkas.quality.evaluation.layer_report import locate
+    from levkas.quality.evaluation.loop_closure import close_database, loops_text
+
+    closed = close_database(locate(place(database))[0])
+    print_report("loops", as_json, True, [], loops=closed)
+    if not as_json:
+        typer.echo(loops_text(closed))
+
+
+@refusing("methods")
+def methods(
+    database: Database,
+    truth: Truth = None,
+    points: Points = None,
+    frame: Frame = None,
+    chosen: Annotated[
+        list[str] | None, typer.Option("--method", help="Only this method; may be repeated.")
+    ] = None,
+    objects: Annotated[
+        list[str] | None, typer.Option("--object", help="Only this object; may be repeated.")
+    ] = None,
+    time_limit_s: Annotated[
+        float | None,
+        typer.Option("--time-limit", help="Time limit for one method and layer, s.", min=1),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Folder for page, JSON and SSIM maps.")
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Register every layer again by Levkas, the paper's method, its competitors and current programs; compare."""
+    from levkas.quality.comparison import KnownPositions, compare
+
+    table = compare(
+        database, methods=chosen or (), known=KnownPositions(truth, points, frame),
+        objects=objects or (), output=output, overwrite=overwrite, time_limit_s=time_limit_s,
+        draw=lambda rows: draw_steps(rows, as_json),
+    )  # fmt: skip
+    if output is not None:
+        from levkas.pages.comparison import write_page
+
+        write_page(table, output, overwrite=overwrite)
+    print_report("methods", as_json, True, list(table.problems), **table.to_dict())
+    if not as_json:
+        typer.echo(table.text)
 
 
 @refusing("map")

@@ -9,42 +9,38 @@ from typing import Any
 from typer.core import TyperCommand
 
 Needs = dict[str, tuple[str, ...]]
-WITH_COMPARE: Needs = dict.fromkeys(
-    ("--method", "--object", "--output", "--time-limit"), ("--compare",)
-)
-WITH_FRAMES: Needs = dict.fromkeys(
-    ("--dark", "--pattern", "--black", "--bits", "--saturation", "--time", "--object", "--camera"),
-    ("frames",),
-)
-WITH_OBJECT: Needs = dict.fromkeys(("--snr", "--quantile", "--longest", "--region"), ("--object",))
 NEEDS: dict[str, Needs] = {
     "build": {"--insecure": ("--cluster", "$DASK_SCHEDULER_ADDRESS")},
     "chart": {"--overwrite": ("--output",)},
-    "estimate": {
-        "--object": ("--apply",),
-        "--apply": ("--output",),
-        "--overwrite": ("--output",),
-    },
-    "evaluate": WITH_COMPARE | {"--frame": ("--points",), "--overwrite": ("--output", "--maps")},
+    "estimate": {"--overwrite": ("--output",)},
+    "estimate score": {"--overwrite": ("--output",)},
+    "evaluate": {"--frame": ("--points",), "--overwrite": ("--maps",)},
     "map": {"--overwrite": ("--output",)},
-    "radiometry": {"--overwrite": ("--output",)},
-    "plan exposure": WITH_FRAMES
-    | WITH_OBJECT
-    | {"--setup-name": ("--setup",), "--overwrite": ("--report",)},
+    "methods": {"--frame": ("--points",), "--overwrite": ("--output",)},
+    "plan exposure": {
+        "--setup-name": ("--setup",),
+        "--report": ("--setup",),
+        "--overwrite": ("--report",),
+    },
+    "plan filter": {"--overwrite": ("--report",)},
     "plan light": {"--overwrite": ("--report",)},
+    "plan series": {
+        "--setup": ("--camera",),
+        "--camera": ("--setup",),
+        "--overwrite": ("--report",),
+    },
+    "radiometry": {"--overwrite": ("--output",)},
 }
 """Command → option → others, one of which it needs; ``$NAME`` is a variable of the environment."""
 EXCLUDES: dict[str, Needs] = {
     "build": {"--cluster": ("--workers",)},
-    "estimate": {
-        "--apply": ("--from", "--to", "--method", "--split", "--train", "--test", "--score", "--no-budget",
-                    "--choose-by", "--seed", "--overwrite"),
-        "--score": ("--method", "--split", "--no-budget", "--choose-by"),
+    "plan exposure": {
+        "--setup": ("frames", "--dark", "--pattern", "--black", "--bits", "--saturation", "--time")
     },
-    "evaluate": {"--compare": ("--maps", "--loops")},
+    "publish": {"--check": ("--edition", "--no-iiif")},
     "simulate": {"--setups": ("--setup",)},
     "status": {"--graph": ("--json",)},
-}  # fmt: skip
+}
 """Command → option → others that would have no effect beside it."""
 
 

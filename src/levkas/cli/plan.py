@@ -1,9 +1,10 @@
-"""Commands that plan a session: plan light, framing, exposure."""
+"""Commands that plan a session: plan light, framing, exposure, filter, series."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +14,9 @@ from levkas.cli.output import (
     print_report,
     refusing,
 )
+
+if TYPE_CHECKING:
+    from levkas.planning.exposure_advice import BandAdvice, WhiteLevels
 
 SetupPath = Annotated[Path, typer.Argument(help="Setup file, or a folder with one.")]
 Lighting = Annotated[
@@ -63,6 +67,30 @@ def framing(setup: SetupPath, as_json: Json = False) -> None:
         typer.echo(framing_text(found))
 
 
+DarkFrames = Annotated[
+    list[Path] | None, typer.Option("--dark", help="Dark frame or folder; may be repeated.")
+]
+Pattern = Annotated[
+    str | None, typer.Option(help="Pattern of a mosaic, such as RGGB; default from the file.")
+]
+Black = Annotated[float | None, typer.Option(help="Black level in counts; default from the file.")]
+Bits = Annotated[
+    int | None,
+    typer.Option(
+        help="Bits of the camera's converter; default from the file or campaign.toml.",
+        min=1,
+        max=32,
+    ),
+]
+Saturation = Annotated[
+    float | None, typer.Option(help="Saturation in counts; default the largest code of the bits.")
+]
+Time = Annotated[
+    float | None,
+    typer.Option("--time", help="Exposure in s, if names and headers do not give it."),
+]
+
+
 @refusing("plan exposure")
 def exposure(
     frames: Annotated[
@@ -71,46 +99,81 @@ def exposure(
     ] = None,
     setup: Annotated[
         Path | None,
-        typer.Option(
-            "--setup", help="Setup file, or a folder with one; instead of frames or with them."
-        ),
+        typer.Option("--setup", help="Setup file, or a folder with one, instead of frames."),
     ] = None,
     name: Lighting = None,
-    dark: Annotated[
-        list[Path] | None, typer.Option("--dark", help="Dark frame or folder; may be repeated.")
+    dark: DarkFrames = None,
+    pattern: Pattern = None,
+    black: Black = None,
+    bits: Bits = None,
+    saturation: Saturation = None,
+    time: Time = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", "-o", help="HTML page of the setup to write.")
     ] = None,
-    pattern: Annotated[
-        str | None, typer.Option(help="Pattern of a mosaic, such as RGGB; default from the file.")
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Recommend exposures from frames of a white, by channel or band; or from a setup file.
+
+    From a setup file: exposure, SNR and limiting channel of every camera, regulating filter, dose, flicker.
+    """
+    if setup is not None:
+        record, text = _planned(setup, name, report, overwrite)
+    elif frames:
+        _, record, text = _advice(
+            frames, dark, pattern, black, bits, saturation, time, is_white=True
+        )
+    else:
+        raise typer.BadParameter("give frames of a white, or --setup FILE")
+    print_report("plan exposure", as_json, True, [], **record)
+    if not as_json:
+        typer.echo(text)
+
+
+@refusing("plan filter")
+def regulating_filter(
+    frames: Annotated[
+        list[Path], typer.Argument(help="Frames of a white under the lighting, or folders of them.")
+    ],
+    setup: Annotated[Path, typer.Option("--setup", help="Setup file, or a folder with one.")],
+    camera: Annotated[str, typer.Option(help="Camera of the setup file that took the frames.")],
+    name: Lighting = None,
+    dark: DarkFrames = None,
+    pattern: Pattern = None,
+    black: Black = None,
+    bits: Bits = None,
+    saturation: Saturation = None,
+    time: Time = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", "-o", help="HTML page of the setup to write.")
     ] = None,
-    black: Annotated[
-        float | None, typer.Option(help="Black level in counts; default from the file.")
-    ] = None,
-    bits: Annotated[
-        int | None,
-        typer.Option(
-            help="Bits of the camera's converter; default from the file or campaign.toml.",
-            min=1,
-            max=32,
-        ),
-    ] = None,
-    saturation: Annotated[
-        float | None,
-        typer.Option(help="Saturation in counts; default the largest code of the bits."),
-    ] = None,
-    time: Annotated[
-        float | None, typer.Option(help="Exposure in s, if names and headers do not give it.")
-    ] = None,
-    of_object: Annotated[
-        bool,
-        typer.Option(
-            "--object", help="The frames show the object; gold may be brighter than a white."
-        ),
-    ] = False,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Compute the filter that evens out the channels of a camera, from a captured white."""
+    from levkas.planning.exposure_advice import white_levels
+
+    found, record, text = _advice(
+        frames, dark, pattern, black, bits, saturation, time, is_white=True
+    )
+    planned, words = _planned(setup, name, report, overwrite, white_levels(found, camera))
+    print_report("plan filter", as_json, True, [], **record, **planned)
+    if not as_json:
+        typer.echo(f"{text}\n\n{words}")
+
+
+@refusing("plan series")
+def series(
+    frames: Annotated[list[Path], typer.Argument(help="Frames of the object, or folders of them.")],
+    dark: DarkFrames = None,
+    pattern: Pattern = None,
+    black: Black = None,
+    bits: Bits = None,
+    saturation: Saturation = None,
+    time: Time = None,
     snr: Annotated[
-        float,
-        typer.Option(
-            help="With --object: SNR to reach at one sensel of the darkest paint, linear."
-        ),
+        float, typer.Option(help="SNR to reach at one sensel of the darkest paint, linear.")
     ] = 20.0,
     quantile: Annotated[
         float,
@@ -122,108 +185,97 @@ def exposure(
     region: Annotated[
         str | None, typer.Option(help="x,y,width,height of the object, native pixels.")
     ] = None,
+    setup: Annotated[
+        Path | None, typer.Option("--setup", help="Setup file that has the camera.")
+    ] = None,
     camera: Annotated[
         str | None,
         typer.Option(
-            help="Camera of the setup file that took the frames. From its white the regulating filter "
-            "is computed; with --object its noise and full well determine times and ISO."
+            help="Camera of the setup file; its noise and full well determine times and ISO."
         ),
     ] = None,
     report: Annotated[
-        Path | None,
-        typer.Option(
-            "--report",
-            "-o",
-            help="HTML page to write: the setup with its filter, or with --object the series.",
-        ),
+        Path | None, typer.Option("--report", "-o", help="HTML page of the series to write.")
     ] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Recommend exposures from frames, by channel or band, with SNR and ISO.
-
-    From frames of the object (--object) also an exposure series that reaches an SNR at its darkest paint. From a setup file: exposure, SNR and limiting channel of every camera, regulating filter, dose, flicker.
-    """
-    if not frames and setup is None:
-        raise typer.BadParameter("give frames of a white, --setup FILE, or both")
-    if camera and (not frames or setup is None):
-        raise typer.BadParameter("--camera needs frames and --setup FILE")
-    series_wanted = bool(frames) and of_object
-    if report is not None:
-        from levkas.core.ownership import require_free
-
-        if setup is None and not series_wanted:
-            raise typer.BadParameter(
-                "--report needs --setup FILE, or frames of the object and --object"
-            )
-        require_free(report, overwrite=overwrite)
-    white = None
-    record: dict[str, Any] = {}
-    texts = []
-    if frames:
-        from levkas.planning.exposure_advice import advice_text, advise_frames, white_levels
-
-        found = advise_frames(
-            frames,
-            dark or (),
-            pattern=pattern,
-            black=black,
-            bits=bits,
-            saturation=saturation,
-            exposure_s=time,
-            is_white=not of_object,
-        )
-        record["bands"] = [c.to_dict() for c in found]
-        texts.append(advice_text(found))
-        if series_wanted:
-            from levkas.planning.exposure_series import SeriesWish
-
-            wish = SeriesWish(snr, quantile, longest, _four(region) if region else None)
-            told, words = _series(found, wish, (setup, camera), report)
-            record.update(told)
-            texts += words
-        elif camera:
-            white = white_levels(found, camera)
-    if setup is not None and not (series_wanted and camera):
-        from levkas.planning.text_report import exposure_record, exposure_text
-
-        planned = exposure_record(setup, name, white)
-        record.update(planned)
-        texts.append(exposure_text(planned))
-        if report is not None and not series_wanted:
-            from levkas.pages.plan import write_report
-            from levkas.planning.loading import load_setup
-
-            record["report"] = str(write_report(report, load_setup(setup), name, white=white))
-            texts.append(f"Written: {report}")
-    print_report("plan exposure", as_json, True, [], **record)
-    if not as_json:
-        typer.echo("\n\n".join(texts))
-
-
-def _series(
-    found: list[Any], wish: Any, sensor: tuple[Path | None, str | None], report: Path | None
-) -> tuple[dict[str, Any], list[str]]:
-    """Plan the exposure series of an object; `sensor` is a setup file and its camera."""
+    """Plan the exposure series that reaches an SNR at the darkest paint of an object, from its frames."""
+    from levkas.core.ownership import require_free
+    from levkas.planning.exposure_series import SeriesWish
     from levkas.planning.series_report import series_record, series_text
 
-    plans, refused = series_record(found, wish, *sensor)
-    record: dict[str, Any] = {
-        "series": [plan.to_dict() for plan in plans],
-        "series_refused": refused,
-    }
-    texts = [series_text(plans, refused)]
+    if report is not None:
+        require_free(report, overwrite=overwrite)
+    found, record, text = _advice(
+        frames, dark, pattern, black, bits, saturation, time, is_white=False
+    )
+    wish = SeriesWish(snr, quantile, longest, _four(region) if region else None)
+    plans, refused = series_record(found, wish, setup, camera)
+    record |= {"series": [plan.to_dict() for plan in plans], "series_refused": refused}
+    texts = [text, series_text(plans, refused)]
     if report is not None:
         from levkas.pages.series import write_series
 
         record["report"] = str(write_series(report, plans, refused))
         texts.append(f"Written: {report}")
-    return record, texts
+    print_report("plan series", as_json, True, [], **record)
+    if not as_json:
+        typer.echo("\n\n".join(texts))
 
 
-def _four(text: str | None) -> tuple[int, int, int, int] | None:
-    if text is None:
-        return None
+def _advice(
+    frames: Sequence[Path],
+    dark: Sequence[Path] | None,
+    pattern: str | None,
+    black: float | None,
+    bits: int | None,
+    saturation: float | None,
+    time: float | None,
+    *,
+    is_white: bool,
+) -> tuple[list[BandAdvice], dict[str, Any], str]:
+    """Return the advice on every band of frames, with its record and its text."""
+    from levkas.planning.exposure_advice import advice_text, advise_frames
+
+    found = advise_frames(
+        frames,
+        dark or (),
+        pattern=pattern,
+        black=black,
+        bits=bits,
+        saturation=saturation,
+        exposure_s=time,
+        is_white=is_white,
+    )
+    return found, {"bands": [band.to_dict() for band in found]}, advice_text(found)
+
+
+def _planned(
+    setup: Path,
+    name: str | None,
+    report: Path | None,
+    overwrite: bool,
+    white: WhiteLevels | None = None,
+) -> tuple[dict[str, Any], str]:
+    """Return the exposures of a setup file as record and text; write its page where one is wanted."""
+    from levkas.core.ownership import require_free
+    from levkas.planning.text_report import exposure_record, exposure_text
+
+    if report is not None:
+        require_free(report, overwrite=overwrite)
+    record = exposure_record(setup, name, white)
+    text = exposure_text(record)
+    if report is not None:
+        from levkas.pages.plan import write_report
+        from levkas.planning.loading import load_setup
+
+        record["report"] = str(write_report(report, load_setup(setup), name, white=white))
+        text += f"\n\nWritten: {report}"
+    return record, text
+
+
+def _four(text: str) -> tuple[int, int, int, int]:
     try:
         x, y, width, height = (int(part) for part in text.split(","))
     except ValueError:

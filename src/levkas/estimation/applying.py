@@ -74,7 +74,7 @@ def apply_model(
     """
     root = Path(database)
     opened, stored = Database(root), read_model(Path(model))
-    names = require_layers(opened, stored.sources, "--apply")
+    names = require_layers(opened, stored.sources, "MODEL")
     _check_names(opened, names, layer, objects)
     chosen = [name for name in names if not objects or name in objects]
     first = (LayerId.parse(names[0], source) for source in stored.sources)

@@ -90,14 +90,18 @@ def find_predictions(
                 f"there is no prediction of the test painting {name}",
                 f"{stem}.mat or .npy",
             )
-            problems.append(Problem("E_MISSING", why, str(folder), "--score", expected=expected))
+            problems.append(
+                Problem("E_MISSING", why, str(folder), "PREDICTIONS", expected=expected)
+            )
         elif name in tested and path is not None:
             files[name] = path
         elif path is not None:
             why = f"{name} is a training painting: its score would be meaningless"
             wanted = f"test paintings: {', '.join(tested)}"
             fix = "Remove the file from the folder, or name the test paintings with --test."
-            problems.append(Problem("E_SPLIT_LEAK", why, str(path), "--score", name, wanted, fix))
+            problems.append(
+                Problem("E_SPLIT_LEAK", why, str(path), "PREDICTIONS", name, wanted, fix)
+            )
     if problems:
         raise EstimationRefused(*problems)
     return files

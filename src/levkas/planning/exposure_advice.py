@@ -451,7 +451,7 @@ def _no_white(shot: Shot, channels: list[Reading]) -> Problem:
         f"{shot.name}: this is not an evenly lit white",
         found=f"it varies by {least:.0%} over the field",
         expected=f"at most {NO_WHITE:.0%}",
-        fix="Add --object where the frames show the object, --pattern where the sensor is a mosaic; "
+        fix="Use `levkas plan series` where the frames show the object, --pattern where the sensor is a mosaic; "
         "else fill the field with the white board and move the lamps back.",
     )
 

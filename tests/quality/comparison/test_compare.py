@@ -1,4 +1,4 @@
-"""`levkas evaluate --compare` on a small built campaign with truth."""
+"""`levkas methods` on a small built campaign with truth."""
 
 import json
 
@@ -51,7 +51,7 @@ def database(tmp_path_factory):
 def test_methods_are_set_side_by_side_with_errors_maps_and_memory(database, tmp_path):
     names = ["levkas", "mirhashemi2019", "opencv-sift-magsac"]
     arguments = [a for name in names for a in ("--method", name)]
-    result = run(app, ["evaluate", str(database), "--compare", *arguments, "--json", "--points",
+    result = run(app, ["methods", str(database), *arguments, "--json", "--points",
                        str(database / "points.csv"), "-o", str(tmp_path / "out")])  # fmt: skip
     assert result.exit_code == 0, result.output
     report = json.loads(result.stdout)

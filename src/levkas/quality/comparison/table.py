@@ -293,7 +293,7 @@ class Comparison:
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the report of `evaluate --compare --json`."""
+        """Return the report of `levkas methods --json`."""
         return {"methods": self.summary(), "comparison": [row.to_dict() for row in self.rows]}
 
 
