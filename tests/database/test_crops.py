@@ -104,20 +104,117 @@ def test_positions_at_no_even_steps_are_refused(layers, lose):
 
 
 @pytest.mark.parametrize(
-    "change",
+    "lose",
     [
-        lambda a: a.transpose("x", "y", "band"),
         lambda a: xarray.concat([a[:5], a[9:12]], "y"),
-        lambda a: a + 1,
-        lambda a: a.mean("band"),
         lambda a: a.assign_coords(x=a.x / 2),
         lambda a: a.drop_vars("x"),
         lambda a: a.rename(x="column"),
     ],
 )
-def test_an_array_that_was_computed_has_no_map(layers, change):
-    with pytest.raises(ValueError, match="was computed"):
-        change(layers["vis"]).transform("grid", "nir")
+def test_an_array_whose_places_are_lost_has_no_map(layers, lose):
+    with pytest.raises(MappingRefused, match="not known where in the grid"):
+        lose(layers["vis"]).levkas.transform("grid", "nir")
+
+
+@pytest.mark.parametrize("lose", [lambda a, b: a - b, lambda a, b: xarray.concat([a, b], "band")])
+def test_pixels_of_two_layers_are_those_of_none(layers, lose):
+    both = lose(layers["vis"], layers["nir"])
+    with pytest.raises(ValueError, match="of which layer"):
+        _ = both.levkas.flags
+
+
+SAME = {
+    "computed": lambda a: a.compute(),
+    "copied": lambda a: a.copy(deep=True),
+    "turned": lambda a: a.transpose("band", "x", "y"),
+    "double": lambda a: a.astype(np.float64),
+    "half": lambda a: a.astype(np.float16),
+    "in chunks": lambda a: a.chunk({"y": 7}),
+    "head": lambda a: a.head(y=3, x=4),
+    "thinned": lambda a: a.thin(x=3),
+    "where": lambda a: a.where(a > 0.4),
+    "by wavelength": lambda a: a.swap_dims(band="wavelength"),
+    "backwards": lambda a: a[::-1, :, ::-1],
+    "sorted": lambda a: a.sortby("wavelength", ascending=False),
+    "a band": lambda a: a.sel(band="550 nm"),
+    "the nearest band": lambda a: a.sel(wavelength=557, method="nearest"),
+    "bands by wavelength": lambda a: a.sel(wavelength=slice(440, 560)),
+    "a pixel": lambda a: a.isel(x=3, y=5),
+    "points": lambda a: a.isel(
+        x=xarray.DataArray([7, 2, 2], dims="p"), y=xarray.DataArray([1, 0, 50], dims="p")
+    ),
+    "joined": lambda a: xarray.concat([a[40:], a[:9]], "y"),
+    "as a variable": lambda a: a.to_dataset(name="values")["values"],
+    "pickled": lambda a: pickle.loads(pickle.dumps(a[4:9])),
+    "one after the other": lambda a: (
+        a[3:].compute().transpose("x", "band", "y").astype(float)[5:40:2]
+    ),
+}
+
+
+@pytest.mark.parametrize("how", SAME)
+def test_flags_and_sigma_follow_the_pixels(layers, how):
+    whole = layers["vis"]
+    # Each pixel's own number, sent the same way, says which pixel it is.
+    number = whole.copy(data=np.arange(whole.size, dtype=float).reshape(whole.shape)).astype(float)
+    made = SAME[how](whole)
+    which = SAME[how](number).values
+    if how in ("where", "half"):  # numbers above 0.4; larger than a half can hold
+        which = number.values
+    flags, sigma = made.levkas.flags, made.levkas.sigma
+    assert flags.dims == sigma.dims == made.dims
+    assert flags.dtype == np.uint8 and flags.coords.keys() == made.coords.keys()
+    np.testing.assert_array_equal(flags.values, whole.flags.values.ravel()[which.astype(int)])
+    np.testing.assert_array_equal(sigma.values, whole.sigma.values.ravel()[which.astype(int)])
+
+
+@pytest.mark.parametrize(
+    "change", [lambda a: a * 100, lambda a: a + 0.001, np.log, lambda a: a.fillna(0) ** 2]
+)
+def test_computed_values_keep_flags_and_regions_and_lose_sigma(layers, change):
+    whole = layers["vis"]
+    made = change(whole)
+    np.testing.assert_array_equal(made.levkas.flags.values, whole.flags.values)
+    assert made.levkas.region(circle=(35, 25, 6))["n"].equals(whole.region(circle=(35, 25, 6))["n"])
+    np.testing.assert_array_equal(
+        made.levkas.transform("grid", "nir")(POINTS), whole.transform("grid", "nir")(POINTS)
+    )
+    with pytest.raises(ValueError, match="were computed"):
+        _ = made.levkas.sigma
+
+
+@pytest.mark.parametrize(
+    "lose",
+    [
+        lambda a: a.mean("x"),
+        lambda a: a.coarsen(x=2).mean(),
+        lambda a: a[:, 5:].drop_vars("x"),
+        lambda a: a.mean("band"),
+    ],
+)
+def test_means_of_pixels_have_no_flags(layers, lose):
+    with pytest.raises(ValueError, match=r"coordinate (x|band)"):
+        _ = lose(layers["vis"]).levkas.flags
+
+
+def test_a_layer_is_one_dataset_of_values_flags_and_sigma(layers):
+    data = layers.dataset("vis")
+    assert list(data) == ["values", "flags", "sigma"] and data.attrs["Conventions"].startswith(
+        "CF-"
+    )
+    part = data.isel(x=slice(5, 20), y=slice(9, 12))
+    np.testing.assert_array_equal(part["values"].levkas.flags.values, part["flags"].values)
+    assert data["flags"].attrs["flag_meanings"].split()[0] == "outside"
+    assert data["values"].attrs["units"] == data["sigma"].attrs["units"] == "1"
+    assert data.wavelength.attrs["units"] == "nm" and "standard_name" in data.wavelength.attrs
+    assert not data["values"].variable._in_memory and not data["sigma"].variable._in_memory
+
+
+def test_the_preview_of_a_crop_is_that_of_the_whole_there(layers):
+    whole, part = layers["vis"].levkas.preview, layers["vis"][10:30, 5:50:2].levkas.preview
+    assert whole.dtype == np.uint8 and whole.shape[:2] == SHAPE[:2]
+    np.testing.assert_array_equal(part.values, whole.values[10:30, 5:50:2])
 
 
 def test_coordinates_that_were_replaced_in_place_are_refused(layers):

@@ -112,8 +112,11 @@ def test_flags_and_sigma_stand_beside_and_follow_selections(opened):
     np.testing.assert_array_equal(opened["icon1"].flags("vis").values, VIS.flags)
     assert opened["icon1"]["d80", "45-degree"].sigma is None
     assert opened["icon1"].sigma("d80", "45-degree") is None
-    with pytest.raises(ValueError, match="was computed"):
-        _ = (cube * 2).flags
+    np.testing.assert_array_equal((cube * 2).levkas.flags.values, VIS.flags)
+    with pytest.raises(ValueError, match="were computed"):
+        _ = (cube * 2).levkas.sigma
+    with pytest.raises(KeyError, match="R, G, B"):
+        opened["icon1"]["d80"].sel(wavelength=550)
 
 
 def spoil_sigma(folder, how):

@@ -129,7 +129,7 @@ def _code_of_layer(database: Path, entry: Entry, file: Path) -> float | None:
 def _native_files(database: Path, entry: Entry) -> dict[str, Path]:
     """Return the native cubes of a layer, sensor by sensor; none where they are not kept."""
     from levkas.database.layout import Places
-    from levkas.database.reader import open_pixels
+    from levkas.database.opening import open_pixels
 
     def cubes(path: Path) -> list[Path]:
         found = sorted(path.parent.glob(f"{escape(path.stem)}*.tif"))
@@ -265,7 +265,7 @@ def greatest_code(facts: Facts) -> float:
 
 
 def _read_tiff(path: Path) -> tuple[np.ndarray, tuple[Band, ...]]:
-    from levkas.database.reader import describe_pages
+    from levkas.database.opening import describe_pages
     from levkas.database.spectral_tiff import open_pages
     from levkas.readers.facts import check_expansion, check_memory
 

@@ -122,7 +122,8 @@ def part_of(array: xarray.DataArray) -> GridPart:
     """
     starts, steps = [], []
     for name in ("x", "y"):
-        known = array.coords.get(name)
+        # A dimension without its coordinate would count from 0 wherever the crop lies.
+        known = dict(array.coords).get(name)
         values = np.atleast_1d(known.values) if known is not None else np.zeros(0)
         plain = known is not None and known.dims in ((), (name,))
         even = plain and len(values) and values.dtype.kind in "iu"

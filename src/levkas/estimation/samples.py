@@ -19,7 +19,10 @@ from levkas.database.layout import LayerId
 from levkas.estimation.training import Training
 
 if TYPE_CHECKING:
-    from levkas.database.reader import Database, LayerArray
+    import xarray
+
+    from levkas.database.layer_array import LayerArray
+    from levkas.database.reader import Database
 
 LEFT_OUT = Flag.OUTSIDE | Flag.SATURATED | Flag.GLARE | Flag.MOVED | Flag.NEAR
 """Flags of pixels that are neither trained on nor scored."""
@@ -247,12 +250,12 @@ def read_lattice(layer: LayerArray, step: int) -> tuple[np.ndarray, np.ndarray, 
     return thinned(layer, step), ~left_out, None if sigma is None else thinned(sigma, step)
 
 
-def thinned(array: LayerArray, step: int) -> np.ndarray:
+def thinned(array: xarray.DataArray, step: int) -> np.ndarray:
     """Return every `step`-th row and column of an array, read by blocks of rows."""
     return np.concatenate([block[::step, ::step] for block in _blocks(array, step)])
 
 
-def _blocks(array: LayerArray, step: int) -> Iterator[np.ndarray]:
+def _blocks(array: xarray.DataArray, step: int) -> Iterator[np.ndarray]:
     """Yield blocks of rows, as many as a multiple of the step."""
     rows = -(-ROWS // step) * step
     for start in range(0, array.shape[0], rows):

@@ -16,7 +16,7 @@ from levkas.estimation.methods import Model, load_model, save_model
 from levkas.estimation.samples import EstimationRefused
 
 if TYPE_CHECKING:
-    from levkas.database.reader import LayerArray
+    from levkas.database.layer_array import LayerArray
 
 
 @dataclass(frozen=True)

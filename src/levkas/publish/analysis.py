@@ -24,7 +24,7 @@ from levkas.core.machine import count_threads
 from levkas.core.problems import Problem
 from levkas.database.catalogue import ESTIMATED, Entry, read_catalogue
 from levkas.database.components import Components, ComponentsRefused, find_components
-from levkas.database.reader import open_pixels, open_tiff
+from levkas.database.opening import open_pixels, open_tiff
 from levkas.database.regions import TRUSTED
 from levkas.database.spectral_tiff import TiffHeader, write_encoded_pages
 from levkas.database.streaming_writer import PageSpool

@@ -57,7 +57,7 @@ def read_native_layer(database: Path, name: str, camera: str, setup: str) -> Nat
         Where the database has none: they are not kept for streamed scans.
     """
     from levkas.database.layout import Places
-    from levkas.database.reader import open_pixels
+    from levkas.database.opening import open_pixels
 
     places = Places(database)
     first = places.native(name, camera, setup, "")

@@ -1,0 +1,264 @@
+"""What lies beside the pixels of a layer: flags, sigma, maps and regions, for any array that still says where its pixels lie."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray
+
+from levkas.database.layout import LayerId
+from levkas.database.opening import has_sigma, open_layer, place_of
+
+if TYPE_CHECKING:
+    from levkas.database.components import Components, Method
+    from levkas.database.pixel_frames import FrameMap
+
+SAMPLES = 16
+"""Rows and columns that are compared to know whether values are those of the layer; a change of all, or of a large part, is seen."""
+
+
+@xarray.register_dataarray_accessor("levkas")
+class LayerAccessor:
+    """``array.levkas``: what lies beside the pixels of an array of a layer.
+
+    An array says by its coordinates where its pixels come from (`database`, `layer`) and where in the grid they lie
+    (`x`, `y`, `band`). So flags, maps and regions are there for whatever keeps these: selections, crops, copies,
+    transpositions, other types and chunks, `where`, arithmetic with numbers.
+
+    Parameters
+    ----------
+    array : xarray.DataArray
+    """
+
+    def __init__(self, array: xarray.DataArray) -> None:
+        self._array = array
+
+    @property
+    def flags(self) -> xarray.DataArray:
+        """The flags of these pixels, uint8, in the order of the array: bits of `levkas.core.cube.Flag`."""
+        return self._beside("flags")
+
+    @property
+    def sigma(self) -> xarray.DataArray | None:
+        """One standard deviation of these pixels' random part; None where it is not known.
+
+        Raises
+        ------
+        DatabaseRefused, TiffRefused
+            Where the layer has one that is damaged or missing.
+        ValueError
+            Where the values are not those of the layer any more: sigma is not that of 100 times the values.
+        """
+        if not has_sigma(*self._place):
+            return None
+        if not self._is_unchanged():
+            raise ValueError(
+                "the values of this array were computed, and sigma is that of the values of the layer: take it of "
+                "the layer as it was opened, and propagate it"
+            )
+        return self._beside("sigma")
+
+    @property
+    def preview(self) -> xarray.DataArray:
+        """The published picture of these pixels, sRGB, uint8 (y, x, rgb) or (y, x)."""
+        from PIL import Image
+
+        root, layer = self._place
+        with Image.open(io.BytesIO((root / f"{layer.path}.png").read_bytes())) as picture:
+            pixels = np.asarray(picture)
+        dims = ("y", "x", "rgb")[: pixels.ndim]
+        whole = xarray.DataArray(pixels, dims=dims, name="preview")
+        return self._selected(whole, ("y", "x"))
+
+    def transform(self, source: str, target: str) -> FrameMap:
+        """Return the map between two frames of pixels of the object; ``grid`` means the pixels of this array.
+
+        Raises
+        ------
+        MappingRefused
+            Where a frame is not there, its registration was refused, or the pixels of this array are not known to
+            lie at even steps in the grid.
+        """
+        from levkas.database.pixel_frames import find_map, part_of
+
+        root, layer = self._place
+        return find_map(root, layer.object, source, target, part=part_of(self._array))
+
+    def region(
+        self,
+        polygon: Sequence[tuple[float, float]] | None = None,
+        *,
+        rectangle: tuple[float, float, float, float] | None = None,
+        circle: tuple[float, float, float] | None = None,
+        bins: int = 0,
+    ) -> xarray.Dataset:
+        """Return mean, standard deviation and number of sound pixels of a region, band by band.
+
+        Parameters
+        ----------
+        polygon : sequence of (x, y), px
+            Corners, in pixels of this array; a pixel belongs to it where its centre lies within.
+        rectangle : (x0, y0, x1, y1), px
+            From pixel to pixel, both included.
+        circle : (x, y, radius), px
+        bins : int
+            Of a histogram of each band; 0: none.
+
+        Returns
+        -------
+        statistics : xarray.Dataset
+            As of `levkas.database.regions.region_statistics`.
+
+        Raises
+        ------
+        RegionRefused
+            ``E_REGION`` where the region is none, or no pixel lies within.
+        """
+        from levkas.database.regions import make_region, region_statistics
+
+        region = make_region(polygon, rectangle, circle)
+        layer, flags = (_with_bands(array) for array in (self._array, self.flags))
+        return region_statistics(layer, flags, region, bins=bins)
+
+    def components(self, method: Method = "pca") -> Components:
+        """Find the principal components (``"pca"``) or minimum-noise fractions (``"mnf"``) of these pixels.
+
+        Noise is taken from `sigma` where that is known, as `levkas.database.components.find_components` has it.
+
+        Raises
+        ------
+        ComponentsRefused
+            ``E_SIZE`` with too few bands or sound pixels; ``E_VALUE`` where the noise of a band is nil, or there is no
+            such method.
+        """
+        from levkas.database.components import find_components
+
+        sigma = self.sigma if method == "mnf" else None
+        return find_components(self._array, self.flags, sigma, method=method)
+
+    @property
+    def _place(self) -> tuple[Path, LayerId]:
+        place = place_of(self._array)
+        if place is None:
+            raise ValueError(
+                "this array does not say of which layer its pixels are: it was computed from several, or its "
+                "coordinates database and layer are lost; take the layer as it was opened"
+            )
+        return place
+
+    def _beside(self, kind: str) -> xarray.DataArray:
+        whole = open_layer(*self._place, kind)
+        made = self._selected(whole, ("y", "x", "band"))
+        if kind == "sigma" and "units" in self._array.attrs:
+            made.attrs["units"] = self._array.attrs["units"]
+        return xarray.DataArray(made.variable, self._array.coords, name=kind)
+
+    def _is_unchanged(self) -> bool:
+        """Tell whether the values are those of the layer, in whatever type; NaN may stand for any."""
+        root, layer = self._place
+        if self._array.encoding.get("source") == f"{root}/{layer.object}/{layer.name}":
+            return True
+        steps = {d: slice(None, None, max(1, n // SAMPLES)) for d, n in self._array.sizes.items()}
+        part = self._array.isel({d: steps[d] for d in ("x", "y") if d in steps})
+        own, published = part.values, part.levkas._beside("values").values
+        with np.errstate(invalid="ignore"):
+            same = (own == published.astype(own.dtype)) | (own != own)
+        return bool(np.all(same))
+
+    def _selected(self, whole: xarray.DataArray, axes: tuple[str, ...]) -> xarray.DataArray:
+        """Return the pixels of a whole layer that lie where those of the array do, in its order of dimensions."""
+        picked = whole.isel({axis: _positions(self._array, whole, axis) for axis in axes})
+        order = [dim for dim in self._array.dims if dim in picked.dims]
+        return picked.transpose(*order, ...)
+
+
+class LayerArray(xarray.DataArray):
+    """A `xarray.DataArray` (y, x, band), read on request, with what lies beside it at hand: see `LayerAccessor`.
+
+    Coordinates ``x`` and ``y`` are pixels of the grid; `transform` and `region` are in pixels of the array, from its own
+    corner. What xarray makes of it that is no `LayerArray` has the same as ``array.levkas``.
+    """
+
+    __slots__ = ()
+
+    levkas: LayerAccessor
+
+    @property
+    def flags(self) -> xarray.DataArray:
+        """As `LayerAccessor.flags`."""
+        return self.levkas.flags
+
+    @property
+    def sigma(self) -> xarray.DataArray | None:
+        """As `LayerAccessor.sigma`."""
+        return self.levkas.sigma
+
+    def transform(self, source: str, target: str) -> FrameMap:
+        """As `LayerAccessor.transform`."""
+        return self.levkas.transform(source, target)
+
+    def region(self, *args: Any, **options: Any) -> xarray.Dataset:
+        """As `LayerAccessor.region`."""
+        return self.levkas.region(*args, **options)
+
+    def components(self, method: Method = "pca") -> Components:
+        """As `LayerAccessor.components`."""
+        return self.levkas.components(method)
+
+    def sel(self, indexers: Any = None, *args: Any, **options: Any) -> LayerArray:
+        """Select by label, as xarray does; by ``wavelength`` too, in nm."""
+        wanted = {**(indexers or {}), **options}
+        array: Any = super()
+        if "wavelength" in wanted and "wavelength" not in self.xindexes:
+            if not np.isfinite(self.wavelength.values).all():
+                bands = ", ".join(map(str, np.atleast_1d(self.band.values)))
+                raise KeyError(
+                    f"{self.name} has bands without a wavelength; its bands are: {bands}"
+                )
+            array = xarray.DataArray.sortby(self, "wavelength").set_xindex("wavelength")
+        selected: LayerArray = array.sel(indexers, *args, **options)
+        return selected
+
+
+def _with_bands(array: xarray.DataArray) -> xarray.DataArray:
+    """Return an array with the dimension band, which a selected band or another coordinate stands for."""
+    if "band" in array.dims:
+        return array
+    if array.band.dims:
+        return array.swap_dims({array.band.dims[0]: "band"})
+    return array.expand_dims("band", -1)
+
+
+def _positions(array: xarray.DataArray, whole: xarray.DataArray, axis: str) -> Any:
+    """Return where the pixels of an array lie along an axis of the whole layer.
+
+    Raises
+    ------
+    ValueError
+        Where its coordinate is lost, or is none of the layer's.
+    """
+    if axis not in array.coords:
+        raise ValueError(
+            f"this array has lost the coordinate {axis}, which says of which pixels it is"
+        )
+    known = array.coords[axis]
+    values = known.values
+    if axis == "band":
+        there = {str(label): place for place, label in enumerate(whole.band.values)}
+        places = np.array([there.get(str(label), -1) for label in np.atleast_1d(values)])
+        places = places.reshape(np.shape(values))
+    else:
+        whole_steps = values.dtype.kind in "iu" or bool(np.all(values == np.round(values)))
+        places = values.astype(np.int64) if whole_steps else np.full(values.shape, -1)
+    if ((places < 0) | (places >= whole.sizes[axis])).any():
+        raise ValueError(f"the coordinate {axis} of this array is not that of the layer's pixels")
+    steps = np.unique(np.diff(places)) if places.ndim == 1 and len(places) > 1 else np.array([1])
+    if places.ndim == 1 and len(places) and len(steps) == 1 and steps[0] > 0:
+        even = slice(int(places[0]), int(places[-1]) + 1, int(steps[0]))
+        if known.dims == (axis,):
+            return even
+    return xarray.DataArray(places, dims=known.dims) if known.dims else int(places)
