@@ -217,7 +217,7 @@ class LayerArray(xarray.DataArray):
             if not np.isfinite(self.wavelength.values).all():
                 bands = ", ".join(map(str, np.atleast_1d(self.band.values)))
                 raise KeyError(
-                    f"{self.name} has bands without a wavelength; its bands are: {bands}"
+                    f"{self.layer.item()} has bands without a wavelength; its bands are: {bands}"
                 )
             array = xarray.DataArray.sortby(self, "wavelength").set_xindex("wavelength")
         selected: LayerArray = array.sel(indexers, *args, **options)
