@@ -56,12 +56,14 @@ def make(
     darks=(),
     current=0.0,
     curve=lambda counts: counts,
+    flicker=0.0,
+    warm=0.0,
 ):
     """Write a campaign; darks of each time, or of `darks`, s, with a current in counts a second; counts through a curve; `late` is what the longest white really took, over what its name says.
 
     Exposures of the panel in `odd` took a third more than their names say.
 
-    `dim`: by which the scene is darker. `black`: where its level stands, in the campaign's "file", in the "frames" or nowhere.
+    The lamp flickers from exposure to exposure, darks are `warm` counts too high. `dim`: by which the scene is darker. `black`: where its level stands, in the campaign's "file", in the "frames" or nowhere.
     """
     tags = [(50714, "H", 1, int(BLACK), True)] if black == "frames" else []
     rng, fixed = np.random.default_rng(1), np.random.default_rng(2)
@@ -72,14 +74,17 @@ def make(
         ("dark", darks or times, 0 * SCENE), ("white", white, 0 * SCENE + 1), ("panel", panel, dim * SCENE),
     ):  # fmt: skip
         for time in taken:
+            lamp = 1 + flicker * rng.standard_normal()
             for shot in range(6 if target != "panel" else 1):
                 seen = scene.copy()
                 if moved and target == "panel" and time == max(panel):
                     seen[80:96, 96:112] *= 0.3
                 real = time * (late if target == "white" and time == max(white) else 1.0)
                 real *= 4 / 3 if target == "panel" and time in odd else 1.0
+                real *= lamp
                 light = GAIN * rng.poisson(14_000 * real * seen * response + current * time / GAIN)
-                raw = np.rint(curve(light) + rng.normal(BLACK, READ, SHAPE)).clip(0, 4095)
+                level = BLACK + (warm if target == "dark" else 0.0)
+                raw = np.rint(curve(light) + rng.normal(level, READ, SHAPE)).clip(0, 4095)
                 name = f"{target}_550nm_{1000 * time:g}ms_{shot}.tif"
                 tifffile.imwrite(folder / "raw" / name, raw.astype(np.uint16), extratags=tags)
     text = KINDS[kind] + (f"\nblack = {BLACK:g}" if black == "file" else "")
@@ -254,6 +259,26 @@ def test_the_curve_of_a_sensor_that_is_not_linear_is_taken_out(tmp_path, kind, h
     assert not any("are left out" in w or "only" in w for w in made.warnings)
     assert any("the sensor is not linear" in w for w in made.warnings)
     assert made.learnt[""]["response"]["error"] < 0.003
+
+
+@pytest.mark.parametrize("panel", [(0.25, 0.5, 1.0), (0.25, 1.0)], ids=["three", "two"])
+def test_a_lamp_that_flickers_between_exposures_is_no_curve_and_is_in_the_budget(tmp_path, panel):
+    folder = make(tmp_path / "c", "merge", panel=panel, white=(0.5, 1.0), flicker=0.01)
+    made = developed(folder)
+    assert not any("not linear" in warning for warning in made.warnings), made.warnings
+    bright = SCENE > 0.5
+    off = made.cubes[""].values[..., 0][bright].mean() / SCENE[bright].mean() - 1
+    assert abs(off) < 3 * made.learnt[""]["lamp"]["550 nm"]["sigma"] < 0.1
+    assert any("the lamp is known between white and object" in w for w in made.warnings)
+
+
+@pytest.mark.parametrize("curve", [lambda counts: counts, bent], ids=["linear", "bent"])
+def test_darks_of_another_temperature_show_in_an_exposure_series(tmp_path, curve):
+    more = {"panel": (0.25, 0.5, 1.0), "white": (1.0,), "curve": curve}
+    made = developed(make(tmp_path / "warm", "merge", warm=5.0, **more))
+    assert made.learnt[""]["offset"]["counts"] == pytest.approx(-5.0, abs=0.5)
+    assert any("without light its exposure series have -" in w for w in made.warnings)
+    assert "offset" not in developed(make(tmp_path / "cold", "merge", **more)).learnt[""]
 
 
 def own_sensels(cube):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from levkas.calibration.linearity import find_points
-from levkas.calibration.response import ALIKE, find_response
+from levkas.calibration.response import ALIKE, find_response, fit_series
 from levkas.calibration.templates import average
 
 GAIN, READ, BLACK, FULL = 0.25, 2.0, 60.0, 4095.0
@@ -17,16 +17,17 @@ def bent(light, bend, cubic=0.0):
     return light * (1 - bend * share - cubic * share**2)
 
 
-def points(bend=0.0, *, cubic=0.0, times=TIMES, really=None, seed=2, full=FULL):
-    """Points of a series that states `times`, and really took others."""
+def points(bend=0.0, *, cubic=0.0, times=TIMES, really=None, seed=2, full=FULL, warm=0.0, toe=0.0):
+    """Points of a series that states `times`, and really took others; its dark is `warm` counts above its black."""
     rng = np.random.default_rng(seed)
     shots = []
     for stated, time in zip(times, really or times, strict=True):
         light = GAIN * rng.poisson(RATES * time / GAIN)
-        codes = np.rint(bent(light, bend, cubic) + rng.normal(BLACK, READ, light.shape))
+        counts = bent(light, bend, cubic) - toe * (1 - np.exp(-light / 150))
+        codes = np.rint(counts + rng.normal(BLACK, READ, light.shape))
         codes = codes.clip(0, FULL).astype(np.uint16)
         shots.append(average([codes], saturation=full, exposure_s=stated))
-    return find_points(shots, saturation=full, black=BLACK, contrast=ALIKE)
+    return find_points(shots, saturation=full, black=BLACK + warm, contrast=ALIKE)
 
 
 @pytest.mark.parametrize(
@@ -59,6 +60,43 @@ def test_a_linear_sensor_has_no_curve():
 def test_a_wrong_time_of_one_exposure_is_no_curve(odd, factor):
     really = [t * (factor if i == odd else 1.0) for i, t in enumerate(TIMES)]
     assert find_response(points(really=really), FULL - BLACK) is None
+
+
+@pytest.mark.parametrize("flicker", [0.01, 0.03])
+@pytest.mark.parametrize("times", [TIMES, (0.25, 0.5, 1.0), (0.25, 1.0)])
+def test_a_lamp_that_flickers_is_no_curve(flicker, times):
+    light = 1 + flicker * np.random.default_rng(4).standard_normal(len(times))
+    found = fit_series(points(times=times, really=[*(light * times)]), FULL - BLACK)
+    assert found.response is None and not found.unsure and not found.offset
+
+
+def test_a_curve_comes_back_under_a_lamp_that_flickers():
+    really = [time * light for time, light in zip(TIMES, (0.99, 1.02, 1.0, 0.98), strict=True)]
+    found = find_response(points(0.06, really=really), FULL - BLACK)
+    light = np.linspace(50, 3500, 50)
+    off = found.light(bent(light, 0.06)) / light - 1
+    # Its error holds what the scatter of the light leaves in doubt.
+    assert np.abs(off).max() < 3 * found.error < 0.02
+
+
+@pytest.mark.parametrize(
+    ("bend", "times"), [(0.0, TIMES), (0.0, (0.25, 1.0)), (0.05, TIMES)], ids=str
+)
+def test_a_dark_of_another_temperature_is_an_offset(bend, times):
+    found = fit_series(points(bend, times=times, warm=5.0), FULL - BLACK)
+    assert found.offset == pytest.approx(-5.0, abs=0.5) and found.offset_error < 0.5
+    assert (found.response is not None) == bool(bend)
+    assert fit_series(points(bend, times=times), FULL - BLACK).offset == 0.0
+
+
+def test_a_curve_that_two_exposures_leave_in_doubt_is_said_and_not_corrected():
+    found = fit_series(points(0.05, times=(0.25, 1.0), warm=5.0), FULL - BLACK)
+    assert found.response is None and found.unsure > 0.02
+
+
+def test_a_response_that_bends_at_its_dark_end_has_an_offset():
+    found = fit_series(points(toe=6.0), FULL - BLACK)
+    assert -7 < found.offset < -2
 
 
 def test_a_shutter_that_is_late_is_no_curve():

@@ -28,6 +28,7 @@ from levkas.calibration.noise_fit import NoiseModel
 from levkas.calibration.response import ALIKE, bends
 from levkas.calibration.templates import (
     CalibrationRefused,
+    ShotLevels,
     Template,
     as_marks,
     as_rows,
@@ -87,7 +88,7 @@ class Merged:
         noise is known. Saturated: no exposure was usable there, and the shortest was taken.
         Black: the longest usable one was clipped at black.
     linearity : Linearity
-        How well the exposures scaled.
+        How well the exposures scaled; `template.shots` has the light of each over what its time states.
     moved : ndarray of bool, shape of the frames, or None
         Where the exposures disagree by more than their noise and non-linearity explain; None where
         the noise is not known.
@@ -192,6 +193,7 @@ def merge_exposures(
         noise = replace(noise, read_variance=noise.read_variance + more)
         allowed = replace(noise, read_variance=noise.read_variance + miss)
     template = _merge(timed, unders, apart, USABLE * saturation, scaling.offset, noise)
+    template = replace(template, shots=_light_of_exposures(timed, scaling))
     moved = None
     if allowed is not None and len(timed) > 1:
         moved = find_moved_between(
@@ -388,6 +390,15 @@ def _sums(
             in_threads(_add_exposure, shape[0], _Frame(*parts), sums, numbers, worth=total.size)
         rate = (total / np.where(weights > 0, weights, 1)).astype(np.float32)
     return total, weights, clipped, rate
+
+
+def _light_of_exposures(timed: Sequence[Template], scaling: Linearity) -> ShotLevels | None:
+    """Return how bright each exposure is over what its time states: a lamp that flickers is that of a merge, too."""
+    first = timed[0].shots
+    if len(timed) != len(scaling.levels) or first is None:
+        return first
+    channels = first.levels.shape[1]
+    return ShotLevels(np.tile(np.array(scaling.levels)[:, None], channels), np.zeros(channels))
 
 
 def _check_series(timed: list[Template]) -> None:

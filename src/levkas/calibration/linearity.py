@@ -31,12 +31,13 @@ PERIOD = (2, 2)  # of mosaics, unless it is told; plain sensors do not mind
 
 
 class Point(NamedTuple):
-    """Mean counts above dark of a group of pixels at one exposure, s; and how many they are."""
+    """Mean counts above dark of a group of pixels at one exposure, s; how many they are, and of which series."""
 
     group: int
     time_s: float
     counts: float
     pixels: int = 1
+    series: int = 0
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,8 @@ class Linearity:
         Groups times exposures behind the numbers; 0: nothing could be compared.
     offset_error : float
         One standard error of `offset`; NaN where it was not fitted.
+    levels : tuple of float
+        Light of every exposure, over what its time states, shortest first; 1 where none of its pixels was in range.
     """
 
     rms: float
@@ -66,6 +69,7 @@ class Linearity:
     points: int
     worst_level: float = float("nan")
     offset_error: float = float("nan")
+    levels: tuple[float, ...] = ()
 
 
 def check_linearity(
@@ -103,7 +107,8 @@ def check_linearity(
     same neighbours, make a group.
     """
     points = find_points(shots, darks, saturation=saturation, black=black, period=period)
-    return _fit(points, fit_offset)
+    times = sorted(shot.exposure_s or 0.0 for shot in shots)
+    return _fit(points, fit_offset, times)
 
 
 def find_points(
@@ -254,7 +259,7 @@ def _middle_means(values: np.ndarray) -> np.ndarray:
     return np.asarray(ordered[:, cut : values.shape[1] - cut].mean(1, dtype=float))
 
 
-def _fit(rows: list[Point], fit_offset: bool) -> Linearity:
+def _fit(rows: list[Point], fit_offset: bool, exposures: Sequence[float] = ()) -> Linearity:
     groups = [g for g, *_ in rows]
     rows = [row for row in rows if groups.count(row[0]) >= 2]
     if not rows:
@@ -276,4 +281,7 @@ def _fit(rows: list[Point], fit_offset: bool) -> Linearity:
         spread = np.linalg.pinv(scaled.T @ scaled)[-1, -1] * np.sum(miss**2) / freedom
         error = float(np.sqrt(spread))
     at = float(times[worst]), offset, len(rows), float(signal[worst])
-    return Linearity(rms, float(miss[worst]), *at, error)
+    # By their counts: an offset of all counts is no change of the light.
+    of_times = [(signal[times == time], miss[times == time]) for time in exposures]
+    levels = tuple(1 + float(own @ off) / max(float(own.sum()), 1.0) for own, off in of_times)
+    return Linearity(rms, float(miss[worst]), *at, error, levels)

@@ -1,15 +1,15 @@
 """Response of a sensor that is not linear, estimated from exposures of one still scene.
 
 Light is a polynomial through 0 of the counts y above dark, x = y·(1 + Σ aₖ (y/full)ᵏ), whose slope in
-the dark is 1. Groups g of pixels of like brightness have x = C(g)·t at every exposure t. Where
-exposures have other times than they state, all levels of one are off by one factor; a curve is
-off by level, at whatever exposure. Which of them the counts show is decided by what is left.
+the dark is 1. Groups g of pixels of like brightness have log x = log C(g) + log t + δ(e) at every exposure e, whose
+light is off by a factor common to all levels: a lamp flickers, a shutter has other times than are stated. A wrong
+black level is an offset of all counts. Which of them a series shows is decided by its likelihood.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -18,17 +18,29 @@ import numpy as np
 from levkas.calibration.linearity import RECIPROCAL, Point
 from levkas.calibration.templates import Template
 
-CURVED = 0.003  # rms from a line, relative, from which on a curve is looked for: reflectance may be off by as much
+CURVED = (
+    0.003  # of the light, relative, from which on a curve counts: reflectance may be off by as much
+)
 STRAIGHT = 0.005  # rms that a curve may leave
-BETTER = 0.7  # of the rms that the best other explanation leaves
-SURE = 0.003  # relative error of the curve, at most
-TERMS = (1, 2)  # of the polynomial
+BETTER = 0.7  # of the rms that wrong times leave, that of a curve
+SURE = 0.003  # relative error of a curve, at most: it is part of sigma
+TERMS = 2  # of the polynomial, at most
+SIGMAS = 4.0  # of a curve, or of an offset, to be one
 ALIKE = 1.15  # contrast of the pixels of a group whose mean is a point of a curve
 FEWEST_LEVELS = 8  # points for each parameter
 MOST_WEIGHT = 0.1  # of all pixels, that a group may count for
 OUTLIER = 4.0  # usual deviations from a curve, from which on a group moved
 STILL = 0.85  # share of the pixels that did not, at least
 LEAST = 1e-4  # relative: deviations below it are alike
+FLICKER = (
+    0.0,
+    1.0,
+    3.0,
+    10.0,
+    30.0,
+    100.0,
+    300.0,
+)  # of the noise of a point: light of exposures, rms
 ROUNDS = 20
 
 
@@ -83,48 +95,86 @@ class Response:
         return replace(frame, mean=mean, variance=variance)
 
 
-def find_response(points: Sequence[Point], full: float) -> Response | None:
-    """Return the curve that an exposure series shows; None where it is a line, or no curve explains what is left.
+class SeriesFit(NamedTuple):
+    """What exposure series show.
+
+    Parameters
+    ----------
+    response : Response or None
+        Curve of the sensor; None where they show a line, or none that is sure.
+    unsure : float
+        Change of the light by a curve that is not sure, relative; 0 of none.
+    offset, offset_error : float
+        Counts above dark where there is no light by the series, and their standard error: not 0 where the dark is another
+        than the shots', or the response has a toe below the levels of the series.
+    """
+
+    response: Response | None = None
+    unsure: float = 0.0
+    offset: float = 0.0
+    offset_error: float = float("inf")
+
+
+def fit_series(points: Sequence[Point], full: float) -> SeriesFit:
+    """Estimate curve and offset of a sensor from exposure series.
 
     Parameters
     ----------
     points : sequence of Point
-        Of one or more series of one sensor, from `linearity.find_points` with the contrast `ALIKE`; groups numbered apart.
+        Of one or more series of one sensor, from `linearity.find_points` with the contrast `ALIKE`; groups and series
+        numbered apart.
     full : float
         Full scale above dark, counts.
+
+    Notes
+    -----
+    Line, curves of one and two terms, each with and without an offset, and each with exposures whose light scatters: of
+    them that of the least Bayesian information criterion [schwarz1978]_ is taken, of a curve with both terms. One that
+    changes less than 0.3 % of the light is none.
 
     Examples
     --------
     >>> rows = [Point(g, t, g * t - 0.06 * (g * t) ** 2 / 4000) for g in range(300, 1500, 20) for t in (1.0, 2.0)]
-    >>> found = find_response(rows, 4000.0)
+    >>> found = fit_series(rows, 4000.0)
     >>> light = np.array([1000.0, 3000.0])
-    >>> bool(np.abs(found.light(light - 0.06 * light**2 / 4000) / light - 1).max() < 1e-3)
+    >>> bool(np.abs(found.response.light(light - 0.06 * light**2 / 4000) / light - 1).max() < 1e-3)
     True
+    >>> round(fit_series([p._replace(counts=p.time_s * p.group + 3) for p in rows], 4000.0).offset, 2)
+    3.0
     """
     series = _Series.of(points, full)
     if series is None:
-        return None
+        return SeriesFit()
     line = series.rest(series.log)
-    if series.rms(line) <= CURVED:
-        return None
-    by_time = series.rms(series.without(line, series.of_times()))
-    still = series.part(series.without(line, series.of_levels()[: max(TERMS)]))
-    best = None
-    for count in TERMS:
-        terms, error, rest = _fit(still, count)
-        left = still.rms(rest)
-        if best is None or left < BETTER * best.rms:
-            best = Response(tuple(terms.tolist()), full, error, series.rms(line), left)
-    assert best is not None
-    good = best.rms <= STRAIGHT and best.rms <= BETTER * min(best.rms_line, by_time)
-    rising = np.all(best.slope(np.linspace(0, full, 50)) > 0)
-    return best if good and rising and best.error <= SURE else None
+    columns = [*series.of_times(), *series.of_levels()[:TERMS], series.rest(1 / series.share)]
+    still = series.part(series.without(line, columns))
+    best = min(_fits(still), key=lambda fit: fit.criterion)
+    if len(best.terms):  # of fewer terms than the sensor has, the error is not that of the curve
+        whole = (fit for fit in _fits(still) if len(fit.terms) == TERMS)
+        best = min(whole, key=lambda fit: fit.criterion)
+    sure = abs(best.offset) > SIGMAS * best.offset_error
+    shown = SeriesFit(None, 0.0, best.offset * full if sure else 0.0, best.offset_error * full)
+    if not len(best.terms):
+        return shown
+    response = Response(tuple(best.terms.tolist()), full, best.error, series.rms(line), best.rms)
+    reach = np.linspace(0, float(still.share.max()), ROUNDS)[1:] * full
+    size = float(np.abs(response.light(reach) / reach - 1).max())
+    if size <= CURVED:
+        return shown
+    rising = np.all(response.slope(np.linspace(0, full, 50)) > 0)
+    good = best.error <= min(SURE, size / SIGMAS) and best.rms <= STRAIGHT and rising
+    return shown._replace(response=response) if good else shown._replace(unsure=size)
+
+
+def find_response(points: Sequence[Point], full: float) -> Response | None:
+    """Return the curve that exposure series show, as `fit_series` does; None where there is none that is sure."""
+    return fit_series(points, full).response
 
 
 def bends(points: Sequence[Point], full: float) -> bool:
     """Tell whether the misfit of a series depends on the level, whatever times its exposures really had.
 
-    Parameters are those of `find_response`.
+    Parameters are those of `fit_series`.
 
     Examples
     --------
@@ -162,10 +212,12 @@ class _Series(NamedTuple):
         if len(points) < FEWEST_LEVELS * 2:
             return None
         _, group = np.unique([p.group for p in points], return_inverse=True)
-        times, which = np.unique([p.time_s for p in points], return_inverse=True)
-        counts, pixels = (np.array([p[i] for p in points], float) for i in (2, 3))
+        of_series, times, counts, pixels = (
+            np.array([p[i] for p in points], float) for i in (4, 1, 2, 3)
+        )
+        which = np.unique(np.stack([of_series, times]), axis=1, return_inverse=True)[1].ravel()
         weight = np.minimum(pixels, MOST_WEIGHT * pixels.sum())
-        log = np.log(counts) - np.log(times)[which]
+        log = np.log(counts) - np.log(times)
         return cls(log, counts / full, group, which, weight / weight.sum())
 
     def rms(self, values: np.ndarray) -> float:
@@ -210,23 +262,68 @@ class _Series(NamedTuple):
         return np.asarray(left)
 
 
-def _fit(series: _Series, count: int) -> tuple[np.ndarray, float, np.ndarray]:
-    """Return terms of a curve, its largest relative error, and what it leaves, by Gauss and Newton."""
-    powers = np.stack([series.share**k for k in range(1, count + 1)], -1)
-    terms, root = np.zeros(count), np.sqrt(series.weight)
+class _Fit(NamedTuple):
+    """One explanation of a series: terms of a curve, offset over full with its error, largest error of the curve, rms left."""
+
+    criterion: float
+    terms: np.ndarray
+    offset: float
+    offset_error: float
+    error: float
+    rms: float
+
+
+def _fits(series: _Series) -> Iterator[_Fit]:
+    """Yield every explanation that the points suffice for."""
+    for count in range(TERMS + 1):
+        for shifted in (False, True):
+            for flicker in FLICKER:
+                yield _fit(series, count, shifted, flicker)
+
+
+def _fit(series: _Series, count: int, shifted: bool, flicker: float) -> _Fit:
+    """Fit `count` terms, an offset if `shifted`, and exposures whose light scatters by `flicker` times the noise of a point.
+
+    By Gauss and Newton; factors of exposures are penalised by their scatter, and their determinant is that of the
+    marginal likelihood.
+    """
+    places = len(series.log)
+    root = np.sqrt(series.weight * places)
+    factors = np.stack(series.of_times(), -1)[:, : None if flicker else 0] * flicker
+    penalty = np.eye(factors.shape[1], count + shifted + factors.shape[1], count + shifted)
+    found = np.zeros(count + shifted + factors.shape[1])
     for _ in range(ROUNDS):
+        terms, offset = found[:count], found[count] if shifted else 0.0
+        share = np.maximum(series.share - offset, LEAST)
+        powers = share[:, None] ** np.arange(1, count + 1)
         bent = np.maximum(1 + powers @ terms, 1e-3)
-        rest = series.rest(series.log + np.log(bent))
-        slopes = np.stack([series.rest(column) for column in (powers / bent[:, None]).T], -1)
-        slopes = slopes * root[:, None]
-        step = np.linalg.lstsq(slopes, -rest * root, rcond=None)[0]
-        terms = terms + step
-        if np.abs(step).max() < 1e-9:
+        level = series.rest(series.log + np.log(share / series.share * bent))
+        columns = [*(powers / bent[:, None]).T, *[-1 / share][: int(shifted)]]
+        own = np.reshape([series.rest(column) for column in columns], (len(columns), places))
+        slopes = np.concatenate([own.T, factors], axis=1)
+        rest = level + factors @ found[count + shifted :]
+        design = np.concatenate([slopes * root[:, None], penalty])
+        target = np.r_[rest * root, found[count + shifted :]]
+        step = np.linalg.lstsq(design, -target, rcond=None)[0]
+        found = found + step
+        if np.abs(step[: count + shifted]).max(initial=0.0) < 1e-9:
             break
-    freedom = max(len(rest) - int(series.group.max()) - 1 - count, 1)
-    covariance = np.linalg.pinv(slopes.T @ slopes) * series.rms(rest) ** 2 / freedom
+    square = float(np.sum(np.square(target + design @ step)))
+    freedom = max(places - int(series.group.max()) - 1 - count - shifted, 1)
+    noise = max(square, LEAST**2) / freedom
+    scatter = np.linalg.slogdet(
+        np.eye(factors.shape[1]) + (factors * root[:, None] ** 2).T @ factors
+    )[1]
+    parameters = count + shifted + bool(flicker)
+    criterion = freedom * np.log(noise) + scatter + parameters * np.log(places)
+    covariance = np.linalg.pinv(design.T @ design) * noise
     # Beyond what the series reached nothing is known: there the error grows.
-    at = np.linspace(0, 1, 20)[:, None] * series.share.max()
+    at = np.linspace(0, 1, ROUNDS)[:, None] * series.share.max()
     at = at ** np.arange(1, count + 1)
-    spread = np.sqrt(np.einsum("ni,ij,nj->n", at, covariance, at)) / (1 + at @ terms)
-    return terms, float(spread.max()), rest
+    spread = np.sqrt(np.einsum("ni,ij,nj->n", at, covariance[:count, :count], at))
+    error = float((spread / np.maximum(1 + at @ found[:count], 1e-3)).max(initial=0.0))
+    shift = (found[count], np.sqrt(covariance[count, count])) if shifted else (0.0, np.inf)
+    left = rest + slopes @ step
+    return _Fit(
+        float(criterion), found[:count], float(shift[0]), float(shift[1]), error, series.rms(left)
+    )

@@ -28,7 +28,7 @@ from levkas.calibration.full_scale import (
 )
 from levkas.calibration.linearity import PERIOD, Point, check_linearity, find_points
 from levkas.calibration.patterns import thin_periods
-from levkas.calibration.response import ALIKE, CURVED, Response, find_response
+from levkas.calibration.response import ALIKE, CURVED, Response, fit_series
 from levkas.calibration.templates import CalibrationRefused, Template, as_absent, close_gaps
 from levkas.core.problems import Problem
 from levkas.readers.compared_facts import SCALE
@@ -45,8 +45,11 @@ MOST_GLIMPSED = 2
 SHOTS = 4
 """Of a dark that was clipped: what they show of noise and fixed pattern suffices."""
 CLIPPED_DARKS, FULL_SCALE, RESPONSE = "clipped_darks", "full_scale", "response"
-QUIET_WHITE, SENSOR = "quiet_white", "sensor"
-"""Names, among what is measured of a sensor, of darks that were clipped, the code at which it is full, and its curve."""
+QUIET_WHITE, SENSOR, OFFSET = "quiet_white", "sensor", "offset"
+UNSURE_RESPONSE = "unsure_response"
+"""Names, among what is measured of a sensor, of darks that were clipped, the code at which it is full, its curve, a white
+without shot noise, gain and noise, the counts that its exposure series have without light, and a curve that they leave in
+doubt."""
 BLACK, BLACK_ERROR = "black", 0.5
 """Name, among the same, of a black level by an exposure series; and its standard error, counts, at most: a quarter of a small read noise."""
 SERIES = 3
@@ -221,7 +224,7 @@ class SensorContext:
             return None
         points: list[Point] = []
         levels = [self.black or 0.0]
-        for shots, darks in self._series():
+        for which, (shots, darks) in enumerate(self._series()):
             if darks and all(np.mean(dark.black) > 0.5 for dark in darks):
                 return None  # their level is fitted to the series itself
             found = find_points(
@@ -232,12 +235,16 @@ class SensorContext:
                 contrast=ALIKE,
             )
             first = points[-1].group + 1 if points else 0
-            points += [point._replace(group=point.group + first) for point in found]
+            points += [p._replace(group=p.group + first, series=which) for p in found]
             levels += [float(np.median(dark.mean)) for dark in darks[:1]]
-        found_curve = find_response(points, self.saturation - levels[-1])
-        if found_curve is not None:
-            self.told[RESPONSE] = asdict(found_curve)
-        return found_curve
+        shown = fit_series(points, self.saturation - levels[-1])
+        if shown.unsure:
+            self.told[UNSURE_RESPONSE] = shown.unsure
+        if abs(shown.offset) > BLACK_ERROR:
+            self.told[OFFSET] = {"counts": shown.offset, "error": shown.offset_error}
+        if shown.response is not None:
+            self.told[RESPONSE] = asdict(shown.response)
+        return shown.response
 
     def _series(self) -> Iterator[tuple[list[Template], list[Template]]]:
         """Yield exposures of some scenes that have several, with their darks."""

@@ -12,9 +12,11 @@ from levkas.calibration.sensor_context import (
     CLIPPED_DARKS,
     FULL_SCALE,
     NAMED,
+    OFFSET,
     QUIET_WHITE,
     RESPONSE,
     SENSOR,
+    UNSURE_RESPONSE,
     glimpse,
     spread,
 )
@@ -123,6 +125,7 @@ def describe_sensor(context: SensorContext) -> list[str]:
         *_describe_full_scale(context),
         *_describe_darks(context),
         *_describe_response(context),
+        *_describe_offset(context),
         *_describe_black(context),
         *_describe_noise(context),
     ]
@@ -148,6 +151,12 @@ def _describe_black(context: SensorContext) -> list[str]:
 
 
 def _describe_response(context: SensorContext) -> list[str]:
+    if (unsure := context.told.get(UNSURE_RESPONSE)) is not None:
+        return [
+            f"{context.camera.name}: the sensor is not linear: its exposure series show a curve that changes up to {100 * unsure:.2g} % "
+            "of the light, but do not determine it. Nothing is corrected, values may be off by as much; capture three exposures "
+            "or more, a factor of two apart, of a scene of many levels"
+        ]
     found = context.told.get(RESPONSE)
     if not found:
         return []
@@ -155,6 +164,18 @@ def _describe_response(context: SensorContext) -> list[str]:
         f"{context.camera.name}: the sensor is not linear: its exposure series deviate by {100 * found['rms_line']:.1f} % rms "
         "from a line. Frames of object and white are corrected by the curve that they "
         f"show, which leaves {100 * found['rms']:.2f} % and is known to {100 * found['error']:.2g} %"
+    ]
+
+
+def _describe_offset(context: SensorContext) -> list[str]:
+    found = context.told.get(OFFSET)
+    if not found:
+        return []
+    than = "dark" if found["counts"] < 0 else "bright"
+    return [
+        f"{context.camera.name}: without light its exposure series have {found['counts']:+.1f} ± {found['error']:.2g} counts above "
+        "the dark, where a linear sensor has none: the darks are of another temperature or setting, or the response bends at "
+        f"its dark end. Dark paint is too {than} by about as much; capture darks beside the object"
     ]
 
 
