@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import tifffile
+from scipy import ndimage
 
 from levkas.building.calibrate import develop
 from levkas.building.hashes import HASHES, Hashes
@@ -36,14 +37,30 @@ KINDS = {
 }
 
 
-def write(folder, kind, *, full, bits="bits = 12", white=WHITE, shots=1, wells=False):
-    """Write a campaign of a sensor that is full at some code, of its converter or of its wells."""
+def write(
+    folder,
+    kind,
+    *,
+    full=4095,
+    bits="bits = 12",
+    white=WHITE,
+    shots=1,
+    wells=False,
+    response=lambda counts: counts,
+    tremble=0.0,
+):
+    """Write a campaign of a sensor that is full at some code, of its converter or of its wells; the panel trembles by pixels."""
     rng, raw = np.random.default_rng(5), folder / "raw"
     raw.mkdir(parents=True)
     panel = np.where(GOLD, 1.275, PANEL)
     for name, light in (("dark", 0), ("white", white), ("panel", WHITE * panel)):
         for take in range(shots):
-            counts = GAIN * rng.poisson(light / GAIN + np.zeros(SHAPE))
+            level = light + np.zeros(SHAPE)
+            if tremble and name == "panel":
+                level = ndimage.shift(
+                    level, tremble * rng.standard_normal(2), order=1, mode="nearest"
+                )
+            counts = response(GAIN * rng.poisson(level / GAIN))
             counts = np.minimum(counts, full - BLACK) if wells else counts
             codes = np.rint(counts + rng.normal(BLACK, READ, SHAPE)).clip(0, None)
             codes = (codes if wells else codes.clip(0, full)).astype(np.uint16)
@@ -98,6 +115,39 @@ def test_a_sensor_that_is_full_nowhere_keeps_the_full_scale_that_is_stated(tmp_p
     assert not any("full at" in w for w in made.warnings)
     assert "full_scale" not in made.learnt[""]
     assert not (made.cubes[""].flags & Flag.SATURATED).any()
+
+
+def knee(counts):
+    return np.where(counts < 2000, counts, 2000 + (counts - 2000) / 2)
+
+
+def wells(counts):
+    """Full wells that differ by 3 % from sensel to sensel, below the white."""
+    return np.minimum(counts, 2500 * (1 + 0.03 * np.random.default_rng(3).standard_normal(SHAPE)))
+
+
+@pytest.mark.parametrize("kind", ["bands", "mosaic"])
+@pytest.mark.parametrize(("response", "share"), [(knee, 0.3), (wells, 0.1)])
+def test_a_response_that_flattens_below_its_white_is_named_by_its_shot_noise(
+    tmp_path, kind, response, share
+):
+    made = developed(write(tmp_path, kind, shots=4, response=response))
+    (found,) = made.learnt[""]["flattening"].values()
+    assert found["share"] == pytest.approx(share, abs=0.1)
+    (note,) = [w for w in made.warnings if "of the shot noise" in w]
+    assert "full" in note and "flattens" in note and "averaged" in note
+    assert not (made.cubes[""].flags & Flag.MOVED).any()
+    assert made.learnt[""]["sensor"]["gain"] == pytest.approx(GAIN, rel=0.05)
+
+
+@pytest.mark.parametrize("kind", ["bands", "mosaic"])
+@pytest.mark.parametrize(
+    "more", [{"shots": 2}, {"shots": 6}, {"shots": 4, "tremble": 0.2}], ids=str
+)
+def test_a_linear_sensor_has_the_shot_noise_of_its_light(tmp_path, kind, more):
+    made = developed(write(tmp_path, kind, **more))
+    assert "flattening" not in made.learnt[""]
+    assert not any("shot noise" in warning for warning in made.warnings)
 
 
 def test_radiometry_takes_the_full_scale_that_the_frames_show(tmp_path):

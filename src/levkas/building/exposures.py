@@ -16,14 +16,16 @@ from levkas.calibration.exposures import best_exposure, merge_exposures
 from levkas.calibration.flatfield import Calibrated, flat_field, pair_darks
 from levkas.calibration.linearity import check_linearity, require_reciprocity
 from levkas.calibration.motion import find_moved
-from levkas.calibration.noise_fit import fit_noise_of_frames, level_of
+from levkas.calibration.noise_fit import fit_noise_of_frames, level_of, smooth_groups
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.sensor_context import (
+    FLATTENING,
     SensorContext,
     exposure_of,
     placed,
     placing,
 )
+from levkas.calibration.shot_noise import find_flattening
 from levkas.calibration.stated_exposures import doubt_scaling
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
 from levkas.calibration.white_area import WhiteArea, board_alone, find_white_area
@@ -298,6 +300,8 @@ def flatten(
         frames = context.sensor.white or context.sensor.object
         problems = (context.with_full_scale(p) for p in refused.problems)
         raise CalibrationRefused(*(placed(p, frames) for p in problems)) from None
+    if white is not None and context.camera.kind != "cube" and context.light is None:
+        _note_flattening(context, (shot, white), dark, board.labels or ())
     if white is None and context.camera.white_chart is not None:
         taken = dict.fromkeys(board.labels or (), shot.exposure_s)
         context.told.setdefault("exposures_s", {}).update(taken)
@@ -317,6 +321,22 @@ def flatten(
         unsure = np.square(flat.values * np.float32(context.response.error))
         flat = replace(flat, variance=flat.variance + unsure)
     return _with_gaps(context, flat, (shot, *dark, white), list(board.labels or ()))
+
+
+def _note_flattening(
+    context: SensorContext,
+    stacks: Sequence[Template],
+    darks: Sequence[Template],
+    labels: Sequence[str],
+) -> None:
+    """Note where the bright pixels of a band's stacks have less noise than a linear sensor, in `told`; merges show none."""
+    lit = [stack for stack in stacks if not stack.above_dark]
+    levels = [level_under(stack, darks, black=context.black_level) for stack in lit]
+    every = (*levels, *(dark.mean for dark in darks))
+    groups = smooth_groups((*lit, *darks), every, context.step, context.period)
+    if found := find_flattening(groups):
+        name = labels[0] if len(labels) == 1 else ""
+        context.told.setdefault(FLATTENING, {})[name] = found._asdict()
 
 
 def _with_gaps(

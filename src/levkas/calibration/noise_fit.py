@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.calibration.patterns import channel_table, split
+from levkas.calibration.shot_noise import Groups, find_flattening
 from levkas.calibration.templates import Template, gaps_of
 
 if TYPE_CHECKING:
@@ -166,7 +167,11 @@ def fit_noise_of_frames(
     if stacks:
         stacks += quiet
         under = [_dark_of(t, darks) for t in stacks] if darks else None
-        fitted = fit_noise(stacks, under, black=black, step=step)
+        levels = [black] * len(stacks) if under is None else [dark.mean for dark in under]
+        period = (1, 1) if pattern is None else channel_table(pattern).shape
+        bent = find_flattening(smooth_groups(stacks, levels, step, period))
+        highest = bent.linear if bent else np.inf
+        fitted = fit_noise(stacks, under, black=black, step=step, highest=highest)
     unread = fitted is not None and not quiet
     if (fitted is None or unread) and len(shots) == len(whites):
         under = [_dark_of(t, darks) for t in shots] if darks else None
@@ -195,6 +200,7 @@ def fit_noise(
     *,
     black: float | np.ndarray = 0.0,
     step: float = 1.0,
+    highest: float = np.inf,
 ) -> NoiseModel | None:
     """Fit the noise of a sensor to stacks of at least two shots.
 
@@ -208,6 +214,8 @@ def fit_noise(
         `black` is, counts, one number or of every pixel. Darks of several shots are stacks like others: pass them among `stacks`.
     step : float
         Counts from code to code; 0 where values are not rounded.
+    highest : float
+        Counts above dark beyond which pixels are left out: the sensor is full there, or not linear (`shot_noise`).
 
     Returns
     -------
@@ -239,6 +247,8 @@ def fit_noise(
     if signal.max() <= 0 or variance.max() <= 0:
         return None
     freedom = np.minimum(freedom, MOST_FREEDOM)
+    linear = signal <= highest
+    signal, variance, freedom = signal[linear], variance[linear], freedom[linear]
     gain, read = _line(signal, np.ones_like(signal), variance, freedom, step)
     return NoiseModel(gain, read, "temporal", step, lowest)
 
@@ -337,10 +347,33 @@ def fit_noise_single(
     return NoiseModel(gain, read, "spatial", step, lowest)
 
 
+def smooth_groups(
+    stacks: Sequence[Template],
+    levels: Sequence[np.ndarray | float],
+    step: float,
+    period: tuple[int, int] = (1, 1),
+) -> Groups:
+    """Return groups of the smooth pixels of stacks above their counts without light; none where none has two shots."""
+    groups = [
+        group
+        for stack, level in zip(stacks, levels, strict=True)
+        if stack.count > 1 and stack.variance is not None and stack.fit is None
+        for group in _groups(stack, None, level, step, period)
+    ]
+    return Groups(*np.reshape(groups, (-1, 3)).T)
+
+
 def _groups(
-    stack: Template, dark: Template | None, black: float | np.ndarray, step: float
+    stack: Template,
+    dark: Template | None,
+    black: float | np.ndarray,
+    step: float,
+    smooth: tuple[int, int] | None = None,
 ) -> list[tuple[float, float, float]]:
-    """Return (signal, variance, degrees of freedom) of groups of pixels of one stack."""
+    """Return (signal, variance, degrees of freedom) of groups of pixels of one stack.
+
+    `smooth`: of the smoother half alone, by neighbours this period of a mosaic away, so that a camera that trembles adds nothing.
+    """
     thin = np.s_[:: max(1, stack.mean.size // MANY_PIXELS)]
     level = np.broadcast_to(black if dark is None else dark.mean, stack.mean.shape).ravel()[thin]
     signal = stack.mean.ravel()[thin].astype(float) - level
@@ -349,6 +382,9 @@ def _groups(
     keep = np.isfinite(signal) & np.isfinite(spread) & ~stack.saturated.ravel()[thin]
     if (gaps := gaps_of(stack, dark)) is not None:
         keep &= ~np.broadcast_to(gaps, stack.mean.shape).ravel()[thin]
+    if smooth is not None:
+        rough = _roughness(stack.mean, smooth).ravel()[thin] / np.sqrt(np.maximum(signal, 1.0))
+        keep &= rough <= np.median(rough)
     if np.mean(clipped) > MANY_BLACK:
         keep &= ~clipped
     # Near black the clipping of single shots thins the spread where none was marked.
@@ -363,6 +399,16 @@ def _groups(
         variance = float(whole_variance(_mean_variance(spread[p], freedom, step), step))
         found.append((float(signal[p].mean()), variance, float(freedom * len(p))))
     return found
+
+
+def _roughness(plane: np.ndarray, period: tuple[int, int]) -> np.ndarray:
+    """Return how much each pixel's neighbours of its phase differ, counts; infinite at the border."""
+    rough = np.full(plane.shape, np.inf, np.float32)
+    y, x = (slice(step, -step) for step in period)
+    down = np.abs(plane[2 * period[0] :, x] - plane[: -2 * period[0], x])
+    across = np.abs(plane[y, 2 * period[1] :] - plane[y, : -2 * period[1]])
+    rough[y, x] = down + across
+    return rough
 
 
 def _mean_variance(spread: np.ndarray, freedom: int, step: float) -> float:

@@ -10,6 +10,7 @@ from levkas.calibration.code_checks import doubt_codes
 from levkas.calibration.sensor_context import (
     BLACK,
     CLIPPED_DARKS,
+    FLATTENING,
     FULL_SCALE,
     NAMED,
     OFFSET,
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from levkas.calibration.sensor_context import SensorContext
 
 
+NEARLY_FULL = 0.1  # of the shot noise: with less nothing tells how much light is lacking
 AS_LIGHT = "they are taken as proportional to light: export linear frames"
 
 
@@ -123,6 +125,7 @@ def describe_sensor(context: SensorContext) -> list[str]:
     """Say what was measured of a sensor that a person should know: where it is full, its black, its curve, darks that were clipped."""
     return [
         *_describe_full_scale(context),
+        *_describe_flattening(context),
         *_describe_darks(context),
         *_describe_response(context),
         *_describe_offset(context),
@@ -164,6 +167,22 @@ def _describe_response(context: SensorContext) -> list[str]:
         f"{context.camera.name}: the sensor is not linear: its exposure series deviate by {100 * found['rms_line']:.1f} % rms "
         "from a line. Frames of object and white are corrected by the curve that they "
         f"show, which leaves {100 * found['rms']:.2f} % and is known to {100 * found['error']:.2g} %"
+    ]
+
+
+def _describe_flattening(context: SensorContext) -> list[str]:
+    found: dict[str, dict[str, float]] = context.told.get(FLATTENING, {})
+    if not found:
+        return []
+    worst = min(found, key=lambda label: found[label]["share"])
+    signal, share, loss = (found[worst][name] for name in ("signal", "share", "loss"))
+    where = f"{worst}; {len(found)} of {len(context.sensor.bands)} bands" if worst else "all bands"
+    lack = f"light, of the order of {loss:.0%}" if share > NEARLY_FULL else "light"
+    return [
+        f"{context.camera.name}: at {signal:.0f} counts above the dark its brightest pixels, the white's among them, have {share:.0%} "
+        f"of the shot noise that a linear sensor has ({where}): the sensor is full there, or its response flattens; if so they "
+        f"lack {lack}, and reflectance is too high by as much. Capture the white with half the exposure. Frames that were "
+        "averaged or smoothed before have less noise, too, and lack nothing"
     ]
 
 

@@ -1,0 +1,111 @@
+"""Shot noise against the level: of a linear sensor the variance is read² + gain·signal, of one that flattens it is less.
+
+Where counts y rise by a slope f' with the light x, the variance is read² + f'²·gain·x [janesick2007]_: a knee of half
+the slope has a quarter of the noise, a full sensel none. Averaged frames have less noise, too, and are linear.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+DIM = 0.5  # of the brightest group: the noise of those below is that of a linear sensor
+SURE = 0.05  # relative error of their gain, at most
+QUIET = 0.85  # of the variance of a linear sensor: a tenth more or less is an unsteady object
+SIGMAS = 5.0  # of a lack, to be one
+ROUNDS = 5  # of the light, which its slope is a function of
+LEAST_SLOPE = 0.1  # of a response that flattens: what is flatter is full
+
+
+class Groups(NamedTuple):
+    """Pixels of like level: mean counts above dark, variance of one shot, counts², and its degrees of freedom."""
+
+    signal: np.ndarray
+    variance: np.ndarray
+    freedom: np.ndarray
+
+
+class Flattening(NamedTuple):
+    """A response whose noise lacks at its bright end.
+
+    Parameters
+    ----------
+    signal : float
+        Counts above dark of the brightest groups.
+    share : float
+        Of the shot noise (variance) of a linear sensor that they have.
+    loss : float
+        By which light is more than its counts there if the response flattens, relative.
+    linear : float
+        Counts up to which the noise is that of a linear sensor.
+    """
+
+    signal: float
+    share: float
+    loss: float
+    linear: float
+
+
+def find_flattening(groups: Groups) -> Flattening | None:
+    """Return where the bright groups of a sensor have less noise than dim ones foretell; None where they have as much, or none can.
+
+    Parameters
+    ----------
+    groups : Groups
+        Of stacks of one sensor, its darks among them.
+
+    Examples
+    --------
+    A knee at 2500 counts, from which on they rise by half:
+
+    >>> light = np.linspace(0, 3500, 50)
+    >>> knee = np.minimum(light, 2500 + (light - 2500) / 2)
+    >>> noise = 4 + 0.25 * light * np.where(light < 2500, 1, 0.25)
+    >>> found = find_flattening(Groups(knee, noise, np.full(50, 5000.0)))
+    >>> round(found.signal), round(found.share, 2), round(found.loss, 2)
+    (2857, 0.28, 0.14)
+    >>> find_flattening(Groups(light, 4 + 0.25 * light, np.full(50, 5000.0))) is None
+    True
+    """
+    line = _dim_line(groups)
+    if line is None:
+        return None
+    gain, read, error = line
+    order = np.argsort(groups.signal, kind="stable")
+    signal, variance, freedom = (values[order] for values in groups)
+    shot, expected = variance - read, gain * np.maximum(signal, 1e-9)
+    bright = signal >= 0.9 * signal[-1]
+    weight = freedom * bright / (read + expected) ** 2
+    share = float(np.sum(weight * shot * expected) / np.sum(weight * expected**2))
+    spread = np.sqrt(2 / np.sum(weight * expected**2)) + error
+    if share > QUIET or 1 - share < SIGMAS * spread:
+        return None
+    steep = np.ones_like(signal)
+    light = signal.copy()
+    for _ in range(ROUNDS):
+        steep = np.sqrt(np.maximum(shot, 0.0) / (gain * np.maximum(light, 1e-9)))
+        steep = np.where(signal > DIM * signal[-1], np.clip(steep, LEAST_SLOPE, 1.0), 1.0)
+        steps = np.diff(signal) * (1 / steep[1:] + 1 / steep[:-1]) / 2
+        light = signal[0] + np.append(0.0, np.cumsum(steps))
+    level = float(signal[bright].mean())
+    loss = float(np.mean(light[bright] / signal[bright]) - 1)
+    return Flattening(level, max(share, 0.0), loss, DIM * float(signal[-1]))
+
+
+def _dim_line(groups: Groups) -> tuple[float, float, float] | None:
+    """Return gain, variance without light, and the gain's relative error, by groups below half of the brightest; None of too few."""
+    top = float(groups.signal.max(initial=0.0))
+    dim = groups.signal <= DIM * top
+    if top <= 0 or np.count_nonzero(dim) < 2:
+        return None
+    signal, variance, freedom = (values[dim] for values in groups)
+    design = np.stack([signal, np.ones_like(signal)], 1)
+    expected = np.maximum(variance, 1e-12)
+    for _ in range(3):
+        weight = np.sqrt(freedom / 2) / expected
+        covariance = np.linalg.pinv((design * weight[:, None]).T @ (design * weight[:, None]))
+        gain, read = covariance @ ((design * weight[:, None]).T @ (variance * weight))
+        expected = np.maximum(design @ (gain, read), 1e-12)
+    error = float(np.sqrt(covariance[0, 0]) / gain) if gain > 0 else np.inf
+    return (float(gain), float(read), error) if error <= SURE else None
