@@ -1,5 +1,7 @@
 """An object that is brighter than its white, by more than gold and gloss explain."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import tifffile
@@ -112,3 +114,21 @@ def test_a_dark_that_is_too_bright_is_named_by_values_below_it(dark, named):
     cube = Cube(values, flags, np.full(values.shape, 0.001, np.float32), bands)
     text = " ".join(describe_above(count_above(cube), cube.labels))
     assert ("darker than its dark" in text) == named
+
+
+@pytest.mark.parametrize(("warm", "named"), [(0.0, False), (0.001, False), (0.003, True)])
+def test_a_dark_that_is_slightly_too_warm_is_named_where_dark_paint_lies_below_it(warm, named):
+    """By no single value, whose noise is as much, but by the means of dark paint; and in whatever parts of the lines."""
+    rng = np.random.default_rng(2)
+    truth = np.kron(np.geomspace(0.001, 1, 24).reshape(6, 4, 1), np.ones((20, 80, 1)))
+    values = (truth - warm + rng.normal(0, 0.001, truth.shape)).astype(np.float32)
+    sigma = np.full(values.shape, 0.001, np.float32)
+    cube = Cube(values, np.zeros(values.shape, np.uint8), sigma, (Band("550 nm"),))
+    counts = count_above(cube)
+    (text,) = describe_above(counts, cube.labels) or ("",)
+    assert ("on the mean by a reflectance of 0.001" in text) == named
+    halves = [
+        replace(cube, values=cube.values[part], flags=cube.flags[part], sigma=sigma[part])
+        for part in (np.s_[:7], np.s_[7:])
+    ]
+    assert np.array_equal(sum(map(count_above, halves)), counts)

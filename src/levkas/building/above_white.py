@@ -23,6 +23,15 @@ MUCH = 0.3
 and 0.11, in a line scanner 0.05 and 0.07."""
 SURELY_BELOW, FEW_BELOW = 4.0, 0.002
 """Standard deviations below zero that no noise explains (3 values in 100,000), and share of a band that may lie there."""
+ROW, ROW_SURELY = 16, 1.25
+"""Values of a row whose mean is looked at, and how many times one value's noise it has to be below zero: five of its own
+deviations, 3.5 where neighbours were interpolated from one another. Twice as many values are seldom of one paint."""
+ROW_BELOW = 0.0002
+"""Reflectance by which such a mean may lie below zero: a tenth of the darkest paint, 0.002."""
+COUNTS = 8
+"""Rows of what is counted of each band."""
+MICRO = 1e-6
+"""Reflectance in which sums are counted, so that they are the same in whatever parts."""
 
 
 def count_above(cube: Cube) -> np.ndarray:
@@ -32,8 +41,9 @@ def count_above(cube: Cube) -> np.ndarray:
 
     Returns
     -------
-    counts : ndarray, (5, bands), int64
-        Above and all beside glare, above and all with it, and below. Nothing but zeros of counts.
+    counts : ndarray, (8, bands), int64
+        Above and all beside glare, above and all with it, and below; stretches of 16 values in a row, those whose mean is below zero by
+        more than noise, and the sum of these means, 10⁻⁶. Nothing but zeros of counts.
 
     Examples
     --------
@@ -41,10 +51,10 @@ def count_above(cube: Cube) -> np.ndarray:
     >>> values = np.array([[[0.5], [1.2], [-0.1]]], np.float32)
     >>> cube = Cube(values, np.zeros(values.shape, np.uint8), np.full(values.shape, 0.01, np.float32), (Band("R"),))
     >>> count_above(cube).ravel().tolist()
-    [1, 3, 1, 3, 1]
+    [1, 3, 1, 3, 1, 0, 0, 0]
     """
     if cube.quantity != "reflectance":
-        return np.zeros((5, len(cube.bands)), np.int64)
+        return np.zeros((COUNTS, len(cube.bands)), np.int64)
     seen = ~is_flagged(cube.flags, LEFT_OUT)
     above = seen & (cube.values > (ABOVE if cube.sigma is None else ABOVE + SURE * cube.sigma))
     with_glare = [_of_bands(above), _of_bands(seen)]
@@ -53,10 +63,29 @@ def count_above(cube: Cube) -> np.ndarray:
     if glare.any():
         paint = glare.mean(-1, keepdims=True) < 0.5
         beside = [_of_bands(above & (paint | ~glare)), _of_bands(seen & (paint | ~glare))]
-    below = np.zeros(len(cube.bands), np.int64)
+    dark = np.zeros((4, len(cube.bands)), np.int64)
     if cube.sigma is not None:
-        below = _of_bands(seen & (cube.values < -SURELY_BELOW * cube.sigma))
-    return np.stack([*beside, *with_glare, below])
+        dark[0] = _of_bands(seen & (cube.values < -SURELY_BELOW * cube.sigma))
+        dark[1:] = _count_dark_rows(cube.values, cube.sigma, seen)
+    return np.stack([*beside, *with_glare, *dark])
+
+
+def _count_dark_rows(values: np.ndarray, sigma: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Return how many stretches of a row are known to the half or more, how many lie below zero, and by how much in all, (3, bands)."""
+    height, width, bands = values.shape
+    whole = width // ROW * ROW
+    value, noise, known = (
+        array[:, :whole].reshape(height, -1, ROW, bands) for array in (values, sigma, seen)
+    )
+    count = known.sum(2)
+    means, spread = (
+        np.sum(array, axis=2, dtype=np.float64, where=known) / np.maximum(count, 1)
+        for array in (value, noise)
+    )
+    known = count >= ROW // 2
+    below = known & (means < -np.maximum(ROW_SURELY * spread, ROW_BELOW))
+    amounts = np.rint(np.where(below, -means, 0) / MICRO).astype(np.int64)
+    return np.stack([known.sum((0, 1)), below.sum((0, 1)), amounts.sum((0, 1))])
 
 
 def _of_bands(marked: np.ndarray) -> np.ndarray:
@@ -67,15 +96,15 @@ def _of_bands(marked: np.ndarray) -> np.ndarray:
 def describe_above(counts: np.ndarray, labels: Sequence[str]) -> list[str]:
     """Say in which bands more than a few per cent are brighter than the white, or darker than the dark; nothing where none is.
 
-    >>> describe_above(np.array([[9, 1], [100, 100], [9, 1], [100, 100], [0, 0]]), ["500 nm", "600 nm"])[0][:47]
+    >>> describe_above(np.array([[9, 1], [100, 100], [9, 1], [100, 100], *[[0, 0]] * 4]), ["500 nm", "600 nm"])[0][:47]
     '9 % of the object is brighter than a perfect wh'
     """
-    above, seen, above_with_glare, seen_with_glare, below = counts
+    above, seen, above_with_glare, seen_with_glare, below, rows, rows_below, amounts = counts
     shares, least = above / np.maximum(seen, 1), FEW
     whole = above_with_glare / np.maximum(seen_with_glare, 1)
     if (whole > MUCH).any():
         shares, least = whole, MUCH
-    dark = below / np.maximum(seen_with_glare, 1)
+    dark = np.maximum(below / np.maximum(seen_with_glare, 1), rows_below / np.maximum(rows, 1))
     said = []
     if (odd := _worst(shares, shares > least)).size:
         said.append(
@@ -83,9 +112,13 @@ def describe_above(counts: np.ndarray, labels: Sequence[str]) -> list[str]:
             "check that white and object had one light, exposure and setting"
         )
     if (odd := _worst(dark, dark > FEW_BELOW)).size:
+        by = ""
+        if (lying := int(rows_below[odd].sum())) > 0:
+            by = f", on the mean by a reflectance of {amounts[odd].sum() * MICRO / lying:.2g}"
         said.append(
-            f"{100 * dark[odd[0]]:.3g} % of the object is darker than its dark by more than noise in {_names(odd, labels)}: the "
-            "dark was warmer or longer than the object, or saw light. Dark paint is too dark by as much; capture darks beside the object"
+            f"{100 * dark[odd[0]]:.3g} % of the object is darker than its dark by more than noise in {_names(odd, labels)}{by}: the "
+            "dark was warmer or longer than the object, or saw light. Dark paint is too dark by as much or more; capture darks beside the "
+            "object"
         )
     return said
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.building.capture_statistics import note_lamp, note_noise
+from levkas.calibration.clipped_darks import MANY_ZEROS
 from levkas.calibration.darks import SAME_TIME, level_under
 from levkas.calibration.defects import find_defects
 from levkas.calibration.drift import black_between, lamp_between
@@ -19,13 +20,14 @@ from levkas.calibration.motion import find_moved
 from levkas.calibration.noise_fit import fit_noise_of_frames, level_of, smooth_groups
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.sensor_context import (
+    DARK_OFFSET,
     FLATTENING,
     SensorContext,
     exposure_of,
     placed,
     placing,
 )
-from levkas.calibration.shot_noise import find_flattening
+from levkas.calibration.shot_noise import Groups, find_dark_offset, find_flattening
 from levkas.calibration.stated_exposures import doubt_scaling
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
 from levkas.calibration.white_area import WhiteArea, board_alone, find_white_area
@@ -301,7 +303,7 @@ def flatten(
         problems = (context.with_full_scale(p) for p in refused.problems)
         raise CalibrationRefused(*(placed(p, frames) for p in problems)) from None
     if white is not None and context.camera.kind != "cube" and context.light is None:
-        _note_flattening(context, (shot, white), dark, board.labels or ())
+        _note_shot_noise(context, (shot, white), dark, board.labels or ())
     if white is None and context.camera.white_chart is not None:
         taken = dict.fromkeys(board.labels or (), shot.exposure_s)
         context.told.setdefault("exposures_s", {}).update(taken)
@@ -323,20 +325,27 @@ def flatten(
     return _with_gaps(context, flat, (shot, *dark, white), list(board.labels or ()))
 
 
-def _note_flattening(
+def _note_shot_noise(
     context: SensorContext,
     stacks: Sequence[Template],
     darks: Sequence[Template],
     labels: Sequence[str],
 ) -> None:
-    """Note where the bright pixels of a band's stacks have less noise than a linear sensor, in `told`; merges show none."""
-    lit = [stack for stack in stacks if not stack.above_dark]
-    levels = [level_under(stack, darks, black=context.black_level) for stack in lit]
-    every = (*levels, *(dark.mean for dark in darks))
-    groups = smooth_groups((*lit, *darks), every, context.step, context.period)
-    if found := find_flattening(groups):
-        name = labels[0] if len(labels) == 1 else ""
+    """Note in `told` where a band's bright pixels have less noise than a linear sensor, and what the dim ones say of the dark."""
+    stacks = [stack for stack in stacks if not stack.above_dark]
+    name = labels[0] if len(labels) == 1 else ""
+
+    def groups(some: Sequence[Template]) -> Groups:
+        levels = [level_under(one, darks, black=context.black_level) for one in some]
+        return smooth_groups(some, levels, context.step, context.period)
+
+    if found := find_flattening(groups([*stacks, *darks])):
         context.told.setdefault(FLATTENING, {})[name] = found._asdict()
+    alike = [one for one in stacks if one.exposure_s == stacks[0].exposure_s]
+    quiet = [one for one in darks if one.exposure_s == alike[0].exposure_s] if alike else []
+    quiet = [one for one in quiet if np.mean(one.black) <= MANY_ZEROS]  # others have lost noise
+    if offset := find_dark_offset(groups(alike), groups(quiet)):
+        context.told.setdefault(DARK_OFFSET, {})[name] = offset._asdict()
 
 
 def _with_gaps(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from levkas.building.above_white import count_above, describe_above
+from levkas.building.above_white import COUNTS, count_above, describe_above
 from levkas.building.capture_statistics import Middle, describe_lamp
 from levkas.building.exposures import cube_of, mark_glare_in
 from levkas.building.scan_lines import FlatLines, Strip, describe_loss
@@ -280,7 +280,7 @@ class ScanPass:
     def __init__(self, scan: Scan) -> None:
         self._scan = scan
         self.lost = np.zeros(scan.shape[2], np.int64)
-        self.above = np.zeros((5, scan.shape[2]), np.int64)
+        self.above = np.zeros((COUNTS, scan.shape[2]), np.int64)
         self._projecting = Projecting(scan.subspace) if scan.subspace else None
 
     def blocks(self, start: int = 0, stop: int | None = None) -> Iterator[Cube]:

@@ -46,10 +46,10 @@ SHOTS = 4
 """Of a dark that was clipped: what they show of noise and fixed pattern suffices."""
 CLIPPED_DARKS, FULL_SCALE, RESPONSE = "clipped_darks", "full_scale", "response"
 QUIET_WHITE, SENSOR, OFFSET = "quiet_white", "sensor", "offset"
-UNSURE_RESPONSE, FLATTENING = "unsure_response", "flattening"
+UNSURE_RESPONSE, FLATTENING, DARK_OFFSET = "unsure_response", "flattening", "dark_offset"
 """Names, among what is measured of a sensor, of darks that were clipped, the code at which it is full, its curve, a white
 without shot noise, gain and noise, the counts that its exposure series have without light, a curve that they leave in
-doubt, and bright pixels with less noise than a linear sensor has."""
+doubt, bright pixels with less noise than a linear sensor has, and the counts without light by the noise of dim ones."""
 BLACK, BLACK_ERROR = "black", 0.5
 """Name, among the same, of a black level by an exposure series; and its standard error, counts, at most: a quarter of a small read noise."""
 SERIES = 3

@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from levkas.calibration.code_checks import doubt_codes
 from levkas.calibration.sensor_context import (
     BLACK,
     CLIPPED_DARKS,
+    DARK_OFFSET,
     FLATTENING,
     FULL_SCALE,
     NAMED,
@@ -29,6 +32,10 @@ if TYPE_CHECKING:
     from levkas.calibration.sensor_context import SensorContext
 
 
+DARK_SIGMAS, DARK_DOUBT = (
+    4.0,
+    0.0002,
+)  # errors of an offset, to be one, and reflectance: a tenth of the darkest paint
 NEARLY_FULL = 0.1  # of the shot noise: with less nothing tells how much light is lacking
 AS_LIGHT = "they are taken as proportional to light: export linear frames"
 
@@ -129,6 +136,7 @@ def describe_sensor(context: SensorContext) -> list[str]:
         *_describe_darks(context),
         *_describe_response(context),
         *_describe_offset(context),
+        *_describe_dark_offset(context),
         *_describe_black(context),
         *_describe_noise(context),
     ]
@@ -196,6 +204,26 @@ def _describe_offset(context: SensorContext) -> list[str]:
         "the dark, where a linear sensor has none: the darks are of another temperature or setting, or the response bends at "
         f"its dark end. Dark paint is too {than} by about as much; capture darks beside the object"
     ]
+
+
+def _describe_dark_offset(context: SensorContext) -> list[str]:
+    """Say by how much the darks are off by the noise of dim pixels, in the mean of all bands and in the worst."""
+    found: dict[str, dict[str, float]] = context.told.get(DARK_OFFSET, {})
+    if not found or OFFSET in context.told:  # by its exposures it is known better
+        return []
+    counts, errors, light = np.array([[*one.values()] for one in found.values()]).T
+    every = float(np.average(counts, weights=errors**-2)), float(errors.min())
+    worst = int(np.argmax(np.abs(counts) / errors))
+    for mean, error in (every, (float(counts[worst]), float(errors[worst]))):
+        share = abs(mean) / float(np.median(light))
+        if abs(mean) > DARK_SIGMAS * error and share > DARK_DOUBT:
+            than, is_warm = ("dark", "too high") if mean < 0 else ("bright", "too low")
+            return [
+                f"{context.camera.name}: by their shot noise dim pixels have {abs(mean):.1f} ± {error:.1g} counts {'more' if mean < 0 else 'less'} "
+                f"light than they are above the dark: the darks are {is_warm}, of another temperature or setting. Dark paint is too {than} by "
+                f"a reflectance of about {share:.1g}; capture darks beside the object"
+            ]
+    return []
 
 
 def _describe_full_scale(context: SensorContext) -> list[str]:

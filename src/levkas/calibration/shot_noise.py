@@ -14,6 +14,9 @@ DIM = 0.5  # of the brightest group: the noise of those below is that of a linea
 SURE = 0.05  # relative error of their gain, at most
 QUIET = 0.85  # of the variance of a linear sensor: a tenth more or less is an unsteady object
 SIGMAS = 5.0  # of a lack, to be one
+FEWEST = 4  # groups that show the noise without light
+LIT = 30.0  # of the dark's variance: groups with more shot noise say little of what there is without light
+KNOWN = 0.02  # of the dark's variance, to which a trembling object or a slight curve leaves that without light known
 ROUNDS = 5  # of the light, which its slope is a function of
 LEAST_SLOPE = 0.1  # of a response that flattens: what is flatter is full
 
@@ -93,19 +96,71 @@ def find_flattening(groups: Groups) -> Flattening | None:
     return Flattening(level, max(share, 0.0), loss, DIM * float(signal[-1]))
 
 
+class DarkOffset(NamedTuple):
+    """Counts without light above the dark, by shot noise; their error, one standard deviation; counts of the brightest group."""
+
+    counts: float
+    error: float
+    brightest: float
+
+
+def find_dark_offset(lit: Groups, dark: Groups) -> DarkOffset | None:
+    """Compare the noise that dim groups have at no light with that of the darks; None where either is not known.
+
+    Parameters
+    ----------
+    lit, dark : Groups
+        Of stacks above their darks, and of these darks.
+
+    Notes
+    -----
+    Where a dark is h counts too high, lit groups have the variance read² + gain·(signal + h). What makes the dark high must
+    have no shot noise itself: the offset of an amplifier has none, dark current has as much as light, and does not show.
+
+    Examples
+    --------
+    >>> light = np.linspace(0, 3000, 60)
+    >>> lit = Groups(light - 8, 6 + 0.25 * light, np.full(60, 5000.0))
+    >>> found = find_dark_offset(lit, Groups(np.zeros(1), np.full(1, 6.0), np.full(1, 1e5)))
+    >>> round(found.counts, 1), round(found.error, 1)
+    (-8.0, 0.7)
+    """
+    if not len(lit.signal) or not len(dark.signal):
+        return None
+    quiet = float(np.average(dark.variance, weights=dark.freedom))
+    top, first = float(lit.signal.max()), _dim_line(lit)
+    if first is None or quiet <= 0:
+        return None
+    near = (lit.signal <= DIM * top) & (first[0] * lit.signal < LIT * quiet)
+    if np.count_nonzero(near) < FEWEST:
+        return None
+    (gain, read), covariance = _line(*(values[near] for values in lit))
+    if gain <= 0:
+        return None
+    error = np.sqrt(covariance[1, 1] + 2 * quiet**2 / dark.freedom.sum() + (KNOWN * quiet) ** 2)
+    return DarkOffset(float((quiet - read) / gain), float(error / gain), top)
+
+
 def _dim_line(groups: Groups) -> tuple[float, float, float] | None:
     """Return gain, variance without light, and the gain's relative error, by groups below half of the brightest; None of too few."""
     top = float(groups.signal.max(initial=0.0))
     dim = groups.signal <= DIM * top
     if top <= 0 or np.count_nonzero(dim) < 2:
         return None
-    signal, variance, freedom = (values[dim] for values in groups)
+    (gain, read), covariance = _line(*(values[dim] for values in groups))
+    error = float(np.sqrt(covariance[0, 0]) / gain) if gain > 0 else np.inf
+    return (float(gain), float(read), error) if error <= SURE else None
+
+
+def _line(
+    signal: np.ndarray, variance: np.ndarray, freedom: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return gain and variance without light of a weighted line, and their covariance."""
     design = np.stack([signal, np.ones_like(signal)], 1)
     expected = np.maximum(variance, 1e-12)
     for _ in range(3):
         weight = np.sqrt(freedom / 2) / expected
         covariance = np.linalg.pinv((design * weight[:, None]).T @ (design * weight[:, None]))
-        gain, read = covariance @ ((design * weight[:, None]).T @ (variance * weight))
-        expected = np.maximum(design @ (gain, read), 1e-12)
-    error = float(np.sqrt(covariance[0, 0]) / gain) if gain > 0 else np.inf
-    return (float(gain), float(read), error) if error <= SURE else None
+        found = covariance @ ((design * weight[:, None]).T @ (variance * weight))
+        expected = np.maximum(design @ found, 1e-12)
+    return found, covariance
