@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.calibration.differing_shots import require_agreement
 from levkas.calibration.drift import average_steady
 from levkas.calibration.patterns import as_pattern
 from levkas.calibration.templates import CalibrationRefused, Template, close_gaps, gaps_of
@@ -76,7 +77,7 @@ def calibrate(
     CalibrationRefused
         ``E_NO_FRAMES``, ``E_SIZE``, ``E_VALUE``, ``E_EXPOSURES`` or ``E_BAND_COUNT`` where frames or
         arguments do not fit; ``E_WHITE_DARK``, ``E_WHITE_SATURATED``, ``E_WHITE_DETAIL`` where more than half of a
-        white is not above dark, is full, or shows the object.
+        white is not above dark, is full, or shows the object; ``E_WHITE_SHOTS`` where its shots contradict each other.
 
     Notes
     -----
@@ -179,7 +180,9 @@ def _template(
             period=(len(rows), len(rows[0])),
             saturation=saturation,
             exposure_s=exposure_s,
+            white=name == "white",
         )
+        require_agreement(made.shots)
         made = close_gaps(made)
     except CalibrationRefused as refused:
         problems = (

@@ -18,6 +18,7 @@ from levkas.calibration.clipped_darks import MANY_ZEROS, is_clipped, unclip
 from levkas.calibration.code_checks import FEW_CODES, check_codes, thin_rows
 from levkas.calibration.code_spacing import find_alignment, find_step
 from levkas.calibration.darks import dark_under, level_under
+from levkas.calibration.differing_shots import require_agreement
 from levkas.calibration.drift import average_steady
 from levkas.calibration.full_scale import (
     FullScale,
@@ -45,7 +46,7 @@ MOST_GLIMPSED = 2
 SHOTS = 4
 """Of a dark that was clipped: what they show of noise and fixed pattern suffices."""
 CLIPPED_DARKS, FULL_SCALE, RESPONSE = "clipped_darks", "full_scale", "response"
-QUIET_WHITE, SENSOR = "quiet_white", "sensor"
+QUIET_WHITE, SENSOR, WHITE_SHOTS = "quiet_white", "sensor", "white_shots"
 """Names, among what is measured of a sensor, of darks that were clipped, the code at which it is full, and its curve."""
 BLACK, BLACK_ERROR = "black", 0.5
 """Name, among the same, of a black level by an exposure series; and its standard error, counts, at most: a quarter of a small read noise."""
@@ -291,18 +292,32 @@ class SensorContext:
         level = self.level_under(frames, darks) if dark or len(frames) > 1 else 0.0
         make = partial(self._dark, frames) if dark else partial(self._averaged, frames, level)
         if not kept or self.cache is None:
-            return self.whole(make(), frames)
-        made = self.cache.template(
-            frames,
-            make,
-            saturation=self.saturation,
-            exposure=exposure_of(frames[0]),
-            bits=self.camera.bits,
-            overrule=self.camera.overrule,
-            level=_digest(level),
-            **({"dark": (self.step, self.period)} if dark else {}),
-        )
+            made = make()
+        else:
+            made = self.cache.template(
+                frames,
+                make,
+                saturation=self.saturation,
+                exposure=exposure_of(frames[0]),
+                bits=self.camera.bits,
+                overrule=self.camera.overrule,
+                level=_digest(level),
+                **({"dark": (self.step, self.period)} if dark else {}),
+            )
+        if frames[0] in self.sensor.white:
+            with placing(frames):
+                require_agreement(made.shots)
+            self.note_white(made, frames)
         return self.whole(made, frames)
+
+    def note_white(self, white: Template, frames: Sequence[FrameRef]) -> None:
+        """Note the shots of a white that were left out, in `told`; each frame is a shot."""
+        if (shots := white.shots) is not None and (shots.left_out or shots.apart):
+            names = [frames[k].path.name for k in shots.left_out]
+            self.told.setdefault(WHITE_SHOTS, {})[frames[0].band or ""] = {
+                "left_out": names,
+                "apart": shots.apart,
+            }
 
     def _dark(self, frames: Sequence[FrameRef]) -> Template:
         return self.unclipped(self._averaged(frames, None), islice(self.read(frames), SHOTS))
@@ -326,6 +341,7 @@ class SensorContext:
                 black_clip=self.black_clip,
                 exposure_s=exposure_of(frames[0]),
                 times_s=capture_times(frames),
+                white=frames[0] in self.sensor.white,
             )
         except CalibrationRefused as refused:
             raise type(refused)(*(placed(p, frames) for p in refused.problems)) from None
