@@ -1,4 +1,4 @@
-"""How much of an object is brighter than its white, or darker than its dark: another light, exposure or temperature shows there."""
+"""How much of an object is brighter than its white, darker than its dark, or lit at all: another light, exposure or temperature shows there."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from levkas.calibration.templates import CalibrationRefused
 from levkas.core.cube import Cube, Flag, is_flagged
+from levkas.core.problems import Problem
 
 ABOVE = 1.02
 """Reflectance: a board of 0.99 in the picture stays below with its noise. At 1.01 noise counts, at 1.03 a light that is
@@ -24,6 +26,12 @@ and 0.11, in a line scanner 0.05 and 0.07."""
 SURELY_BELOW, FEW_BELOW = 4.0, 0.002
 """Standard deviations below zero that no noise explains (3 values in 100,000), and share of a band that may lie there."""
 
+LIT, BRIGHT, FEW_BRIGHT = 0.7, 5.0, 0.001
+"""Share of a band above its dark that light makes at least: noise alone makes a half, and paint of half the noise 0.69. Standard
+deviations of a value that is light for certain, and share of such that hot sensels may be."""
+ROWS = 7
+"""What is counted of each band."""
+
 
 def count_above(cube: Cube) -> np.ndarray:
     """Count values above the perfect diffuser and below the dark by more than their noise, band by band, without defects.
@@ -32,8 +40,9 @@ def count_above(cube: Cube) -> np.ndarray:
 
     Returns
     -------
-    counts : ndarray, (5, bands), int64
-        Above and all beside glare, above and all with it, and below. Nothing but zeros of counts.
+    counts : ndarray, (7, bands), int64
+        Above and all beside glare, above and all with it; below the dark; above the dark at all, and for certain. Nothing
+        but zeros of counts.
 
     Examples
     --------
@@ -41,10 +50,10 @@ def count_above(cube: Cube) -> np.ndarray:
     >>> values = np.array([[[0.5], [1.2], [-0.1]]], np.float32)
     >>> cube = Cube(values, np.zeros(values.shape, np.uint8), np.full(values.shape, 0.01, np.float32), (Band("R"),))
     >>> count_above(cube).ravel().tolist()
-    [1, 3, 1, 3, 1]
+    [1, 3, 1, 3, 1, 2, 2]
     """
     if cube.quantity != "reflectance":
-        return np.zeros((5, len(cube.bands)), np.int64)
+        return np.zeros((ROWS, len(cube.bands)), np.int64)
     seen = ~is_flagged(cube.flags, LEFT_OUT)
     above = seen & (cube.values > (ABOVE if cube.sigma is None else ABOVE + SURE * cube.sigma))
     with_glare = [_of_bands(above), _of_bands(seen)]
@@ -53,10 +62,40 @@ def count_above(cube: Cube) -> np.ndarray:
     if glare.any():
         paint = glare.mean(-1, keepdims=True) < 0.5
         beside = [_of_bands(above & (paint | ~glare)), _of_bands(seen & (paint | ~glare))]
-    below = np.zeros(len(cube.bands), np.int64)
+    below, bright = np.zeros((2, len(cube.bands)), np.int64)
+    lit = _of_bands(seen & (cube.values > 0))
     if cube.sigma is not None:
         below = _of_bands(seen & (cube.values < -SURELY_BELOW * cube.sigma))
-    return np.stack([*beside, *with_glare, below])
+        bright = _of_bands(seen & (cube.values > BRIGHT * cube.sigma))
+    return np.stack([*beside, *with_glare, below, lit, bright if cube.sigma is not None else lit])
+
+
+def require_light(counts: np.ndarray, labels: Sequence[str]) -> None:
+    """Refuse an object that is as dark as its dark in all of its bands.
+
+    Raises
+    ------
+    CalibrationRefused
+        ``E_NO_LIGHT``.
+    """
+    if (unlit := _unlit(counts)).size and unlit.size == len(labels):
+        least = 100 * (counts[5] / np.maximum(counts[3], 1)).max()
+        raise CalibrationRefused(
+            Problem(
+                "E_NO_LIGHT",
+                "the object has no light",
+                found=f"no more than {least:.0f} % of the pixels of any band above the dark, as noise alone gives",
+                expected="frames that the lamp lit",
+                fix="Was a lens cap on, the shutter closed or the lamp off, or are these darks? Capture the object again, or "
+                "correct the names.",
+            )
+        )
+
+
+def _unlit(counts: np.ndarray) -> np.ndarray:
+    """Return the numbers of the bands that have no light."""
+    seen = counts[3]
+    return np.flatnonzero((seen > 0) & (counts[5] < LIT * seen) & (counts[6] < FEW_BRIGHT * seen))
 
 
 def _of_bands(marked: np.ndarray) -> np.ndarray:
@@ -67,10 +106,10 @@ def _of_bands(marked: np.ndarray) -> np.ndarray:
 def describe_above(counts: np.ndarray, labels: Sequence[str]) -> list[str]:
     """Say in which bands more than a few per cent are brighter than the white, or darker than the dark; nothing where none is.
 
-    >>> describe_above(np.array([[9, 1], [100, 100], [9, 1], [100, 100], [0, 0]]), ["500 nm", "600 nm"])[0][:47]
-    '9 % of the object is brighter than a perfect wh'
+    >>> describe_above(np.array([[9, 1], [99, 99], [9, 1], [99, 99], [0, 0], [99, 99], [99, 99]]), ["500 nm", "600 nm"])[0][:47]
+    '9.09 % of the object is brighter than a perfect'
     """
-    above, seen, above_with_glare, seen_with_glare, below = counts
+    above, seen, above_with_glare, seen_with_glare, below = counts[:5]
     shares, least = above / np.maximum(seen, 1), FEW
     whole = above_with_glare / np.maximum(seen_with_glare, 1)
     if (whole > MUCH).any():
@@ -86,6 +125,11 @@ def describe_above(counts: np.ndarray, labels: Sequence[str]) -> list[str]:
         said.append(
             f"{100 * dark[odd[0]]:.3g} % of the object is darker than its dark by more than noise in {_names(odd, labels)}: the "
             "dark was warmer or longer than the object, or saw light. Dark paint is too dark by as much; capture darks beside the object"
+        )
+    if (odd := _unlit(counts)).size:
+        said.append(
+            f"the object has no light in {_names(odd, labels)}, nothing above its dark but noise: the exposure was too short, or "
+            "the shutter or a filter closed"
         )
     return said
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.above_white import count_above, describe_above
+from levkas.building.above_white import count_above, describe_above, require_light
 from levkas.building.build_records import Written
 from levkas.building.capture_statistics import describe_lamp, focus_of, note_light, note_sensels
 from levkas.building.chart_white import lights_by_chart
@@ -24,6 +24,7 @@ from levkas.building.exposures import (
     mark_glare_in,
     noise_of,
     require_same_size,
+    require_white,
     white_area_of,
     white_of,
     whites_of,
@@ -50,6 +51,7 @@ from levkas.calibration.sensor_context import (
     SensorContext,
     exposure_of,
     placed,
+    placing,
 )
 from levkas.calibration.sensor_notes import describe_sensor, doubts_of
 from levkas.calibration.stated_exposures import require_black, require_exposures
@@ -191,7 +193,10 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
             cube = cubes[sensor.name] = mark_glare_in(cube)
             notes += [*found, *describe_sensor(context)]
             if camera.kind != "cube":  # of a scan it is among what its lines show
-                notes += describe_above(count_above(cube), cube.labels)
+                counts = count_above(cube)
+                with placing(sensor.object):
+                    require_light(counts, cube.labels)
+                notes += describe_above(counts, cube.labels)
             learnt[sensor.name] = context.told
     except (UnreadableCapture, CodesRefused) as refused:
         raise type(refused)(*_all_problems(capture, campaign, templates, refused)) from None
@@ -271,6 +276,7 @@ def develop_mosaic(context: SensorContext) -> Noted:
     whites = whites_of(context, sensor.white, darks)
     require_same_size(context, shots[0].mean.shape, darks, whites)
     white = white_of(context, sensor.white, darks)
+    require_white(context, white, darks, [band.label for band in sensor.bands])
     noise = noise_of(context, shots, [white] * len(shots), darks)
     exposed = expose(context, shots, darks, noise)
     if exposed.shot.above_dark:
@@ -416,6 +422,7 @@ def _band(
     white = white_of(
         *(context, frames, darks), noise=noise, merged=exposed.shot.above_dark, band=label
     )
+    require_white(context, white, darks, [label])
     doubt = check_scaling(context, exposed, white, (shots, whites), darks)
     note_light(context.told, white, darks, None, [label])
     flat = flatten(

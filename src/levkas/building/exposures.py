@@ -27,7 +27,7 @@ from levkas.calibration.sensor_context import (
 from levkas.calibration.stated_exposures import doubt_scaling
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
 from levkas.calibration.white_area import WhiteArea, board_alone, find_white_area
-from levkas.calibration.whites import WhiteBoard, reflectance_table
+from levkas.calibration.whites import WhiteBoard, check_white, reflectance_table
 from levkas.campaign.discovery.captures import CaptureRefused
 from levkas.core.cube import Cube, Flag, is_flagged
 from levkas.core.problems import Problem
@@ -198,6 +198,21 @@ def check_scaling(
             require_reciprocity(found)
             return ""
     return doubt_scaling(context, taken, other)
+
+
+def require_white(
+    context: SensorContext, white: Template | None, darks: list[Template], labels: Sequence[str]
+) -> None:
+    """Refuse a white that has no light, or is full, before anything is made of it; raises CalibrationRefused with the files."""
+    if white is None or white.above_dark or context.light is not None:
+        return
+    level = level_under(white, darks, black=context.black_level)
+    pattern = context.sensor.pattern if len(labels) == len(context.sensor.bands) else None
+    try:
+        check_white(white, level, pattern, labels)
+    except CalibrationRefused as refused:
+        problems = (context.with_full_scale(p) for p in refused.problems)
+        raise CalibrationRefused(*(placed(p, context.sensor.white) for p in problems)) from None
 
 
 def white_area_of(

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera, Campaign
     from levkas.campaign.discovery.captures import FrameRef, SensorFrames
 
-GLIMPSE_LINES = 64
+GLIMPSE_LINES, FEW_PIXELS = 64, 1000
 MOST_GLIMPSED = 2
 """Frames of a role of which some rows are looked at."""
 SHOTS = 4
@@ -363,10 +363,28 @@ class SensorContext:
         """Read frame by frame, codes checked against the bits that are declared, and against the other frames."""
         for frame in frames:
             values = self.checked(self.frame(frame), frame)
+            if frame in self.sensor.object:
+                self._require_variety(values, frame)
             first = self.facts, self.sensor.object[0].path
             rows = thin_rows(values, FEW_CODES)
             check_alike(self.camera, first, self.alignments, rows, frame.path)
             yield values
+
+    def _require_variety(self, values: np.ndarray, frame: FrameRef) -> None:
+        """Refuse a frame of an object that holds one code, neither black nor full: no sensor gives that."""
+        code, full = values.flat[0], np.inf if self.saturation is None else self.saturation
+        if values.dtype.kind not in "ui" or not 0 < code < full or values.size < FEW_PIXELS:
+            return
+        if np.all(values[0] == code) and np.all(values == code):
+            problem = Problem(
+                "E_CONSTANT",
+                f"{self.camera.name}: the frame holds one value",
+                str(frame.path),
+                found=f"{code} in every pixel",
+                expected="what a sensor recorded, with its noise",
+                fix="The frame was damaged or exported empty: copy or export it again, or remove it from the campaign.",
+            )
+            raise CalibrationRefused(problem)
 
     def frame(self, frame: FrameRef) -> np.ndarray:
         """Read a frame as it is stored; of a mosaic, or of a band in a file of its own, one sample a pixel."""

@@ -174,6 +174,8 @@ def find_white_line(white: Template, level: np.ndarray) -> WhiteArea:
     if white.variance is None or white.count < LINES or len(light) < 3:
         return WhiteArea()
     middle = np.median(light, axis=0)
+    if middle.max() <= 0:  # no light, which is refused where it is divided by
+        return WhiteArea()
     bright = middle > BRIGHT * middle.max()
     relative = np.sqrt(white.variance[0][:, bright]) / np.maximum(light[:, bright], 1e-9)
     spread = np.median(relative, axis=1)
