@@ -293,6 +293,7 @@ def develop_mosaic(context: SensorContext) -> Noted:
         darks,
         white,
         moved=exposed.moved,
+        unsure=area.unsure,
         board=WhiteBoard(
             *(context.reflectance, pattern, [b.label for b in sensor.bands]),
             unit=context.unit_of(sensor.object[0]),
@@ -373,9 +374,7 @@ def develop_bands(context: SensorContext) -> Noted:
     for start in range(0, len(bands), GROUP):
         some = slice(start, start + GROUP)
         labels = [band.label for band in bands[some]]
-        group = each(
-            partial(_band, context, noise, area.uncovered), labels, reflectances[some].tolist()
-        )
+        group = each(partial(_band, context, noise, area), labels, reflectances[some].tolist())
         for flat in group:
             notes.extend(flat.notes)
             quantity = flat.quantity
@@ -407,7 +406,7 @@ def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, start: int) -> N
 def _band(
     context: SensorContext,
     noise: NoiseModel | None,
-    uncovered: np.ndarray | None,
+    area: WhiteArea,
     label: str,
     reflectance: float,
 ) -> Calibrated:
@@ -431,13 +430,14 @@ def _band(
         darks,
         white,
         moved=exposed.moved,
+        unsure=area.unsure,
         board=WhiteBoard(
             reflectance,
             labels=[label],
             unit=context.unit_of(next(f for f in sensor.object if f.band == label)),
         ),
         noise=noise,
-        defects=defects_of(darks, white, sensor.pattern, uncovered),
+        defects=defects_of(darks, white, sensor.pattern, area.uncovered),
     )
     plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
     if sensor.pattern is not None:

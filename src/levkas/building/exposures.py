@@ -13,7 +13,7 @@ from levkas.calibration.darks import SAME_TIME, level_under
 from levkas.calibration.defects import find_defects
 from levkas.calibration.drift import black_between, lamp_between
 from levkas.calibration.exposures import best_exposure, merge_exposures
-from levkas.calibration.flatfield import Calibrated, flat_field, pair_darks
+from levkas.calibration.flatfield import Calibrated, flat_field, less_sure, pair_darks
 from levkas.calibration.linearity import check_linearity, require_reciprocity
 from levkas.calibration.motion import find_moved
 from levkas.calibration.noise_fit import fit_noise_of_frames, level_of
@@ -300,8 +300,12 @@ def flatten(
     noise: NoiseModel | None = None,
     defects: np.ndarray | None = None,
     moved: np.ndarray | None = None,
+    unsure: np.ndarray | None = None,
 ) -> Calibrated:
-    """Flat-field with the files named in every refusal; `moved` is what the exposures showed already."""
+    """Flat-field with the files named in every refusal.
+
+    `moved` is what the exposures showed already, `unsure` the relative standard deviation that detail of the board gives.
+    """
     if white is not None and context.camera.kind != "cube":
         board = _with_lamp(context, shot, dark, white, board)
     try:
@@ -328,9 +332,10 @@ def flatten(
     if moved is None:
         moved = _moved(context, shot, dark, noise)
     flat = _with_movement(context, flat, moved)
-    if context.response is not None and flat.variance is not None:
-        unsure = np.square(flat.values * np.float32(context.response.error))
-        flat = replace(flat, variance=flat.variance + unsure)
+    if context.response is not None:
+        flat = less_sure(flat, np.float32(context.response.error))
+    if unsure is not None:
+        flat = less_sure(flat, unsure)
     return _with_gaps(context, flat, (shot, *dark, white), list(board.labels or ()))
 
 

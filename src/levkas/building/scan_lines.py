@@ -102,6 +102,7 @@ class Strip:
                 unit=context.unit_of(frame),
             ),
             noise=self.templates.noise,
+            unsure=self.templates.unsure(start, stop),
         )
         uncovered = self.templates.uncovered(start, stop)
         if uncovered is not None:  # where the white shows no board nothing is known

@@ -210,8 +210,15 @@ class ScanTemplates(NamedTuple):
 
     def uncovered(self, start: int, stop: int) -> np.ndarray | None:
         """Return where lines `start` to `stop` have no white board, (lines or 1, samples); None where all have."""
-        mask = self.area.uncovered
-        return mask if mask is None or len(mask) == 1 else mask[start:stop]
+        return _rows_of(self.area.uncovered, start, stop)
+
+    def unsure(self, start: int, stop: int) -> np.ndarray | None:
+        """Return the relative standard deviation by the board's detail of lines `start` to `stop`; None where it has none."""
+        return _rows_of(self.area.unsure, start, stop)
+
+
+def _rows_of(plane: np.ndarray | None, start: int, stop: int) -> np.ndarray | None:
+    return plane if plane is None or len(plane) == 1 else plane[start:stop]
 
 
 def templates_of_scan(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
@@ -330,11 +337,9 @@ def _area_behind_mirror(
         return WhiteArea()
     shot = FrameLines(context, (file,), times_of(file.frame)).thinned(step)
     found = find_white_area(shot, white, (level, level), spacing=step)
-    if found.uncovered is None:
-        return found
     rows, columns = (
         np.minimum(np.arange(n) // step, m - 1)
-        for n, m in zip(shape, found.uncovered.shape, strict=False)
+        for n, m in zip(shape[:2], white.mean.shape[:2], strict=True)
     )
     return found.at(rows, columns)
 
