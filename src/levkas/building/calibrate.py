@@ -44,7 +44,7 @@ from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA, light_varia
 from levkas.calibration.code_checks import CodesRefused
 from levkas.calibration.defects import replace_defects
 from levkas.calibration.equalising import equalise_phases
-from levkas.calibration.flatfield import Calibrated
+from levkas.calibration.flatfield import Calibrated, less_sure
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import mean_variance
 from levkas.calibration.sensor_context import (
@@ -293,7 +293,6 @@ def develop_mosaic(context: SensorContext) -> Noted:
         darks,
         white,
         moved=exposed.moved,
-        unsure=area.unsure,
         board=WhiteBoard(
             *(context.reflectance, pattern, [b.label for b in sensor.bands]),
             unit=context.unit_of(sensor.object[0]),
@@ -301,6 +300,7 @@ def develop_mosaic(context: SensorContext) -> Noted:
         noise=noise,
         defects=defects,
     )
+    flat = less_sure(flat, area.unsure)
     notes.extend(flat.notes)
     values, flags, variance = replace_defects(
         flat.values, flat.flags, flat.variance, pattern=pattern
@@ -430,7 +430,6 @@ def _band(
         darks,
         white,
         moved=exposed.moved,
-        unsure=area.unsure,
         board=WhiteBoard(
             reflectance,
             labels=[label],
@@ -439,6 +438,7 @@ def _band(
         noise=noise,
         defects=defects_of(darks, white, sensor.pattern, area.uncovered),
     )
+    flat = less_sure(flat, area.unsure)
     plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
     if sensor.pattern is not None:
         plane = equalise_phases(*plane, sensor.pattern)

@@ -300,12 +300,8 @@ def flatten(
     noise: NoiseModel | None = None,
     defects: np.ndarray | None = None,
     moved: np.ndarray | None = None,
-    unsure: np.ndarray | None = None,
 ) -> Calibrated:
-    """Flat-field with the files named in every refusal.
-
-    `moved` is what the exposures showed already, `unsure` the relative standard deviation that detail of the board gives.
-    """
+    """Flat-field with the files named in every refusal; `moved` is what the exposures showed already."""
     if white is not None and context.camera.kind != "cube":
         board = _with_lamp(context, shot, dark, white, board)
     try:
@@ -333,9 +329,7 @@ def flatten(
         moved = _moved(context, shot, dark, noise)
     flat = _with_movement(context, flat, moved)
     if context.response is not None:
-        flat = less_sure(flat, np.float32(context.response.error))
-    if unsure is not None:
-        flat = less_sure(flat, unsure)
+        flat = less_sure(flat, np.array(context.response.error, np.float32))
     return _with_gaps(context, flat, (shot, *dark, white), list(board.labels or ()))
 
 

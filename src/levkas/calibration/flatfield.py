@@ -171,9 +171,9 @@ def flat_field(
     return Calibrated(values, flags, variance.reshape(shape) if known else None, quantity, notes)
 
 
-def less_sure(flat: Calibrated, relative: np.ndarray | np.float32) -> Calibrated:
+def less_sure(flat: Calibrated, relative: np.ndarray | None) -> Calibrated:
     """Return calibrated values with one more relative standard deviation, of all or of each (h, w), in their variance."""
-    if flat.variance is None:
+    if relative is None or flat.variance is None:
         return flat
     if relative.ndim < flat.values.ndim:
         relative = relative[..., None]

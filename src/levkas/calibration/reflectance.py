@@ -136,8 +136,7 @@ def calibrate(
         defects = found if defects is None else found | defects
     board = replace(board, labels=[band.label for band in bands])
     flat = flat_field(shot, under, lit, board=board, black=black, noise=noise, defects=defects)
-    if area.unsure is not None:
-        flat = less_sure(flat, area.unsure)
+    flat = less_sure(flat, area.unsure)
     flags = _with_moved(flat, shot, under, black or 0.0, noise, pattern)
     values, flags, variance = replace_defects(flat.values, flags, flat.variance, pattern=pattern)
     if pattern is not None:

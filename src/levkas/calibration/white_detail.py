@@ -88,13 +88,11 @@ def find_board_detail(seen: np.ndarray, lit: np.ndarray, sound: np.ndarray) -> B
     marked = _standing_out(of_white.between, sound)
     specks = _judged(seen, lit, sound, marked)
     even = sound & ~near(marked)
-    # Of the object is what is left of the two, if the white's detail is the sensor's.
-    own = np.minimum(np.abs(of_object.between), np.abs(of_object.between - of_white.between))
-    fine = _shares(of_object, of_white, _weights(own**2, even), SCALES[0], noise)
+    fine = _shares(of_object, of_white, even, SCALES[0], noise)
     small = min(1.0, min(lit.shape) / SMALL)
     fields = (SCALES[1][0] * small, SCALES[1][1] * small)
     wide, of_fields = (detail(plane, fields) for plane in (seen, lit))
-    coarse = _shares(wide, of_fields, _weights(wide.between**2, sound), fields, noise)
+    coarse = _shares(wide, of_fields, sound, fields, noise)
     picture = 0.0
     if coarse.much > MUCH and (coarse.sure or (fine.sure and fine.board > STRUCTURE**2)):
         picture = float(np.sqrt(max(coarse.board, fine.board)))
@@ -114,7 +112,7 @@ def find_board_detail(seen: np.ndarray, lit: np.ndarray, sound: np.ndarray) -> B
     return BoardDetail(texture if texture > TEXTURE else 0.0, of_board, unclear, picture, smooth)
 
 
-class Detail(NamedTuple):
+class RelativeDetail(NamedTuple):
     """Relative detail of a plane between two scales, and all that is finer than the coarser one, (h, w)."""
 
     between: np.ndarray
@@ -136,14 +134,17 @@ class _Shares(NamedTuple):
 
 
 def _shares(
-    of_object: Detail, of_white: Detail, sound: np.ndarray, scale: tuple[float, float], noise: float
+    of_object: RelativeDetail,
+    of_white: RelativeDetail,
+    sound: np.ndarray,
+    scale: tuple[float, float],
+    noise: np.ndarray,
 ) -> _Shares:
     """Return what detail of one scale is whose."""
     w = of_white.between
-    left = np.minimum(
-        of_object.between**2, (of_object.between - w) ** 2
-    )  # of the object, if either is its own
-    weight = _weights(left, sound)
+    # The object's own detail is the less of the two, whether the white's is the board's or the sensor's.
+    own = np.minimum(of_object.between**2, (of_object.between - w) ** 2)
+    weight = _weights(own, sound)
     side = int(4 * scale[1])
     planes = (weight, weight * w**2, weight * of_object.between * w, 1.0, w**2)
     sums = [_sums(np.where(sound, plane, 0), side) for plane in planes]
@@ -157,8 +158,8 @@ def _shares(
     some = sums[3] > side**2 / 4
     much = float(np.mean(sums[4][some] > STRUCTURE**2 * sums[3][some])) if some.any() else 0.0
     whole = float((weight * np.where(sound, of_white.whole**2, 0)).sum()) / total - by_noise
-    own = float(np.mean(np.where(sound, of_object.between**2, 0)))
-    return _Shares(board, lit, whole, own, board > max(SIGMAS * error, lit / 4), much)
+    seen = float(np.mean(np.where(sound, of_object.between**2, 0)))
+    return _Shares(board, lit, whole, seen, board > max(SIGMAS * error, lit / 4), much)
 
 
 class _Specks(NamedTuple):
@@ -227,7 +228,7 @@ def _slopes(plane: np.ndarray) -> list[np.ndarray]:
     return list(np.gradient(np.log(np.maximum(fine, max(1e-3 * float(np.median(fine)), 1e-9)))))
 
 
-def detail(plane: np.ndarray, scale: tuple[float, float]) -> Detail:
+def detail(plane: np.ndarray, scale: tuple[float, float]) -> RelativeDetail:
     """Return the relative detail of a plane, (h, w); light goes on beyond the border as it falls off."""
     import cv2
 
@@ -235,7 +236,7 @@ def detail(plane: np.ndarray, scale: tuple[float, float]) -> Detail:
     wide = np.pad(plane, rim, mode="reflect", reflect_type="odd")
     fine, coarse = (cv2.GaussianBlur(wide, (0, 0), s)[rim:-rim, rim:-rim] for s in scale)
     base = np.maximum(np.abs(coarse), max(1e-3 * float(np.median(np.abs(coarse))), 1e-9))
-    return Detail((fine - coarse) / base, (plane - coarse) / base)
+    return RelativeDetail((fine - coarse) / base, (plane - coarse) / base)
 
 
 def _weights(square: np.ndarray, sound: np.ndarray, around: float = AROUND) -> np.ndarray:
