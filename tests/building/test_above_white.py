@@ -1,4 +1,4 @@
-"""An object that is brighter than its white, by more than gold and gloss explain."""
+"""An object that is brighter than its white, by more than gold and gloss explain, or has no light at all."""
 
 from dataclasses import replace
 
@@ -10,6 +10,7 @@ from levkas.building.above_white import count_above, describe_above
 from levkas.building.calibrate import develop
 from levkas.building.scans import open_scan
 from levkas.building.template_cache import TemplateCache
+from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.cube import Band, Cube, Flag
@@ -29,13 +30,17 @@ objects = ["panel"]
 PATTERNS = {"bands": "_{wavelength}nm.tif", "cube": ".hdr"}
 
 
-def make(folder, kind, bright, spots=0.0, noise=2):
-    """Write a panel of 0.2 to 0.8 whose middle band is `bright` times as bright, with a share of 1.5 in spots."""
+def make(folder, kind, bright, spots=0.0, noise=2, unlit=()):
+    """Write a panel of 0.2 to 0.8 whose middle band is `bright` times as bright, with a share of 1.5 in spots.
+
+    `unlit` are targets that the lamp did not light.
+    """
     rng = np.random.default_rng(5)
     panel = np.broadcast_to(np.linspace(0.2, 0.8, SIZE[1])[:, None], (*SIZE, 3)) * [1, bright, 1]
     panel = np.where(rng.random((*SIZE, 1)) < spots, 1.5, panel)
     (folder / "raw").mkdir(parents=True)
     for target, light in (("dark", 0 * panel), ("white", 1 + 0 * panel), ("panel", panel)):
+        light = light * (target not in unlit)
         counts = np.rint(1000 + 2000 * light + rng.normal(0, noise, panel.shape)).astype("<u2")
         if kind == "bands":
             for k, nm in enumerate(NM):
@@ -132,3 +137,30 @@ def test_a_dark_that_is_slightly_too_warm_is_named_where_dark_paint_lies_below_i
         for part in (np.s_[:7], np.s_[7:])
     ]
     assert np.array_equal(sum(map(count_above, halves)), counts)
+
+
+@pytest.mark.parametrize("kind", ["bands", "cube"])
+@pytest.mark.parametrize(("unlit", "code"), [("panel", "E_NO_LIGHT"), ("white", "E_WHITE_DARK")])
+def test_a_target_without_light_is_refused_with_its_files(tmp_path, kind, unlit, code):
+    made = make(tmp_path / "c", kind, 1.0, unlit={unlit})
+    with pytest.raises(CalibrationRefused) as refused:
+        develop(*made)
+    (problem,) = refused.value.problems
+    assert problem.code == code and "no light" in problem.message
+    assert unlit in problem.file and "lens cap" in problem.fix
+
+
+@pytest.mark.parametrize("kind", ["bands", "cube"])
+def test_a_band_without_light_is_named(tmp_path, kind):
+    (warning,) = [w for w in develop(*make(tmp_path / "c", kind, 0.0)).warnings if "no light" in w]
+    assert "550 nm (1 of 3 bands)" in warning
+
+
+@pytest.mark.parametrize("target", ["panel", "white"])
+def test_a_frame_that_holds_one_value_is_refused(tmp_path, target):
+    made = make(tmp_path / "c", "bands", 1.0)
+    tifffile.imwrite(tmp_path / f"c/raw/{target}_550nm.tif", np.full(SIZE, 1000, "<u2"))
+    with pytest.raises(CalibrationRefused) as refused:
+        develop(*made)
+    (problem,) = refused.value.problems
+    assert f"{target}_550nm.tif" in problem.file and "1000 in every pixel" in str(problem)

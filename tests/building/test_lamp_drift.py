@@ -91,6 +91,7 @@ def test_whites_before_and_after_are_interpolated_to_the_time_of_the_object(tmp_
         0.05 * 0.25 * 0.75, rel=0.1
     )
     assert "interpolated to its time" in made.report
+    assert "all at once between white and object" not in made.camera
 
 
 def test_a_black_level_that_wanders_is_no_noise_and_is_in_the_budget(tmp_path):
@@ -139,6 +140,7 @@ def test_a_page_says_that_a_white_of_one_shot_tells_nothing_of_the_lamp(drifted,
     once = Built(tmp_path / "c", lambda name, shot, band=0: 1.0, whites=1)
     assert "how the lamp changed was not measured" in once.camera
     assert "how the lamp changed was not measured" not in drifted.camera
+    assert "all at once between white and object is not known" in drifted.camera
 
 
 def sinking(name, line, band=0):

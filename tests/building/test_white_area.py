@@ -7,9 +7,14 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from scipy.ndimage import gaussian_filter
 from sigma_of_builds import Camera, write_campaign
 
 from levkas.building import build, summarise
+from levkas.building.calibrate import develop
+from levkas.building.template_cache import TemplateCache
+from levkas.campaign.campaign import load_campaign
+from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.cube import Flag
 from levkas.database.spectral_tiff import read_tiff_pages
 
@@ -66,3 +71,65 @@ def test_a_white_that_is_the_object_is_refused_with_its_files(tmp_path, panel):
     report = summarise(build(tmp_path / "c"))
     (problem,) = report.problems
     assert problem.code == "E_WHITE_DETAIL" and "white_450nm" in problem.file
+
+
+@pytest.mark.parametrize("kind", ["bands", "mosaic"])
+def test_a_white_with_a_hand_before_it_is_left_out_and_named(tmp_path, panel, kind):
+    class Hand(Camera):
+        whites = 0
+
+        def frame(self, reflectance, seconds, light=14_000.0, lamp=1.0):
+            if np.all(reflectance == 1):
+                self.whites += 1
+                hand = np.ones(self.shape)
+                hand[30:70, 50:110] = 0.4
+                reflectance = hand if (self.whites - 1) // (4 if kind == "bands" else 1) == 2 else 1
+            return super().frame(reflectance, seconds, light, lamp)
+
+    write_campaign(tmp_path / "c", kind, Hand(SHAPE), panel)
+    report = summarise(build(tmp_path / "c"))
+    assert report.ok, report.problems
+    (note,) = [w for w in report.warnings if "shots of the white" in w]
+    assert "ms_2.tif" in note and "_3.tif" not in note
+    values = read_tiff_pages(tmp_path / "c/database/objects/panel/native/panel_cam.tif")
+    inner = np.s_[34:66, 54:106]
+    ratio = np.atleast_3d(values)[inner].mean((0, 1)) / panel[inner].mean()
+    assert np.abs(ratio - 1).max() < 0.01
+
+
+class Showing(Camera):
+    """A camera before whose white stands something: (h, w) reflectance."""
+
+    white = np.ones(SHAPE)
+
+    def frame(self, reflectance, seconds, light=14_000.0, lamp=1.0):
+        reflectance = self.white if np.all(reflectance == 1) else reflectance
+        return super().frame(reflectance, seconds, light, lamp)
+
+
+@pytest.mark.parametrize("kind", ["bands", "mosaic", "mirror"])
+def test_another_painting_for_a_white_is_refused_with_its_files(tmp_path, panel, kind):
+    camera = Showing(SHAPE)
+    tones = np.random.default_rng(8).uniform(0.1, 0.9, (15, 22))
+    camera.white = np.kron(tones, np.ones((7, 7)))[3 : SHAPE[0] + 3, 5 : SHAPE[1] + 5]
+    write_campaign(tmp_path / "c", kind, camera, panel, times=(0.02,) * 4)
+    report = summarise(build(tmp_path / "c"))
+    (problem,) = report.problems
+    assert problem.code == "E_WHITE_DETAIL" and "white" in problem.file
+    assert "picture" in problem.message
+
+
+@pytest.mark.parametrize("kind", ["bands", "mosaic", "mirror"])
+def test_texture_of_the_board_is_said_and_in_sigma(tmp_path, panel, kind):
+    camera = Showing(SHAPE)
+    marks = gaussian_filter(np.random.default_rng(8).standard_normal(SHAPE), 2.0)
+    camera.white = 1 + 0.06 * marks / marks.std()
+    camera.response = camera.response**0.1  # of which none hides it at the frames' small size
+    smooth = gaussian_filter(panel, 3.0)
+    write_campaign(tmp_path / "c", kind, camera, smooth, times=(0.02,) * 4, shots=2)
+    (capture,), _ = find_captures(campaign := load_campaign(tmp_path / "c"))
+    native = develop(capture, campaign, TemplateCache(tmp_path, None, shared=False))
+    assert any("fine detail" in warning for warning in native.warnings)
+    cube = native.cubes[""]
+    miss = (cube.values[8:-8, 8:-8] - smooth[8:-8, 8:-8, None]) / cube.sigma[8:-8, 8:-8]
+    assert 0.7 < miss.std() < 1.6  # detail is averaged over a mosaic's period

@@ -86,6 +86,81 @@ def test_the_border_of_a_board_is_named(beyond):
     assert 55 <= first <= last <= 85
 
 
+def texture(rms, seed=8):
+    marks = cv2.GaussianBlur(np.random.default_rng(seed).standard_normal(SHAPE), (0, 0), 1.5)
+    return 1 + rms * marks / marks.std()
+
+
+def specks(seed=3, count=6):
+    """Dust of 20 %, 3 px."""
+    rng, (y, x) = np.random.default_rng(seed), np.indices(SHAPE)
+    made = np.ones(SHAPE)
+    for _ in range(count):
+        cy, cx = rng.integers(20, SHAPE[0] - 20), rng.integers(20, SHAPE[1] - 20)
+        made *= 1 - 0.2 * np.exp(-((y - cy) ** 2 + (x - cx) ** 2) / 18)
+    return made
+
+
+def fields(seed=4):
+    """Fields of colour with faint brush marks."""
+    rng = np.random.default_rng(seed)
+    plane = np.kron(rng.uniform(0.05, 0.9, (10, 13)), np.ones((30, 28)))
+    y, x = rng.integers(0, 28, 2)
+    return plane[y : y + SHAPE[0], x : x + SHAPE[1]] * texture(0.02, seed + 1)
+
+
+CLEAN = np.ones(SHAPE)
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_texture_of_a_board_that_stands_still_is_said_and_in_sigma(count):
+    scene, board_ = fields(), texture(0.05)
+    white, shot = shots(board_, CLEAN, 2, count), shots(scene, CLEAN, 1, count)
+    found = find_white_area(shot, white, DARK)
+    (note,) = found.notes
+    assert "fine detail" in note and "Sigma includes it" in note
+    miss = np.std((shot.mean - 60) / (white.mean - 60) / scene - 1)
+    assert miss == pytest.approx(0.05, rel=0.1)
+    assert np.median(found.unsure) == pytest.approx(miss, rel=0.3)
+
+
+def test_detail_that_object_and_white_share_is_the_sensors():
+    for response in (texture(0.05), specks(), specks(count=20) * texture(0.02)):
+        found = find_white_area(shots(fields(), response, 1), shots(CLEAN, response, 2), DARK)
+        assert found.unsure is None and not found.notes
+
+
+def test_dead_sensels_are_no_specks():
+    response = np.where(np.random.default_rng(2).random(SHAPE) < 3e-4, 0.05, 1.0)
+    for scene in (fields(), CLEAN):
+        found = find_white_area(shots(scene, response, 1), shots(CLEAN, response, 2), DARK)
+        assert found.unsure is None and not found.notes
+
+
+def test_specks_of_the_board_are_named_and_in_sigma_beside_dust_of_the_sensor():
+    response, dirt = specks(7), specks(3)
+    found = find_white_area(shots(fields(), response, 1), shots(dirt, response, 2), DARK)
+    (note,) = found.notes
+    assert "specks" in note and "dirt on the board" in note
+    assert np.median(found.unsure[dirt < 0.9]) == pytest.approx(0.14, abs=0.04)
+    assert np.count_nonzero(found.unsure[response < 0.9]) < 0.2 * np.count_nonzero(response < 0.9)
+
+
+@pytest.mark.parametrize("blur", [0.0, 4.0])
+def test_a_white_that_is_another_painting_is_refused(blur):
+    other = fields(9) if not blur else cv2.GaussianBlur(fields(9), (0, 0), blur)
+    with pytest.raises(CalibrationRefused) as refused:
+        find_white_area(shots(fields(), CLEAN, 1), shots(other, CLEAN, 2), DARK)
+    (problem,) = refused.value.problems
+    assert problem.code == "E_WHITE_DETAIL" and "exchange" not in problem.fix
+
+
+def test_white_and_object_that_are_exchanged_are_refused_with_that_advice():
+    with pytest.raises(CalibrationRefused) as refused:
+        find_white_area(shots(board(), CLEAN, 1), shots(fields(), CLEAN, 2), DARK)
+    assert "exchange their names" in refused.value.problems[0].fix
+
+
 def test_samples_of_a_line_that_see_something_move_are_found():
     rng = np.random.default_rng(6)
     lines = 1000 * np.linspace(0.6, 1, 90)[None, :, None] * rng.normal(1, 0.02, (120, 90, 6))

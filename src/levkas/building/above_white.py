@@ -1,4 +1,4 @@
-"""How much of an object is brighter than its white, or darker than its dark: another light, exposure or temperature shows there."""
+"""How much of an object is brighter than its white, darker than its dark, or lit at all: another light, exposure or temperature shows there."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from levkas.calibration.templates import CalibrationRefused
 from levkas.core.cube import Cube, Flag, is_flagged
+from levkas.core.problems import Problem
 
 ABOVE = 1.02
 """Reflectance: a board of 0.99 in the picture stays below with its noise. At 1.01 noise counts, at 1.03 a light that is
@@ -28,10 +30,14 @@ ROW, ROW_SURELY = 16, 1.25
 deviations, 3.5 where neighbours were interpolated from one another. Twice as many values are seldom of one paint."""
 ROW_BELOW = 0.0002
 """Reflectance by which such a mean may lie below zero: a tenth of the darkest paint, 0.002."""
-COUNTS = 8
-"""Rows of what is counted of each band."""
+COUNTS, LIT_ROW = 10, 8
+"""Rows of what is counted of each band, and the row of values above the dark."""
 MICRO = 1e-6
 """Reflectance in which sums are counted, so that they are the same in whatever parts."""
+
+LIT, BRIGHT, FEW_BRIGHT = 0.7, 5.0, 0.001
+"""Share of a band above its dark that light makes at least: noise alone makes a half, and paint of half the noise 0.69. Standard
+deviations of a value that is light for certain, and share of such that hot sensels may be."""
 
 
 def count_above(cube: Cube) -> np.ndarray:
@@ -41,9 +47,10 @@ def count_above(cube: Cube) -> np.ndarray:
 
     Returns
     -------
-    counts : ndarray, (8, bands), int64
-        Above and all beside glare, above and all with it, and below; stretches of 16 values in a row, those whose mean is below zero by
-        more than noise, and the sum of these means, 10⁻⁶. Nothing but zeros of counts.
+    counts : ndarray, (10, bands), int64
+        Above and all beside glare, above and all with it, and below the dark; stretches of 16 values in a row, those whose mean is
+        below zero by more than noise, and the sum of these means, 10⁻⁶; above the dark at all, and for certain. Nothing but zeros
+        of counts.
 
     Examples
     --------
@@ -51,7 +58,7 @@ def count_above(cube: Cube) -> np.ndarray:
     >>> values = np.array([[[0.5], [1.2], [-0.1]]], np.float32)
     >>> cube = Cube(values, np.zeros(values.shape, np.uint8), np.full(values.shape, 0.01, np.float32), (Band("R"),))
     >>> count_above(cube).ravel().tolist()
-    [1, 3, 1, 3, 1, 0, 0, 0]
+    [1, 3, 1, 3, 1, 0, 0, 0, 2, 2]
     """
     if cube.quantity != "reflectance":
         return np.zeros((COUNTS, len(cube.bands)), np.int64)
@@ -64,10 +71,13 @@ def count_above(cube: Cube) -> np.ndarray:
         paint = glare.mean(-1, keepdims=True) < 0.5
         beside = [_of_bands(above & (paint | ~glare)), _of_bands(seen & (paint | ~glare))]
     dark = np.zeros((4, len(cube.bands)), np.int64)
+    lit = _of_bands(seen & (cube.values > 0))
+    bright = lit
     if cube.sigma is not None:
         dark[0] = _of_bands(seen & (cube.values < -SURELY_BELOW * cube.sigma))
         dark[1:] = _count_dark_rows(cube.values, cube.sigma, seen)
-    return np.stack([*beside, *with_glare, *dark])
+        bright = _of_bands(seen & (cube.values > BRIGHT * cube.sigma))
+    return np.stack([*beside, *with_glare, *dark, lit, bright])
 
 
 def _count_dark_rows(values: np.ndarray, sigma: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -88,6 +98,34 @@ def _count_dark_rows(values: np.ndarray, sigma: np.ndarray, seen: np.ndarray) ->
     return np.stack([known.sum((0, 1)), below.sum((0, 1)), amounts.sum((0, 1))])
 
 
+def require_light(counts: np.ndarray, labels: Sequence[str]) -> None:
+    """Refuse an object that is as dark as its dark in all of its bands.
+
+    Raises
+    ------
+    CalibrationRefused
+        ``E_NO_LIGHT``.
+    """
+    if (unlit := _unlit(counts)).size and unlit.size == len(labels):
+        least = 100 * (counts[LIT_ROW] / np.maximum(counts[3], 1)).max()
+        raise CalibrationRefused(
+            Problem(
+                "E_NO_LIGHT",
+                "the object has no light",
+                found=f"no more than {least:.0f} % of the pixels of any band above the dark, as noise alone gives",
+                expected="frames that the lamp lit",
+                fix="Was a lens cap on, the shutter closed or the lamp off, or are these darks? Capture the object again, or "
+                "correct the names.",
+            )
+        )
+
+
+def _unlit(counts: np.ndarray) -> np.ndarray:
+    """Return the numbers of the bands that have no light."""
+    seen, lit, bright = counts[3], counts[LIT_ROW], counts[LIT_ROW + 1]
+    return np.flatnonzero((seen > 0) & (lit < LIT * seen) & (bright < FEW_BRIGHT * seen))
+
+
 def _of_bands(marked: np.ndarray) -> np.ndarray:
     """Return how many values of each band are marked, (bands,); view by view takes 0.1 to 0.7 of the time of one count over two axes."""
     return np.array([np.count_nonzero(marked[..., k]) for k in range(marked.shape[-1])], np.int64)
@@ -96,10 +134,11 @@ def _of_bands(marked: np.ndarray) -> np.ndarray:
 def describe_above(counts: np.ndarray, labels: Sequence[str]) -> list[str]:
     """Say in which bands more than a few per cent are brighter than the white, or darker than the dark; nothing where none is.
 
-    >>> describe_above(np.array([[9, 1], [100, 100], [9, 1], [100, 100], *[[0, 0]] * 4]), ["500 nm", "600 nm"])[0][:47]
+    >>> counts = [[9, 1], [100, 100], [9, 1], [100, 100], *[[0, 0]] * 4, [99, 99], [99, 99]]
+    >>> describe_above(np.array(counts), ["500 nm", "600 nm"])[0][:47]
     '9 % of the object is brighter than a perfect wh'
     """
-    above, seen, above_with_glare, seen_with_glare, below, rows, rows_below, amounts = counts
+    above, seen, above_with_glare, seen_with_glare, below, rows, rows_below, amounts = counts[:8]
     shares, least = above / np.maximum(seen, 1), FEW
     whole = above_with_glare / np.maximum(seen_with_glare, 1)
     if (whole > MUCH).any():
@@ -119,6 +158,11 @@ def describe_above(counts: np.ndarray, labels: Sequence[str]) -> list[str]:
             f"{100 * dark[odd[0]]:.3g} % of the object is darker than its dark by more than noise in {_names(odd, labels)}{by}: the "
             "dark was warmer or longer than the object, or saw light. Dark paint is too dark by as much or more; capture darks beside the "
             "object"
+        )
+    if (odd := _unlit(counts)).size:
+        said.append(
+            f"the object has no light in {_names(odd, labels)}, nothing above its dark but noise: the exposure was too short, or "
+            "the shutter or a filter closed"
         )
     return said
 

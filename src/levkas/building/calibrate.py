@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.above_white import count_above, describe_above
+from levkas.building.above_white import count_above, describe_above, require_light
 from levkas.building.build_records import Written
 from levkas.building.capture_statistics import describe_lamp, focus_of, note_light, note_sensels
 from levkas.building.chart_white import lights_by_chart
@@ -24,6 +24,7 @@ from levkas.building.exposures import (
     mark_glare_in,
     noise_of,
     require_same_size,
+    require_white,
     white_area_of,
     white_of,
     whites_of,
@@ -43,13 +44,14 @@ from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA, light_varia
 from levkas.calibration.code_checks import CodesRefused
 from levkas.calibration.defects import replace_defects
 from levkas.calibration.equalising import equalise_phases
-from levkas.calibration.flatfield import Calibrated
+from levkas.calibration.flatfield import Calibrated, less_sure
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import mean_variance
 from levkas.calibration.sensor_context import (
     SensorContext,
     exposure_of,
     placed,
+    placing,
 )
 from levkas.calibration.sensor_notes import describe_sensor, doubts_of
 from levkas.calibration.stated_exposures import require_black, require_exposures
@@ -191,7 +193,10 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
             cube = cubes[sensor.name] = mark_glare_in(cube)
             notes += [*found, *describe_sensor(context)]
             if camera.kind != "cube":  # of a scan it is among what its lines show
-                notes += describe_above(count_above(cube), cube.labels)
+                counts = count_above(cube)
+                with placing(sensor.object):
+                    require_light(counts, cube.labels)
+                notes += describe_above(counts, cube.labels)
             learnt[sensor.name] = context.told
     except (UnreadableCapture, CodesRefused) as refused:
         raise type(refused)(*_all_problems(capture, campaign, templates, refused)) from None
@@ -271,6 +276,7 @@ def develop_mosaic(context: SensorContext) -> Noted:
     whites = whites_of(context, sensor.white, darks)
     require_same_size(context, shots[0].mean.shape, darks, whites)
     white = white_of(context, sensor.white, darks)
+    require_white(context, white, darks, [band.label for band in sensor.bands])
     noise = noise_of(context, shots, [white] * len(shots), darks)
     exposed = expose(context, shots, darks, noise)
     if exposed.shot.above_dark:
@@ -294,6 +300,7 @@ def develop_mosaic(context: SensorContext) -> Noted:
         noise=noise,
         defects=defects,
     )
+    flat = less_sure(flat, area.unsure)
     notes.extend(flat.notes)
     values, flags, variance = replace_defects(
         flat.values, flat.flags, flat.variance, pattern=pattern
@@ -367,9 +374,7 @@ def develop_bands(context: SensorContext) -> Noted:
     for start in range(0, len(bands), GROUP):
         some = slice(start, start + GROUP)
         labels = [band.label for band in bands[some]]
-        group = each(
-            partial(_band, context, noise, area.uncovered), labels, reflectances[some].tolist()
-        )
+        group = each(partial(_band, context, noise, area), labels, reflectances[some].tolist())
         for flat in group:
             notes.extend(flat.notes)
             quantity = flat.quantity
@@ -401,7 +406,7 @@ def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, start: int) -> N
 def _band(
     context: SensorContext,
     noise: NoiseModel | None,
-    uncovered: np.ndarray | None,
+    area: WhiteArea,
     label: str,
     reflectance: float,
 ) -> Calibrated:
@@ -416,6 +421,7 @@ def _band(
     white = white_of(
         *(context, frames, darks), noise=noise, merged=exposed.shot.above_dark, band=label
     )
+    require_white(context, white, darks, [label])
     doubt = check_scaling(context, exposed, white, (shots, whites), darks)
     note_light(context.told, white, darks, None, [label])
     flat = flatten(
@@ -430,8 +436,9 @@ def _band(
             unit=context.unit_of(next(f for f in sensor.object if f.band == label)),
         ),
         noise=noise,
-        defects=defects_of(darks, white, sensor.pattern, uncovered),
+        defects=defects_of(darks, white, sensor.pattern, area.uncovered),
     )
+    flat = less_sure(flat, area.unsure)
     plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
     if sensor.pattern is not None:
         plane = equalise_phases(*plane, sensor.pattern)

@@ -295,17 +295,21 @@ def _of_lamp(told: Mapping[str, Any]) -> list[str]:
     if not lamps:
         return [LAMP_UNKNOWN]
     band = max(lamps, key=lambda b: abs(lamps[b]))
-    scan = told[LAMP][band]
+    scan, notes = told[LAMP][band], []
     if abs(lamps[band]) * max(scan.get("reach", 0.0), 1.0) > NOTICED:
-        return [f"{band}: the lamp changed by {100 * lamps[band]:+.2g} % within the white"]
-    if scan.get("unseen", 0.0) > LAMP_DOUBT:
-        return [LAMP_UNSEEN.format(percent=100 * scan["unseen"])]
-    return []
+        notes.append(f"{band}: the lamp changed by {100 * lamps[band]:+.2g} % within the white")
+    elif scan.get("unseen", 0.0) > LAMP_DOUBT:
+        notes.append(LAMP_UNSEEN.format(percent=100 * scan["unseen"]))
+    return notes if scan["interpolated"] else [*notes, LAMP_JUMP]
 
 
 LAMP_UNKNOWN = (
     "how the lamp changed was not measured, and sigma does not contain it: capture the white more than once, best before and "
     "after the objects, with the time in its files"
+)
+LAMP_JUMP = (
+    "whether the lamp changed all at once between white and object is not known: nothing shows it without whites before and after "
+    "the objects, with the time in their files"
 )
 LAMP_UNSEEN = (
     "no change of the lamp was found within the white; a steady one of {percent:.2g} % until the end of the object would not have "

@@ -14,7 +14,7 @@ from levkas.calibration.darks import SAME_TIME, level_under
 from levkas.calibration.defects import find_defects
 from levkas.calibration.drift import black_between, lamp_between
 from levkas.calibration.exposures import best_exposure, merge_exposures
-from levkas.calibration.flatfield import Calibrated, flat_field, pair_darks
+from levkas.calibration.flatfield import Calibrated, flat_field, less_sure, pair_darks
 from levkas.calibration.linearity import check_linearity, require_reciprocity
 from levkas.calibration.motion import find_moved
 from levkas.calibration.noise_fit import fit_noise_of_frames, level_of, smooth_groups
@@ -31,7 +31,7 @@ from levkas.calibration.shot_noise import Groups, find_dark_offset, find_flatten
 from levkas.calibration.stated_exposures import doubt_scaling
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
 from levkas.calibration.white_area import WhiteArea, board_alone, find_white_area
-from levkas.calibration.whites import WhiteBoard, reflectance_table
+from levkas.calibration.whites import WhiteBoard, check_white, reflectance_table
 from levkas.campaign.discovery.captures import CaptureRefused
 from levkas.core.cube import Cube, Flag, is_flagged
 from levkas.core.problems import Problem
@@ -204,6 +204,21 @@ def check_scaling(
     return doubt_scaling(context, taken, other)
 
 
+def require_white(
+    context: SensorContext, white: Template | None, darks: list[Template], labels: Sequence[str]
+) -> None:
+    """Refuse a white that has no light, or is full, before anything is made of it; raises CalibrationRefused with the files."""
+    if white is None or white.above_dark or context.light is not None:
+        return
+    level = level_under(white, darks, black=context.black_level)
+    pattern = context.sensor.pattern if len(labels) == len(context.sensor.bands) else None
+    try:
+        check_white(white, level, pattern, labels)
+    except CalibrationRefused as refused:
+        problems = (context.with_full_scale(p) for p in refused.problems)
+        raise CalibrationRefused(*(placed(p, context.sensor.white) for p in problems)) from None
+
+
 def white_area_of(
     context: SensorContext, shot: Template, white: Template | None, darks: list[Template]
 ) -> WhiteArea:
@@ -319,9 +334,8 @@ def flatten(
     if moved is None:
         moved = _moved(context, shot, dark, noise)
     flat = _with_movement(context, flat, moved)
-    if context.response is not None and flat.variance is not None:
-        unsure = np.square(flat.values * np.float32(context.response.error))
-        flat = replace(flat, variance=flat.variance + unsure)
+    if context.response is not None:
+        flat = less_sure(flat, np.array(context.response.error, np.float32))
     return _with_gaps(context, flat, (shot, *dark, white), list(board.labels or ()))
 
 

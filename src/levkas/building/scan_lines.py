@@ -15,7 +15,7 @@ from levkas.building.scan_templates import (
     gaps_marked,
     lines_of,
 )
-from levkas.calibration.flatfield import Calibrated, describe_darks
+from levkas.calibration.flatfield import Calibrated, describe_darks, less_sure
 from levkas.calibration.sensor_context import (
     SensorContext,
     placed,
@@ -103,6 +103,7 @@ class Strip:
             ),
             noise=self.templates.noise,
         )
+        flat = less_sure(flat, self.templates.unsure(start, stop))
         uncovered = self.templates.uncovered(start, stop)
         if uncovered is not None:  # where the white shows no board nothing is known
             values = np.where(uncovered[..., None], np.float32(np.nan), flat.values)

@@ -16,11 +16,13 @@ from levkas.building.capture_statistics import note_lamp, note_light, note_noise
 from levkas.building.exposures import noise_of, require_same_size
 from levkas.calibration.clipped_darks import MANY_ZEROS, pairs_of_lines
 from levkas.calibration.darks import level_under
+from levkas.calibration.differing_shots import require_agreement
 from levkas.calibration.drift import average_steady, lamp_between
 from levkas.calibration.exposures import best_exposure
 from levkas.calibration.noise_fit import fit_noise
 from levkas.calibration.scan_lamp import lamp_along
 from levkas.calibration.sensor_context import (
+    WHITE_SHOTS,
     Times,
     by_exposure,
     capture_times,
@@ -178,8 +180,17 @@ class FrameLines:
             level,
             saturation=self.context.saturation,
             times_s=capture_times(self.frames),
+            white=self.frames[0] in self.context.sensor.white,
         )
         return timed(self.context.whole(made, self.frames), self.times)
+
+    def agreeing(self, thinned: Template) -> FrameLines:
+        """Return the shots that show what most of them do; raises CalibrationRefused where they contradict each other."""
+        with placing(self.frames):
+            require_agreement(thinned.shots)
+        self.context.note_white(thinned, self.frames)
+        lost = thinned.shots.left_out if thinned.shots else ()
+        return replace(self, files=tuple(f for k, f in enumerate(self.files) if k not in lost))
 
     def _thin(self, file: ScanFile, step: int) -> Iterator[np.ndarray]:
         """Yield lines of one shot, codes checked."""
@@ -199,8 +210,15 @@ class ScanTemplates(NamedTuple):
 
     def uncovered(self, start: int, stop: int) -> np.ndarray | None:
         """Return where lines `start` to `stop` have no white board, (lines or 1, samples); None where all have."""
-        mask = self.area.uncovered
-        return mask if mask is None or len(mask) == 1 else mask[start:stop]
+        return _rows_of(self.area.uncovered, start, stop)
+
+    def unsure(self, start: int, stop: int) -> np.ndarray | None:
+        """Return the relative standard deviation by the board's detail of lines `start` to `stop`; None where it has none."""
+        return _rows_of(self.area.unsure, start, stop)
+
+
+def _rows_of(plane: np.ndarray | None, start: int, stop: int) -> np.ndarray | None:
+    return plane if plane is None or len(plane) == 1 else plane[start:stop]
 
 
 def templates_of_scan(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
@@ -263,7 +281,12 @@ def average_lines(
                 yield from context.checked(block, file.frame)[:, None]
 
     level = context.level_under(frames, darks)
-    made = average_steady(lines, level, saturation=context.saturation)
+    white = frames[0] in context.sensor.white
+    made = average_steady(lines, level, saturation=context.saturation, white=white)
+    if white and made.shots is not None and (lost := made.shots.left_out):
+        count = sum(file.shape[0] for file in files)
+        name = f"{len(lost)} of {count} lines of {frames[0].path.name}"
+        context.told.setdefault(WHITE_SHOTS, {})[""] = {"left_out": [name], "apart": 0.0}
     return context.whole(made, frames)
 
 
@@ -286,7 +309,7 @@ def _of_mirror(context: SensorContext, shape: tuple[int, int, int]) -> ScanTempl
         under = [d.thinned(step) if isinstance(d, FrameLines) else _columns(d, step) for d in darks]
         looked = [one.thinned(step, under) for one in whites]
         chosen = best_white(looked)
-        white, seen = whites[chosen], looked[chosen]
+        white, seen = whites[chosen].agreeing(looked[chosen]), looked[chosen]
         _note_lamp_of(context, seen)
         level = level_under(seen, under, black=context.black)
         with placing(sensor.white):
@@ -314,11 +337,9 @@ def _area_behind_mirror(
         return WhiteArea()
     shot = FrameLines(context, (file,), times_of(file.frame)).thinned(step)
     found = find_white_area(shot, white, (level, level), spacing=step)
-    if found.uncovered is None:
-        return found
     rows, columns = (
         np.minimum(np.arange(n) // step, m - 1)
-        for n, m in zip(shape, found.uncovered.shape, strict=False)
+        for n, m in zip(shape[:2], white.mean.shape[:2], strict=True)
     )
     return found.at(rows, columns)
 

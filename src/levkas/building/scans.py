@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from levkas.building.above_white import COUNTS, count_above, describe_above
+from levkas.building.above_white import COUNTS, count_above, describe_above, require_light
 from levkas.building.capture_statistics import Middle, describe_lamp
 from levkas.building.exposures import cube_of, mark_glare_in
 from levkas.building.scan_lines import FlatLines, Strip, describe_loss
@@ -19,9 +19,7 @@ from levkas.building.strips import JoinedStrips, lines_of_scan
 from levkas.calibration.agreement import compare_facts
 from levkas.calibration.denoising import Projecting, Subspace, describe_removed, find_subspace
 from levkas.calibration.flatfield import Calibrated
-from levkas.calibration.sensor_context import (
-    SensorContext,
-)
+from levkas.calibration.sensor_context import SensorContext, placing
 from levkas.calibration.sensor_notes import describe_sensor, doubts_of
 from levkas.calibration.stated_exposures import require_black, require_exposures
 from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
@@ -298,6 +296,8 @@ class ScanPass:
         if (made := self._projecting) is not None:
             notes.append(describe_removed(made.subspace, made.removed, made.most))
         labels = [band.label for band in self._scan.bands]
+        with placing(self._scan.context.sensor.object):
+            require_light(self.above, labels)
         return (*notes, *describe_above(self.above, labels))
 
 

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from levkas.calibration.differing_shots import STEADY, DifferingShots, find_differing_shots
 from levkas.calibration.patterns import split
 from levkas.calibration.templates import ShotLevels, Template, average
 
@@ -28,10 +30,6 @@ EXPLAINED = (
 )
 LAMP = "lamp"
 """Among what is learnt of a sensor: how its lamp and its black level changed, band by band."""
-STEADY = (
-    0.7,
-    1.4,
-)  # least and greatest light of a shot that is a lamp's: a white that ends in the scan is none
 SAMPLE = 200_000  # pixels of a channel that are looked at
 LONG = 10.0  # times its change within a stack: lamps settle, and what one did in a second tells little of a day
 
@@ -253,6 +251,7 @@ def average_steady(
     black_clip: float | None = 0.0,
     exposure_s: float | None = None,
     times_s: Sequence[float] | None = None,
+    white: bool = False,
 ) -> Template:
     """Average shots of one scene without what the lamp does to all pixels alike.
 
@@ -269,6 +268,8 @@ def average_steady(
         As of `templates.average`; saturation is judged on the codes of the file.
     times_s : sequence of float, optional
         When each shot was captured.
+    white : bool
+        Whether nothing may stand in the scene: shots that show something else than most of them are left out.
 
     Returns
     -------
@@ -286,13 +287,24 @@ def average_steady(
     light = CellMeans(period)
     clips: dict[str, float | None] = {"saturation": saturation, "black_clip": black_clip}
     made = average(light.watch(read()), exposure_s=exposure_s, **clips)
+    channels, differing = light.channels, DifferingShots()
+    moments = times_s if times_s is not None and len(times_s) == made.count else None
     if level is None:
-        shots = measure_offsets(light.channels)
+        shots = measure_offsets(channels)
     else:
         level = _as_frame(level, made.mean.shape)
-        shots = measure_light(light.channels, cell_means(level, period))
-    if times_s is not None and len(times_s) == made.count:
-        shots = replace(shots, times_s=tuple(times_s))
+        under = cell_means(level, period)
+        if white and made.count > 1:
+            differing = find_differing_shots(channels - under)
+        kept = [k for k in range(made.count) if k not in set(differing.left_out)]
+        if len(kept) < made.count:
+            read = partial(_some_of, read, frozenset(kept))
+            made = average(read(), exposure_s=exposure_s, **clips)
+            moments = None if moments is None else [moments[k] for k in kept]
+        shots = measure_light(channels[kept], under)
+    shots = replace(
+        shots, times_s=None if moments is None else tuple(moments), **differing._asdict()
+    )
     lamp = level is None or STEADY[0] < shots.levels.min() <= shots.levels.max() < STEADY[1]
     if lamp and _explained(made, shots, level, period) > EXPLAINED:
         steadied = (
@@ -302,6 +314,12 @@ def average_steady(
         again = average(steadied, exposure_s=exposure_s)
         made = replace(again, saturated=made.saturated, black=made.black)
     return replace(made, shots=shots)
+
+
+def _some_of(
+    read: Callable[[], Iterable[np.ndarray]], kept: frozenset[int]
+) -> Iterator[np.ndarray]:
+    return (frame for k, frame in enumerate(read()) if k in kept)
 
 
 def _as_frame(level: np.ndarray | float, shape: tuple[int, ...]) -> np.ndarray:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.calibration.differing_shots import require_agreement
 from levkas.calibration.drift import average_steady
 from levkas.calibration.patterns import as_pattern
 from levkas.calibration.templates import CalibrationRefused, Template, close_gaps, gaps_of
@@ -76,7 +77,7 @@ def calibrate(
     CalibrationRefused
         ``E_NO_FRAMES``, ``E_SIZE``, ``E_VALUE``, ``E_EXPOSURES`` or ``E_BAND_COUNT`` where frames or
         arguments do not fit; ``E_WHITE_DARK``, ``E_WHITE_SATURATED``, ``E_WHITE_DETAIL`` where more than half of a
-        white is not above dark, is full, or shows the object.
+        white is not above dark, is full, or shows the object; ``E_WHITE_SHOTS`` where its shots contradict each other.
 
     Notes
     -----
@@ -96,9 +97,9 @@ def calibrate(
     """
     from levkas.calibration.code_spacing import find_step
     from levkas.calibration.defects import find_defects, replace_defects
-    from levkas.calibration.flatfield import flat_field
+    from levkas.calibration.flatfield import flat_field, less_sure
     from levkas.calibration.mosaic import demosaic
-    from levkas.calibration.white_area import board_alone, find_white_area
+    from levkas.calibration.white_area import WhiteArea, board_alone, find_white_area
     from levkas.calibration.whites import WhiteBoard
 
     times = _times(exposure_s)
@@ -124,16 +125,18 @@ def calibrate(
     _check_shapes(shot, {"dark": under, "white": lit})
     noise = _noise(shot, lit, under, black or 0.0, pattern, step)
     defects = gaps_of(shot, under, lit)
-    uncovered = None
+    area = WhiteArea()
     if lit is not None:
         plane = np.full((1, 1), black or 0.0, np.float32) if under is None else under.mean
-        uncovered = find_white_area(shot, lit, (plane, plane), pattern).uncovered
+        area = find_white_area(shot, lit, (plane, plane), pattern)
+    uncovered = area.uncovered
     if under is not None or lit is not None:
         covered = None if lit is None else board_alone(lit, uncovered)
         found = find_defects(under, covered, pattern)
         defects = found if defects is None else found | defects
     board = replace(board, labels=[band.label for band in bands])
     flat = flat_field(shot, under, lit, board=board, black=black, noise=noise, defects=defects)
+    flat = less_sure(flat, area.unsure)
     flags = _with_moved(flat, shot, under, black or 0.0, noise, pattern)
     values, flags, variance = replace_defects(flat.values, flags, flat.variance, pattern=pattern)
     if pattern is not None:
@@ -179,7 +182,9 @@ def _template(
             period=(len(rows), len(rows[0])),
             saturation=saturation,
             exposure_s=exposure_s,
+            white=name == "white",
         )
+        require_agreement(made.shots)
         made = close_gaps(made)
     except CalibrationRefused as refused:
         problems = (

@@ -18,6 +18,7 @@ from levkas.calibration.clipped_darks import MANY_ZEROS, is_clipped, unclip
 from levkas.calibration.code_checks import FEW_CODES, check_codes, thin_rows
 from levkas.calibration.code_spacing import find_alignment, find_step
 from levkas.calibration.darks import dark_under, level_under
+from levkas.calibration.differing_shots import require_agreement
 from levkas.calibration.drift import average_steady
 from levkas.calibration.full_scale import (
     FullScale,
@@ -39,17 +40,17 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera, Campaign
     from levkas.campaign.discovery.captures import FrameRef, SensorFrames
 
-GLIMPSE_LINES = 64
+GLIMPSE_LINES, FEW_PIXELS = 64, 1000
 MOST_GLIMPSED = 2
 """Frames of a role of which some rows are looked at."""
 SHOTS = 4
 """Of a dark that was clipped: what they show of noise and fixed pattern suffices."""
 CLIPPED_DARKS, FULL_SCALE, RESPONSE = "clipped_darks", "full_scale", "response"
-QUIET_WHITE, SENSOR, OFFSET = "quiet_white", "sensor", "offset"
+QUIET_WHITE, SENSOR, OFFSET, WHITE_SHOTS = "quiet_white", "sensor", "offset", "white_shots"
 UNSURE_RESPONSE, FLATTENING, DARK_OFFSET = "unsure_response", "flattening", "dark_offset"
 """Names, among what is measured of a sensor, of darks that were clipped, the code at which it is full, its curve, a white
-without shot noise, gain and noise, the counts that its exposure series have without light, a curve that they leave in
-doubt, bright pixels with less noise than a linear sensor has, and the counts without light by the noise of dim ones."""
+without shot noise, gain and noise, the counts that its exposure series have without light, shots of a white that differ, a curve
+that is in doubt, bright pixels with less noise than a linear sensor has, and the counts without light by the noise of dim ones."""
 BLACK, BLACK_ERROR = "black", 0.5
 """Name, among the same, of a black level by an exposure series; and its standard error, counts, at most: a quarter of a small read noise."""
 SERIES = 3
@@ -298,18 +299,32 @@ class SensorContext:
         level = self.level_under(frames, darks) if dark or len(frames) > 1 else 0.0
         make = partial(self._dark, frames) if dark else partial(self._averaged, frames, level)
         if not kept or self.cache is None:
-            return self.whole(make(), frames)
-        made = self.cache.template(
-            frames,
-            make,
-            saturation=self.saturation,
-            exposure=exposure_of(frames[0]),
-            bits=self.camera.bits,
-            overrule=self.camera.overrule,
-            level=_digest(level),
-            **({"dark": (self.step, self.period)} if dark else {}),
-        )
+            made = make()
+        else:
+            made = self.cache.template(
+                frames,
+                make,
+                saturation=self.saturation,
+                exposure=exposure_of(frames[0]),
+                bits=self.camera.bits,
+                overrule=self.camera.overrule,
+                level=_digest(level),
+                **({"dark": (self.step, self.period)} if dark else {}),
+            )
+        if frames[0] in self.sensor.white:
+            with placing(frames):
+                require_agreement(made.shots)
+            self.note_white(made, frames)
         return self.whole(made, frames)
+
+    def note_white(self, white: Template, frames: Sequence[FrameRef]) -> None:
+        """Note the shots of a white that were left out, in `told`; each frame is a shot."""
+        if (shots := white.shots) is not None and (shots.left_out or shots.apart):
+            names = [frames[k].path.name for k in shots.left_out]
+            self.told.setdefault(WHITE_SHOTS, {})[frames[0].band or ""] = {
+                "left_out": names,
+                "apart": shots.apart,
+            }
 
     def _dark(self, frames: Sequence[FrameRef]) -> Template:
         return self.unclipped(self._averaged(frames, None), islice(self.read(frames), SHOTS))
@@ -333,6 +348,7 @@ class SensorContext:
                 black_clip=self.black_clip,
                 exposure_s=exposure_of(frames[0]),
                 times_s=capture_times(frames),
+                white=frames[0] in self.sensor.white,
             )
         except CalibrationRefused as refused:
             raise type(refused)(*(placed(p, frames) for p in refused.problems)) from None
@@ -354,10 +370,28 @@ class SensorContext:
         """Read frame by frame, codes checked against the bits that are declared, and against the other frames."""
         for frame in frames:
             values = self.checked(self.frame(frame), frame)
+            if frame in self.sensor.object and self.camera.kind != "image":
+                self._require_variety(values, frame)
             first = self.facts, self.sensor.object[0].path
             rows = thin_rows(values, FEW_CODES)
             check_alike(self.camera, first, self.alignments, rows, frame.path)
             yield values
+
+    def _require_variety(self, values: np.ndarray, frame: FrameRef) -> None:
+        """Refuse a frame of an object that holds one code, neither black nor full: no sensor gives that."""
+        code, full = values.flat[0], np.inf if self.saturation is None else self.saturation
+        if values.dtype.kind not in "ui" or not 0 < code < full or values.size < FEW_PIXELS:
+            return
+        if np.all(values[0] == code) and np.all(values == code):
+            problem = Problem(
+                "E_CONSTANT",
+                f"{self.camera.name}: the frame holds one value",
+                str(frame.path),
+                found=f"{code} in every pixel",
+                expected="what a sensor recorded, with its noise",
+                fix="The frame was damaged or exported empty: copy or export it again, or remove it from the campaign.",
+            )
+            raise CalibrationRefused(problem)
 
     def frame(self, frame: FrameRef) -> np.ndarray:
         """Read a frame as it is stored; of a mosaic, or of a band in a file of its own, one sample a pixel."""

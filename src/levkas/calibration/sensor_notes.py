@@ -21,6 +21,7 @@ from levkas.calibration.sensor_context import (
     RESPONSE,
     SENSOR,
     UNSURE_RESPONSE,
+    WHITE_SHOTS,
     glimpse,
     spread,
 )
@@ -131,6 +132,7 @@ def _doubt_bits(context: SensorContext) -> list[str]:
 def describe_sensor(context: SensorContext) -> list[str]:
     """Say what was measured of a sensor that a person should know: where it is full, its black, its curve, darks that were clipped."""
     return [
+        *_describe_white_shots(context),
         *_describe_full_scale(context),
         *_describe_flattening(context),
         *_describe_darks(context),
@@ -140,6 +142,25 @@ def describe_sensor(context: SensorContext) -> list[str]:
         *_describe_black(context),
         *_describe_noise(context),
     ]
+
+
+def _describe_white_shots(context: SensorContext) -> list[str]:
+    found = context.told.get(WHITE_SHOTS, {}).values()
+    names = sorted({name for one in found for name in one["left_out"]})
+    apart = max((one["apart"] for one in found), default=0.0)
+    notes = []
+    if names:
+        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+        notes.append(
+            f"{context.camera.name}: shots of the white that show something else than the others, or another light, are left "
+            f"out: {', '.join(names[:NAMED])}{more}. Remove them from the campaign"
+        )
+    if apart:
+        notes.append(
+            f"{context.camera.name}: shots of the white differ by up to {100 * apart:.2g} % from place to place, and no majority "
+            "agrees: something moved, or the light flickers in bands. Values there may be wrong by as much; capture more whites"
+        )
+    return notes
 
 
 def _describe_noise(context: SensorContext) -> list[str]:

@@ -58,11 +58,17 @@ class ShotLevels:
         Standard deviation that noise alone gives to a level; infinite where the stack has no light.
     times_s : tuple of float, optional
         When each shot was captured, s from any origin; None where its file does not state it.
+    left_out : tuple of int
+        Shots that show something else than most of the stack, which neither its mean nor its levels hold.
+    apart : float
+        Of a white: relative deviation of a part of a shot from the others where no majority agrees, else 0.
     """
 
     levels: np.ndarray
     error: np.ndarray
     times_s: tuple[float, ...] | None = None
+    left_out: tuple[int, ...] = ()
+    apart: float = 0.0
 
 
 @dataclass(frozen=True)

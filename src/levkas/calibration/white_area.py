@@ -15,10 +15,10 @@ import numpy as np
 
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.templates import CalibrationRefused, Template
+from levkas.calibration.white_detail import SCALES, BoardDetail, detail, find_board_detail, near
 from levkas.core.problems import Problem
 
 MOST_PIXELS = 1_000_000  # of a frame that are looked at: larger ones are reduced
-FINE, COARSE = 1.0, 4.0  # px of the reduced frame: scale of the detail that is compared
 SIDE, BLOCKS = 16, 10  # px of a block; blocks a side that a small frame has at least
 SHOWN = 0.015  # rms of the white's own detail, relative: boards have less, paintings 5 to 20 %
 FIXED = 0.02  # the most of it that a sensor gives to every frame: dust all over, fringes
@@ -42,17 +42,22 @@ class WhiteArea(NamedTuple):
     uncovered : ndarray, (h, w), bool, or None
         Where it shows the object; None where it does so nowhere.
     notes : tuple of str
+    unsure : ndarray, (h, w), float32, or None
+        Relative standard deviation that detail of the board gives to reflectance; None where there is none.
     """
 
     uncovered: np.ndarray | None = None
     notes: tuple[str, ...] = ()
+    unsure: np.ndarray | None = None
 
     def at(self, rows: np.ndarray, columns: np.ndarray) -> WhiteArea:
         """Return the area of a larger frame; `rows` and `columns` are where each of its own is in this one."""
-        if self.uncovered is None:
-            return self
-        mask = self.uncovered[np.ix_(rows, columns)]
-        return WhiteArea(mask, (_note(mask),))
+        uncovered, unsure = (
+            None if plane is None else plane[np.ix_(rows, columns)]
+            for plane in (self.uncovered, self.unsure)
+        )
+        notes = self.notes if uncovered is None else (_note(uncovered), *self.notes[1:])
+        return WhiteArea(uncovered, notes, unsure)
 
 
 def find_white_area(
@@ -84,7 +89,7 @@ def find_white_area(
     Raises
     ------
     CalibrationRefused
-        ``E_WHITE_DETAIL`` where the object is in more than half of the white.
+        ``E_WHITE_DETAIL`` where the object is in more than half of the white, or the white is a picture of something else.
 
     Examples
     --------
@@ -108,18 +113,32 @@ def find_white_area(
     )
     full = _reduced(_plane((shot.saturated | white.saturated).astype(np.float32)), reduced) > 0
     sound = (seen > 0) & (lit > 0) & ~full
-    of_object, of_white = _detail(seen), _detail(lit)
+    of_object, of_white = (detail(plane, SCALES[0]).between for plane in (seen, lit))
     side = max(3, min(SIDE, min(reduced) // BLOCKS))
     state = _state(_blocks(of_object, of_white, sound, side))
     uncovered = _grown(state) if np.any(state > 0) else np.zeros_like(state, bool)
     share = float(uncovered.mean())
     if share > MOST:
         raise CalibrationRefused(_shows_object(share))
+    mask, notes = None, list[str]()
+    whole = (size[0] * spacing, size[1] * spacing)
     if share < LEAST:
         edges = _edges(of_white, sound)
-        return WhiteArea(None, _note_edges(edges, (size[0] * spacing, size[1] * spacing)))
-    mask = _at_size(uncovered, side, reduced, size)
-    return WhiteArea(mask, (_note(mask),))
+        notes += _note_edges(edges, whole)
+    else:
+        mask, edges = _at_size(uncovered, side, reduced, size), None
+        notes.append(_note(mask))
+        sound &= ~_at_size(uncovered, side, reduced, reduced)
+    found = find_board_detail(seen, lit, sound)
+    if found.picture and sound.mean() > MOST:
+        brighter = float(np.median(seen[sound] / lit[sound])) > 1
+        raise CalibrationRefused(_shows_a_picture(found.picture, found.smooth and brighter))
+    notes += _note_detail(found, edges, whole)
+    if not found.texture and found.specks is None:
+        return WhiteArea(mask, tuple(notes))
+    unsure = np.hypot(found.texture, 0 if found.specks is None else found.specks)
+    unsure = _reduced(np.broadcast_to(unsure, reduced), size)
+    return WhiteArea(mask, tuple(notes), unsure)
 
 
 def board_alone(white: Template, uncovered: np.ndarray | None) -> Template:
@@ -134,10 +153,15 @@ def board_alone(white: Template, uncovered: np.ndarray | None) -> Template:
 def joined_area(areas: Sequence[WhiteArea]) -> WhiteArea:
     """Return what some bands of one white show together: paint that one of them does not see is another's detail."""
     masks = [area.uncovered for area in areas if area.uncovered is not None]
+    doubts = [area.unsure for area in areas if area.unsure is not None]
+    unsure = np.maximum.reduce(doubts) if doubts else None
     if masks:
         mask = np.logical_or.reduce(masks)
-        return WhiteArea(mask, (_note(mask),))
-    return next((area for area in areas if area.notes), WhiteArea())
+        return WhiteArea(mask, (_note(mask),), unsure)
+    best = max(
+        areas, key=lambda area: (area.unsure is not None, len(area.notes)), default=WhiteArea()
+    )
+    return WhiteArea(None, best.notes, unsure)
 
 
 def find_white_line(white: Template, level: np.ndarray) -> WhiteArea:
@@ -174,6 +198,8 @@ def find_white_line(white: Template, level: np.ndarray) -> WhiteArea:
     if white.variance is None or white.count < LINES or len(light) < 3:
         return WhiteArea()
     middle = np.median(light, axis=0)
+    if middle.max() <= 0:  # no light, which is refused where it is divided by
+        return WhiteArea()
     bright = middle > BRIGHT * middle.max()
     relative = np.sqrt(white.variance[0][:, bright]) / np.maximum(light[:, bright], 1e-9)
     spread = np.median(relative, axis=1)
@@ -203,19 +229,6 @@ def _reduced(plane: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     if plane.shape == size:
         return plane
     return np.asarray(cv2.resize(plane, size[::-1], interpolation=cv2.INTER_AREA))
-
-
-def _detail(plane: np.ndarray) -> np.ndarray:
-    """Return the relative detail of a plane between two scales, (h, w); light goes on beyond the border as it falls off."""
-    import cv2
-
-    rim = int(4 * COARSE)
-    wide = np.pad(plane, rim, mode="reflect", reflect_type="odd")
-    fine, coarse = (
-        cv2.GaussianBlur(wide, (0, 0), sigma)[rim:-rim, rim:-rim] for sigma in (FINE, COARSE)
-    )
-    least = max(1e-3 * float(np.median(np.abs(coarse))), 1e-9)
-    return np.asarray((fine - coarse) / np.maximum(np.abs(coarse), least))
 
 
 def _blocks(
@@ -302,6 +315,41 @@ def _note_edges(edges: np.ndarray, size: tuple[int, int]) -> tuple[str, ...]:
     )
 
 
+def _note_detail(found: BoardDetail, edges: np.ndarray | None, size: tuple[int, int]) -> list[str]:
+    """Say what detail of the board is divided into the object, and what specks may be; long edges are named already."""
+    from scipy.ndimage import binary_dilation, label
+
+    notes = []
+    if found.texture:
+        notes.append(
+            f"the white has fine detail of {100 * found.texture:.2g} % rms that the object does not have: texture or dirt of the "
+            "board is divided into the object. Sigma includes it; move or defocus the board from shot to shot"
+        )
+    beside = None if edges is None else near(edges)
+    for plane, what in (
+        (
+            found.specks,
+            "that the object does not have: dirt on the board, or dust that moved. Sigma includes them",
+        ),
+        (
+            found.unclear,
+            "of which the object's own detail hides whether they are dust in the camera, which divides out, or dirt on the board",
+        ),
+    ):
+        spots = np.zeros((1, 1), bool) if plane is None else plane > STEP
+        if beside is not None and plane is not None:
+            spots &= ~beside
+        if plane is None or not spots.any():
+            continue
+        x, y = _extent(spots, size)
+        count = label(binary_dilation(spots, iterations=2))[1]
+        notes.append(
+            f"the white has specks ({count}, columns {x[0]} to {x[1]}, rows {y[0]} to {y[1]}) of up to "
+            f"{100 * plane[spots].max():.2g} % {what}"
+        )
+    return notes
+
+
 def _note(mask: np.ndarray) -> str:
     x, y = _extent(mask, mask.shape)
     return (
@@ -328,4 +376,17 @@ def _shows_object(share: float) -> Problem:
         found=f"the detail of the object over {100 * share:.0f} % of the frame",
         expected="a smooth board that fills the view",
         fix="Check that the frames of white and object are not the same, and capture a white board in place of the object.",
+    )
+
+
+def _shows_a_picture(rms: float, exchanged: bool) -> Problem:
+    fix = "Capture a white board in place of what the white shows, or correct its name."
+    if exchanged:
+        fix = "White and object appear to be exchanged, for the object is smooth and brighter: exchange their names."
+    return Problem(
+        "E_WHITE_DETAIL",
+        "the white is a picture, not a white board",
+        found=f"detail of {100 * rms:.0f} % rms over more than half of the frame that the object does not have",
+        expected="a smooth board that fills the view",
+        fix=fix,
     )

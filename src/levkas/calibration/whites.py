@@ -11,6 +11,8 @@ from levkas.calibration.patterns import channel_names, channel_table
 from levkas.calibration.templates import CalibrationRefused, Template
 from levkas.core.problems import Problem
 
+LIT = 0.7  # share of a channel above the dark that light makes at least: noise alone makes a half
+GAUSSIAN = 5.0  # 99th percentile over the median of noise without a sign is 3.8: a lit part of 1 % has more
 MOST = 0.5  # share of a channel's white that must be usable
 SAMPLE = 100_000  # pixels looked at to judge a white
 BEYOND = 1.05  # highest over lowest code of saturated sensels from which they are not clipped at one code
@@ -97,7 +99,7 @@ def check_white(
     pattern: str | Sequence[Sequence[str]] | None,
     labels: Sequence[str] | None,
 ) -> None:
-    """Refuse a white that is darker than dark, or saturated, over more than half of a channel.
+    """Refuse a white that is darker than dark, or saturated, over more than half of a channel, or has no light but noise.
 
     `level` is the white's dark, counts; it broadcasts to the white.
 
@@ -111,7 +113,7 @@ def check_white(
     dark, saturated = {}, {}
     for name, part in channels:
         lit, under, clipped = white.mean[part], level[part], white.saturated[part]
-        if np.mean(lit > under) < MOST:
+        if np.mean(lit > under) < MOST or _is_unlit(lit - under):
             dark[name] = lit, under
         elif np.mean(clipped) > MOST:
             saturated[name] = lit, clipped
@@ -133,17 +135,37 @@ def thinning(size: tuple[int, ...]) -> int:
 def _too_dark(found: Mapping[str, tuple[np.ndarray, np.ndarray]], channels: int) -> Problem:
     """Return the problem of channels whose white is not above dark, by name."""
     lit, under = next(iter(found.values()))
+    level, every = np.median(lit), ""
+    title = "the white is darker than the dark"
     fix = "Check whether dark and white are swapped, or the lamp was off."
-    if len(found) == channels and np.median(under) > 2 * np.median(lit):
+    if len(found) == channels and np.median(under) > 2 * level:
         fix = "Dark and white appear to be swapped: exchange their names in campaign.toml."
+    elif _is_unlit(lit - under):
+        title = "the white has no light"
+        fix = "Was the lamp off, a lens cap on or the shutter closed, or are these darks? Capture the white again, or correct the names."
+    if lit.min() == lit.max():
+        every = f", {level:g} in every pixel of the white"
+        fix += " One value in every pixel is no frame of a sensor: export it again."
     return Problem(
         "E_WHITE_DARK",
-        f"the white is darker than the dark{_named(list(found), channels)}",
-        found=f"median white {np.median(lit):g}, median dark {np.median(under):g} counts, "
-        f"white not above dark at {np.mean(lit <= under):.0%} of the pixels",
+        f"{title}{_named(list(found), channels)}",
+        found=f"median white {level:g}, median dark {np.median(under):g} counts, "
+        f"white not above dark at {np.mean(lit <= under):.0%} of the pixels{every}",
         expected="white above dark",
         fix=fix,
     )
+
+
+def _is_unlit(light: np.ndarray) -> bool:
+    """Return whether counts above dark are noise about zero.
+
+    >>> rng = np.random.default_rng(1)
+    >>> _is_unlit(rng.normal(0, 2, 10_000)), _is_unlit(rng.normal(2, 2, 10_000))
+    (True, False)
+    """
+    apart = np.abs(light)
+    above = float(np.mean(light > 0) + np.mean(light == 0) / 2)
+    return 1 - LIT < above < LIT and bool(np.quantile(apart, 0.99) <= GAUSSIAN * np.median(apart))
 
 
 def _saturated(found: Mapping[str, tuple[np.ndarray, np.ndarray]], channels: int) -> Problem:
