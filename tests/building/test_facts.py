@@ -333,6 +333,58 @@ def test_a_white_averaged_to_floats_is_taken_and_said(tmp_path):
     assert any("sample type: float32 in white_0" in w for w in said)
 
 
+def rewritten(folder, target, change):
+    """Write the shots of a target again."""
+    for path in sorted(folder.glob(f"{target}_*.tif")):
+        codes = tifffile.imread(path)
+        path.unlink()
+        write_tiff(path, change(codes), {})
+    return folder
+
+
+OTHER_CODES = {
+    "fractions": lambda codes: (codes / 4095).astype(np.float32),
+    "fractions of 16 bits": lambda codes: (codes / 65535).astype(np.float64),
+    "twice": lambda codes: codes * 2,
+    "three times": lambda codes: codes * 3,
+    "stretched to 16 bits": lambda codes: codes * 16 + codes // 256,
+    "sixteen times, as floats": lambda codes: (codes * 16).astype(np.float32),
+}
+
+
+@pytest.mark.parametrize("form", OTHER_CODES)
+@pytest.mark.parametrize("target", ["white", "dark", "panel"])
+def test_codes_of_another_scale_are_refused(tmp_path, form, target):
+    folder = rewritten(make(tmp_path / "c", "tiff", {}), target, OTHER_CODES[form])
+    found, said = outcome(folder)
+    assert found == "refused"
+    assert [p.code for p in said if "code_spacing" in p.fix], said
+
+
+@pytest.mark.parametrize("form", OTHER_CODES)
+def test_one_scale_of_all_files_is_no_contradiction(tmp_path, form):
+    folder = make(tmp_path / "c", "tiff", {})
+    for target in LEVELS:
+        rewritten(folder, target, OTHER_CODES[form])
+    text = (folder / "campaign.toml").read_text().replace("black = 64", "")
+    (folder / "campaign.toml").write_text(text)
+    found, said = outcome(folder)
+    assert found == "right", said
+    assert not [w for w in said if "alignment" in w]
+
+
+def test_floats_below_one_count_beside_floats_of_counts_are_no_contradiction(tmp_path):
+    # Averages less their bias: the dark lies about 0, on both sides.
+    folder = make(tmp_path / "c", "tiff", {})
+    for target in LEVELS:
+        level = np.random.default_rng(3).normal(0, 0.2, SIZE)
+        rewritten(folder, target, lambda codes, level=level: (codes - BLACK + level).astype("f4"))
+    rewritten(folder, "dark", lambda codes: (codes / 20).astype(np.float32))
+    text = (folder / "campaign.toml").read_text().replace("black = 64", "")
+    (folder / "campaign.toml").write_text(text)
+    assert outcome(folder)[0] == "right"
+
+
 def test_the_average_of_codes_at_the_upper_end_is_no_contradiction(tmp_path):
     folder = make(tmp_path / "c", "tiff", {"all": {"shift": 4}}, "black = 1024")
     for shot in range(2):
