@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 ROLES = ("object", "white", "chart", "dark")
 LEVELS_OF_RAW = ("bits", "saturation", "black", "pattern")
 """Of a camera raw they are known where it is decoded."""
-OF_ONE_NOISE = ("iso", "gain", "model", "serial")
+OF_ONE_NOISE = ("iso", "gain", "make", "model", "serial")
 """May differ from band to band, and then one model of the noise is not that of every band."""
 DECLARED, IN_NAME = "campaign.toml", "its name or the manifest"
 EXPOSURE = ComparedFact("exposure", "exposure, s", ("exposure_s",), ROLES, compare_ratio(1.1))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from math import ceil, prod
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 
 from levkas.readers.black_levels import black_facts
 from levkas.readers.encoding import has_curve
+from levkas.readers.exif import exif_facts, exif_text
 from levkas.readers.facts import (
     Facts,
     check_expansion,
@@ -28,14 +30,9 @@ from levkas.readers.images import (
     JPEG_CODES,
     JPEG_XL,
     MOST_SCANS,
-    exif_text,
     frame_size,
-    iso_date,
-    positive_number,
-    white_balance,
 )
 from levkas.readers.nodata import nodata_of, without_nodata
-from levkas.readers.orientation import read_orientation
 from levkas.readers.tiff_bands import band_facts, camera_band
 from levkas.readers.tiff_directories import directories_of, images_among
 from levkas.readers.tiff_tags import numbers_of, value_of
@@ -401,34 +398,23 @@ def _describe(page: Any, shape: tuple[int, ...]) -> dict[str, Any]:
     exif = value_of(tags, "ExifTag")
     exif = exif if isinstance(exif, dict) else {}
 
-    def find(*names: str) -> Any:
-        for name in names:
-            value = value_of(tags, name)
-            value = exif.get(name) if value is None else value
-            if value is not None:
-                return value
-        return None
+    def find(name: str) -> Any:
+        both = (name, f"{name} ")  # tifffile has a blank in the name of ExposureIndex
+        found = (get(each) for get in (partial(value_of, tags), exif.get) for each in both)
+        return next((value for value in found if value is not None), None)
 
     whites = numbers_of(tags, "WhiteLevel")
-    model, make = exif_text(find("Model")), exif_text(find("Make"))
+    stated = exif_facts(find)
     saturation = min(whites) if whites else None
-    banded = make == "MicaSense" and camera_band(value_of(tags, "XMP") or b"")[0]
+    micasense = stated["make"] == "MicaSense"
+    banded = micasense and camera_band(value_of(tags, "XMP") or b"")[0]
     if banded and saturation is None and page.bitspersample == 16:
         saturation = MICASENSE_FULL
     return {
+        **stated,
         **black_facts(page, (0, 0, *shape[:2]), top=saturation),
         "saturation": saturation,
         "pattern": _bayer(find("CFAPattern"), find("CFARepeatPatternDim")),
-        "exposure_s": positive_number(find("ExposureTime")),
-        "iso": positive_number(find("ISOSpeedRatings", "PhotographicSensitivity", "ISOSpeed")),
-        "captured": iso_date(find("DateTimeOriginal", "DateTime"), find("OffsetTimeOriginal")),
-        "model": model,
-        "serial": exif_text(find("BodySerialNumber", "CameraSerialNumber")),
-        "f_number": positive_number(find("FNumber")),
-        "focal_mm": positive_number(find("FocalLength")),
-        "orientation": read_orientation(value_of(tags, "Orientation")),
-        "lens": exif_text(find("LensModel")),
-        "white_balance": white_balance(find("WhiteBalance")),
         "encoded": _encoding(page, find("ColorSpace")),
     }
 
