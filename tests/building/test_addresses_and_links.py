@@ -23,6 +23,16 @@ def test_an_address_is_no_folder_to_build_into(folder, call, monkeypatch, tmp_pa
     assert not [*tmp_path.iterdir()]
 
 
+@pytest.mark.parametrize("call", [lambda *a, **k: list(build(*a, **k)), status])
+def test_a_home_that_no_shell_expanded_is_no_folder_to_build_into(
+    folder, call, monkeypatch, tmp_path
+):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(Refused, match="~ means a home to shells alone"):
+        call(folder, output="~/icons")
+    assert not [*tmp_path.iterdir()]
+
+
 def test_an_address_as_the_campaign_s_output_is_refused(make_plates, tmp_path):
     folder = make_plates(tmp_path / "campaign", ["one"])
     text = (folder / "campaign.toml").read_text()
