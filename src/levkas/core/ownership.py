@@ -92,7 +92,7 @@ def require_outside(path: Path, *, fix: str) -> None:
 
 def require_path(path: str | Path) -> None:
     """Refuse an address, and a new folder ``~``, which a shell that does not expand an option makes; raises WriteRefused."""
-    if is_address(path):
+    if is_address(path := Path(path)):
         where = "a folder of this machine"
         raise refusal(
             "this is the address of a server, where nothing can be written",
@@ -101,7 +101,7 @@ def require_path(path: str | Path) -> None:
             "an address",
             f"Write to {where}, then copy that there; docs/howto/remote.md shows how.",
         )
-    if HOME in Path(path).parts and not os.path.lexists(path):
+    if HOME in path.parts and not os.path.lexists(path):
         fix = "Write the whole path; in an option, a blank in place of the = before ~."
         raise refusal("~ means a home to shells alone", path, "path", f"a folder {HOME!r}", fix)
 
