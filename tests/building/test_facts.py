@@ -26,8 +26,10 @@ SIZE, BLACK, LIGHT, NOISE, TRUTH = (40, 48), 64.0, 1500.0, 3.0, 0.5
 EXIF_IFD, ISO, STOP, FOCAL, LENS, SERIAL, BALANCE = (
     *(0x8769, 34855, 33437, 37386, 42036, 42033, 41987),
 )
+MAKE, GAIN_CONTROL = 271, 41991
 MODEL, TIME, XMP, BLACK_LEVEL, WHITE_LEVEL, PATTERN = 272, 33434, 700, 50714, 50717, 33422
-RATIONAL = {STOP, FOCAL, TIME}
+RATIONAL = {STOP, FOCAL, TIME, 37377, 37378, 41493}
+"""Shutter speed, aperture (APEX) and exposure index among them."""
 
 
 # --- files that state facts -----------------------------------------------------------------------
@@ -49,7 +51,9 @@ def tags_of(stated):
 def exif_of(stated):
     exif = Image.Exif()
     exif[MODEL] = stated.get(MODEL, "D80")
-    own = {tag: value for tag, value in stated.items() if isinstance(tag, int) and tag != MODEL}
+    if MAKE in stated:
+        exif[MAKE] = stated[MAKE]
+    own = {t: value for t, value in stated.items() if isinstance(t, int) and t not in (MAKE, MODEL)}
     exif[EXIF_IFD] = {
         t: IFDRational(round(v * 1000), 1000) if t in RATIONAL else v for t, v in own.items()
     }
@@ -195,6 +199,8 @@ STATED_BY_EXIF = {
     "lens": ({LENS: "AF 35/2"}, {LENS: "AF 50/1.8", "effect": 0.9}),
     "model": ({MODEL: "D80"}, {MODEL: "D90", "effect": 1.2}),
     "serial": ({SERIAL: "1234"}, {SERIAL: "1235", "effect": 1.1}),
+    "make": ({MAKE: "NIKON"}, {MAKE: "Canon", "effect": 1.2}),
+    "gain": ({GAIN_CONTROL: 0}, {GAIN_CONTROL: 2, "effect": 2.0}),
 }
 EIGHT = {"sample_type": ({}, {"dtype": "uint8"})}
 XMP_OF_BAND = '<x Camera:CentralWavelength="{}" Camera:BandName="{}"/>'
@@ -272,6 +278,45 @@ def test_files_that_contradict_each_other_are_refused_with_both_named(tmp_path, 
     assert "as panel_0" in problem.expected and problem.found
 
 
+STANDARD_OUTPUT, RECOMMENDED, ISO_SPEED, EXPOSURE_INDEX, APERTURE = (
+    34865,
+    34866,
+    34867,
+    41493,
+    37378,
+)
+OTHER_TAGS = {
+    "standard output sensitivity": ("iso", {STANDARD_OUTPUT: 100}, {STANDARD_OUTPUT: 200}),
+    "recommended exposure index": ("iso", {RECOMMENDED: 100}, {RECOMMENDED: 200}),
+    "ISO speed": ("iso", {ISO_SPEED: 100}, {ISO_SPEED: 200}),
+    "exposure index": ("iso", {EXPOSURE_INDEX: 100}, {EXPOSURE_INDEX: 200}),
+    "beyond 16 bits": ("iso", {ISO: 65535, RECOMMENDED: 25600}, {ISO: 65535, RECOMMENDED: 51200}),
+    "another tag in each": ("iso", {ISO: 100}, {RECOMMENDED: 200}),
+    "aperture in APEX": ("f_number", {APERTURE: 4.97}, {APERTURE: 6.0}),
+    "aperture in either": ("f_number", {STOP: 5.6}, {APERTURE: 6.0}),
+}
+
+
+@pytest.mark.parametrize("form", ["tiff", "png", "dng"])
+@pytest.mark.parametrize("name", OTHER_TAGS)
+def test_a_fact_in_another_tag_is_compared(tmp_path, form, name):
+    fact, base, other = OTHER_TAGS[name]
+    found, said = outcome(make(tmp_path / "c", form, {"dark": base, "white": base, "panel": other}))
+    assert found == "refused", said
+    assert all(f'"{fact}"' in problem.fix for problem in said)
+
+
+@pytest.mark.parametrize("form", ["tiff", "png", "dng"])
+@pytest.mark.parametrize(
+    ("base", "other"),
+    [({STOP: 5.6}, {APERTURE: 4.97}), ({STOP: 8.0}, {STOP: 0.0, APERTURE: 0.0}),
+     ({ISO: 100}, {RECOMMENDED: 100}), ({MAKE: "NIKON CORPORATION"}, {MAKE: "Nikon"})],
+)  # fmt: skip
+def test_one_value_in_two_tags_is_no_contradiction(tmp_path, form, base, other):
+    found, said = outcome(make(tmp_path / "c", form, {"dark": base, "white": base, "panel": other}))
+    assert found == "right", said
+
+
 def test_every_fact_has_a_format_that_states_it():
     stated = {name for facts in VARIANTS.values() for name in facts}
     assert stated == FACTS_BY_NAME.keys()
@@ -331,6 +376,58 @@ def test_a_white_averaged_to_floats_is_taken_and_said(tmp_path):
     found, said = outcome(make(tmp_path / "c", "envi", {"white": {"dtype": "float32"}}))
     assert found == "right"
     assert any("sample type: float32 in white_0" in w for w in said)
+
+
+def rewritten(folder, target, change):
+    """Write the shots of a target again."""
+    for path in sorted(folder.glob(f"{target}_*.tif")):
+        codes = tifffile.imread(path)
+        path.unlink()
+        write_tiff(path, change(codes), {})
+    return folder
+
+
+OTHER_CODES = {
+    "fractions": lambda codes: (codes / 4095).astype(np.float32),
+    "fractions of 16 bits": lambda codes: (codes / 65535).astype(np.float64),
+    "twice": lambda codes: codes * 2,
+    "three times": lambda codes: codes * 3,
+    "stretched to 16 bits": lambda codes: codes * 16 + codes // 256,
+    "sixteen times, as floats": lambda codes: (codes * 16).astype(np.float32),
+}
+
+
+@pytest.mark.parametrize("form", OTHER_CODES)
+@pytest.mark.parametrize("target", ["white", "dark", "panel"])
+def test_codes_of_another_scale_are_refused(tmp_path, form, target):
+    folder = rewritten(make(tmp_path / "c", "tiff", {}), target, OTHER_CODES[form])
+    found, said = outcome(folder)
+    assert found == "refused"
+    assert [p.code for p in said if "code_spacing" in p.fix], said
+
+
+@pytest.mark.parametrize("form", OTHER_CODES)
+def test_one_scale_of_all_files_is_no_contradiction(tmp_path, form):
+    folder = make(tmp_path / "c", "tiff", {})
+    for target in LEVELS:
+        rewritten(folder, target, OTHER_CODES[form])
+    text = (folder / "campaign.toml").read_text().replace("black = 64", "")
+    (folder / "campaign.toml").write_text(text)
+    found, said = outcome(folder)
+    assert found == "right", said
+    assert not [w for w in said if "alignment" in w]
+
+
+def test_floats_below_one_count_beside_floats_of_counts_are_no_contradiction(tmp_path):
+    # Averages less their bias: the dark lies about 0, on both sides.
+    folder = make(tmp_path / "c", "tiff", {})
+    for target in LEVELS:
+        level = np.random.default_rng(3).normal(0, 0.2, SIZE)
+        rewritten(folder, target, lambda codes, level=level: (codes - BLACK + level).astype("f4"))
+    rewritten(folder, "dark", lambda codes: (codes / 20).astype(np.float32))
+    text = (folder / "campaign.toml").read_text().replace("black = 64", "")
+    (folder / "campaign.toml").write_text(text)
+    assert outcome(folder)[0] == "right"
 
 
 def test_the_average_of_codes_at_the_upper_end_is_no_contradiction(tmp_path):
@@ -562,7 +659,8 @@ def test_whole_builds_refuse_every_camera_that_contradicts_itself_and_build_the_
     turns = itertools.cycle(PLACES)
     for form, name in [(f, n) for f, facts in VARIANTS.items() for n in facts]:
         camera, place = f"{form}-{name}".replace("_", "-"), next(turns)
-        if (form, name, place) not in CASES or place.split()[-1] not in FACTS_BY_NAME[name].roles:
+        heeded = (form, name, place) in CASES and (form, name, place) not in NO_MATTER
+        if not heeded or place.split()[-1] not in FACTS_BY_NAME[name].roles:
             place = "white"
         contradicting(root / camera, form, name, place)
         expected["panel", camera] = ("refused", {"E_FACTS"})

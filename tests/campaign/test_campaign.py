@@ -1,4 +1,5 @@
 import copy
+import itertools
 import re
 import tomllib
 from pathlib import Path
@@ -313,6 +314,75 @@ def test_whatever_stands_in_its_place_a_value_is_read_or_refused_with_its_field(
                 table[place[-1]] = value
     _, problems = _validate(Path("/none/campaign.toml"), record)
     assert all(p.field and p.file and p.message for p in problems)
+
+
+EVERY = tomllib.loads(
+    SENSORS
+    + """
+    [cameras.vis]
+    kind = "bands"
+    files = "raw/{target}/{wavelength}nm.tif"
+    wavelengths = { start = 400, stop = 720, step = 10 }
+    [cameras.charted]
+    kind = "bands"
+    files = "raw/{target}/{wavelength}nm.tif"
+    white = { chart = "macbeth" }
+    """
+)
+PLACES = {"cameras.NAME.white": ("cameras", "charted", "white")}
+OF_THE_SCHEMA = (
+    r"should|valid|input|instance|dictionary|tuple|string|integer|parse|None|<|value must"
+)
+"""Words of pydantic's that nobody meets in our messages."""
+
+
+def table_at(record, table):
+    """Return a table of a document by its place with NAME, made where it is not there; a list's first."""
+    steps = PLACES.get(table, table.replace("NAME", "vis").split("."))
+    if table == "cameras.NAME.sensors":
+        return record["cameras"]["m"]["sensors"][0]
+    for step in steps[:-1] if steps[-1] == "creators" else steps:
+        record = record.setdefault(step, {})
+    return record.setdefault("creators", [{}])[0] if steps[-1] == "creators" else record
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_whatever_a_key_holds_its_message_is_in_our_words(table):
+    for key, value in itertools.product(TABLES[table], [*VALUES, 1.5, [None], [{}], "\0", 10**30]):
+        record = copy.deepcopy(EVERY)
+        table_at(record, table)[key] = value
+        _, problems = _validate(Path("/none/campaign.toml"), record)
+        for problem in problems:
+            said = problem.message.replace(key, "KEY")
+            assert not re.search(OF_THE_SCHEMA, said), (table, key, value, said)
+
+
+@pytest.mark.parametrize(
+    "date", ["2024-13-45", "2023-02-29", "2024-00", "0000", "2024-05-31T25:00"]
+)
+@pytest.mark.parametrize("table", [t for t, keys in TABLES.items() if "date" in keys])
+def test_a_date_that_no_calendar_has_is_refused(table, date):
+    record = copy.deepcopy(EVERY)
+    table_at(record, table)["date"] = date
+    _, problems = _validate(Path("/none/campaign.toml"), record)
+    free = table == "objects.NAME" and not re.fullmatch(r"\d{4}-\d\d-\d\d", date)
+    assert bool([p for p in problems if p.field and p.field.endswith("date")]) != free
+
+
+OF_PATHS = {
+    "output": "campaign", "points": "registration", "reference": "cameras.NAME.white",
+    "files": "cameras.NAME", "sensitivity": "cameras.NAME", "manifest": "cameras.NAME",
+    "reflectance": "targets.white", "spectrum": "setups.NAME",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("key", OF_PATHS)
+@pytest.mark.parametrize("text", ["~/x", "~", "~anna/x/{target}.tif"])
+def test_a_home_in_the_shells_way_is_refused_in_every_path(key, text):
+    record = copy.deepcopy(EVERY)
+    table_at(record, OF_PATHS[key])[key] = text
+    _, problems = _validate(Path("/none/campaign.toml"), record)
+    assert [p for p in problems if p.field.endswith(key) and "~ means" in p.message], problems
 
 
 def test_every_key_is_documented_in_the_section_of_its_table():

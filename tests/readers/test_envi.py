@@ -34,6 +34,10 @@ def write_envi(folder, cube, *, interleave="bil", big=False, suffix=".raw", extr
     return folder / "scan.hdr"
 
 
+def header_facts(folder, row):
+    return read_facts(write_envi(folder, CUBE, extra=row))
+
+
 @settings(deadline=None, max_examples=60)
 @given(
     st.sampled_from(sorted(ORDER)),
@@ -150,6 +154,40 @@ def test_exposures_are_read_with_their_units_and_never_without(tmp_path, said, r
     stated = facts.exposure_s, facts.band_times_s, facts.exposure_unclear
     assert stated.count(None) == (3 if read is None else 2)
     assert next((one for one in stated if one is not None), None) == read
+
+
+@pytest.mark.parametrize(
+    "row",
+    ["gain = 6 dB", "Gain (dB) = 6.0", "camera_gain = 6", "CameraGain = 6", "master-gain [dB] = 6",
+     "analogue gain = 6", "gain mode = high", "sensor_gain_mode = high"],
+)  # fmt: skip
+def test_a_gain_is_read_however_its_key_is_written(tmp_path, row):
+    assert header_facts(tmp_path, row).gain[0][1] in ("6", "6 db", "high")
+    assert header_facts(tmp_path, row.upper()) == header_facts(tmp_path, row)
+
+
+@pytest.mark.parametrize(
+    "row",
+    ["fstop = 2.8", "f/stop = 2.8", "f-number = f/2.8", "F_Number = F2.8", "aperture = F 2,8",
+     "lens aperture (f/) = 2.8", "f-stop = 1:2.8", "f/# = 2.80"],
+)  # fmt: skip
+def test_a_stop_is_read_however_it_is_written(tmp_path, row):
+    assert header_facts(tmp_path, row).f_number == 2.8
+
+
+@pytest.mark.parametrize(
+    ("row", "field", "value"),
+    [("ISO speed = 400", "iso", 400), ("iso_speed_rating = ISO 400", "iso", 400),
+     ("focal length (mm) = 23", "focal_mm", 23), ("lens_focal_length = 23 mm", "focal_mm", 23),
+     ("Camera_Model = FX10", "model", "FX10"), ("camera serial-no = 12", "serial", "12"),
+     ("horizontal_binning = 2", "binning", (("horizontal binning", "2"),)),
+     ("X_Start = 0", "region", (("x start", "1"),)), ("aperture (mm) = 4", "f_number", None),
+     ("gain file = white_1.cal", "gain", None), ("exposure_time_ms = 20", "exposure_s", 0.02),
+     ("IntegrationTime[us] = 20000", "exposure_s", 0.02),
+     ("integration_time = 20\nintegration_time_unit = ms", "exposure_s", 0.02)],
+)  # fmt: skip
+def test_a_setting_is_read_however_its_key_is_written(tmp_path, row, field, value):
+    assert getattr(header_facts(tmp_path, row), field) == value
 
 
 def test_a_list_of_exposures_of_another_length_is_refused(tmp_path):

@@ -122,3 +122,21 @@ def test_wavelengths_are_read_from_names_of_bands(tmp_path):
     assert facts.wavelengths == (400.0, 500.0, 600.0, 700.0)
     listed = f"band names = {{{names}}}\nwavelength = {{1, 2, 3, 4}}"
     assert read_facts(envi(tmp_path, CUBE, "i2", listed)).wavelengths == facts.wavelengths
+
+
+@pytest.mark.parametrize("stating", [[0], [0, 1, 2, 3], [2]])
+@pytest.mark.parametrize("zero", ["minisblack", "miniswhite"])
+def test_nodata_of_one_page_holds_for_all(tmp_path, stating, zero):
+    path, full = tmp_path / "a.tif", 65535
+    stored = np.where(EMPTY, 0, CUBE).astype(np.uint16)
+    with tifffile.TiffWriter(path) as file:
+        for page in range(4):
+            tags = [(42113, 2, 2, "0", True)] if page in stating else []
+            file.write(stored[..., page], photometric=zero, metadata=None, extratags=tags)
+    assert read_facts(path).nodata == 0
+    for page in range(4):
+        if 0 in stating or page in stating:
+            found = read_frame(path, page=page)
+            values = CUBE[..., page] if zero == "minisblack" else full - CUBE[..., page]
+            assert np.array_equal(np.isnan(found), EMPTY[..., page])
+            assert np.array_equal(found[~EMPTY[..., page]], values[~EMPTY[..., page]])

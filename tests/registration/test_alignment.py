@@ -128,10 +128,11 @@ def test_an_alignment_that_contradicts_the_pictures_is_named_and_moves_nothing(c
     assert "sensor ccd2: The sensor lies 100.0 of its px" in found.verdict.reasons[0]
 
 
-def test_other_sensors_of_the_reference_camera_are_checked_too(camera):
+@pytest.mark.parametrize("reference", ["a", "b"])
+def test_other_sensors_of_the_reference_camera_are_checked_too(camera, reference):
     wrong = {"ccd2": moved(TURN, 30.0, 0.0)}
     for method, decision in (("levkas", "warn"), ("mirhashemi2019", "refuse")):
-        found = register(camera, camera, reference_band="a", align=wrong, method=method)
+        found = register(camera, camera, reference_band=reference, align=wrong, method=method)
         assert found.verdict.decision == decision
         assert "30.0 of its px" in " ".join(found.verdict.reasons)
 

@@ -15,7 +15,7 @@ from levkas.campaign.campaign import CampaignInvalid
 from levkas.campaign.schema.cross_checks import unusable_output
 from levkas.core.disk import refusing
 from levkas.core.locks import take
-from levkas.core.ownership import IMPRINT, MARK, is_address, made, require_outside, stands_in
+from levkas.core.ownership import IMPRINT, MARK, made, require_outside, require_path, stands_in
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_json, unusable_name
 from levkas.database.catalogue import DatabaseRefused, read_catalogue
@@ -42,8 +42,8 @@ def places_of(campaign: Campaign, output: str | Path | None = None) -> Places:
     WriteRefused
         Where it is an address of a server.
     """
-    if output and is_address(output):
-        require_outside(Path(output), fix="")
+    if output:
+        require_path(output)
     if output and (why := unusable_name(output)):
         raise CampaignInvalid(_not_apart(campaign, why, str(output)))
     places = Places(Path(output).resolve() if output else campaign.output)

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 ROLES = ("object", "white", "chart", "dark")
 LEVELS_OF_RAW = ("bits", "saturation", "black", "pattern")
 """Of a camera raw they are known where it is decoded."""
-OF_ONE_NOISE = ("iso", "gain", "model", "serial")
+OF_ONE_NOISE = ("iso", "gain", "make", "model", "serial")
 """May differ from band to band, and then one model of the noise is not that of every band."""
 DECLARED, IN_NAME = "campaign.toml", "its name or the manifest"
 EXPOSURE = ComparedFact("exposure", "exposure, s", ("exposure_s",), ROLES, compare_ratio(1.1))
@@ -235,7 +235,7 @@ def check_alike(
                 texts = describe_value(fact, value), describe_value(fact, expected)
                 found.append(Contradiction(fact, "refused", "a frame", path, *texts, by))
     elif alignments and (alignment := find_alignment([values])):
-        found += _between_alignments([alignments[0], Aligned("a frame", path, alignment)])
+        found += _against(alignments, Aligned("a frame", path, alignment))
     fatal = [o for o in found if _is_fatal(camera, o) and o.fact.name not in camera.overrule]
     if fatal:
         raise CalibrationRefused(*(one.problem(camera.name) for one in fatal))
@@ -320,13 +320,21 @@ def _compared(fact: ComparedFact, valued: list[Valued]) -> Iterator[Contradictio
 
 
 def _between_alignments(alignments: Sequence[Aligned]) -> Iterator[Contradiction]:
-    """Yield frames whose codes stand at the upper end of their words and the first's at the lower, or the reverse."""
-    for role, path, one in alignments[1:]:
-        _, other, expected = alignments[0]
-        if one.contradicts(expected):
-            texts = one.describe(), expected.describe()
+    """Yield frames whose codes stand otherwise in their words than those of one before them."""
+    for i, one in enumerate(alignments):
+        yield from _against(alignments[:i], one)
+
+
+def _against(others: Sequence[Aligned], one: Aligned) -> list[Contradiction]:
+    """Return the gravest contradiction of a frame's alignment by those of others, or nothing."""
+    found = []
+    for other in others:
+        severity = other.alignment.compare(one.alignment)
+        if severity != "same":
             fact = FACTS_BY_NAME["code_spacing"]
-            yield Contradiction(fact, "refused", role, path, *texts, other)
+            texts = one.alignment.describe(), other.alignment.describe()
+            found.append(Contradiction(fact, severity, one.role, one.path, *texts, other.path))
+    return sorted(found, key=lambda each: each.severity != "refused")[:1]
 
 
 # --- file with campaign.toml ----------------------------------------------------------------------

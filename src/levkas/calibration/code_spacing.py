@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from levkas.readers.compared_facts import Severity
+
 AT_A_TIME = 1 << 20  # codes: NumPy counts them as whole numbers of 8 bytes
 MOST_CODES = 1 << 16
 FEWEST_LEVELS = 64  # that a curve can be told from
@@ -20,9 +22,19 @@ WINDOW = 24  # gaps whose mean is one point of the fit
 FILLED = 4  # pixels that a level must have: a rare one may stand beside one that was not met
 MISFIT = 0.05  # of the gaps, in four windows of five
 RECURS = 2  # times that the smallest gap must be met
-SHIFTED = 4  # spacing from which codes are taken to stand at the upper end of their words
+LEAST_SHIFT, SURE_SHIFT = (
+    2,
+    4,
+)  # spacing over another's from which codes stand at the upper end of their words, and surely
+LEAST_COUNTS = (
+    16  # that no fraction of a full scale reaches: a gloss on varnish is 3 or 4 times a white
+)
 STRAY = 0.01  # share of codes that may stand between the others
-FEWEST_SHIFTED = 4  # different codes from which a spacing is more than chance
+FEWEST_SHIFTED = 4  # different codes, all even, that are more than chance
+FEWEST_SPACED, DENSE = (
+    16,
+    0.25,
+)  # the same of any other spacing, and the share of its multiples that must occur
 STRETCHED = 1.4  # spacing of the widest part over the narrowest from which it is called a curve
 
 
@@ -137,70 +149,102 @@ class Alignment(NamedTuple):
     Parameters
     ----------
     spacing : int or None
-        Power of two of which the codes are multiples: 16 where 12 bits stand at the upper end of 16. None where
-        too few different codes occur to tell.
-    top, capacity : int
-        Largest code that occurs, and what a word can hold, plus 1.
+        Of neighbouring codes: 16 where 12 bits stand at the upper end of 16. None where that does not show: too few
+        different codes, 8 bits, floats that are no whole numbers.
+    top : float
+        Largest code that occurs.
+    capacity : int
+        What a word can hold, plus 1; 1 of floats between 0 and 1, fractions of a full scale.
     """
 
     spacing: int | None
-    top: int
+    top: float
     capacity: int
 
     def describe(self) -> str:
         """Return it in words.
 
-        >>> Alignment(16, 60_000, 65_536).describe(), Alignment(1, 3_700, 65_536).describe()
-        ('multiples of 16 up to 60000', 'codes 1 apart up to 3700')
+        >>> Alignment(16, 60_000, 65_536).describe(), Alignment(None, 0.82, 1).describe()
+        ('codes 16 apart up to 60000', 'fractions up to 0.82')
         """
-        apart = self.spacing or 1
-        return (
-            f"multiples of {apart} up to {self.top}"
-            if apart > 1
-            else f"codes 1 apart up to {self.top}"
-        )
+        if self.spacing is None:
+            return f"{'fractions' if self.capacity == 1 else 'values'} up to {self.top:.4g}"
+        return f"codes {self.spacing} apart up to {self.top:.0f}"
 
-    def contradicts(self, other: Alignment) -> bool:
-        """Whether one stands at the upper end of its words and the other at the lower.
+    def compare(self, other: Alignment) -> Severity:
+        """Compare with another frame's: counts by their fractions, one end of a word by the other end, are refused.
 
-        Codes of every value that reach higher than the lower end are averages of codes at the upper end.
+        Codes of every value that reach higher than the lower end are averages of codes at the upper end. Codes 2 or 3
+        apart that reach beyond half of what words can hold may be those of an image editor of 15 bits, and are noted.
 
         >>> left, right = Alignment(16, 60_000, 65_536), Alignment(1, 3_700, 65_536)
-        >>> left.contradicts(right), left.contradicts(Alignment(1, 58_123, 65_536))
-        (True, False)
+        >>> left.compare(right), left.compare(Alignment(1, 58_123, 65_536)), Alignment(None, 0.82, 1).compare(right)
+        ('refused', 'same', 'refused')
         """
+        if (self.capacity == 1) != (other.capacity == 1):
+            counts = other if self.capacity == 1 else self
+            return (
+                "refused"
+                if counts.top > (LEAST_COUNTS if counts.spacing is None else 1)
+                else "same"
+            )
         if self.spacing is None or other.spacing is None:
-            return False
+            return "same"
         upper, lower = (self, other) if self.spacing > other.spacing else (other, self)
-        shift = upper.spacing or 1
-        return shift >= SHIFTED > (lower.spacing or 1) and lower.top * shift < lower.capacity
+        shift = (upper.spacing or 1) / (lower.spacing or 1)
+        if shift < LEAST_SHIFT or lower.top * shift >= lower.capacity:
+            return "same"
+        editor = shift < SURE_SHIFT and upper.top > upper.capacity / 2
+        return "noted" if editor else "refused"
 
 
 def find_alignment(frames: Iterable[np.ndarray]) -> Alignment | None:
-    """Return where the codes of some frames stand; None where they are no whole numbers of 16 bits or more.
+    """Return where the codes of some frames stand; None where they hold nothing.
 
-    A hundredth of the codes may stand elsewhere: saturated ones, and defects that a camera replaced.
+    A hundredth of the codes may stand elsewhere: saturated ones, and defects that a camera replaced. Floats that are
+    whole numbers are codes of 16 bits.
 
     >>> find_alignment([np.arange(100, dtype=np.uint16) * 16])
     Alignment(spacing=16, top=1584, capacity=65536)
+    >>> find_alignment([np.arange(1, 100) / 100])
+    Alignment(spacing=None, top=0.99, capacity=1)
     """
-    whole = [values for values in frames if values.dtype.kind in "ui" and values.dtype.itemsize > 1]
-    if not whole:
+    values = np.concatenate([frame.ravel() for frame in frames] or [np.empty(0)])
+    if values.dtype.kind == "f":
+        values = values[np.isfinite(values)]
+        if not values.any():
+            return None
+        if np.any(values != np.rint(values)):
+            return _of_fractions(values)
+        values = values.astype(np.int64)
+        capacity = MOST_CODES
+    else:
+        capacity = int(np.iinfo(values.dtype).max) + 1
+    if not values.size:
         return None
-    top = max(int(values.max(initial=0)) for values in whole)
-    capacity = int(np.iinfo(whole[0].dtype).max) + 1
-    count, spacing = sum(values.size for values in whole), 1
-    while spacing < capacity:
-        off = sum(int(np.count_nonzero(values & (2 * spacing - 1))) for values in whole)
-        if off > STRAY * count:
-            break
-        spacing *= 2
-    few = spacing > 1 and len(set().union(*map(set, map(_some_codes, whole)))) < FEWEST_SHIFTED
-    return Alignment(None if few else spacing, top, capacity)
+    top = int(values.max())
+    return Alignment(None if capacity < MOST_CODES // 2 else _spacing(values), top, capacity)
 
 
-def _some_codes(values: np.ndarray) -> list[int]:
-    return [int(code) for code in np.unique(values)[:FEWEST_SHIFTED]]
+def _of_fractions(values: np.ndarray) -> Alignment:
+    """Return the alignment of floats that are no whole numbers: fractions of a full scale, or averages of counts."""
+    outside = np.count_nonzero((values < 0) | (values > 1))
+    return Alignment(None, float(values.max()), MOST_CODES if outside > STRAY * values.size else 1)
+
+
+def _spacing(values: np.ndarray) -> int | None:
+    """Return the distance of neighbouring codes, all but a hundredth of the pixels; None where it is chance."""
+    codes, count = np.unique(values.astype(np.int64), return_counts=True)
+    shift = 1
+    while shift < MOST_CODES and count[codes % (2 * shift) != 0].sum() <= STRAY * values.size:
+        shift *= 2
+    if np.count_nonzero(codes % shift == 0) < FEWEST_SHIFTED:
+        return None
+    rarest = np.argsort(count, kind="stable")
+    kept = np.sort(codes[rarest[np.cumsum(count[rarest]) > STRAY * values.size]])
+    gap = int(np.diff(kept).min(initial=MOST_CODES))
+    dense = len(kept) >= FEWEST_SPACED and len(kept) * gap >= DENSE * (kept[-1] - kept[0])
+    return max(shift, gap) if dense else shift
 
 
 def find_levels(histogram: np.ndarray) -> Levels:

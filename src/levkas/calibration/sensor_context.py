@@ -203,18 +203,18 @@ class SensorContext:
     def alignments(self) -> list[Aligned]:
         """Where the codes of some frames stand in their words.
 
-        Nothing of one frame, of 8 bits, of camera raws, which LibRaw aligns, and of codes that do not tell.
+        Nothing of one frame, and of camera raws, which LibRaw aligns.
         """
         sensor, facts = self.sensor, self.facts
         single = len((*sensor.object, *sensor.white, *sensor.chart, *sensor.dark)) < 2
-        if single or facts.kind == "raw" or np.dtype(facts.dtype).itemsize < 2:
+        if single or facts.kind == "raw":
             return []
         found = []
         for role in ("object", "white", "chart", "dark"):
             frames = spread(getattr(sensor, role), MOST_GLIMPSED)
             for frame, values in zip(frames, self.glimpses(role), strict=True):
                 one = find_alignment([values])
-                if one is not None and one.spacing is not None:
+                if one is not None:
                     found.append(Aligned(role, frame.path, one))
         return found
 

@@ -76,9 +76,23 @@ def require_free(path: str | Path, *, overwrite: bool = False) -> Path:
     return path
 
 
+HOME = "~"
+
+
 def require_outside(path: Path, *, fix: str) -> None:
-    """Refuse an address, and what would stand in a database, a publication or a bag; raises WriteRefused."""
-    if is_address(path):
+    """Refuse what `require_path` does, and what would stand in a database, a publication or a bag; raises WriteRefused."""
+    require_path(path)
+    for folder in Path(path).resolve().parents:
+        if ours := made(folder):
+            what = f"a {ours}: {folder}"
+            raise refusal(
+                "this would be written into a folder of Levkas", path, "folder apart", what, fix
+            )
+
+
+def require_path(path: str | Path) -> None:
+    """Refuse an address, and a new folder ``~``, which a shell that does not expand an option makes; raises WriteRefused."""
+    if is_address(path := Path(path)):
         where = "a folder of this machine"
         raise refusal(
             "this is the address of a server, where nothing can be written",
@@ -87,12 +101,9 @@ def require_outside(path: Path, *, fix: str) -> None:
             "an address",
             f"Write to {where}, then copy that there; docs/howto/remote.md shows how.",
         )
-    for folder in Path(path).resolve().parents:
-        if ours := made(folder):
-            what = f"a {ours}: {folder}"
-            raise refusal(
-                "this would be written into a folder of Levkas", path, "folder apart", what, fix
-            )
+    if HOME in path.parts and not os.path.lexists(path):
+        fix = "Write the whole path; in an option, a blank in place of the = before ~."
+        raise refusal("~ means a home to shells alone", path, "path", f"a folder {HOME!r}", fix)
 
 
 def is_address(path: str | Path) -> bool:

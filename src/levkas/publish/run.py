@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.core.disk import WriteRefused
-from levkas.core.problems import Problem
+from levkas.core.problems import Problem, Refused
 from levkas.publish.analysis_names import parse_analyses
 from levkas.publish.crate import NAME as CRATE
 from levkas.publish.metadata import NAME as FACTS
@@ -24,6 +24,7 @@ from levkas.publish.publication import (
 
 if TYPE_CHECKING:
     from levkas.database.manifest import Manifest
+    from levkas.publish.analysis_names import Analysis
     from levkas.publish.publication import Publication
 
     Part = Callable[[Publication], Iterator[str]]
@@ -171,23 +172,42 @@ def check(
     from levkas.publish.analysis import check_analyses
     from levkas.publish.citation import check_datacite
 
-    analyses = parse_analyses(analyse)
-    _check_address(url)
-    subject = find_subject(path, fresh=False, notes=notes)
     problems: list[Problem] = []
-    try:
-        find_manifest(subject.database)
-        check_notes(subject)
-        find_subject(path)
-        check_analyses(subject.database, analyses)
-        check_places(subject, facts_of_subject(subject), output, bag)
-    except (PublishRefused, WriteRefused) as refused:
-        if subject.campaign is None and not (subject.database / FACTS).is_file():
-            return CheckReport(refused.problems, ())
-        problems += refused.problems
+    subject = noted = find_subject(path, fresh=False)
+    analyses: tuple[Analysis, ...] = ()
+    whole = False
+    with _listed(problems):
+        noted = find_subject(path, fresh=False, notes=notes)
+    with _listed(problems):
+        analyses = parse_analyses(analyse)
+    with _listed(problems):
+        _check_address(url)
+    with _listed(problems):
+        whole = bool(find_manifest(subject.database))
+    for step in (
+        lambda: check_notes(noted),
+        lambda: find_subject(path),
+        lambda: check_analyses(subject.database, analyses),
+        lambda: check_places(subject, facts_of_subject(subject), output, None),
+        lambda: _check_bag(subject, facts_of_subject(subject), output, bag),
+    ):
+        with _listed(problems):
+            if whole:
+                step()
+    if problems and subject.campaign is None and not (subject.database / FACTS).is_file():
+        return CheckReport(tuple(problems), ())
     facts = facts_of_subject(subject)
     deposit, advice = check_datacite(facts)
     return CheckReport((*problems, *missing_facts(facts)), tuple(advice), tuple(deposit))
+
+
+@contextmanager
+def _listed(problems: list[Problem]) -> Iterator[None]:
+    """Add the problems of a refusal to a list, and go on."""
+    try:
+        yield
+    except Refused as refused:
+        problems += [problem for problem in refused.problems if problem not in problems]
 
 
 def find_subject(
@@ -420,16 +440,31 @@ def check_places(
     bag: str | Path | None,
 ) -> Path:
     """Return the folder of a publication; refuse it, or that of its bag, where something else is there."""
+    final = _final(subject, output)
+    _check_output(final, subject.database.resolve(), facts)
+    _check_bag(subject, facts, output, bag)
+    return final
+
+
+def _final(subject: PublishSubject, output: str | Path | None) -> Path:
+    return Path(output or subject.default_output).resolve()
+
+
+def _check_bag(
+    subject: PublishSubject,
+    facts: PublicationFacts,
+    output: str | Path | None,
+    bag: str | Path | None,
+) -> None:
+    """Refuse a folder of a bag where something else is, or that holds, or lies in, what is published."""
     from levkas.publish.bagging import NEW_BAG, check_target
 
-    final = Path(output).resolve() if output else subject.default_output.resolve()
-    database = subject.database.resolve()
-    _check_output(final, database, facts)
-    if bag is not None:
-        for root in (database, final):
-            check_target(root, Path(bag).resolve())
-        require_earlier(Path(bag).resolve(), database, facts, fix=NEW_BAG)
-    return final
+    if bag is None:
+        return
+    database, place = subject.database.resolve(), Path(bag).resolve()
+    for root in (database, _final(subject, output)):
+        check_target(root, place)
+    require_earlier(place, database, facts, fix=NEW_BAG)
 
 
 def _check_address(url: str) -> None:

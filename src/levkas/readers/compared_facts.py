@@ -123,6 +123,15 @@ def compare_texts(a: str, b: str) -> Severity:
     return "same" if a.casefold() == b.casefold() else "refused"
 
 
+def compare_makers(a: str, b: str) -> Severity:
+    """Compare two makers by their first words: programs write "NIKON" for "NIKON CORPORATION".
+
+    >>> compare_makers("NIKON CORPORATION", "Nikon"), compare_makers("Phase One", "Canon")
+    ('same', 'refused')
+    """
+    return compare_texts(a.split()[0], b.split()[0])
+
+
 def compare_ratio(most: float) -> Callable[[float, float], Severity]:
     """Return the comparison of two positive numbers by the larger over the smaller."""
 
@@ -227,6 +236,7 @@ FACTS = (
     ComparedFact(
         "white_balance", "white balance", ("white_balance",), LIT, compare_equal, True, ALIKE
     ),
+    ComparedFact("make", "maker of the camera", ("make",), ALL, compare_makers, True, ONE_CAMERA),
     ComparedFact("model", "camera model", ("model",), ALL, compare_texts, True, ONE_CAMERA),
     ComparedFact("serial", "serial number", ("serial",), ALL, compare_texts, True, ONE_CAMERA),
     ComparedFact("binning", "binning", ("binning",), ALL, compare_settings),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -24,10 +25,10 @@ LAYOUT = ("samples", "lines", "bands", "data type", "interleave", "byte order", 
 LONGEST_NUMBER = 400
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?", re.IGNORECASE | re.ASCII)
 MILLISECONDS = ("tint",)
-"""Fields of one unit, whoever writes them: Specim's."""
+"""Fields of one unit, whoever writes them: Specim's. All names here are those of `squeeze_key`."""
 EXPOSURES = (
-    *("integration time", "integration times", "exposure", "exposures"),
-    *("exposure time", "exposure times", "shutter"),
+    *("integrationtime", "integrationtimes", "exposure", "exposures"),
+    *("exposuretime", "exposuretimes", "shutter", "shuttertime"),
 )
 """Fields of many vendors, in ms by some and in µs by others: read where a unit is with them."""
 SECONDS = {
@@ -36,29 +37,28 @@ SECONDS = {
     "ns": 1e-9, "nanosecond": 1e-9,
 }  # fmt: skip
 SETTINGS = {
-    "gain": (
-        *("gain", "gain mode", "camera gain", "sensor gain", "analog gain", "analogue gain"),
-        *("digital gain", "data gain values", "data offset values"),
-    ),
-    "binning": (
-        *("binning", "sample binning", "line binning", "spatial binning", "spectral binning"),
-        *("horizontal binning", "vertical binning", "x binning", "y binning"),
-    ),
-    "region": ("x start", "y start", "himg", "vimg", "hroi", "vroi", "mroi", "roi", "aoi"),
+    "gain": re.compile(r".*gains?(?!.*(file|path|date|time)).*|dataoffsetvalues"),
+    "binning": re.compile(r".*binning.*"),
+    "region": re.compile(r"[xy]start|[hv]img|[hvm]?roi|aoi|regionofinterest"),
 }
 """Fields by which vendors state a setting of the sensor; `himg`, `vimg`, `hroi`, `vroi`, `mroi` are Specim's."""
-MODELS = ("sensor type", "imager type", "camera model")
+MODELS = ("sensortype", "imagertype", "cameramodel", "cameratype", "sensormodel", "imagermodel")
 SERIALS = (
-    *("sensorid", "sensor id", "serial number", "serialnumber", "camera serial number"),
-    *("sensor serial number", "imager serial number", "camera id"),
+    *("sensorid", "cameraid", "serialnumber", "cameraserialnumber", "sensorserialnumber"),
+    *("imagerserialnumber", "cameraserial", "serialno", "cameraserialno"),
 )
-LENSES = ("lens", "lens name", "objective", "objective lens")
-STOPS = ("f-number", "f number", "fnumber", "aperture")
+LENSES = ("lens", "lensname", "lensmodel", "lenstype", "objective", "objectivelens")
+STOPS = ("fnumber", "fnum", "fno", "fstop", "f", "aperture", "lensaperture", "lensfnumber")
+FOCAL = ("focallength", "lensfocallength")
+ISO = ("iso", "isospeed", "isospeedrating", "isospeedratings", "isosensitivity", "isovalue")
 UNKNOWN = frozenset(["", "unknown", "none", "n/a", "undefined", "-", "0"])
 """What stands in a field that its writer had nothing for: ENVI itself writes `sensor type = Unknown`."""
 SAME = 0.01
 """Relative: exposures that differ by less are the same."""
-_KEY = re.compile(r"(?P<name>[a-z ]+?) ?(?:[(\[] ?(?P<unit>[a-zµμ]+) ?[)\]])?")
+_UNIT = re.compile(r" *[(\[] *([^()\[\]]{0,20}?) *[)\]]$")
+"""Of a key, in brackets behind it."""
+_STOP = re.compile(r"(?:f ?[/:]? ?|1 ?: ?)?(\d+(?:[.,]\d+)?)", re.ASCII)
+"""``f/2.8``, ``F 2,8``, ``1:2.8``, ``2.8``."""
 _VALUE = re.compile(r"(?P<number>[^\sa-zµμ]\S*?) ?(?P<unit>[a-zµμ]+)?")
 
 Fields = dict[str, "str | list[str]"]
@@ -70,6 +70,11 @@ class EnviHeader:
 
     path: Path
     fields: Fields
+
+    def named(self, names: Sequence[str]) -> Iterator[str]:
+        """Yield the keys of fields in the order of their names, squeezed, however vendors write these."""
+        squeezed = {key: squeeze_key(key)[0] for key in self.fields}
+        yield from (key for name in names for key in squeezed if squeezed[key] == name)
 
     def text(self, key: str) -> str:
         """Return a field as text, ``{ nm }`` like ``nm``; empty where it is absent."""
@@ -106,6 +111,18 @@ class EnviHeader:
         """Return the refusal of a field, ready to raise."""
         more = {"field": field, "found": found, "expected": expected}
         return unreadable(self.path, message, fix=fix, **more)
+
+
+@lru_cache(maxsize=1 << 12)
+def squeeze_key(key: str) -> tuple[str, str]:
+    """Return the letters and digits of a key in lower case, and the unit in brackets behind it.
+
+    >>> squeeze_key("Camera_Gain [dB]"), squeeze_key("f/stop")
+    (('cameragain', 'db'), ('fstop', ''))
+    """
+    key = key[:100].lower()
+    unit = _UNIT.search(key)
+    return re.sub(r"[\W_]+", "", key[: unit.start()] if unit else key), unit[1] if unit else ""
 
 
 def parse_number(text: str) -> float | None:
@@ -290,15 +307,14 @@ def exposure_facts(header: EnviHeader, bands: int) -> dict[str, Any]:
     clear: dict[str, list[float]] = {}
     unclear = []
     for key in header.fields:
-        found = _KEY.fullmatch(key[:100].replace("_", " "))
-        if found is None or found["name"] not in (*MILLISECONDS, *EXPOSURES):
-            continue
-        numbers, units = _numbers_with_units(header.fields[key])
+        name, unit = _exposure_key(key)
+        numbers, units = _numbers_with_units(header.fields[key]) if name else ([], set())
         if not numbers:
             continue
-        units |= {found["unit"], *(header.text(f"{key} {w}").lower() for w in ("unit", "units"))}
+        beside = header.named([f"{name}unit", f"{name}units"])
+        units |= {unit, *(header.text(other).lower() for other in beside)}
         units -= {None, ""}
-        if not units and found["name"] in MILLISECONDS:
+        if not units and name in MILLISECONDS:
             units = {"ms"}
         scale = {SECONDS.get(str(unit)) or SECONDS.get(str(unit).rstrip("s")) for unit in units}
         if len(scale) != 1 or (factor := next(iter(scale))) is None:
@@ -316,43 +332,88 @@ def exposure_facts(header: EnviHeader, bands: int) -> dict[str, Any]:
     return {"exposure_unclear": lines} if lines else {}
 
 
+def _exposure_key(key: str) -> tuple[str, str]:
+    """Return the name of a field of exposures and its unit; empty of other fields.
+
+    >>> _exposure_key("integration_time_us"), _exposure_key("Exposure Time (ms)"), _exposure_key("exposures")
+    (('integrationtime', 'us'), ('exposuretime', 'ms'), ('exposures', ''))
+    """
+    names = (*MILLISECONDS, *EXPOSURES)
+    name, unit = squeeze_key(key)
+    if name in names:
+        return name, unit
+    behind = (u for u in SECONDS if name.endswith(u) and name.removesuffix(u) in names)
+    return next(((name.removesuffix(u), u) for u in behind), ("", ""))
+
+
 def setting_facts(header: EnviHeader) -> dict[str, Any]:
     """Return camera, lens and settings of the sensor, as fields of `Facts`.
 
     Examples
     --------
-    >>> text = {"sensor type": "Unknown", "imager type": "Pika L", "x start": "0", "aperture": "f/2.8"}
-    >>> found = setting_facts(EnviHeader(Path("a.hdr"), text))
-    >>> found["model"], found["region"], found["f_number"]
-    ('Pika L', (('x start', '1'),), 2.8)
+    >>> text = {"sensor type": "Unknown", "imager type": "Pika L", "x start": "0", "f-stop": "F 2,8"}
+    >>> found = setting_facts(EnviHeader(Path("a.hdr"), {**text, "master_gain (dB)": "6.0"}))
+    >>> found["model"], found["region"], found["f_number"], found["gain"]
+    ('Pika L', (('x start', '1'),), 2.8, (('master gain', '6 db'),))
     """
+    filled = [(key, *squeeze_key(key)) for key in header.fields if header.text(key)]
     found: dict[str, Any] = {
-        name: tuple((key, _setting(header, key)) for key in keys if header.text(key)) or None
-        for name, keys in SETTINGS.items()
+        setting: tuple(
+            (_spaced(key), _setting(header, key, name, unit))
+            for key, name, unit in filled
+            if pattern.fullmatch(name)
+        )
+        or None
+        for setting, pattern in SETTINGS.items()
     }
-    found |= {"model": _named(header, MODELS), "serial": _named(header, SERIALS)}
-    stops = (header.text(key).lower().removeprefix("f/") for key in STOPS)
     return {
         **found,
+        "model": _named(header, MODELS),
+        "serial": _named(header, SERIALS),
         "lens": _named(header, LENSES),
-        "f_number": next((v for text in stops if (v := parse_number(text)) and v > 0), None),
-        "iso": header.number("iso") or None,
+        "f_number": _stop(header),
+        "focal_mm": _first_number(header, FOCAL, "mm"),
+        "iso": _first_number(header, ISO, "iso"),
     }
 
 
-def _named(header: EnviHeader, keys: tuple[str, ...]) -> str | None:
-    texts = (" ".join(header.text(key).split()) for key in keys)
+def _named(header: EnviHeader, names: tuple[str, ...]) -> str | None:
+    texts = (" ".join(header.text(key).split()) for key in header.named(names))
     return next((text for text in texts if text.lower() not in UNKNOWN), None)
 
 
-def _setting(header: EnviHeader, key: str) -> str:
+def _stop(header: EnviHeader) -> float | None:
+    """Return the f-number; None of an aperture in another unit."""
+    keys = (key for key in header.named(STOPS) if squeeze_key(key)[1] in ("", "f", "f/"))
+    stops = (_STOP.fullmatch(header.text(key).lower()[:40]) for key in keys)
+    numbers = (parse_number(stop[1].replace(",", ".")) for stop in stops if stop)
+    return next((number for number in numbers if number), None)
+
+
+def _first_number(header: EnviHeader, names: tuple[str, ...], unit: str) -> float | None:
+    """Return the first number above 0 of some fields, with its unit or without."""
+    texts = (header.text(key).lower().strip() for key in header.named(names))
+    numbers = (parse_number(text.removeprefix(unit).removesuffix(unit)) for text in texts)
+    return next((number for number in numbers if number and number > 0), None)
+
+
+def _spaced(key: str) -> str:
+    """Return a key as messages have it and headers are compared by: words, without a unit."""
+    return re.sub(r"[\s_-]+", " ", _UNIT.sub("", key.lower())).strip()
+
+
+def _setting(header: EnviHeader, key: str, name: str, unit: str) -> str:
     """Return the value of a setting, numbers in one form; a region begins at 1, as ENVI counts, or at 0."""
-    texts = [text.strip().lower() for text in header.text(key).split(",")]
-    numbers = [parse_number(text) for text in texts]
-    if key in ("x start", "y start"):
-        numbers = [None if n is None else max(n, 1.0) for n in numbers]
-    pairs = zip(texts, numbers, strict=True)
-    return ", ".join(text if n is None else f"{n:.9g}" for text, n in pairs)
+    values = []
+    for text in (each.strip().lower() for each in header.text(key).split(",")):
+        found = _VALUE.fullmatch(text[:100])
+        number = parse_number(found["number"]) if found else None
+        if found is None or number is None:
+            values.append(text)
+            continue
+        number = max(number, 1.0) if name in ("xstart", "ystart") else number
+        values.append(f"{number:.9g} {found['unit'] or unit}".strip())
+    return ", ".join(values)
 
 
 def check_list(header: EnviHeader, key: str, count: int, bands: int, *, one: bool = False) -> None:

@@ -66,8 +66,8 @@ class Facts:
         The exposure of an ENVI header that states no unit.
     captured : str or None
         ISO 8601, local time of the camera unless the file states an offset.
-    model, serial : str or None
-        Of the camera; maker's placeholders such as ``"Unknown"`` are None.
+    make, model, serial : str or None
+        Maker, model and number of the camera; placeholders such as ``"Unknown"`` are None.
     f_number, focal_mm : float or None
     lens : str or None
     white_balance : str or None
@@ -75,7 +75,7 @@ class Facts:
     orientation : int or None
         EXIF's, 2 to 8, of a file that viewers turn or mirror; pixels are never turned. None of an upright one.
     gain, binning, region : tuple of (field, value) or None
-        Amplification, binning and window of the sensor, as the fields of an ENVI header give them.
+        Amplification, binning and window of the sensor, as the fields of an ENVI header, or the tag GainControl, give them.
     wavelengths, fwhm : tuple of float or None, nm
     wavelengths_unclear : str or None
         What a file states that cannot be wavelengths; `wavelengths` is None then.
@@ -111,6 +111,7 @@ class Facts:
     exposure_unclear: str | None = None
     iso: float | None = None
     captured: str | None = None
+    make: str | None = None
     model: str | None = None
     serial: str | None = None
     f_number: float | None = None

@@ -1,19 +1,18 @@
-"""PNG and JPEG captures, EXIF, and the sizes that compressed images declare in their headers."""
+"""PNG and JPEG captures, and the sizes that compressed images declare in their headers."""
 
 from __future__ import annotations
 
-import re
 import struct
 from collections.abc import Iterator
-from datetime import datetime
 from io import BytesIO
-from math import isfinite, prod
+from math import prod
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from levkas.readers.encoding import gamma_of_png
+from levkas.readers.exif import read_exif
 from levkas.readers.facts import (
     Facts,
     check_expansion,
@@ -24,7 +23,6 @@ from levkas.readers.facts import (
     truncated,
     unreadable,
 )
-from levkas.readers.orientation import read_orientation
 
 PNG = b"\x89PNG\r\n\x1a\n"
 PNG_SAMPLES = {0: 1, 2: 3, 3: 3, 4: 1, 6: 3}
@@ -47,19 +45,6 @@ JPEG_XL = (50002, 52546)
 """Codes of the TIFF tag Compression."""
 JXL_RATIOS = ((1, 1), (12, 10), (4, 3), (3, 2), (16, 9), (5, 4), (2, 1))
 """Width over height in the short form of a JPEG XL size."""
-MOST_READS = 50_000
-"""Reads of one file's EXIF, maker notes left out; cameras write some hundred numbers."""
-# A preference order: IFD names as exifread writes them. TIFF/EP raws keep exposure in the main IFD.
-EXPOSURE = ("EXIF ExposureTime", "Image ExposureTime")
-ISO = ("EXIF ISOSpeedRatings", "Image ISOSpeedRatings", "EXIF ISOSpeed")
-F_NUMBER = ("EXIF FNumber", "Image FNumber")
-FOCAL = ("EXIF FocalLength", "Image FocalLength")
-LENS = ("EXIF LensModel", "Image LensModel")
-SERIAL = ("EXIF BodySerialNumber", "Image BodySerialNumber", "Image Tag 0xC62F")
-BALANCE_TAGS = ("EXIF WhiteBalance", "Image WhiteBalance")
-BALANCE = {0: "auto", 1: "manual"}
-"""Values of the EXIF tag WhiteBalance."""
-DATE = ("EXIF DateTimeOriginal", "Image DateTimeOriginal", "Image DateTime")
 
 
 # --- PNG --------------------------------------------------------------------------------------
@@ -304,118 +289,3 @@ def _jpeg_xl_size(data: bytes) -> int:
         return height * side()
     across, down = JXL_RATIOS[ratio - 1]
     return height * (height * across // down)
-
-
-# --- EXIF -------------------------------------------------------------------------------------
-
-
-def read_exif(stream: BinaryIO) -> dict[str, Any]:
-    """Return exposure, ISO, date, camera, lens and orientation as fields of `Facts`; None where EXIF does not say.
-
-    Parameters
-    ----------
-    stream : binary file
-        A whole TIFF-like file or JPEG, or the bare TIFF block of a JPEG's or PNG's EXIF chunk.
-        Damaged EXIF gives what could be read: no pixel depends on it.
-    """
-    import exifread
-
-    try:
-        tags = exifread.process_file(_BoundedReads(stream), details=False)  # type: ignore[arg-type]
-    except Exception:  # exifread raises whatever a damaged header leads it to
-        tags = {}
-
-    def first(names: tuple[str, ...]) -> Any:
-        return next((tags[n] for n in names if n in tags), None)
-
-    def number(names: tuple[str, ...]) -> float | None:
-        return positive_number((getattr(first(names), "values", None) or [0])[:1])
-
-    return {
-        "exposure_s": number(EXPOSURE),
-        "iso": number(ISO),
-        "captured": iso_date(first(DATE), tags.get("EXIF OffsetTimeOriginal")),
-        "model": exif_text(tags.get("Image Model")),
-        "serial": exif_text(first(SERIAL)),
-        "f_number": number(F_NUMBER),
-        "focal_mm": number(FOCAL),
-        "lens": exif_text(first(LENS)),
-        "white_balance": white_balance(getattr(first(BALANCE_TAGS), "values", None)),
-        "orientation": read_orientation(getattr(tags.get("Image Orientation"), "values", None)),
-    }
-
-
-def exif_text(value: Any) -> str | None:
-    """Return a text of EXIF without the blanks and zeros that cameras fill it up with; None for an empty one.
-
-    >>> exif_text("NIKON D80  \\0"), exif_text("   ")
-    ('NIKON D80', None)
-    """
-    if isinstance(value, bytes):
-        value = value.decode("ascii", "replace")
-    return " ".join(str(value if value is not None else "").replace("\0", " ").split()) or None
-
-
-def white_balance(value: Any) -> str | None:
-    """Return ``"auto"`` or ``"manual"`` of the EXIF tag WhiteBalance, which is a number or a list of one."""
-    first = value[0] if isinstance(value, list | tuple) and value else value
-    return BALANCE.get(first) if isinstance(first, int) else None
-
-
-class _BoundedReads:
-    """A file that may be read from `MOST_READS` times, a kilobyte each, and ends then.
-
-    EXIF directories within directories may list the same thousand entries a thousand times over: 64 kB
-    of them take exifread a minute.
-    """
-
-    def __init__(self, stream: BinaryIO) -> None:
-        self._stream, self._left = stream, MOST_READS
-
-    def read(self, size: int = -1) -> bytes:
-        if self._left < 0:
-            raise ValueError(f"EXIF of more than {MOST_READS} numbers")
-        data = self._stream.read(size)
-        self._left -= 1 + len(data) // 1000
-        return data
-
-    def seek(self, place: int, start: int = 0) -> int:
-        return self._stream.seek(place, start)
-
-    def tell(self) -> int:
-        return self._stream.tell()
-
-
-def iso_date(value: Any, offset: Any = None) -> str | None:
-    """Return an EXIF date as ISO 8601, None for the empty dates that cameras write.
-
-    Examples
-    --------
-    >>> iso_date("2019:02:08 17:43:35", "+01:00")
-    '2019-02-08T17:43:35+01:00'
-    >>> iso_date("0000:00:00 00:00:00") is None
-    True
-    """
-    found = re.match(r"\s*(\d{4})[:-](\d\d)[:-](\d\d)[ T](\d\d:\d\d:\d\d)", str(value or ""))
-    if not found:
-        return None
-    text = f"{found[1]}-{found[2]}-{found[3]}T{found[4]}"
-    try:
-        datetime.fromisoformat(text)
-    except ValueError:
-        return None
-    zone = re.fullmatch(r"\s*([+-]\d\d:\d\d)[\s\0]*", str(offset or ""))
-    return text + (zone[1] if zone else "")
-
-
-def positive_number(value: Any) -> float | None:
-    """Return a positive number from a number, a rational, text, or the first of several."""
-    try:
-        if isinstance(value, tuple | list) and len(value) == 2:
-            value = float(value[0]) / float(value[1])
-        elif isinstance(value, tuple | list):
-            value = value[0]
-        number = float(value)
-    except (TypeError, ValueError, IndexError, ZeroDivisionError, OverflowError):
-        return None
-    return number if isfinite(number) and number > 0 else None

@@ -23,6 +23,7 @@ import numpy as np
 
 from levkas.core.digests import Stamp, stamp_of
 from levkas.readers.black_levels import BlackLevels, black_facts
+from levkas.readers.exif import iso_date, read_exif
 from levkas.readers.facts import (
     Facts,
     UnreadableCapture,
@@ -32,7 +33,7 @@ from levkas.readers.facts import (
     truncated,
     unreadable,
 )
-from levkas.readers.images import iso_date, jpeg_frame, jpeg_segments, read_exif
+from levkas.readers.images import jpeg_frame, jpeg_segments
 from levkas.readers.tiff import check_strips
 
 EXTENSIONS = """

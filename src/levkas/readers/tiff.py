@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
+from itertools import chain
 from math import ceil, prod
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ import numpy as np
 
 from levkas.readers.black_levels import black_facts
 from levkas.readers.encoding import has_curve
+from levkas.readers.exif import exif_facts, exif_text
 from levkas.readers.facts import (
     Facts,
     check_expansion,
@@ -28,14 +31,9 @@ from levkas.readers.images import (
     JPEG_CODES,
     JPEG_XL,
     MOST_SCANS,
-    exif_text,
     frame_size,
-    iso_date,
-    positive_number,
-    white_balance,
 )
 from levkas.readers.nodata import nodata_of, without_nodata
-from levkas.readers.orientation import read_orientation
 from levkas.readers.tiff_bands import band_facts, camera_band
 from levkas.readers.tiff_directories import directories_of, images_among
 from levkas.readers.tiff_tags import numbers_of, value_of
@@ -68,7 +66,8 @@ def read_tiff_facts(path: Path) -> Facts:
         shape = _checked_shape(path, tiff, page, 0)
         samples, stored = len(pages) * prod(shape), tiff.filehandle.size
         check_expansion(path, samples, page.dtype.itemsize, stored)
-        kept, (nodata, notes) = _counting(page), _nodata(page)
+        kept = _counting(page)
+        nodata, notes = _nodata(page, (tiff.pages[i] for i in pages))
         samples = 1 if len(pages) > 1 else len(kept)
         bands = band_facts(tiff, [tiff.pages[i] for i in pages], samples)
         notes += [*bands.pop("notes"), *_previews(path, pages)]
@@ -137,7 +136,7 @@ def read_tiff_parts(path: Path, rows: Sequence[Span], columns: Sequence[Span]) -
             out = np.memmap(path, stored, "r", start, shape)[wanted]
         else:
             out = _decode_rows(path, tiff, page, wanted).reshape(-1, *shape[1:])
-        return _as_counts(page, out[:, taken])
+        return _as_counts(page, page, out[:, taken])
 
 
 def _decode(path: Path, tiff: Any, pages: list[int], index: int) -> np.ndarray:
@@ -160,7 +159,7 @@ def _decode(path: Path, tiff: Any, pages: list[int], index: int) -> np.ndarray:
         values = np.moveaxis(values, 0, -1)
     if values.shape != shape:
         raise unreadable(path, "the TIFF does not match its tags", found=str(values.shape))
-    return _as_counts(page, values)
+    return _as_counts(page, tiff.pages[pages[0]], values)
 
 
 def _decode_rows(path: Path, tiff: Any, page: Any, wanted: np.ndarray) -> np.ndarray:
@@ -194,12 +193,12 @@ def _counting(page: Any) -> list[int]:
     return [i for i in range(page.samplesperpixel) if i not in alpha] or [0]
 
 
-def _as_counts(page: Any, values: np.ndarray) -> np.ndarray:
+def _as_counts(page: Any, first: Any, values: np.ndarray) -> np.ndarray:
     """Return samples without alpha, in native byte order, turned where the tags say that zero is white.
 
-    Where a value holds nothing they are floats, NaN for it.
+    Where a value holds nothing, by the page's tags or the first page's, they are floats, NaN for it.
     """
-    kept, nodata = _counting(page), _nodata(page)[0]
+    kept, nodata = _counting(page), _nodata(page, [first])[0]
     if values.ndim == 3 and len(kept) < values.shape[2]:
         values = values[..., kept[0] if len(kept) == 1 else kept]
     values = np.ascontiguousarray(values).astype(values.dtype.newbyteorder("="), copy=False)
@@ -210,9 +209,13 @@ def _as_counts(page: Any, values: np.ndarray) -> np.ndarray:
     return without_nodata(values, nodata)
 
 
-def _nodata(page: Any) -> tuple[float | None, list[str]]:
-    """Return the value of samples that hold nothing, as GDAL's programs write it, and what to say of it."""
-    return nodata_of(exif_text(value_of(page.tags, "GDAL_NODATA")) or "", page.dtype, "GDAL_NODATA")
+def _nodata(page: Any, others: Iterable[Any]) -> tuple[float | None, list[str]]:
+    """Return the value of samples that hold nothing, as GDAL's programs write it, and what to say of it.
+
+    A page that has no such tag has that of the first of the others with one: programs write it once for a file.
+    """
+    found = (exif_text(value_of(each.tags, "GDAL_NODATA")) for each in chain([page], others))
+    return nodata_of(next(filter(None, found), None) or "", page.dtype, "GDAL_NODATA")
 
 
 # --- directories: walked before any library follows them --------------------------------------
@@ -401,34 +404,23 @@ def _describe(page: Any, shape: tuple[int, ...]) -> dict[str, Any]:
     exif = value_of(tags, "ExifTag")
     exif = exif if isinstance(exif, dict) else {}
 
-    def find(*names: str) -> Any:
-        for name in names:
-            value = value_of(tags, name)
-            value = exif.get(name) if value is None else value
-            if value is not None:
-                return value
-        return None
+    def find(name: str) -> Any:
+        both = (name, f"{name} ")  # tifffile has a blank in the name of ExposureIndex
+        found = (get(each) for get in (partial(value_of, tags), exif.get) for each in both)
+        return next((value for value in found if value is not None), None)
 
     whites = numbers_of(tags, "WhiteLevel")
-    model, make = exif_text(find("Model")), exif_text(find("Make"))
+    stated = exif_facts(find)
     saturation = min(whites) if whites else None
-    banded = make == "MicaSense" and camera_band(value_of(tags, "XMP") or b"")[0]
+    micasense = stated["make"] == "MicaSense"
+    banded = micasense and camera_band(value_of(tags, "XMP") or b"")[0]
     if banded and saturation is None and page.bitspersample == 16:
         saturation = MICASENSE_FULL
     return {
+        **stated,
         **black_facts(page, (0, 0, *shape[:2]), top=saturation),
         "saturation": saturation,
         "pattern": _bayer(find("CFAPattern"), find("CFARepeatPatternDim")),
-        "exposure_s": positive_number(find("ExposureTime")),
-        "iso": positive_number(find("ISOSpeedRatings", "PhotographicSensitivity", "ISOSpeed")),
-        "captured": iso_date(find("DateTimeOriginal", "DateTime"), find("OffsetTimeOriginal")),
-        "model": model,
-        "serial": exif_text(find("BodySerialNumber", "CameraSerialNumber")),
-        "f_number": positive_number(find("FNumber")),
-        "focal_mm": positive_number(find("FocalLength")),
-        "orientation": read_orientation(value_of(tags, "Orientation")),
-        "lens": exif_text(find("LensModel")),
-        "white_balance": white_balance(find("WhiteBalance")),
         "encoded": _encoding(page, find("ColorSpace")),
     }
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from levkas.readers.images import exif_text, positive_number
+from levkas.readers.exif import exif_text, positive_number
 from levkas.readers.tiff_directories import WAVELENGTHS
 from levkas.readers.tiff_tags import numbers_of, value_of
 from levkas.readers.wavelengths import centres_in_names, read_centres

@@ -104,9 +104,9 @@ def _register_sensors(
 
     `align` are declared maps from the first sensor's px, the first one's identity among them; `known` are maps of
     sensors that are not registered; `shape` is the reference's. Raises RegistrationRefused of the first sensor without
-    a map.
+    a map. Of two registered sensors the distance from the declared alignment is the second's alone.
     """
-    _, *checked = align
+    first = next(iter(align))
 
     def attempt(name: str) -> RegisteredSensor | RegistrationRefused:
         try:
@@ -125,7 +125,8 @@ def _register_sensors(
         declared = declared_map(name, align, others)
         if declared is not None:
             one = _begun_anew(one, partial(register_one, name, declared), declared, shape)
-        if declared is not None and name in checked and isinstance(one, RegisteredSensor):
+        checked = name != first or declared_map(name, align, known) is not None
+        if declared is not None and checked and isinstance(one, RegisteredSensor):
             one = replace(one, apart_px=_apart(one, declared, shape))
         if isinstance(one, RegistrationRefused):
             raise one

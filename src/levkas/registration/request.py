@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from levkas.campaign.methods import UNUSABLE
 from levkas.core.problems import Problem
+from levkas.core.requirements import requirement
 from levkas.registration.record import RegistrationRefused
 
 if TYPE_CHECKING:
@@ -88,10 +89,9 @@ def read_options(model: type[BaseModel], options: Mapping[str, Any]) -> BaseMode
                 problems.append(
                     Problem(
                         "E_VALUE",
-                        f"the value of `{name}` is not valid",
+                        f"{name} {requirement(str(one['msg']))}",
                         field=f"registration.{name}",
                         found=one["input"],
-                        expected=one["msg"],
                     )
                 )
     if problems:

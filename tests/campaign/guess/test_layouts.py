@@ -1,6 +1,7 @@
 """Layouts of scanners, multispectral cameras and tethered sessions: what `look` proposes is found, and built right."""
 
 import re
+import unicodedata
 
 import cv2
 import numpy as np
@@ -442,3 +443,43 @@ def test_a_bright_and_even_picture_of_an_object_is_no_white(tmp_path):
     for n, name in enumerate(("IMG_0001", "IMG_0002", "IMG_0003")):
         frame(tmp_path / f"{name}.tif", 0.9 - (0.03 if n == 2 else 0.6) * painting(20 + n)[..., 0])
     assert set(look(tmp_path).objects) == {"0001", "0002", "0003"}
+
+
+# --- numbers of bands that darks and whites have, too -------------------------------------------
+
+STUDIOS = {
+    "German": ("Weißabgleich", "Schwarzbild"),
+    "German, in short": ("hell", "dunkel"),
+    "French": ("blanc", "noir"),
+    "Italian": ("bianco", "nero"),
+    "Russian": ("белый", "темновой"),
+    "English": ("flat", "nolight"),
+}
+
+
+@pytest.mark.parametrize(
+    ("studio", "form", "layout"),
+    [*((studio, "NFC", "{0}_{1}") for studio in STUDIOS), ("German", "NFD", "{0}_{1}"),
+     ("German", "NFD", "{0}/{0}_{1}"), ("English", "NFC", "{0}_W{1}"), ("French", "NFC", "{0}/{0}_{1}")],
+)  # fmt: skip
+def test_numbers_that_darks_and_whites_have_too_are_wavelengths(tmp_path, studio, form, layout):
+    white, dark = STUDIOS[studio]
+    shares = {white: board()[0:1].repeat(SHAPE[0], 0), dark: np.zeros((*SHAPE, 4))}
+    shares |= {name: painting(i, 3) for i, name in enumerate(("Büste", "Tafel"))}
+    for name, bands in shares.items():
+        for i, centre in enumerate((385, 550, 940)):
+            path = tmp_path / "raw" / layout.format(unicodedata.normalize(form, name), centre)
+            frame(path.with_name(f"{path.name}.tif"), bands[..., i])
+    _, captures = found(tmp_path)
+    assert {name for name, _ in captures} == {"Büste", "Tafel"}
+    for capture in captures.values():
+        (sensor,) = capture.sensors
+        assert [band.wavelength for band in sensor.bands] == [385, 550, 940]
+        assert {f.band for f in sensor.white} == {f.band for f in sensor.dark} == {"385 nm", "550 nm", "940 nm"}  # fmt: skip
+
+
+def test_exposures_that_darks_have_too_are_no_wavelengths(tmp_path):
+    for name, share in (("dark", 0.0), ("white", 1.0), ("panel", painting(1)[..., 0])):
+        for time in (400, 800):
+            frame(tmp_path / f"{name}_{time}.tif", share * np.ones(SHAPE) * time / 800)
+    assert "{wavelength}" not in look(tmp_path).text

@@ -8,6 +8,7 @@ import os
 import re
 import unicodedata
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
 from functools import partial
@@ -28,6 +29,7 @@ PARTIAL = re.compile(r".*\.partial-[0-9a-f]{8}")
 OWN_FILES = ("campaign.toml", "edits.toml")
 DEEPEST = 64
 """Folders in one another below the one that is looked at; captures lie three or four deep."""
+CANNOT_LIST = "Check the disk or the share it lies on, and copy it again if it is damaged."
 MOST_COMPARED, MOST_SHOWN = 2000, 3
 """Names that are compared with a pattern, and that are shown."""
 TYPICAL = {"{wavelength}": "550", "{exposure}": "100", "{shot}": "001"}
@@ -131,16 +133,21 @@ def _list_folder(folder: Path) -> tuple[tuple[str, ...], tuple[str, ...], frozen
             for entry in entries:
                 if entry.name.startswith(".") or PARTIAL.fullmatch(entry.name):
                     continue
-                if entry.is_dir():
+                kind = _kind_of_entry(entry)
+                if kind == "folder":
                     folders.append(entry.name)
-                elif entry.name not in OWN_FILES and (entry.is_file() or _leads_nowhere(entry)):
+                elif kind == "file" and entry.name not in OWN_FILES:
                     files.append(entry.name)
                 if entry.is_symlink():
                     links.add(entry.name)
     except (FileNotFoundError, NotADirectoryError):
         return (), (), frozenset()
     except OSError as error:
-        what, fix = "a folder of raw frames cannot be listed", "Set its permissions to reading."
+        what, fix = "a folder of raw frames cannot be listed", CANNOT_LIST
+        if isinstance(error, PermissionError):
+            fix = "Set its permissions to reading."
+        elif folder.is_symlink():
+            fix = "Remove the link, or let it lead to the folder."
         problem = Problem("E_UNREADABLE", what, str(folder), found=error.strerror, fix=fix)
         raise FolderUnreadable(problem) from error
     if "catalogue.csv" in files and "objects" in folders:
@@ -148,9 +155,17 @@ def _list_folder(folder: Path) -> tuple[tuple[str, ...], tuple[str, ...], frozen
     return tuple(sorted(files)), tuple(sorted(folders)), frozenset(links)
 
 
-def _leads_nowhere(entry: os.DirEntry[str]) -> bool:
-    """Tell whether an entry is a link to nothing: a frame that is missing, and refused when it is read."""
-    return entry.is_symlink() and not os.path.exists(entry.path)  # noqa: PTH110 -- thousands
+def _kind_of_entry(entry: os.DirEntry[str]) -> str:
+    """Return ``"folder"``, ``"file"`` or nothing; a link to nothing, or in a circle, is a frame that is missing, and refused when it is read."""
+    try:
+        if entry.is_dir():
+            return "folder"
+        if entry.is_file():
+            return "file"
+        there = os.path.exists(entry.path)  # noqa: PTH110 -- thousands
+    except OSError:
+        there = False
+    return "file" if entry.is_symlink() and not there else ""
 
 
 def composed(name: str) -> str:
@@ -522,9 +537,7 @@ def files_of_other_case(index: FileIndex) -> dict[tuple[str, str, str], tuple[Pa
             lower = Pattern.parse(pattern.text.lower())
             if pattern.absolute:  # others' folders above the frames may not be listed
                 continue
-            for path, text in _walk(
-                lower, index.folders, campaign.root, 0, "", set(), lambda n: composed(n).lower()
-            ):
+            for path, text in _walk_readable(lower, index.folders, campaign.root):
                 values = None if path in fitting else lower.read(text, ways)
                 if values is not None and (setup or values.get("setup", "") not in setups):
                     target = values.get("target", "")
@@ -533,6 +546,14 @@ def files_of_other_case(index: FileIndex) -> dict[tuple[str, str, str], tuple[Pa
                     key = (spelling.get(target, own), camera, setup)
                     found.setdefault(key, (path, pattern))
     return found
+
+
+def _walk_readable(
+    lower: Pattern, folders: FolderListings, root: Path
+) -> Iterator[tuple[Path, str]]:
+    """Yield what `_walk` does of names in lower case, up to a folder that cannot be listed: whose frames lie in it refuses it."""
+    with suppress(FolderUnreadable):
+        yield from _walk(lower, folders, root, 0, "", set(), lambda n: composed(n).lower())
 
 
 # --- exposures from a table, where neither names nor EXIF have them --------------------------------

@@ -32,6 +32,10 @@ LETTERS = ({"r", "g", "b"}, {"red", "green", "blue"})
 """Sets of values of which all must be there for single letters to be colours: r and v are recto and verso, too."""
 CODE = re.compile(r"(?P<before>[A-Za-z]{0,3})(?P<number>\d{3,4})(?P<after>[A-Za-z]{1,3})")
 """``MB450RB`` of a MegaVision, ``450N``: a wavelength between letters."""
+NUMBERED = re.compile(r"(?P<before>[A-Za-z]{0,3})(?P<number>[1-9]\d{2,3})(?P<after>[A-Za-z]{0,3})")
+"""The same with letters or without: ``W385``, ``450``; darks and whites of the same numbers say that it is one."""
+EXPOSED = re.compile(r"(?i)(exp?|t|it|int)?\d")
+"""Numbers that may be exposures."""
 COUNTED = re.compile(r"(?P<before>[A-Za-z]+)(?P<number>\d{1,3})(?P<after>[A-Za-z]?)")
 RANGE_NM, LEAST_STEP_NM = (300.0, 2600.0), 4.0
 MOST_VALUES, FEWEST = 64, 2
@@ -66,11 +70,21 @@ class Question:
 
 @dataclass(frozen=True)
 class _Column:
-    """One part of the names of a cluster, its values, and sets of files that differ in it alone: objects', if any."""
+    """One part of the names of a cluster, its values, and sets of files that differ in it alone: objects', if any.
+
+    `templates` are sets of the same values of darks and whites.
+    """
 
     index: int
     values: tuple[str, ...]
     sets: tuple[dict[str, CaptureFile], ...]
+    templates: tuple[dict[str, CaptureFile], ...] = ()
+
+    def without_blanks(self, samples: Frames) -> _Column:
+        """Return the column with sets of frames that show nothing among the templates, where others show something."""
+        blank = [one for one in self.sets[:LOOKED_AT] if not _shows_something(one, samples)]
+        shown = tuple(one for one in self.sets if one not in blank)
+        return replace(self, sets=shown, templates=(*self.templates, *blank)) if shown else self
 
 
 def mark_bands(
@@ -99,7 +113,8 @@ def mark_bands(
         for text in (*capture.folders, *(t.text for t in tokens[capture.path])):
             sizes[text].add(capture.signature)
     clusters = [
-        (cluster, list(_columns(cluster, tokens))) for cluster in _clusters(captures, tokens)
+        (cluster, [column.without_blanks(samples) for column in _columns(cluster, tokens)])
+        for cluster in _clusters(captures, tokens)
     ]
     marked, known = dict(tokens), dict[tuple[str, ...], tuple[str, str]]()
     undecided: list[tuple[list[CaptureFile], list[_Column]]] = []
@@ -178,7 +193,8 @@ def _columns(cluster: Sequence[CaptureFile], tokens: Tokens) -> Iterator[_Column
         )  # no file is lost: no shots
         if alone and len(values) >= FEWEST and 2 * len(whole) > len(sets):
             shown = [found for found in whole if not _has_role(next(iter(found.values())), tokens)]
-            yield _Column(index, values, tuple(shown or whole))
+            templates = tuple(found for found in whole if found not in shown) if shown else ()
+            yield _Column(index, values, tuple(shown or whole), templates)
 
 
 def _has_role(capture: CaptureFile, tokens: Tokens) -> bool:
@@ -215,6 +231,10 @@ def _by_name(column: _Column, samples: Frames) -> tuple[str, str] | None:
         sure = all(m and len(m["before"]) > 1 for m in codes)
         if sure or _shows_one(column, samples) is not False:
             return "wavelength", "{wavelength}: the number between letters"
+    if column.templates and _are_numbers(texts):
+        exposures = EXPOSED.match(texts[0]) and _are_shots(column, samples)
+        if not exposures and _shows_one(column, samples) is not False:
+            return "wavelength", "{wavelength}: numbers that darks or whites have, too"
     counts = [COUNTED.fullmatch(text) for text in texts]
     words = {m["before"].lower() for m in counts if m}
     counted = len(texts) > 2 and all(counts) and len(words) == 1 and words <= BANDS
@@ -264,9 +284,20 @@ def _may_be_bands(
         return False
     if not all(re.search(r"\d$", text) for text in column.values):
         return True
-    middle, last = some[len(some) // 2], some[-1]
-    shots = all(samples.is_proportional(some[0], other) for other in (middle, last))
-    return len(some) > 2 and not shots
+    return len(some) > 2 and not _are_shots(column, samples)
+
+
+def _are_shots(column: _Column, samples: Frames) -> bool:
+    """Whether the files of the first set differ in brightness alone, as exposures and shots do."""
+    some = list(column.sets[0].values())
+    others = (some[len(some) // 2], some[-1])
+    return all(samples.is_proportional(some[0], other) for other in others)
+
+
+def _shows_something(one: dict[str, CaptureFile], samples: Frames) -> bool:
+    """Whether the first, middle or last frame of a set has more structure than a dark or white."""
+    some = list(one.values())
+    return any(map(samples.shows_something, (some[0], some[len(some) // 2], some[-1])))
 
 
 def _shows_one(column: _Column, samples: Frames) -> bool | None:
@@ -284,6 +315,17 @@ def _are_spectral(numbers: Sequence[float]) -> bool:
     return low <= ordered[0] <= ordered[-1] <= high and min(steps) >= LEAST_STEP_NM
 
 
+def _are_numbers(texts: Sequence[str]) -> bool:
+    """Whether values are wavelengths by their form: numbers behind the same letters.
+
+    >>> _are_numbers(["W385", "W940"]), _are_numbers(["450", "550"]), _are_numbers(["101", "102"])
+    (True, True, False)
+    """
+    found = [match for text in texts if (match := NUMBERED.fullmatch(text))]
+    alike = len(found) == len(texts) and len({match["before"] for match in found}) == 1
+    return alike and _are_spectral([float(match["number"]) for match in found])
+
+
 def _marked(
     column: _Column, cluster: Sequence[CaptureFile], tokens: Tokens, kind: str, why: str
 ) -> Mapping[Path, tuple[Token, ...]]:
@@ -292,7 +334,7 @@ def _marked(
     for capture in cluster:
         parts = list(tokens[capture.path])
         token = parts[column.index]
-        code = CODE.fullmatch(token.text)
+        code = NUMBERED.fullmatch(token.text)
         fields = {"before": "", "number": "", "after": ""}
         if kind == "wavelength":
             fields = code.groupdict() if code else {**fields, "number": token.text}

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from levkas.campaign.discovery.file_index import DEEPEST, FolderListings, walk_folders
+from levkas.campaign.discovery.file_index import DEEPEST, FolderListings, composed, walk_folders
 from levkas.core.problems import Refused
 from levkas.readers.facts import Facts
 
@@ -18,7 +18,7 @@ FEW = 3
 
 @dataclass(frozen=True)
 class CaptureFile:
-    """One capture: its file, the folders it lies in below the root, and its facts.
+    """One capture: its file, the folders it lies in below the root, their accents composed, and its facts.
 
     Facts that are `borrowed` are those of files like it: its header was not read.
     """
@@ -84,7 +84,8 @@ def list_captures(root: str | Path) -> Listing:
             listing.unreadable["/".join(above)] = f"more than {DEEPEST} levels of folders"
             continue
         folder = listing.root.joinpath(*above)
-        paths += [(above, folder / name) for name in names]
+        composed_above = tuple(map(composed, above))
+        paths += [(composed_above, folder / name) for name in names]
     headers = {p.with_suffix("") for _, p in paths if p.suffix.lower() == ".hdr"}
     known: dict[tuple[object, ...], list[Facts]] = {}
     for folders, path in paths:

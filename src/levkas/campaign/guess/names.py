@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
+from levkas.campaign.discovery.file_index import composed
 from levkas.campaign.discovery.patterns import SECONDS
 from levkas.campaign.guess.band_names import Frames, Question, Tokens, mark_bands
 from levkas.campaign.guess.listing import CaptureFile
@@ -131,7 +132,7 @@ def name_targets(
         What nothing decides, and was taken for objects.
     """
     same_scene = samples.same_scene
-    tokens = {c.path: tokens_of(c.path.stem) for c in captures}
+    tokens = {c.path: tokens_of(composed(c.path.stem)) for c in captures}
     tokens, questions = mark_bands(captures, tokens, samples, asked=asked)
     named: dict[Path, NamedFile] = {}
     for scan in find_scan_folders(captures, tokens, samples):

@@ -18,12 +18,14 @@ def _words(text: str) -> frozenset[str]:
 DARK = _words(
     "dark darks darkframe darkframes darkref darkreference darkfield darkcurrent black blackref blackframe bias "
     "offset lenscap dunkel dunkelbild dunkelbilder dunkelfeld dunkelstrom dunkelreferenz schwarz schwarzbild "
-    "schwarzreferenz noir noire campooscuro camponero donkerbeeld"
+    "schwarzreferenz schwarzabgleich schwarzaufnahme schwarzwert dunkelaufnahme dunkelaufnahmen dunkelabgleich "
+    "dunkelkorrektur noir noire obscurite buio campooscuro camponero donkerbeeld nolight lightsoff lightoff unlit"
 )
 WHITE = _words(
     "white whites whiteref whitereference whiteboard whitecard whitefield whiteframe whitebalance flat flats "
     "flatfield flatframe ff brightfield spectralon fluorilon ptfe weiss weissbild weissbilder weissabgleich "
-    "weissreferenz weisskarte hellbild hellbilder hellfeld blanc blanche campochiaro campobianco campopiatto witbeeld"
+    "weissreferenz weisskarte weisstafel weissstandard weissfeld weissaufnahme weisskorrektur weisswert hell "
+    "hellbild hellbilder hellfeld hellaufnahme hellreferenz hellabgleich blanc blanche campochiaro campobianco campopiatto witbeeld"
 )
 """Not the bare colours of languages in which paintings bear them (Madonna nera, Bianca): pixels show those."""
 IMAGES = _words("""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,20 +9,10 @@ from pydantic import BaseModel
 
 from levkas.campaign.schema.tables import Document
 from levkas.core.problems import Problem, closest_match
+from levkas.core.requirements import requirement
 
 MOST_PROBLEMS = 100
 """Problems that one report lists; a file with more is probably another kind of file."""
-PHRASES = {
-    "^Value error, ": "",
-    "^(Input|Tuple|Dictionary|String) should ": "",
-    "be a valid string": "be text in quotes",
-    "be a valid boolean": "be true or false",
-    "be a valid integer": "be a whole number",
-    "be a valid dictionary.*": "be a table",
-    "be a valid tuple": "be a list",
-    " after validation.*": "",
-}
-"""The schema's words in ours."""
 EXAMPLES = {
     "reference": '{ camera = "lctf-vis", band = "550 nm" }',
     "kind": "mosaic, bands, sensors, cube or image",
@@ -64,6 +53,8 @@ def _problem(record: dict[str, Any], error: Any, document: type[BaseModel]) -> P
     """Turn one finding of the schema into a problem, with the key that was meant."""
     where = [step for step in error["loc"] if not str(step).startswith("<")]
     field, key = _named(record, where), str(where[-1])
+    if isinstance(where[-1], int):
+        key = f"item {where[-1] + 1} of {next(s for s in reversed(where) if isinstance(s, str))}"
     if error["type"] == "extra_forbidden":
         known = _known_keys(where[:-1], document)
         open_ = [k for k in known if k not in _at(record, where[:-1])]
@@ -82,13 +73,7 @@ def _problem(record: dict[str, Any], error: Any, document: type[BaseModel]) -> P
     message = str(error["msg"])
     found = error.get("input")
     shown = "a table" if isinstance(found, dict) else str(found)[:80]
-    return Problem("E_VALUE", f"{key} {_must(message)}", field=field, found=shown)
-
-
-def _must(message: str) -> str:
-    for theirs, ours in PHRASES.items():
-        message = re.sub(theirs, ours, message)
-    return message if message.startswith("must") else f"must {message[0].lower()}{message[1:]}"
+    return Problem("E_VALUE", f"{key} {requirement(message)}", field=field, found=shown)
 
 
 def _without_echoes(problems: list[Problem]) -> list[Problem]:

@@ -21,12 +21,14 @@ from levkas.campaign.schema.values import (
     Align,
     Date,
     Doi,
+    Files,
     MosaicPattern,
     MuseumDate,
     Names,
     Number,
     Orcid,
     Outline,
+    PathText,
     Rectangles,
     Reflectance,
     Region,
@@ -114,7 +116,7 @@ class Description(Table):
     licence: Text = ""
     reference: Annotated[ReferenceKeys, BeforeValidator(_reference)]
     setup: Text = ""
-    output: Annotated[Text, Field(min_length=1)] = "database"
+    output: Annotated[PathText, Field(min_length=1)] = "database"
 
 
 class GridKeys(Table):
@@ -128,7 +130,7 @@ class GridKeys(Table):
 
 def _usable(name: Any) -> Any:
     """Refuse the method of an installed package that cannot be loaded."""
-    if name in UNUSABLE and name not in METHODS:
+    if isinstance(name, str) and name in UNUSABLE and name not in METHODS:
         raise ValueError(f"be another one: {name!r} cannot be used, {UNUSABLE[name]}")
     return name
 
@@ -142,7 +144,7 @@ class MethodKey(Table):
 class PointsKeys(Table):
     """Control points, and captures that are adjusted together."""
 
-    points: Annotated[Text, Field(min_length=1)] | None = None
+    points: Annotated[PathText, Field(min_length=1)] | None = None
     use: Literal["check", "seeds"] | None = None
     accept: Literal["by hand"] | None = None
     joint: Switch | None = None
@@ -185,7 +187,7 @@ class ChartWhite(Table):
     """
 
     chart: Annotated[Text, Field(min_length=1)]
-    reference: Annotated[Text, Field(min_length=1)] | None = None
+    reference: Annotated[PathText, Field(min_length=1)] | None = None
     corners: tuple[Corner, Corner, Corner, Corner] | None = None
 
 
@@ -199,7 +201,7 @@ class SensorKeys(Table):
     """One sensor of a multi-sensor camera."""
 
     name: Text
-    files: Names = ()
+    files: Files = ()
     pattern: MosaicPattern | None = None
     bands: Names = ()
     align: Align = "measure"
@@ -209,17 +211,17 @@ class CameraKeys(Table):
     """One camera and how its files are named."""
 
     kind: Literal["mosaic", "bands", "sensors", "cube", "image"]
-    files: Names = ()
+    files: Files = ()
     pattern: MosaicPattern | None = None
     bands: Names | None = None
     wavelengths: Wavelengths | None = None
-    sensitivity: Text | None = None
+    sensitivity: PathText | None = None
     reference_band: Text | None = None
     bits: Annotated[Whole, Field(ge=1, le=32)] | None = None
     black: Number | None = None
     saturation: Annotated[Number, Field(gt=0)] | None = None
     exposures: Literal["one", "best", "merge"] = "one"
-    manifest: Text | None = None
+    manifest: PathText | None = None
     sensors: tuple[SensorKeys, ...] = ()
     scan: Literal["push-broom", "mirror"] | None = None
     overrule: Names = ()
@@ -272,7 +274,7 @@ class TargetKeys(Table):
 class SetupCamera(Table):
     """A camera under another lighting."""
 
-    files: Names = ()
+    files: Files = ()
 
 
 class Setup(Table):
@@ -280,7 +282,7 @@ class Setup(Table):
 
     title: Text = ""
     description: Text = ""
-    spectrum: Text | None = None
+    spectrum: PathText | None = None
     cameras: dict[str, SetupCamera] = {}
 
 

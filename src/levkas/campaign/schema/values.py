@@ -34,17 +34,50 @@ def _names(value: Any) -> tuple[str, ...]:
     return tuple(unicodedata.normalize("NFC", _without_controls(n)) for n in names)
 
 
+def _path(value: Any) -> Any:
+    """Refuse a home folder in the shell's way: what is written is a path, or below the campaign."""
+    if isinstance(value, str) and re.match(r"~$|~[\w.-]*[/\\]", value):
+        raise ValueError(
+            "must be a path, whole or from the campaign: ~ means a home to shells alone"
+        )
+    return _without_controls(value)
+
+
+def _files(value: Any) -> tuple[str, ...]:
+    return tuple(_path(name) for name in _names(value))
+
+
 def _date(value: Any) -> str:
     text = value.isoformat() if isinstance(value, datetime.date | datetime.datetime) else value
-    if not isinstance(text, str) or not re.match(r"\d{4}(-\d\d(-\d\d([T ].+)?)?)?$", text):
+    if not isinstance(text, str) or not is_date(text):
         raise ValueError("must be a date as ISO 8601: 2024, 2024-05, 2024-05-31")
     return text
+
+
+def is_date(text: str) -> bool:
+    """Whether a text is a day of the calendar as ISO 8601, a month or a year, or a day with its time.
+
+    >>> is_date("2024"), is_date("2024-02-30"), is_date("2024-02-29T10:30:00+01:00")
+    (True, False, True)
+    """
+    found = re.fullmatch(r"(\d{4})(?:-(\d\d)(?:-(\d\d)([T ].+)?)?)?", text, re.ASCII)
+    if not found:
+        return False
+    try:
+        datetime.date(*(int(part or 1) for part in found.groups()[:3]))
+        if found[4]:
+            datetime.datetime.fromisoformat(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _museum_date(value: Any) -> str:
     """Paintings are dated "about 1650" as often as 1650."""
     if isinstance(value, bool) or not isinstance(value, str | int | datetime.date):
         raise ValueError("must be a year or text")
+    if isinstance(value, str) and re.fullmatch(r"\d{4}-\d\d-\d\d", value) and not is_date(value):
+        raise ValueError("must be a day of the calendar, or text")
     return value.isoformat() if isinstance(value, datetime.date) else _without_controls(str(value))
 
 
@@ -73,7 +106,7 @@ def _is_number(value: Any) -> bool:
 
 def _reflectance(value: Any) -> float | str:
     if isinstance(value, str) and value:
-        return str(_without_controls(value))
+        return str(_path(value))
     if not _is_number(value) or not 0 < value <= 1.5:
         raise ValueError("must be a reflectance such as 0.98, or a CSV over wavelength")
     return float(value)
@@ -210,6 +243,7 @@ def _address(value: Any) -> str:
 
 
 Text = Annotated[str, Strict(), BeforeValidator(_without_controls)]
+PathText = Annotated[str, Strict(), BeforeValidator(_path)]
 Doi = Annotated[str, BeforeValidator(_doi)]
 Orcid = Annotated[str, BeforeValidator(_orcid)]
 Address = Annotated[str, BeforeValidator(_address)]
@@ -219,6 +253,7 @@ Switch = Annotated[bool, Strict()]
 
 
 Names = Annotated[tuple[str, ...], BeforeValidator(_names)]
+Files = Annotated[tuple[str, ...], BeforeValidator(_files)]
 MosaicPattern = Annotated[tuple[tuple[str, ...], ...], PlainValidator(_pattern)]
 Align = Annotated[
     Literal["measure"] | tuple[tuple[float, float, float], ...], PlainValidator(_align)
