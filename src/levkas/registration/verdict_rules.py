@@ -101,7 +101,7 @@ class VerdictSettings:
         Large blocks that have to agree by their outlines, in number and as a share, where windows are not
         recognised.
     lines : Limits, reference px, or px of the grid where it is coarser
-        Displacement of single lines, the root mean square of both axes, or a quarter of a step. Honest pictures have 0.04 at
+        Displacement of single lines, the root mean square of both axes, or a quarter of a step or of some lines alone. Honest pictures have 0.04 at
         most that is more than chance.
     align_px : float, px of a sensor
         From a declared alignment; refocusing moves the sensors of a camera against one another by a px or two.
@@ -501,8 +501,8 @@ def lines_lie_still(n: Numbers) -> Objection | None:
     lines = n.get("line_displacement")
     if not lines or not lines["course"]:
         return None
-    # Beside a step, which smooth maps follow in the mean, half of its height is left.
-    near = lines["size_px"] / 4 if lines["course"] == "step" else 0.0
+    # Beside a step, which smooth maps follow in the mean, half of its height is left; so much counts of some lines alone.
+    near = lines["size_px"] / 4 if lines["place"] is not None else 0.0
     decision = SETTINGS.lines.exceeded_by(max(lines["rms_px"], near) / lines["step"])
     reason, repair = describe_displacement(lines)
     return Objection(decision or "unchecked", reason, repair if decision else "")
