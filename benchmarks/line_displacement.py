@@ -1,10 +1,11 @@
 """Lines that are displaced against one another: what is found of them, and what is found where there is nothing.
 
-    python benchmarks/line_displacement.py [--honest 24] [--real 64] [--seeds 2] [--kinds sine halves step random]
+    python benchmarks/line_displacement.py [--honest 24] [--real 64] [--seeds 2] [--kinds sine halves step random turn some]
 
 A painted surface is photographed by a camera of three bands and scanned by a camera of one, down the painting (lines are
 rows) or to its right (lines are columns). Every line is sampled, by scipy's spline, where a stage that is off would have put
-it: a sine, odd lines beside even ones, one step, or at random, along the lines or across them. SNR is 15, 30 or 40, light visible or
+it: a sine, odd lines beside even ones, one step, or at random, along the lines or across them; a sine by which lines stretch or
+turn about their middles, or seven lines alone aside. SNR is 15, 30 or 40, light visible or
 infrared. First come pairs in which no line is displaced, with the deviations that chance makes: scanners of
 that kind, pairs of `pairs.py` (visible, infrared, inverted, turned, scaled) and of real captures
 (`verdict_classes.py`, `modalities.py`). Then, by size, period and direction of the scan: the share that is found and named rightly,
@@ -36,9 +37,18 @@ PLANTED = {
     "halves": ((0.1, 0.2, 0.5, 1.0, 2.0), (2,)),
     "step": ((0.5, 1.0, 2.0), (0,)),
     "random": ((0.1, 0.2, 0.5), (0,)),
+    "turn": ((0.2, 0.5, 1.0, 2.0), (20, 60)),
+    "some": ((0.5, 1.0, 3.0), (0,)),
 }
 #: What a kind is rightly called.
-NAMES = {"sine": "period", "halves": "comb", "step": "step", "random": "irregular"}
+NAMES = {
+    "sine": "period",
+    "halves": "comb",
+    "step": "step",
+    "random": "irregular",
+    "turn": "period",
+    "some": "aside",
+}
 LIGHTS = ((15, "visible"), (40, "visible"), (30, "infrared"))
 
 
@@ -53,6 +63,8 @@ def course(kind: str, size: float, period: float, lines: int, rng) -> np.ndarray
     line = np.arange(lines)
     if kind == "step":
         return size * (line > lines * rng.uniform(0.35, 0.65))
+    if kind == "some":
+        return size * (np.abs(line - round(lines * rng.uniform(0.2, 0.8))) < 4)
     if kind == "random":
         return rng.normal(0, size, lines)
     if kind == "halves":
@@ -60,9 +72,12 @@ def course(kind: str, size: float, period: float, lines: int, rng) -> np.ndarray
     return size * np.sin(2 * np.pi * line / period + rng.uniform(0, 2 * np.pi))
 
 
-def displaced(displacement: np.ndarray, shape, lines: str, way: str) -> np.ndarray:
-    """Return the displacement of every px, (h, w, 2), of lines that are rows or columns, along or across them."""
+def displaced(displacement: np.ndarray, shape, lines: str, way: str, *, turns: bool) -> np.ndarray:
+    """Return the displacement of every px, (h, w, 2), of lines that are rows or columns, along or across them; of their ends."""
     by_row = displacement[:, None] if lines == "rows" else displacement[None, :]
+    if turns:
+        ends = np.linspace(-1, 1, shape[lines == "rows"])
+        by_row = by_row * (ends[None, :] if lines == "rows" else ends[:, None])
     x = (lines == "rows") == (way == "along")
     return np.broadcast_to(by_row, shape)[..., None] * np.array([x, not x])
 
@@ -90,7 +105,9 @@ def scanned(
     shift = np.zeros((*other[::-1], 2))
     if kind:
         count = other[1] if lines == "rows" else other[0]
-        shift = displaced(course(kind, size, period, count, rng), other[::-1], lines, way)
+        shift = displaced(
+            course(kind, size, period, count, rng), other[::-1], lines, way, turns=kind == "turn"
+        )
     a, b = surface.visible, surface.infrared
     still = np.zeros((*SIZE[::-1], 2))
     layers = (0.8 * a + 0.1 * a * a, a, 0.75 * a + 0.25 * b)

@@ -181,11 +181,58 @@ def test_a_ledge_displaces_no_lines(painting, front):
     assert lines_lie_still({"line_displacement": measured(front, seen).to_dict()}) is None
 
 
-def test_a_ledge_along_the_lines_displaces_no_lines(painting, front):
+def test_some_lines_alone_are_named_with_their_place(painting, front):
     shift = np.zeros((240, 2))
-    shift[60:66], shift[180:188] = (0.0, 0.7), (0.0, -0.7)
+    shift[60:67], shift[180:184] = (3.0, 0.0), (0.0, -0.7)
     found = measured(front, scan(painting, shift))
-    assert lines_lie_still({"line_displacement": found.to_dict()}) is None
+    assert (found.course.kind, found.lines) == ("aside", "rows")
+    assert found.course.size == pytest.approx(3.0, rel=0.05)
+    assert abs(found.course.place - 60) <= 2 and abs(found.course.last - 66) <= 2
+    objection = lines_lie_still({"line_displacement": found.to_dict()})
+    assert objection.decision == "warn"
+    assert objection.reason.startswith("Lines ") and "against the others, by" in objection.reason
+
+
+def test_a_wobble_in_a_part_of_the_lines_is_named_with_its_place(painting, front):
+    some = (LINE > 100) & (LINE < 150)
+    found = measured(front, scan(painting, across(sine(1.5, 20) * some)))
+    assert found.course.kind == "period"
+    assert found.course.size == pytest.approx(1.5, rel=0.1)
+    assert found.course.period == pytest.approx(20, rel=0.06)
+    assert abs(found.course.place - 101) <= 5 and abs(found.course.last - 149) <= 5
+    objection = lines_lie_still({"line_displacement": found.to_dict()})
+    assert objection.decision == "warn" and "periodically, by ±1." in objection.reason
+
+
+def along_line(ends):
+    """Return displacements (240, 310) that grow along each line from minus to plus `ends`, (240,) px."""
+    return ends[:, None] * np.linspace(-1, 1, 310)
+
+
+@pytest.mark.parametrize(("size", "period"), [(2.0, 60), (0.5, 25), (1.5, 8)])
+@pytest.mark.parametrize("way", ["turn", "stretch"])
+def test_a_stage_that_turns_or_stretches_its_lines_is_found(painting, front, way, size, period):
+    change = along_line(sine(size, period))
+    x, y = np.meshgrid(np.arange(310.0), np.arange(240.0))
+    x, y = (x, y + change) if way == "turn" else (x + change, y)
+    places = STRAIGHT.inverse(np.stack([x.ravel(), y.ravel()], 1)) + MARGIN
+    seen = ndimage.map_coordinates(painting, places.T[::-1], order=3).reshape(x.shape)
+    found = measured(front, noisy(seen, 3, 0.5))
+    assert (found.course.kind, found.lines, found.slope) == ("period", "rows", True)
+    assert found.course.size == pytest.approx(size, rel=0.12)
+    assert found.course.period == pytest.approx(period, rel=0.04)
+    assert found.rms == pytest.approx(size / 6**0.5, rel=0.2)
+    objection = lines_lie_still({"line_displacement": found.to_dict()})
+    assert objection.decision == "warn" and "at the ends of the lines" in objection.reason
+
+
+def test_halves_and_a_wobble_are_both_named(painting, front):
+    shift = along(LINE % 2 - 0.5) + across(sine(0.8, 25))
+    found = measured(front, scan(painting, shift))
+    assert {found.course.kind, found.course.beside.kind} == {"comb", "period"}
+    assert found.course.beside.period == pytest.approx(25, rel=0.03)
+    reason = lines_lie_still({"line_displacement": found.to_dict()}).reason
+    assert "odd and even lines 1.0" in reason and "periodically, by ±0." in reason
 
 
 @pytest.mark.parametrize("quality", [80, 40, 20])

@@ -204,8 +204,9 @@ def _write_bands(
             (height, width), observed.labels, found.chromatic, found.selected, reference, found.shared,
             checks,
         )  # fmt: skip
-        lines = _numbers(record, observed).get("borne_out", {}).get("line_displacement") or {}
-        sigma = with_lines(sigma, lines.get("sigma_px", 0.0))
+        known = _numbers(record, observed).get("borne_out", {})
+        displaced = [known.get(f"{what}_displacement") or {} for what in ("line", "fine")]
+        sigma = with_lines(sigma, max(one.get("sigma_px", 0.0) for one in displaced))
     else:
         for number, label in enumerate(observed.labels):
             known = Sigma.from_dict(record["bands"][label]["sigma"])

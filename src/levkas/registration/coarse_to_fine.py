@@ -21,6 +21,7 @@ from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration.advice import POINTS
 from levkas.registration.bands import by_wavelength, present_bands, sqrt_images
 from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
+from levkas.registration.fine_displacement import FineDisplacement, measure_fine_displacement
 from levkas.registration.initial import (
     InitialTransform,
     begin_with,
@@ -207,6 +208,13 @@ class SensorTask:
             if results[-1] and results[-1].course:
                 break
         return max(filter(None, results), key=lambda one: one.deviations, default=None)
+
+    def measure_fine(self, found: RefinedMap) -> FineDisplacement | None:
+        """Measure by how much parts of the best band that are smaller than a check window lie beside the map."""
+        best = [band.label for band in self.bands].index(found.course["band"])
+        step, whole = self.plain_step, Composed(found.chromatic.transform(best), found.base)
+        image = highpass(self.resample(self.bands[best], whole, step))
+        return measure_fine_displacement(self.reference.predictor(step).images, image, step=step)
 
     def light_of(self, band: BandImage, transform: Transform, step: int) -> Light:
         """Tell whether a band sees light that the reference sees too.
@@ -401,6 +409,8 @@ def register_sensor(
         coarse = blocks.tolerance
     lines = task.measure_lines(found)
     found.verification["line_displacement"] = None if lines is None else lines.to_dict()
+    fine = task.measure_fine(found)
+    found.verification["fine_displacement"] = None if fine is None else fine.to_dict()
     marks = task.measure_marks(found)
     found.verification["marks"] = None if marks is None else marks.to_dict()
     transforms: dict[str, Transform] = {
@@ -410,7 +420,7 @@ def register_sensor(
         reference.shape, labels, chromatic, found.selected, reference_sigma,
         checks=found.checks, coarse=coarse,
     )  # fmt: skip
-    sigma = with_lines(sigma, lines.sigma if lines else 0.0)
+    sigma = with_lines(sigma, max((one.sigma for one in (lines, fine) if one), default=0.0))
     windows = dict(zip([band.label for band in shown], found.windows, strict=True))
     return RegisteredSensor(
         bands[0].sensor, transforms, chromatic, windows, sigma, initial, found, lines

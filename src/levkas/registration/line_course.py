@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -28,9 +28,10 @@ class CourseSettings:
         Of the polynomial along the scan that is taken out of each part: a map is off smoothly, too.
     stray : float
         In typical shifts, the median of all: so far out a shift has half its weight.
-    least_deviations, least_step : float
-        Covariance of the parts, and height of a step, in standard deviations by chance, from which lines are displaced.
-        Of 250 honest pairs, real and simulated, few covariances had more than 2 (`benchmarks/line_displacement.py`).
+    least_deviations, least_slope, least_step : float
+        Covariance of the parts, that of the slopes, and height of a step, in standard deviations by chance, from which lines
+        are displaced. Of 250 honest pairs, real and simulated, few covariances had more than 2, and slopes, which two pairs of
+        parts show where six show the mean, 4 at most (`benchmarks/line_displacement.py`).
     common_edges, averaged : float; int, lines
         Mean correlation, along the scan, of how much detail the parts show, averaged over some lines, from which they are no
         independent witnesses: below 0.1 of 95 % of painted scans, 0.25 to 0.8 of nine in ten grids of tiles.
@@ -39,10 +40,13 @@ class CourseSettings:
         half of the covariance and more, of painted scans 0.23 at most.
     outer, few : float
         Share of the covariance that the two outer parts have at least, and that is left without the share of lines, `few`,
-        that have most of it.
-    ledge_lines : int
+        that have most of it: else some lines alone are displaced.
+    near_lines, gap_lines : int
         That are averaged to find these lines. Of single ones, noise would choose: without a tenth of them 0.2 to 0.4 of a
-        weak wobble is left, without a tenth of means of seven 0.5 to 0.75, and 0.2 of a ledge; of 5 or 13 the same.
+        weak wobble is left, without a tenth of means of seven 0.5 to 0.75, and 0.2 of a few lines; of 5 or 13 the same.
+        Such lines that are closer than `gap_lines` belong together.
+    aside : float
+        Share of the covariance of such lines that their mean has, for them to lie aside as one.
     least_share : float
         Of the covariance that one period explains, for it to be named.
     comb_lines : float
@@ -61,13 +65,16 @@ class CourseSettings:
     degree: int = 3
     stray: float = 8.0
     least_deviations: float = 4.0
+    least_slope: float = 6.0
     least_step: float = 6.0
     common_edges: float = 0.15
     averaged: int = 3
     edge_lines: int = 8
     outer: float = 0.4
     few: float = 0.1
-    ledge_lines: int = 7
+    near_lines: int = 7
+    gap_lines: int = 24
+    aside: float = 0.6
     least_share: float = 0.5
     comb_lines: float = 2.2
     block: int = 8
@@ -90,20 +97,36 @@ class Course:
 
     Parameters
     ----------
-    kind : {"period", "comb", "step", "irregular"}
-        Of a comb odd and even lines are apart.
+    kind : {"period", "comb", "step", "aside", "irregular"}
+        Of a comb odd and even lines are apart; some lines alone lie aside.
     size : float, reference px
-        Amplitude of the period; distance of odd from even lines; height of the step; else the root mean square.
+        Amplitude of the period; distance of odd from even lines; height of the step; how far lines lie aside; else the
+        root mean square. Of lines that turn or stretch, at their ends.
     period : float, lines
         Of a period or a comb, else NaN.
-    place : int
-        First line behind the step, else -1.
+    place, last : int
+        First line behind the step, or first and last of the lines that alone are displaced, else -1.
+    beside : Course or None
+        A second period or comb.
     """
 
-    kind: Literal["period", "comb", "step", "irregular"]
+    kind: Literal["period", "comb", "step", "aside", "irregular"]
     size: float
     period: float = np.nan
     place: int = -1
+    last: int = -1
+    beside: Course | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers, JSON-ready."""
+        return {
+            "course": self.kind,
+            "size_px": round(self.size, 4),
+            "period_lines": round(self.period, 2) if self.period > 0 else None,
+            "place": self.place if self.place >= 0 else None,
+            "last": self.last if self.last >= 0 else None,
+            "beside": self.beside and self.beside.to_dict(),
+        }
 
 
 def find_course(shifts: LineShifts, sizes: np.ndarray) -> tuple[Course | None, float]:
@@ -114,13 +137,21 @@ def find_course(shifts: LineShifts, sizes: np.ndarray) -> tuple[Course | None, f
     variance = shifts.covariance()
     deviations = variance / np.maximum(shifts.by_chance(), 1e-30)
     most = float(deviations.max())
-    step = _find_step(shifts, sizes)
-    least = SETTINGS.least_height * float(np.sqrt((variance * sizes**2).clip(0).sum()))
+    axis = int(deviations.argmax())
+    needed = SETTINGS.least_slope if shifts.spread < 1 else SETTINGS.least_deviations
+    displaced = most >= needed and _has_outer_parts(shifts, axis) and not _is_feigned(shifts, sizes)
+    some = _displaced_lines(shifts, axis) if displaced else None
+    course = _find_course_of_some(shifts, sizes, some) if some else None
+    if course and course.kind == "aside":
+        return course, most
+    # Of slopes there are two independent ones, too few to agree on a step; a covariance they have.
+    step = _find_step(shifts, sizes) if shifts.spread == 1 else None
+    least = SETTINGS.least_height * _rms(shifts, sizes)
     if step and step[1] >= SETTINGS.least_step and step[0].size > least:
         return step[0], max(most, step[1])
-    if most < SETTINGS.least_deviations or not _is_whole(shifts, int(deviations.argmax())):
+    if not displaced:
         return None, most
-    return _find_period(shifts, sizes), most
+    return course or _find_period(shifts, sizes), most
 
 
 @dataclass(frozen=True)
@@ -130,21 +161,50 @@ class LineShifts:
     `information` is that of each, 1/px², 0 where unknown; `weight` the same, less of shifts that stray. `common_edges` says
     whether all parts show their detail in the same lines. Edges that run along the lines through all parts, as on a chart or
     of a grid of tiles, move what lies beside them where sharpness differs, in all parts alike: then nothing is
-    known across the lines, and those shifts are 0.
+    known across the lines, and those shifts are 0. `places` are the middles of the parts, -1 to 1 along the line; `spread` is
+    the root mean square over a line of a displacement that is 1 px where it is stated: less than 1 of `slopes`, which are stated
+    at the ends.
     """
 
     shift: np.ndarray
     information: np.ndarray
     weight: np.ndarray
+    places: np.ndarray
     common_edges: bool = False
+    spread: float = 1.0
 
     @classmethod
-    def of(cls, shift: np.ndarray, information: np.ndarray) -> LineShifts | None:
+    def of(
+        cls, shift: np.ndarray, information: np.ndarray, places: np.ndarray
+    ) -> LineShifts | None:
         """Return shifts, (lines, parts, 2) px, beside a smooth course of each part; None where too few lines have two parts."""
         seen = (information > 0).all(2).sum(1) >= 2
         if seen.sum() < SETTINGS.least_lines:
             return None
-        return _without_course(shift, np.where(seen[:, None, None], information, 0.0))
+        information = np.where(seen[:, None, None], information, 0.0)
+        left, weight = _without_course(shift, information)
+        if common_edges := _have_common_edges(information[..., 1]):
+            left[..., 1] = 0.0
+        return cls(left, np.where(weight > 0, information, 0.0), weight, places, common_edges)
+
+    def slopes(self) -> LineShifts:
+        """Return what lines do that turn (across) or stretch (along) about their middle, at their ends.
+
+        The outermost parts and the next ones show it independently, whatever they have in common.
+        """
+        count = len(self.places)
+        pairs = [(k, count - 1 - k) for k in range(count // 2)]
+        a, b = (self.shift[:, list(k)] for k in zip(*pairs, strict=True))
+        apart = np.array([self.places[j] - self.places[i] for i, j in pairs])[:, None]
+
+        def of_both(known: np.ndarray) -> np.ndarray:
+            one, other = (known[:, list(k)] for k in zip(*pairs, strict=True))
+            return np.asarray(apart**2 * one * other / np.maximum(one + other, 1e-30))
+
+        known, weight = of_both(self.information), of_both(self.weight)
+        slope = np.where(known > 0, (b - a) / apart, 0.0)
+        places = np.zeros(len(pairs))
+        return LineShifts(slope, known, weight, places, self.common_edges, 3**-0.5)
 
     @property
     def pairs(self) -> Pairs:
@@ -186,6 +246,11 @@ class LineShifts:
         found = products[far] / np.maximum(weights[far], 1e-30)
         return np.asarray(np.sqrt(np.mean(np.square(found), 0)))
 
+    def among(self, lines: slice) -> LineShifts:
+        """Return some lines alone."""
+        parts = (self.shift[lines], self.information[lines], self.weight[lines])
+        return LineShifts(*parts, self.places, self.common_edges, self.spread)
+
     def without(self, course: np.ndarray) -> LineShifts:
         """Return what is left of the shifts beside a common course, (lines, 2)."""
         return replace(self, shift=self.shift - course[:, None])
@@ -202,11 +267,14 @@ def _autocorrelation(values: np.ndarray) -> np.ndarray:
     return np.asarray(np.fft.irfft(power, len(values), axis=0))
 
 
-def _without_course(shift: np.ndarray, information: np.ndarray) -> LineShifts:
-    """Take a smooth course along the scan out of every part, robustly: maps err smoothly, relief and noise do not."""
+def _without_course(shift: np.ndarray, information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Take a smooth course along the scan out of every part, robustly: maps err smoothly, relief and noise do not.
+
+    Returns what is left and its weight, which is less where a part strays from the others of its line.
+    """
     lines, parts, _ = shift.shape
     basis = np.polynomial.legendre.legvander(np.linspace(-1, 1, lines), SETTINGS.degree)
-    left, weight = np.zeros_like(shift), np.zeros_like(information)
+    left, stray = np.full_like(shift, np.nan), np.full((parts, 2), np.inf)
     for part in range(parts):
         for axis in range(2):
             y, known = shift[:, part, axis], information[:, part, axis]
@@ -220,10 +288,13 @@ def _without_course(shift: np.ndarray, information: np.ndarray) -> LineShifts:
                 rest = y - basis @ np.linalg.solve(gram, weighted.T @ y)
                 typical = 1.4826 * float(np.median(np.abs(rest[seen]))) + 1e-6
                 w = known / (1 + (rest / (SETTINGS.stray * typical)) ** 2)
-            left[:, part, axis], weight[:, part, axis] = np.where(seen, rest, 0.0), w
-    if common_edges := _have_common_edges(information[..., 1]):
-        left[..., 1] = 0.0
-    return LineShifts(left, information, weight, common_edges)
+            left[seen, part, axis], stray[part, axis] = rest[seen], SETTINGS.stray * typical
+    known = np.isfinite(left)
+    middle = np.nanmedian(np.where(known.any(1, keepdims=True), left, 0.0), 1, keepdims=True)
+    apart = np.where(known, left - middle, 0.0)
+    stray = stray + (1 - SETTINGS.alike) * np.abs(middle)
+    weight = np.where(known, information / (1 + (apart / stray) ** 2), 0.0)
+    return np.where(known, left, 0.0), weight
 
 
 def _have_common_edges(information: np.ndarray) -> bool:
@@ -239,18 +310,36 @@ def _have_common_edges(information: np.ndarray) -> bool:
     return bool(np.corrcoef(rest.T)[above].mean() > SETTINGS.common_edges)
 
 
-def _is_whole(shifts: LineShifts, axis: int) -> bool:
-    """Tell whether the outer parts are displaced too, along `axis`, and lines everywhere, as far as their noise allows to tell.
-
-    A ledge displaces the parts within it; one that runs along the lines, a few of these.
-    """
-    least = shifts.covariance()[axis]
+def _has_outer_parts(shifts: LineShifts, axis: int) -> bool:
+    """Tell whether the outer parts are displaced too, along `axis`, as far as their noise allows to tell; a ledge displaces the parts within it."""
+    least = SETTINGS.outer * shifts.covariance()[axis]
     outer = shifts.covariance(shifts.outer)[axis] + shifts.by_chance(shifts.outer)[axis]
+    return bool(outer > least)
+
+
+def _displaced_lines(shifts: LineShifts, axis: int) -> slice | None:
+    """Return the lines that alone are displaced along `axis`, those that have most of it where they lie apart; None where lines are everywhere."""
     products = shifts.products()[..., axis].sum(1)
-    near = np.abs(np.convolve(products, np.ones(SETTINGS.ledge_lines), "same"))
-    most = near > np.quantile(near, 1 - SETTINGS.few)
+    near = np.convolve(products, np.ones(SETTINGS.near_lines), "same")
+    most = np.abs(near) > np.quantile(np.abs(near), 1 - SETTINGS.few)
     rest = replace(shifts, weight=np.where(most[:, None, None], 0.0, shifts.weight))
-    return bool(outer > SETTINGS.outer * least and rest.covariance()[axis] > SETTINGS.outer * least)
+    if rest.covariance()[axis] > SETTINGS.outer * shifts.covariance()[axis]:
+        return None
+    far = np.flatnonzero(near > SETTINGS.few * near.max())
+    groups = np.split(far, np.flatnonzero(np.diff(far) > SETTINGS.gap_lines) + 1)
+    half = SETTINGS.near_lines // 2
+    first, last = max(groups, key=lambda g: products[g[0] : g[-1] + 1].sum())[[0, -1]]
+    return slice(int(first) + half, int(max(last - half, first + half)) + 1)
+
+
+def _find_course_of_some(shifts: LineShifts, sizes: np.ndarray, lines: slice) -> Course:
+    """Return the course of lines that alone are displaced."""
+    some = shifts.among(lines)
+    mean = np.nanmean(some.common, 0)
+    place, last = lines.start, lines.stop - 1
+    if np.square(mean * sizes).sum() > SETTINGS.aside * _rms(some, sizes) ** 2:
+        return Course("aside", float(np.hypot(*(mean * sizes))), place=place, last=last)
+    return replace(_find_period(some, sizes), place=place, last=last)
 
 
 def _find_step(shifts: LineShifts, sizes: np.ndarray) -> tuple[Course, float] | None:
@@ -300,8 +389,43 @@ def _fit_beside_cubic(basis: np.ndarray, common: np.ndarray) -> tuple[np.ndarray
     return amounts[: basis.shape[1]], rest
 
 
-def _find_period(shifts: LineShifts, sizes: np.ndarray) -> Course | None:
-    """Return the period that explains most of what parts have in common, or an irregular course; None of a coder's blocks and of edges."""
+def _is_feigned(shifts: LineShifts, sizes: np.ndarray) -> bool:
+    """Tell whether a coder's blocks or edges along the lines explain what parts have in common.
+
+    Blocks of JPEG move what lies at their borders by a tenth of a pixel, every eighth line alike.
+    """
+    lines = np.arange(len(shifts.shift))[:, None]
+    eighths = lines % SETTINGS.block == np.arange(SETTINGS.block - 1)
+    blocks, _ = _share_of(eighths.astype(float), shifts, sizes)
+    least = max(SETTINGS.least_share, _take_wave(shifts, sizes)[1] + SETTINGS.block_share)
+    if blocks > least and _rms(shifts, sizes) < SETTINGS.most_of_blocks:
+        return True
+    return _share_of(_beside_edges(shifts), shifts, sizes)[0] > SETTINGS.least_share
+
+
+def _rms(shifts: LineShifts, sizes: np.ndarray) -> float:
+    """Return the root mean square of what parts have in common, reference px."""
+    return float(np.sqrt((shifts.covariance() * sizes**2).clip(0).sum()))
+
+
+def _find_period(shifts: LineShifts, sizes: np.ndarray) -> Course:
+    """Return the period that explains most of what parts have in common, and a second one beside it, or an irregular course."""
+    lines = len(shifts.shift)
+    irregular = Course("irregular", _rms(shifts, sizes))
+    if lines < SETTINGS.least_lines:
+        return irregular
+    frequency, share, first, rest = _take_wave(shifts, sizes)
+    other, share_of_rest, second, _ = _take_wave(rest, sizes)
+    left = float((rest.covariance() / np.maximum(rest.by_chance(), 1e-30)).max())
+    sure = share_of_rest > SETTINGS.least_share and left > SETTINGS.least_deviations
+    if sure and not _is_overtone(other, frequency, lines):
+        largest, less = sorted((first, second), key=lambda one: -one.size)
+        return replace(largest, beside=less)
+    return first if share > SETTINGS.least_share else irregular
+
+
+def _take_wave(shifts: LineShifts, sizes: np.ndarray) -> tuple[float, float, Course, LineShifts]:
+    """Return frequency, share of the covariance and course of the sine that parts have most in common, and what is left."""
     lines = len(shifts.shift)
     padded = 8 * lines
     seen = shifts.weight.min(2) > 0
@@ -311,22 +435,20 @@ def _find_period(shifts: LineShifts, sizes: np.ndarray) -> Course | None:
     power[: padded // lines] = 0  # less than one period
     frequency = max(float(power.argmax()), 1.0) / padded
     phase = 2 * np.pi * frequency * np.arange(lines)[:, None]
-    share, wave = _share_of(np.hstack([np.cos(phase), np.sin(phase)]), shifts, sizes)
-    # Blocks of JPEG move what lies at their borders by a tenth of a pixel, every eighth line alike.
-    eighths = np.arange(lines)[:, None] % SETTINGS.block == np.arange(SETTINGS.block - 1)
-    blocks, _ = _share_of(eighths.astype(float), shifts, sizes)
-    rms = float(np.sqrt((shifts.covariance() * sizes**2).clip(0).sum()))
-    feigned = blocks > max(SETTINGS.least_share, share + SETTINGS.block_share)
-    if feigned and rms < SETTINGS.most_of_blocks:
-        return None
-    if _share_of(_beside_edges(shifts), shifts, sizes)[0] > SETTINGS.least_share:
-        return None
-    amplitude = float(np.linalg.svd(wave * sizes, compute_uv=False)[0])
-    if share < SETTINGS.least_share:
-        return Course("irregular", rms)
-    if 1 / frequency < SETTINGS.comb_lines:
-        return Course("comb", 2 * amplitude, period=1 / frequency)
-    return Course("period", amplitude, period=1 / frequency)
+    basis = np.hstack([np.cos(phase), np.sin(phase)])
+    share, wave = _share_of(basis, shifts, sizes)
+    size, period = float(np.linalg.svd(wave * sizes, compute_uv=False)[0]), 1 / frequency
+    is_comb = period < SETTINGS.comb_lines
+    course = Course("comb", 2 * size, period) if is_comb else Course("period", size, period)
+    return frequency, share, course, shifts.without(basis @ wave)
+
+
+def _is_overtone(frequency: float, of: float, lines: int) -> bool:
+    """Tell whether one frequency, 1/lines, is two to four times another one, as in a saw-tooth, or the same."""
+    times = np.arange(1, 5)
+    return bool(
+        min(np.abs(frequency - times * of).min(), np.abs(of - times * frequency).min()) < 1 / lines
+    )
 
 
 def _beside_edges(shifts: LineShifts) -> np.ndarray:

@@ -77,6 +77,7 @@ class LineSettings:
 
 
 SETTINGS = LineSettings()
+COURSE_KEYS = ("course", "size_px", "period_lines", "place", "last", "beside")
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,8 @@ class LineDisplacement:
         Whether all parts show their detail in the same lines, so that nothing is known across them.
     step : int, reference px
         Of the grid on which it was measured.
+    slope : bool
+        Whether lines turn (across) or stretch (along) about their middles; sizes and `displacement` are those of their ends.
     """
 
     picture: Picture
@@ -121,6 +124,7 @@ class LineDisplacement:
     displacement: np.ndarray
     common_edges: bool = False
     step: int = 1
+    slope: bool = False
 
     @property
     def rms(self) -> float:
@@ -146,10 +150,8 @@ class LineDisplacement:
             "largest_px": round(self.largest, 4),
             "noise_px": round(self.noise, 4),
             "sigma_px": round(self.sigma, 4),
-            "course": course and course.kind,
-            "size_px": course and round(course.size, 4),
-            "period_lines": course and (round(course.period, 2) if course.period > 0 else None),
-            "place": course and (course.place if course.place >= 0 else None),
+            **(course.to_dict() if course else dict.fromkeys(COURSE_KEYS)),
+            "slope": self.slope,
             "common_edges": self.common_edges,
             "step": self.step,
         }
@@ -287,28 +289,43 @@ def describe_displacement(numbers: Mapping[str, Any]) -> tuple[str, str]:
     way = way or (f", across the {lines}" if across > 2 * along else "")
     rms = f"{numbers['rms_px']:.2f} px (root mean square)"
     repair = f"Capture it again, or put its {lines} right before the build; as it is, do not use detail finer than the displacement."
-    if numbers["course"] == "comb":
+    place, last, beside = numbers["place"], numbers.get("last"), numbers.get("beside")
+    ends = f" at the ends of the {lines}" if numbers.get("slope") else ""
+    if numbers["course"] == "comb" and not beside and last is None:
         return (
-            f"Odd and even {lines} of {whose} lie {size:.2f} px apart{way}: the map follows neither, and check windows "
+            f"Odd and even {lines} of {whose} lie {size:.2f} px apart{ends}{way}: the map follows neither, and check windows "
             "show the mean of both.",
             f"Build from the odd or from the even {lines} alone, or shift one half before the build.",
         )
     if numbers["course"] == "step":
         return (
-            f"At {line} {numbers['place']} {whose} is displaced by {size:.2f} px at once{way}, as where {lines} were "
+            f"At {line} {place} {whose} is displaced by {size:.2f} px at once{ends}{way}, as where {lines} were "
             f"lost or repeated: the map is off near it, by {rms} over all.",
             f"Look for lost or repeated {lines} there. {repair}",
         )
-    largest = f"{rms}, {numbers['largest_px']:.2f} px at most"
-    if numbers["course"] == "period":
-        text = f"periodically, by ±{size:.2f} px every {numbers['period_lines']:.3g} {lines}{way}"
-    else:
-        text = f"irregularly from {line} to {line}{way}"
+    some = f"{lines.capitalize()} {place} to {last}" if last is not None else f"The {lines}"
+    others = "one another" if last is None else "the others"
+    verb = "turn or stretch about their middles" if ends else "are displaced"
+    text = _describe_course(numbers, line, lines) + ends
+    if beside:
+        text += f", and {_describe_course(beside, line, lines)}"
     return (
-        f"The {lines} of {whose} are displaced against one another, {text}: {largest}. The map does not follow that, "
-        "and check windows average over it.",
+        f"{some} of {whose} {verb} against {others}, {text}{way}: {rms}, {numbers['largest_px']:.2f} px at most. "
+        "The map does not follow that, and check windows average over it.",
         repair,
     )
+
+
+def _describe_course(course: Mapping[str, Any], line: str, lines: str) -> str:
+    """Return how far and how lines are displaced, in words."""
+    size, kind = course["size_px"], course["course"]
+    if kind == "comb":
+        return f"odd and even {lines} {size:.2f} px apart"
+    if kind == "aside":
+        return f"by {size:.2f} px"
+    if kind == "period":
+        return f"periodically, by ±{size:.2f} px every {course['period_lines']:.3g} {lines}"
+    return f"irregularly from {line} to {line}"
 
 
 # --- every part of every line by itself
@@ -329,17 +346,36 @@ def _register_lines(lines: np.ndarray, scene: np.ndarray) -> LineShifts | None:
     in_threads(
         register_rows, len(lines), pictures, edges, limits, sizes, found, worth=3 * lines.size
     )
-    return LineShifts.of(shift, information)
+    middles = (edges[:-1] + edges[1:]) / 2
+    places = (2 * middles - edges[0] - edges[-1]) / (edges[-1] - edges[0])
+    return LineShifts.of(shift, information, places)
 
 
 def _describe(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:
     """Describe what lines have in common; `sizes`, (2,), are reference px per px along and across the lines."""
+    found = [_describe_one(one, sizes) for one in (shifts, shifts.slopes())]
+    displaced = [one for one in found if one.course]
+    if not displaced:
+        return max(found, key=_deviations)
+    along, across = (
+        float(np.hypot.reduce([getattr(one, way) for one in displaced]))
+        for way in ("along", "across")
+    )
+    most = max(one.deviations for one in displaced)
+    largest = max(displaced, key=lambda one: one.rms)
+    return replace(largest, along=along, across=across, deviations=most)
+
+
+def _describe_one(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:
+    """Describe the common displacement of parts of lines, or of their slopes, by itself."""
     course, deviations = find_course(shifts, sizes)
     variance, common = shifts.covariance(), shifts.common
     noise = np.sqrt(np.maximum(np.nanmean(common**2, 0) - variance, 0.0))
     shown = np.maximum(variance, 0.0)
-    likely = common * sizes * shown / np.maximum(shown + noise**2, 1e-30)
-    along, across = np.sqrt(shown) * sizes
+    some = slice(course.place, course.last + 1) if course and course.last >= 0 else slice(None)
+    here = np.maximum(shifts.among(some).covariance(), 0.0)
+    likely = common[some] * sizes * here / np.maximum(here + noise**2, 1e-30)
+    along, across = np.sqrt(shown) * sizes * shifts.spread
     return LineDisplacement(
         "target",
         "rows",
@@ -352,4 +388,5 @@ def _describe(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:
         course,
         common * sizes,
         shifts.common_edges,
+        slope=shifts.spread < 1,
     )

@@ -9,6 +9,10 @@ from levkas.registration.local_shifts import spline_slopes, spline_weights
 
 #: A step shorter than this, px, is the last.
 SETTLED_PX = 0.02
+#: Where a part that is lost from 0 is begun, px: steps along a line of fine detail reach 2 px.
+STARTS_PX = ((2, 0), (-2, 0), (0, 2), (0, -2), (4, 0), (-4, 0), (0, 4), (0, -4))
+#: Least squared correlation of a part that was begun there.
+FOUND = 0.5
 
 
 @njit(cache=True)
@@ -18,39 +22,57 @@ def register_rows(start, stop, pictures, edges, limits, sizes, found):  # type: 
     `pictures` are lines and scene, `limits` the least and the most samples of a part and the steps, `sizes` the
     prior's sigma and the largest shift, px.
     """
-    least, most_samples, rounds = limits
-    prior, most = sizes
+    most_samples = limits[1]
     width = pictures[0].shape[1]
-    buffers, s = (np.empty(width), np.empty(width)), np.empty(11)
+    settings, work = (limits, sizes), ((np.empty(width), np.empty(width)), np.empty(11))
+    one, best = np.empty(5), np.empty(5)
     for i in range(start, stop):
         for part in range(len(edges) - 1):
             # Of a wide part its middle is enough.
             more = max(0, edges[part + 1] - edges[part] - most_samples)
             span = (edges[part] + more // 2, edges[part + 1] - (more - more // 2))
-            dx, dy, length = 0.0, 0.0, 1.0
-            for r in range(rounds + 1):
-                _sum_line(pictures, i, span, (dx, dy), buffers, s)
-                gain = s[6] / s[0] if s[0] > 0.0 else 0.0
-                if not (s[10] >= least and gain > 0.0):
-                    break
-                # The gain is eliminated: what is left of the slopes without the picture itself.
-                scale = gain * gain * (s[10] - 3) / max(s[9] - gain * s[6], 1e-12)
-                xx = (s[3] - s[1] * s[1] / s[0]) * scale
-                xy = (s[4] - s[1] * s[2] / s[0]) * scale
-                yy = (s[5] - s[2] * s[2] / s[0]) * scale
-                if r == rounds or length < SETTLED_PX:
-                    _keep(found, i, part, (dx, dy), (xx, xy, yy))
-                    break
-                p = 1 / (prior * prior)
-                bx = (s[7] / gain - s[1]) * scale - dx * p
-                by = (s[8] / gain - s[2]) * scale - dy * p
-                det = (xx + p) * (yy + p) - xy * xy
-                ex, ey = ((yy + p) * bx - xy * by) / det, ((xx + p) * by - xy * bx) / det
-                length = np.sqrt(ex * ex + ey * ey)
-                shorter = 1 / max(length, 1.0)
-                dx, dy = dx + ex * shorter, dy + ey * shorter
-                if not (abs(dx) <= most and abs(dy) <= most):
-                    break
+            least = _register(pictures, i, span, (0.0, 0.0), settings, work, best)
+            if least == -1.0:
+                least = FOUND
+                for x, y in STARTS_PX:
+                    at = (float(x), float(y))
+                    alike = _register(pictures, i, span, at, settings, work, one)
+                    if alike > least:
+                        least = alike
+                        best[:] = one
+            if least >= 0.0 and least != FOUND:
+                _keep(found, i, part, (best[0], best[1]), (best[2], best[3], best[4]))
+
+
+@njit
+def _register(pictures, i, span, start, settings, work, out):  # type: ignore[no-untyped-def]
+    """Write the shift of a part of row i and its information, x y xx xy yy; return its squared correlation, -1 where it is lost, -2 of too few px."""
+    ((least, _, rounds), (prior, most)), (buffers, s) = settings, work
+    (dx, dy), length = start, 1.0
+    for r in range(rounds + 1):
+        _sum_line(pictures, i, span, (dx, dy), buffers, s)
+        gain = s[6] / s[0] if s[0] > 0.0 else 0.0
+        if not (s[10] >= least and gain > 0.0):
+            return -1.0 if s[10] >= least or r > 0 else -2.0
+        # The gain is eliminated: what is left of the slopes without the picture itself.
+        scale = gain * gain * (s[10] - 3) / max(s[9] - gain * s[6], 1e-12)
+        xx = (s[3] - s[1] * s[1] / s[0]) * scale
+        xy = (s[4] - s[1] * s[2] / s[0]) * scale
+        yy = (s[5] - s[2] * s[2] / s[0]) * scale
+        if r == rounds or length < SETTLED_PX:
+            out[0], out[1], out[2], out[3], out[4] = dx, dy, xx, xy, yy
+            return gain * s[6] / s[9]
+        p = 1 / (prior * prior)
+        bx = (s[7] / gain - s[1]) * scale - dx * p
+        by = (s[8] / gain - s[2]) * scale - dy * p
+        det = (xx + p) * (yy + p) - xy * xy
+        ex, ey = ((yy + p) * bx - xy * by) / det, ((xx + p) * by - xy * bx) / det
+        length = np.sqrt(ex * ex + ey * ey)
+        shorter = 1 / max(length, 1.0)
+        dx, dy = dx + ex * shorter, dy + ey * shorter
+        if not (abs(dx) <= most and abs(dy) <= most):
+            return -1.0
+    return -1.0
 
 
 @njit

@@ -53,6 +53,7 @@ class Limits(NamedTuple):
 ANISOTROPY, AREA_RATIO, RIVAL = Limits(1.5, 2.0), Limits(1.8, 3.0), Limits(0.85, 0.95)
 OVERLAP, COVERAGE, PREDICTED = Limits(0.8, 0.1), Limits(0.9, 0.6), Limits(0.5, 0.2)
 MARKS, LINES = Limits(TELLING, 0.15), Limits(0.1, 1.0)
+FINE = Limits(0.1, 1.0)
 
 
 @dataclass(frozen=True)
@@ -101,8 +102,13 @@ class VerdictSettings:
         Large blocks that have to agree by their outlines, in number and as a share, where windows are not
         recognised.
     lines : Limits, reference px, or px of the grid where it is coarser
-        Displacement of single lines, the root mean square of both axes, or a quarter of a step. Honest pictures have 0.04 at
+        Displacement of single lines, the root mean square of both axes, or a quarter of a step or of some lines alone. Honest pictures have 0.04 at
         most that is more than chance.
+    fine : Limits, px of the grid
+        Displacement of parts smaller than a window, the root mean square over the picture. Pairs that agree have 0.07 at most.
+    patch, patch_px : float, px² and px of the grid
+        Of one part that lies beside the map: by 1 px over the side of a window, 40 px, makes it doubtful (displacement
+        times side); from `patch_px` on it is named. Of five lenses over fields and houses, what stands high has 25 px² at most.
     align_px : float, px of a sensor
         From a declared alignment; refocusing moves the sensors of a camera against one another by a px or two.
     """
@@ -134,6 +140,9 @@ class VerdictSettings:
     least_outlines: int = 14
     least_outlines_share: float = 0.75
     lines: Limits = LINES
+    fine: Limits = FINE
+    patch: float = 40.0
+    patch_px: float = 0.75
     align_px: float = 3.0
 
 
@@ -141,6 +150,7 @@ SETTINGS = VerdictSettings()
 LEAST_TERMS = 3
 """Coefficients of a polynomial of order 1, the lowest that is fitted."""
 TRY_LEVKAS = "try the method `levkas`"
+FINELY = f"{LOOK} Do not use detail finer than that displacement."
 #: Name among the numbers of a sensor without one.
 ONLY = "sensor"
 
@@ -501,11 +511,49 @@ def lines_lie_still(n: Numbers) -> Objection | None:
     lines = n.get("line_displacement")
     if not lines or not lines["course"]:
         return None
-    # Beside a step, which smooth maps follow in the mean, half of its height is left.
-    near = lines["size_px"] / 4 if lines["course"] == "step" else 0.0
+    # Beside a step, which smooth maps follow in the mean, half of its height is left; so much counts of some lines alone.
+    near = lines["size_px"] / 4 if lines["place"] is not None else 0.0
     decision = SETTINGS.lines.exceeded_by(max(lines["rms_px"], near) / lines["step"])
     reason, repair = describe_displacement(lines)
     return Objection(decision or "unchecked", reason, repair if decision else "")
+
+
+def agrees_within_windows(n: Numbers) -> Objection | None:
+    """Refuse or warn where parts smaller than a check window lie beside the map; nothing more is said where lines are displaced."""
+    fine, lines = n.get("fine_displacement"), lines_lie_still(n)
+    if not fine or (lines and lines.decision != "unchecked"):
+        return None
+    step, size = fine["step"], fine["size_px"]
+    decision = SETTINGS.fine.exceeded_by((fine["rms_px"] or 0.0) / step)
+    reasons = []
+    if decision:
+        way = ""
+        if fine["period_px"]:
+            every = zip("xy", fine["period_px"], strict=True)
+            way = ", every " + " and ".join(f"{v:.0f} px in {axis}" for axis, v in every if v)
+        reasons = [
+            f"Parts smaller than a check window are displaced against one another, by {fine['rms_px']:.2f} px (root mean square) "
+            f"or more{way}: the map does not follow that, and check windows average over it."
+        ]
+    if fine["box"] and size >= SETTINGS.patch_px * step:
+        side = float(np.sqrt(fine["box"][2] * fine["box"][3]))
+        is_large = size * side > SETTINGS.patch * step**2
+        decision = decision or ("warn" if is_large else "unchecked")
+        part = f"A part smaller than the check windows lies {size:.1f} px beside the map {_places([fine['box']])}."
+        reasons = [*reasons, part] if is_large or not reasons else reasons
+    if not decision:
+        return None
+    return Objection(decision, " ".join(reasons), "" if decision == "unchecked" else FINELY)
+
+
+def describe_blindness(n: Numbers) -> str:
+    """Return, with a space before it, from which size on a part smaller than a window would be found, where the pictures decide that; else ""."""
+    fine = n.get("fine_displacement")
+    if not fine or (fine["least_px"] or np.inf) <= SETTINGS.patch_px * fine["step"]:
+        return ""
+    if fine["least_px"] is None:
+        return " Parts smaller than a window that lie beside it would not be found: the pictures show too little fine detail."
+    return f" Parts smaller than a window that lie beside it would be found from {fine['least_px']:.1f} px on."
 
 
 def stays_within_its_sigma(n: Numbers) -> Objection | None:
@@ -575,6 +623,7 @@ RULES: dict[Rule, frozenset[str]] = {
     windows_cover: WINDOWS,
     is_checked: WINDOWS,
     bears_the_same_marks: WINDOWS,
+    agrees_within_windows: BOTH,
     stays_within_its_sigma: WINDOWS,
     lies_where_declared: BOTH,
     is_compared: WINDOWS,

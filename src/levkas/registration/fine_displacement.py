@@ -1,0 +1,315 @@
+"""Displacement finer than a check window, in frames as well as scanners: a patch that moved, a ripple, a surface that heaved.
+
+Check windows of 40 px average over it, or are not found where they hold two displacements. Here windows of 18 px are shifted against
+the picture that the reference predicts (`local_shifts`). A shift is no evidence by itself: unlike pigments feign one.
+A displacement is there where the shift leaves a small residual, so that it is large beside its own standard deviation, which rests
+on that residual. A window that is badly explained is begun 2 px aside, too, and lies there where this
+halves the residual.
+
+Two statistics are formed. The mean square of all shifts, less the variance of each, is that of a displacement everywhere. The scan statistic
+([kulldorff1997]_) is the largest mean shift of 3 x 3 windows that move alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from levkas.registration.local_shifts import Predictor, WindowShifts
+from levkas.registration.verification import Box, predict
+
+
+@dataclass(frozen=True)
+class FineSettings:
+    """Constants of the measurement; px are those of the compared grid.
+
+    Parameters
+    ----------
+    cell : int, px
+        A window has three a side: 18 px. Of 12 px few windows show enough, of 24 px a patch of 44 px holds few.
+    sigma : float, px
+        Standard deviation of either axis up to which a window counts.
+    floor : float, px
+        What is added to it in weights: sharp windows alone do not stand for a picture.
+    aside, poor, gain : float
+        Where windows that are badly explained are begun, px; how much larger than the median their residual is; by how much
+        it falls where they lie there.
+    least_windows, least_share : int, float
+        That have to count, in number and as a share of those both pictures show, for a mean square.
+    least_rms : float, px
+        From which on its root is part of sigma: 180 pairs that agree have 0.07 at most.
+    around, least_around : int
+        Windows of a mean, a side; how many have to count.
+    smooth : int
+        Windows, a side, of the mean that check windows show, which is taken out: 90 px.
+    alike : float
+        Share of the shifts, squared in their deviations, that the mean of windows explains where they move alike.
+    deviations : float
+        Of that mean: chance, over some thousand places, has 5 at most.
+    longest, wave : float
+        Period up to which a wave is finer than what check windows of 40 px show, px.
+        Power of a wave over the mean of all, for its period to be named: the largest of a thousand by chance has seven.
+    """
+
+    cell: int = 6
+    sigma: float = 0.25
+    floor: float = 0.05
+    aside: int = 2
+    poor: float = 1.5
+    gain: float = 1.5
+    least_windows: int = 40
+    least_rms: float = 0.1
+    least_share: float = 0.2
+    around: int = 3
+    least_around: int = 6
+    smooth: int = 15
+    alike: float = 0.7
+    deviations: float = 6.0
+    wave: float = 20.0
+    longest: float = 60.0
+
+
+SETTINGS = FineSettings()
+
+
+@dataclass(frozen=True)
+class FineDisplacement:
+    """Displacement that is finer than a check window.
+
+    Parameters
+    ----------
+    rms : float or None, reference px
+        Root mean square over the picture without these windows, noise allowed for; None where too few show enough.
+    shown : float, 0..1
+        Share of the windows that show enough.
+    size : float, reference px
+        Largest displacement of some windows that move alike, beside all around; 0 where none do.
+    box : (x, y, width, height), reference px, or None
+        About these.
+    least : float or None, reference px
+        Smallest displacement of some windows that would be found, the median over the picture.
+    period : (float, float) or None, reference px
+        In x and in y, of a wave that stands out; infinite where it does not change that way.
+    step : int, reference px
+        Of the grid on which it was measured.
+    """
+
+    rms: float | None
+    shown: float
+    size: float
+    box: Box | None
+    least: float | None
+    period: tuple[float, float] | None
+    step: int = 1
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation, of each axis, that it adds to where a place lies, reference px; 0 where it is not above chance."""
+        rms = self.rms or 0.0
+        return rms / 2**0.5 if rms > SETTINGS.least_rms * self.step else 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers, JSON-ready."""
+
+        def rounded(value: float | None) -> float | None:
+            return None if value is None or not np.isfinite(value) else round(float(value), 3)
+
+        return {
+            "rms_px": rounded(self.rms),
+            "shown": round(self.shown, 4),
+            "size_px": round(self.size, 3),
+            "box": self.box and [round(v, 1) for v in self.box],
+            "least_px": rounded(self.least),
+            "period_px": self.period and [rounded(v) for v in self.period],
+            "sigma_px": round(self.sigma, 4),
+            "step": self.step,
+        }
+
+
+def measure_fine_displacement(
+    predictors: np.ndarray, image: np.ndarray, *, step: int = 1
+) -> FineDisplacement | None:
+    """Measure by how much small windows of a band lie beside the map.
+
+    Parameters
+    ----------
+    predictors : ndarray, (k, h, w), float32
+        Images of the reference on a grid of `step` reference px, high-passed; NaN where invalid.
+    image : ndarray, (h, w), float32
+        The band on the same grid, seen through its map, high-passed too.
+    step : int, reference px
+
+    Returns
+    -------
+    found : FineDisplacement or None
+        None where the pictures are too small or show nothing in common.
+    """
+    if min(image.shape) < SETTINGS.cell * SETTINGS.around:
+        return None
+    shifts = _shift_windows(Predictor(predict(predictors, image)[None], cell=SETTINGS.cell), image)
+    lattice = tuple(n // SETTINGS.cell for n in image.shape)
+    shift = shifts.shift.reshape(*lattice, 2)
+    information = shifts.information.reshape(*lattice, 2, 2)
+    known = np.trace(information, axis1=2, axis2=3) > 0
+    if not known.any():
+        return None
+    variance = _variance(information)
+    counts = variance < 2 * SETTINGS.sigma**2
+    weight = np.where(counts, 1 / (variance + SETTINGS.floor**2), 0.0)
+    shift = shift - _smooth(shift, weight)
+    size, part, least = _scan(shift, np.where(counts[..., None, None], information, 0.0))
+    rms, period = None, None
+    shown = float(counts.sum() / known.sum())
+    if counts.sum() >= SETTINGS.least_windows and shown >= SETTINGS.least_share:
+        others = counts & ~part
+        rms = _rms(shift[others], variance[others], weight[others]) * step
+        period = _period(shift, others, step)
+    box = _box_about(part, SETTINGS.cell * step)
+    return FineDisplacement(rms, shown, size * step, box, least and least * step, period, step)
+
+
+def _box_about(part: np.ndarray, side: int) -> Box | None:
+    """Return the rectangle about windows, (rows, columns) bool, each `side` reference px from the next; None without any."""
+    if not part.any():
+        return None
+    rows, columns = (np.flatnonzero(part.any(axis)) for axis in (1, 0))
+    x, y = float(columns[0]) * side, float(rows[0]) * side
+    return x, y, float(np.ptp(columns) + 1) * side, float(np.ptp(rows) + 1) * side
+
+
+def _shift_windows(predictor: Predictor, image: np.ndarray) -> WindowShifts:
+    """Return the shifts of windows, of those that are badly explained from where they are explained best."""
+    found = predictor.compare(image)
+    known = np.trace(found.information, axis1=1, axis2=2) > 0
+    if not known.any():
+        return found
+    rest = 1 - found.r2
+    poor = known & (rest > SETTINGS.poor * np.median(rest[known]))
+    poor &= _around(poor, image.shape) >= SETTINGS.least_around
+    among = np.where(_grown(poor, image.shape), image, np.float32(np.nan))
+    shift, information, best = found.shift.copy(), found.information.copy(), rest / SETTINGS.gain
+    reach = (-SETTINGS.aside, 0, SETTINGS.aside)
+    for dx, dy in product(reach, reach):
+        if (dx, dy) == (0, 0) or not poor.any():
+            continue
+        other = predictor.compare(_moved(among, dx, dy))
+        better = poor & (1 - other.r2 < best) & (np.abs(other.shift).max(1) < SETTINGS.aside)
+        better &= np.trace(other.information, axis1=1, axis2=2) > 0
+        shift[better] = other.shift[better] + (-dx, -dy)
+        information[better], best[better] = other.information[better], 1 - other.r2[better]
+    return replace(found, shift=shift, information=information)
+
+
+def _around(windows: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return how many windows, (n,) bool in the order of the lattice, there are about each, (n,)."""
+    from scipy import ndimage
+
+    lattice = windows.reshape([n // SETTINGS.cell for n in shape]).astype(int)
+    box = np.ones((SETTINGS.around, SETTINGS.around), int)
+    return np.asarray(ndimage.convolve(lattice, box, mode="constant").ravel())
+
+
+def _grown(poor: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return the px, `shape`, of windows, (n,) bool in the order of the lattice, and some around them."""
+    from scipy import ndimage
+
+    rows, columns = (n // SETTINGS.cell for n in shape)
+    cells = ndimage.binary_dilation(poor.reshape(rows, columns), np.ones((5, 5)))
+    px = np.kron(cells, np.ones((SETTINGS.cell, SETTINGS.cell), bool))
+    return np.pad(px, [(0, n - m) for n, m in zip(shape, px.shape, strict=True)], mode="edge")
+
+
+def _moved(image: np.ndarray, dx: int, dy: int) -> np.ndarray:
+    """Return `image` seen (dx, dy) px farther; NaN beyond it."""
+    height, width = image.shape
+    out = np.full_like(image, np.nan)
+    here, there = (
+        tuple(slice(max(0, sign * d), n + min(0, sign * d)) for d, n in ((dy, height), (dx, width)))
+        for sign in (-1, 1)
+    )
+    out[here] = image[there]
+    return out
+
+
+def _smooth(shift: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return the course of shifts that check windows show, (rows, columns, 2): the mean about each, of what does not stray from it."""
+    from scipy import ndimage
+
+    course, weight = np.zeros_like(shift), weight[..., None]
+    for _ in range(3):
+        apart = np.square(shift - course).sum(-1, keepdims=True)
+        w = weight / (1 + apart / SETTINGS.sigma**2)
+        sums = (
+            ndimage.uniform_filter(v, (SETTINGS.smooth, SETTINGS.smooth, 1)) for v in (w * shift, w)
+        )
+        total, known = sums
+        course = total / np.maximum(known, 1e-9)
+    return course
+
+
+def _variance(information: np.ndarray) -> np.ndarray:
+    """Return the variance of a shift, of both axes together; infinite where nothing is known."""
+    determinant = np.linalg.det(information)
+    trace = np.trace(information, axis1=-2, axis2=-1)
+    return np.where((determinant > 0) & (trace > 0), trace / np.maximum(determinant, 1e-30), np.inf)
+
+
+def _rms(shift: np.ndarray, variance: np.ndarray, weight: np.ndarray) -> float:
+    """Return the root mean square of a displacement everywhere, of both axes, px; windows stray, so that each has a limit."""
+    square = np.square(shift).sum(-1)
+    return float(np.sqrt(max(np.average(square - variance, weights=weight), 0.0)))
+
+
+def _period(shift: np.ndarray, counts: np.ndarray, step: int) -> tuple[float, float] | None:
+    """Return the period in x and in y, reference px, of the wave that stands out of all others; None where none does."""
+    waves = np.fft.fft2(np.where(counts[..., None], shift, 0.0), axes=(0, 1))
+    power = np.square(np.abs(waves)).sum(-1)
+    y, x = (np.abs(np.fft.fftfreq(n)) / (SETTINGS.cell * step) for n in power.shape)
+    power[np.hypot(y[:, None], x) * SETTINGS.longest * step < 1] = 0.0
+    row, column = np.unravel_index(int(power.argmax()), power.shape)
+    if power[row, column] < SETTINGS.wave * power.mean():
+        return None
+    # A wave that the picture shows once or less is none.
+    least = [1.5 / (SETTINGS.cell * step * n) for n in power.shape]
+    in_x, in_y = (
+        float(1 / v) if v > a else np.inf for v, a in ((x[column], least[1]), (y[row], least[0]))
+    )
+    return in_x, in_y
+
+
+def _scan(shift: np.ndarray, information: np.ndarray) -> tuple[float, np.ndarray, float | None]:
+    """Return the largest displacement of windows that move alike, px, these windows, and what would be found."""
+    from scipy import ndimage
+
+    n = SETTINGS.around
+
+    def around(values: np.ndarray) -> np.ndarray:
+        size = (n, n) + (1,) * (values.ndim - 2)
+        return np.asarray(ndimage.uniform_filter(values, size, mode="constant")) * n * n
+
+    weighted = np.einsum("...ij,...j", information, shift)
+    squares = around(np.einsum("...i,...i", shift, weighted))
+    total, moment = around(information), around(weighted)
+    count = around((np.trace(information, axis1=2, axis2=3) > 0).astype(float))
+    # Windows overlap, three cells wide: so many of them are independent.
+    variance = _variance(total) * n * n / ((n + 2) / 3) ** 2
+    enough = (count > SETTINGS.least_around - 0.5) & np.isfinite(variance)
+    if not enough.any():
+        return 0.0, np.zeros_like(enough), None
+    inverse = np.linalg.inv(np.where(enough[..., None, None], total, np.eye(2)))
+    mean = np.einsum("...ij,...j", inverse, moment)
+    length, explained = np.hypot(mean[..., 0], mean[..., 1]), np.einsum("...i,...i", mean, moment)
+    sure = enough & (explained > SETTINGS.alike * squares)
+    sure &= length > SETTINGS.deviations * np.sqrt(variance / 2)
+    length[~sure] = 0.0
+    least = SETTINGS.deviations * float(np.sqrt(np.median(variance[enough]) / 2))
+    row, column = np.unravel_index(int(length.argmax()), length.shape)
+    size = float(length[row, column])
+    if not size:
+        return 0.0, np.zeros_like(enough), least
+    # Others beside them that go the same way are part of it, sure or not.
+    parts, _ = ndimage.label(enough & (mean @ mean[row, column] > size**2 / 2))
+    return size, parts == parts[row, column], least
