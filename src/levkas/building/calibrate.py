@@ -36,8 +36,7 @@ from levkas.building.native_cubes import (
     require_memory,
     write_native,
 )
-from levkas.building.scan_parts import PARTS, pictures_of, write_scan
-from levkas.building.scans import Scan, develop_scan, is_streamed, open_scan
+from levkas.building.scans import Scan, develop_scan, is_streamed, open_scan, write_scan
 from levkas.building.spectra import board_of, broad_centroids, read_sensitivity
 from levkas.calibration.agreement import compare_facts
 from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA, light_variance
@@ -61,7 +60,7 @@ from levkas.calibration.whites import WhiteBoard
 from levkas.calibration.wiener_mosaic import correlate_channels, wiener_method
 from levkas.core.cube import Cube, Flag
 from levkas.core.disk import require_space
-from levkas.core.files import remove, together
+from levkas.core.files import together
 from levkas.core.problems import Problem, Refused, gathered
 from levkas.core.rounding import round_root
 from levkas.core.threads import each
@@ -101,13 +100,11 @@ def write_calibrated(
     capture: Capture,
     campaign: Campaign,
     places: Places,
-    cuts: Sequence[int],
     before: Callable[[], object],
 ) -> Written:
-    """Write a calibrated capture in native pixels; `before` as of `core.files.together`, `cuts` of `write_scan`."""
+    """Write a calibrated capture in native pixels; `before` as of `core.files.together`."""
     credits = credits_of(campaign, capture.object, made.captured or "")
     centroids = broad_centroids(campaign, capture.camera, capture.bands)
-    pictures = pictures_of(places, capture)
     with together(before):
         if isinstance(made, Native):
             for cube in made.cubes.values():
@@ -116,12 +113,7 @@ def write_calibrated(
                 require_space(places.output, least)
             files = write_native(made, capture, places, credits, centroids)
         else:
-            files = write_scan(made, capture, places, credits, centroids, cuts)
-            if cuts:
-                made.keep_pictures(pictures)
-        for left in (pictures, pictures.with_name(PARTS)):
-            if left.exists() and not cuts:  # of a build by several workers
-                remove(left)
+            files = write_scan(made, capture, places, credits, centroids)
     notes = {
         "quantity": made.quantity,
         "warnings": list(made.warnings),
@@ -129,8 +121,7 @@ def write_calibrated(
         "learnt": dict(made.learnt),
         "focus": focus_of(made) if isinstance(made, Native) else made.summary.focus,
     }
-    aside = (pictures,) if cuts else ()
-    return Written(files, notes, aside=aside, warnings=made.warnings)
+    return Written(files, notes, warnings=made.warnings)
 
 
 def load_calibrated(
@@ -142,10 +133,7 @@ def load_calibrated(
 ) -> Native | Scan:
     """Read back what `write_calibrated` wrote, without sigma; `notes` as it returned them."""
     if is_streamed(capture, campaign):
-        pictures = pictures_of(places, capture)
-        scan = open_scan(capture, campaign, templates)
-        scan.pictures = pictures if pictures.is_file() else None
-        return scan
+        return open_scan(capture, campaign, templates)
     warnings = tuple(notes.get("warnings", ()))
     return read_native(capture, places, notes.get("quantity", "counts"), warnings)
 

@@ -387,11 +387,9 @@ class Middle:
     ----------
     shape : (lines, samples, bands)
     bands : sequence of Band
-    first : int
-        Line that comes first.
     """
 
-    def __init__(self, shape: tuple[int, int, int], bands: Sequence[Band], first: int = 0) -> None:
+    def __init__(self, shape: tuple[int, int, int], bands: Sequence[Band]) -> None:
         from levkas.quality.image_quality.sharpness import middle_of
 
         self._rows, self._columns = middle_of(shape[:2])
@@ -400,7 +398,7 @@ class Middle:
         size = (self._rows.stop - self._rows.start, self._columns.stop - self._columns.start)
         self._values = np.empty((*size, len(self._labels)), np.float32)
         self._flags = np.empty(self._values.shape, np.uint8)
-        self._line = first
+        self._line = 0
 
     def add(self, cube: Cube) -> None:
         """Take the next lines."""
@@ -411,20 +409,6 @@ class Middle:
         part = np.s_[low - first : high - first, self._columns, :: self._step]
         here = slice(low - self._rows.start, high - self._rows.start)
         self._values[here], self._flags[here] = cube.values[part], cube.flags[part]
-
-    def arrays(self, start: int, stop: int) -> dict[str, np.ndarray]:
-        """Return what was taken of lines `start` to `stop`."""
-        here = self._within(start, stop)
-        return {"middle": self._values[here], "middle flags": self._flags[here]}
-
-    def join(self, arrays: Mapping[str, np.ndarray], start: int, stop: int) -> None:
-        """Take lines `start` to `stop` as `arrays` gave them elsewhere."""
-        here = self._within(start, stop)
-        self._values[here], self._flags[here] = arrays["middle"], arrays["middle flags"]
-
-    def _within(self, start: int, stop: int) -> slice:
-        low, high = (int(np.clip(y, self._rows.start, self._rows.stop)) for y in (start, stop))
-        return slice(low - self._rows.start, high - self._rows.start)
 
     def focus(self) -> list[dict[str, Any]]:
         """Return what `focus_of` gives of the whole scan."""

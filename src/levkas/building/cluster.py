@@ -334,7 +334,7 @@ class Cluster:
 
     def send(self, job: Job, need: float, attempt: int, worker: str) -> Future:
         """Send a task to a worker, or another where that one is lost; its result is a few words."""
-        name = "-".join(part for part in (*job.name, job.build, str(attempt)) if part)
+        name = "-".join(part for part in (*job.key, job.build, str(attempt)) if part)
         return self.client.submit(
             _do,
             job,
@@ -413,7 +413,7 @@ def _do(job: Job) -> dict[str, Any]:
     from levkas.building.worker import work
 
     worker = get_worker()
-    topic, name = f"levkas-{job.build}", list(job.name)
+    topic, name = f"levkas-{job.build}", list(job.key)
 
     def say(peak: int, frames: int) -> None:
         told = {"begun": name, "on": worker.address, "peak": peak, "frames": frames}

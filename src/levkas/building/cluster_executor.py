@@ -15,7 +15,7 @@ from concurrent.futures import Future as Running
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import count, pairwise
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,25 +27,21 @@ from levkas.building.cluster import Cluster, no_workers_s
 from levkas.building.fingerprints import digest, of_calibration
 from levkas.building.graph import Step, Task, captures_of
 from levkas.building.native_cubes import CUBE_BYTES, TooLarge, count_values
-from levkas.building.outcomes import OF_THE_MACHINES, Due, Outcomes, refusal_of
+from levkas.building.outcomes import Due, Outcomes, refusal_of
 from levkas.building.scans import bytes_of_pass, is_streamed
 from levkas.building.task_queue import TaskQueue, hash_key
 from levkas.building.worker import (
     ASKED,
-    PARTS,
     RECEIPT,
     Job,
     NotShared,
     code_digest,
     digest_of,
     is_refused,
-    part_key,
     read_receipt,
-    receipt_path,
     refusal_in,
     written_of,
 )
-from levkas.core.disk import DISK_CODES
 from levkas.core.files import make_folder, remove, write_text
 from levkas.core.instructions import instructions_in_use
 from levkas.core.problems import Problem, Refused
@@ -63,21 +59,19 @@ NEAR = 0.8
 """Share of a worker's memory from which its end is put down to want of memory; dask ends it at 0.95."""
 BASE, STREAMED = 200e6, 1.5e9
 """Bytes that a process takes before it reads a frame, and those of a scan whose rows are resampled."""
-MENDED_ELSEWHERE = DISK_CODES | {*OF_THE_MACHINES}
-"""Codes of refusals that leave the parts of a task to the next build."""
 SAID_S = 10.0
 """How long there may be no worker before that is said; a restart takes seconds."""
 LOOK_S, STUCK_S = 1.0, 15.0
 """How long to wait for news before the workers are counted, and for a worker that is idle to begin."""
 
 
-def memory_needed(task: Task, campaign: Campaign, part: tuple[int, ...] = ()) -> float:
-    """Return the bytes that a task, or a part, takes at least: its cube, and that of its reference beside it."""
+def memory_needed(task: Task, campaign: Campaign) -> float:
+    """Return the bytes that a task takes at least: its cube, and that of its reference beside it."""
     calibrates = task.key.stage == "calibrate"
     captures = {id(c): c for c in captures_of(task)[: 1 if calibrates else 2]}
     least = 0.0 if calibrates else STREAMED
     return BASE + sum(
-        max(least, bytes_of_pass(c, (part[0], part[1]) if part else None))
+        max(least, bytes_of_pass(c))
         if is_streamed(c, campaign)
         else CUBE_BYTES * count_values(c, campaign.cameras[c.camera].kind)
         for c in captures.values()
@@ -93,13 +87,10 @@ class Flight:
     due : Due
     need : float
         Bytes of memory.
-    part : (start, stop)
-        Rows of the task that are done; () for all.
     """
 
     due: Due
     need: float
-    part: tuple[int, ...] = ()
     future: Future | None = None
     to: str = ""
     """The worker that it was sent to; dask may have taken another one."""
@@ -115,8 +106,8 @@ class Flight:
 
     @property
     def key(self) -> Key:
-        """Of the task, or of the part."""
-        return part_key(self.due.task.key, self.part)
+        """Of the task."""
+        return self.due.task.key
 
     def ended(self, why: str) -> None:
         """Log an attempt."""
@@ -140,8 +131,6 @@ class ClusterExecutor:
         self._flying: dict[Key, Flight] = {}
         self._sent = count(1)
         self._redone: Counter[Key] = Counter()
-        self._cuts: dict[Key, tuple[int, ...]] = {}
-        self._tried: dict[Key, list[dict[str, Any]]] = {}
         self._there: list[str] = []
         self._untidy = False
         self._counted = 0.0
@@ -270,15 +259,13 @@ class ClusterExecutor:
                 yield from self._end(task, self._outcomes.fresh(key))
 
     def _held(self) -> int:
-        """Count the tasks, without parts of one, that wait for a worker with the memory."""
-        return sum(f.future is None and not f.part for f in self._flying.values())
+        """Count the tasks that wait for a worker with the memory."""
+        return sum(f.future is None for f in self._flying.values())
 
     def _begin(self, due: Due, worker: str) -> Iterator[Step]:
         """Send a task, or refuse it where no worker has the memory."""
         task = due.task
-        attempts = self._tried.pop(task.key, [])
-        need = memory_needed(task, self._outcomes.campaign)
-        flight = Flight(due, need, to=worker, attempts=attempts)
+        flight = Flight(due, memory_needed(task, self._outcomes.campaign), to=worker)
         self._outcomes.begin(task)
         if refused := self._too_large(flight):
             yield from self._end(task, self._outcomes.refuse(task, refused))
@@ -347,9 +334,6 @@ class ClusterExecutor:
             reads=tuple(((k.object, k.camera, k.setup, k.stage), records.check(k)) for k in reads),
             code=code_digest(),
             verify=self._verify,
-            divides=not flight.part and key not in self._cuts and len(self._there) > 1,
-            part=flight.part,
-            cuts=() if flight.part else self._cuts.get(key, ()),
         )
         flight.sent, flight.since = flight.sent + 1, time.monotonic()
         self._queue.note(flight.to, key)
@@ -381,9 +365,7 @@ class ClusterExecutor:
             self._cluster.greet()  # where the scheduler was started again
             self._there = self._cluster.workers()
             self._counted = now
-        for key, flight in list(self._flying.items()):
-            if key not in self._flying:  # a part of what was refused meanwhile
-                continue
+        for flight in list(self._flying.values()):
             refused = None if flight.on else self._too_large(flight)
             if refused:
                 if flight.future is not None:
@@ -428,8 +410,6 @@ class ClusterExecutor:
         future.release()
         if "damaged" in told:
             yield from self._mend(flight, tuple(told["damaged"]), told["name"])
-        elif told.get("cuts"):
-            self._divide(flight, tuple(told["cuts"]))
         elif status == "finished":
             flight.on, flight.peak = told["on"], told["peak"]
             self._count_frames(flight, told["frames"])
@@ -438,18 +418,6 @@ class ClusterExecutor:
             yield from self._end(task, self._outcomes.refuse(task, refused))
         else:
             self._resend(flight)
-
-    def _divide(self, flight: Flight, cuts: tuple[int, ...]) -> None:
-        """Send the parts of a task; it is sent again when all of them have been done, and joins them."""
-        key = flight.key
-        del self._flying[key]
-        self._cuts[key] = cuts
-        for rows in pairwise(cuts):
-            need = memory_needed(flight.due.task, self._outcomes.campaign, rows)
-            part = Flight(flight.due, need, rows)
-            self._flying[part.key] = part
-            self._queue.wait(key, part.key)
-            self._resend(part)
 
     def _give_up(self, flight: Flight, error: BaseException | None) -> Refused | None:
         """Log an attempt that failed; return a refusal where it was the last."""
@@ -494,8 +462,6 @@ class ClusterExecutor:
             return
         self._queue.wait(task.key, key)
         del self._flying[flight.key]
-        if flight.part:  # what it lacks is made when all are joined
-            self._release(flight.key)
         if key not in self._flying:
             due = self._outcomes.due(self._graph[key])
             yield from self._begin(due._replace(why=f"{name} was damaged"), "")
@@ -503,7 +469,7 @@ class ClusterExecutor:
     def _commit(self, flight: Flight) -> Iterator[Step]:
         """Record what a task made, as its receipt says."""
         task, records = flight.due.task, self._records
-        receipt = read_receipt(receipt_path(records, task.key, flight.part))
+        receipt = read_receipt(records.path_of(task.key, RECEIPT))
         if receipt.get("made of") != digest(flight.due.prints):
             if again := self._give_up(
                 flight, NotShared("the result is not visible on this machine")
@@ -513,11 +479,6 @@ class ClusterExecutor:
                 self._resend(flight)
             return
         flight.ended("done")
-        if flight.part and not is_refused(receipt):
-            self._tried.setdefault(task.key, []).extend(flight.attempts)
-            del self._flying[flight.key]
-            self._release(flight.key)
-            return
         try:
             if is_refused(receipt):
                 step = self._outcomes.refuse(task, refusal_in(receipt))
@@ -528,7 +489,6 @@ class ClusterExecutor:
                 ):
                     for name, entry in receipt[part].items():
                         records.hashes.take(folder / name, entry)
-                self._drop_parts(task.key)
                 other = receipt["instructions"] != instructions_in_use()
                 step = self._outcomes.keep(
                     flight.due,
@@ -545,20 +505,10 @@ class ClusterExecutor:
 
     def _end(self, task: Task, step: Step) -> Iterator[Step]:
         yield self._outcomes.note(self._outcomes.end(task, step))
-        self._cuts.pop(task.key, None)
-        mine = [flight for flight in self._flying.values() if flight.due.task.key == task.key]
-        for flight in mine:  # parts too, where one of them was refused
-            del self._flying[flight.key]
-            if flight.future is not None and flight.future.status == "pending":
-                self._cluster.cancel([flight.future])
-        if step.state == "refused" and not {p.code for p in step.problems} & MENDED_ELSEWHERE:
-            self._drop_parts(task.key)
+        flight = self._flying.pop(task.key, None)
+        if flight is not None and flight.future is not None and flight.future.status == "pending":
+            self._cluster.cancel([flight.future])
         self._release(task.key)
-
-    def _drop_parts(self, key: Key) -> None:
-        folder = self._records.path_of(key, PARTS)
-        if folder.is_dir():
-            remove(folder)
 
     def _release(self, key: Key) -> None:
         """Let go what waited for a task."""

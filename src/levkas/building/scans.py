@@ -23,18 +23,23 @@ from levkas.calibration.sensor_context import SensorContext, placing
 from levkas.calibration.sensor_notes import describe_sensor, doubts_of
 from levkas.calibration.stated_exposures import require_black, require_exposures
 from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
-from levkas.core.files import replacing
+from levkas.core.files import make_folder
 from levkas.core.rounding import round_root
+from levkas.core.threads import made_ahead
+from levkas.database.layers import Layer
+from levkas.database.streaming_writer import SpooledTiffs
 from levkas.readers.frames import read_facts
 from levkas.registration.bands import BandImage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
 
     from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
+    from levkas.database.credits import Credits
+    from levkas.database.layout import Places
 
 STREAMED_SAMPLES = 100_000_000
 """A scan of more samples, of a mirror scanner of a third as many, is not held in memory. Layers, maps and
@@ -44,8 +49,6 @@ LOOKED_AT_PX = 1_000_000
 """Most pixels of a band as registration sees it."""
 PASSING_BYTES, STRIPS_BYTES, PICTURE_BYTES = 1e8, 8e5, 7
 """Of what passes by at a time, of strips of a band that are gathered, and of a pixel of a band's picture."""
-Lines = tuple[int, int]
-"""First line, and the one behind the last."""
 
 
 def is_streamed(capture: Capture, campaign: Campaign) -> bool:
@@ -70,13 +73,12 @@ def factor_of(shape: tuple[int, int, int]) -> int:
     return max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / LOOKED_AT_PX))))
 
 
-def bytes_of_pass(capture: Capture, lines: Lines | None = None) -> float:
-    """Return the bytes that a pass over lines of a streamed scan takes at least, default all: pictures above all."""
+def bytes_of_pass(capture: Capture) -> float:
+    """Return the bytes that a pass over a streamed scan takes at least: pictures above all."""
     facts = [read_facts(frame.path) for frame in capture.sensors[0].object]
-    whole, bands = int(facts[0].shape[0]), int(facts[0].shape[2])
+    lines, bands = int(facts[0].shape[0]), int(facts[0].shape[2])
     samples = sum(int(one.shape[1]) for one in facts)
-    start, stop = lines or (0, whole)
-    pixels = (stop - start) * samples / factor_of((whole, samples, bands)) ** 2
+    pixels = lines * samples / factor_of((lines, samples, bands)) ** 2
     return PASSING_BYTES + bands * (STRIPS_BYTES + PICTURE_BYTES * pixels)
 
 
@@ -101,8 +103,6 @@ class Scan:
         Object and layer, for warnings.
     aligns, captured
         As of `Native`.
-    pictures : Path, optional
-        What `keep_pictures` has written of the scan.
     stated : tuple of str
         Notes on what its files state.
     """
@@ -112,7 +112,6 @@ class Scan:
     where: str = ""
     captured: str | None = None
     aligns: Mapping[str, object] = field(default_factory=dict)
-    pictures: Path | None = None
     stated: tuple[str, ...] = ()
     _summary: ScanSummary | None = field(default=None, init=False)
 
@@ -209,16 +208,6 @@ class Scan:
         yield from seen.blocks()
         self._summary = seen.summary()
 
-    def joined(self, parts: Iterable[tuple[Lines, Mapping[str, np.ndarray]]]) -> None:
-        """Take what parts have seen, their lines and `LinesSeen.arrays` of each, in place of a pass.
-
-        Raises CalibrationRefused where a band has no finite value at all.
-        """
-        seen = LinesSeen(self)
-        for lines, arrays in parts:
-            seen.join(lines, arrays)
-        self._summary = seen.summary()
-
     @property
     def summary(self) -> ScanSummary:
         """What a pass over all lines shows; one is made where there was none."""
@@ -230,29 +219,7 @@ class Scan:
 
     def images(self) -> list[BandImage]:
         """Return every band as registration sees it: means of blocks of `factor` x `factor` px."""
-        if self._summary is None and self.pictures is not None:
-            return self._kept
         return self.summary.pictures
-
-    def keep_pictures(self, path: Path) -> None:
-        """Write `images` to a file, so that they need no pass; raises WriteRefused."""
-        with replacing(path) as handle:
-            for image in self.images():
-                handle.write(np.ascontiguousarray(image.values, np.float32).data)
-                handle.write(np.packbits(image.valid).data)
-
-    @cached_property
-    def _kept(self) -> list[BandImage]:
-        assert self.pictures is not None
-        shape = (self.shape[0] // self.factor, self.shape[1] // self.factor)
-        made, count = [], shape[0] * shape[1]
-        with self.pictures.open("rb") as handle:
-            for band in self.bands:
-                values = np.fromfile(handle, np.float32, count).reshape(shape)
-                bits = np.fromfile(handle, np.uint8, -(-count // 8))
-                valid = np.unpackbits(bits, count=count).astype(bool).reshape(shape)
-                made.append(BandImage(band.label, band.wavelength, values, valid))
-        return made
 
     def _flat_blocks(self, start: int, stop: int) -> Iterator[FlatLines]:
         step = block_lines(self.shape)
@@ -281,9 +248,9 @@ class ScanPass:
         self.above = np.zeros((COUNTS, scan.shape[2]), np.int64)
         self._projecting = Projecting(scan.subspace) if scan.subspace else None
 
-    def blocks(self, start: int = 0, stop: int | None = None) -> Iterator[Cube]:
-        """Yield lines `start` to `stop`, default all, calibrated, some at a time."""
-        for block in self._scan._flat_blocks(start, stop or self._scan.shape[0]):
+    def blocks(self) -> Iterator[Cube]:
+        """Yield all lines, calibrated, some at a time."""
+        for block in self._scan._flat_blocks(0, self._scan.shape[0]):
             self.lost += block.lost
             cube = self._scan._finished(block.flat, self._projecting)
             self.above += count_above(cube)
@@ -302,39 +269,23 @@ class ScanPass:
 
 
 class LinesSeen:
-    """What lines of a scan show while they pass by: values that were lost, pictures, the middle.
+    """What the lines of a scan show while they pass by: values that were lost, pictures, the middle.
 
     Parameters
     ----------
     scan : Scan
-    lines : (start, stop), optional
-        Those that pass, `start` a multiple of ``scan.factor``; default all.
     """
 
-    def __init__(self, scan: Scan, lines: Lines | None = None) -> None:
-        self._lines = lines or (0, scan.shape[0])
-        self._pass, self._pictures = ScanPass(scan), Pictures(scan, self._lines)
-        self._middle = Middle(scan.shape, scan.bands, self._lines[0])
+    def __init__(self, scan: Scan) -> None:
+        self._pass, self._pictures = ScanPass(scan), Pictures(scan)
+        self._middle = Middle(scan.shape, scan.bands)
 
     def blocks(self) -> Iterator[Cube]:
         """Yield the lines, calibrated, some at a time."""
-        for cube in self._pass.blocks(*self._lines):
+        for cube in self._pass.blocks():
             self._pictures.add(cube)
             self._middle.add(cube)
             yield cube
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return what the lines have shown, for `join`."""
-        middle = self._middle.arrays(*self._lines)
-        counts = {"lost": self._pass.lost, "above": self._pass.above}
-        return {**counts, **self._pictures.arrays(), **middle}
-
-    def join(self, lines: Lines, arrays: Mapping[str, np.ndarray]) -> None:
-        """Take lines that passed elsewhere, as `arrays` gave them there; not of a scan that is denoised."""
-        self._pass.lost += arrays["lost"]
-        self._pass.above += arrays["above"]
-        self._pictures.join(lines, arrays)
-        self._middle.join(arrays, *lines)
 
     def summary(self) -> ScanSummary:
         """Return what all lines have shown; raises CalibrationRefused where a band has no finite value."""
@@ -342,18 +293,15 @@ class LinesSeen:
 
 
 class Pictures:
-    """Every band of a scan as registration sees it, gathered while its lines, all or some, pass by."""
+    """Every band of a scan as registration sees it, gathered while its lines pass by."""
 
-    def __init__(self, scan: Scan, lines: Lines) -> None:
+    def __init__(self, scan: Scan) -> None:
         self._bands, self._factor = scan.bands, scan.factor
-        _, samples, bands = scan.shape
-        rows, width = self._rows(lines), samples // self._factor
-        self._sums = np.zeros((bands, rows.stop - rows.start, width), np.float32)
+        lines, samples, bands = scan.shape
+        size = (lines // self._factor, samples // self._factor)
+        self._sums = np.zeros((bands, *size), np.float32)
         self._counts: np.ndarray = np.zeros(self._sums.shape, np.uint16)
         self._line = 0
-
-    def _rows(self, lines: Lines) -> slice:
-        return slice(lines[0] // self._factor, lines[1] // self._factor)
 
     def add(self, cube: Cube) -> None:
         """Take the next lines."""
@@ -370,15 +318,6 @@ class Pictures:
             for k in range(factor):
                 self._sums[:, row] += seen[:, k].T
             self._counts[:, row] += good.reshape(shape).sum(1, dtype=np.uint16).T
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return the sums of values that can be relied on, and their counts, (bands, rows, columns)."""
-        return {"sums": self._sums, "counts": self._counts}
-
-    def join(self, lines: Lines, arrays: Mapping[str, np.ndarray]) -> None:
-        """Take the sums and counts of some lines."""
-        rows = self._rows(lines)
-        self._sums[:, rows], self._counts[:, rows] = arrays["sums"], arrays["counts"]
 
     def images(self) -> list[BandImage]:
         """Return the pictures, in the memory of the sums: nothing can be added any more."""
@@ -422,3 +361,23 @@ def develop_scan(context: SensorContext) -> tuple[Cube, list[str]]:
     """
     cube, notes = Scan(context, lines_of_scan(context)).whole()
     return cube, [*notes]
+
+
+def write_scan(
+    scan: Scan,
+    capture: Capture,
+    places: Places,
+    credits: Credits,
+    centroids: Mapping[str, float],
+) -> list[Path]:
+    """Write the calibrated lines of a scan as `native_cubes.write_native` would."""
+    sensor = capture.sensors[0].name
+    base = places.native(capture.object, capture.camera, capture.setup, sensor, kind="")
+    make_folder(base.parent)
+    layer = Layer(
+        capture.object, capture.camera, capture.setup, credits=credits, centroids=centroids
+    )
+    with SpooledTiffs(base, scan.shape, sigma=scan.has_sigma) as tiffs:
+        for cube in made_ahead(scan.passed()):
+            tiffs.write_rows(cube)
+        return tiffs.finish(layer, scan.bands, scan.quantity)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
@@ -46,7 +46,6 @@ class Held:
         self._capture: Capture | None = None
         self._native: Native | Scan | None = None
         self._sigmas: dict[str, PackedSigma] = {}
-        self._scan: tuple[Capture, Scan] | None = None
         self._frame: ReferenceFrame | None = None
         self.streams = False
         """Whether the capture is a scan, which is calibrated as it is written and read."""
@@ -68,15 +67,6 @@ class Held:
                 if cube.sigma is not None
             }
         return made
-
-    def scan(self, capture: Capture) -> Scan:
-        """Open a scan that is to be calibrated in parts; it stays open from one part to the next."""
-        from levkas.building.scans import open_scan
-
-        if self._scan is None or self._scan[0] is not capture:
-            self.let_go()
-            self._scan = capture, open_scan(capture, self.campaign, self.templates)
-        return self._scan[1]
 
     def native(self, capture: Capture) -> Native | Scan:
         """Return the calibrated cubes of a capture, without sigma."""
@@ -112,7 +102,7 @@ class Held:
 
     def let_go(self) -> None:
         """Let go of the capture's cubes."""
-        self._capture, self._native, self._sigmas, self._scan = None, None, {}, None
+        self._capture, self._native, self._sigmas = None, None, {}
 
     def let_go_of_frame(self) -> None:
         """Let go of the reference, which is read back when it is needed."""
@@ -149,29 +139,10 @@ class Stages:
         self.graph = graph
         self.held = Held(campaign, places, records, templates)
 
-    def cuts(self, task: Task) -> tuple[int, ...]:
-        """Return the rows at which a task is cut that is large enough for several workers; else ()."""
-        from levkas.building.scan_parts import cuts_of
-        from levkas.building.scans import is_streamed
-
-        capture, _ = captures_of(task)
-        if task.key.stage != "calibrate" or not is_streamed(capture, self.campaign):
-            return ()
-        return cuts_of(self.held.scan(capture))
-
-    def compute_part(self, task: Task, rows: tuple[int, int]) -> Write:
-        """Do some rows of a task for which there are `cuts`, as `compute` does all."""
-        from levkas.building.scan_parts import write_part
-
-        capture, _ = captures_of(task)
-        with steady_libraries():
-            scan = self.held.scan(capture)
-        return partial(write_part, scan, capture, self.places, rows)
-
-    def compute(self, task: Task, cuts: Sequence[int] = ()) -> Write:
-        """Do what a task computes, or join its parts; return what writes it. Raises Refused or MemoryError."""
+    def compute(self, task: Task) -> Write:
+        """Do what a task computes; return what writes it. Raises Refused or MemoryError."""
         stages: Mapping[str, Callable[[Task], Write]] = {
-            "calibrate": partial(self._calibrate, cuts=cuts),
+            "calibrate": self._calibrate,
             "measure": self._measure,
             "register": self._register,
             "resample": self._resample,
@@ -180,13 +151,13 @@ class Stages:
         with steady_libraries():
             return stages[task.key.stage](task)
 
-    def _calibrate(self, task: Task, cuts: Sequence[int]) -> Write:
+    def _calibrate(self, task: Task) -> Write:
         from levkas.building.calibrate import write_calibrated
 
         capture, _ = captures_of(task)
         made = self.held.calibrate(capture)
         used = sorted(self.held.templates.used)
-        write = partial(write_calibrated, made, capture, self.campaign, self.places, cuts)
+        write = partial(write_calibrated, made, capture, self.campaign, self.places)
         return lambda before: _with_notes(write(before), templates=used)
 
     def _measure(self, task: Task) -> Write:

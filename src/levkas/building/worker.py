@@ -11,9 +11,8 @@ import os
 import platform
 import threading
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,8 +41,6 @@ if TYPE_CHECKING:
 
 ASKED, RECEIPT = ".asked", ".made"
 """Suffixes beside a stage's record: what a client waits for, and what a worker made of it."""
-PARTS = ".parts"
-"""Suffix of the folder of what several workers make of one task until it is joined."""
 PATIENCE_S, PAUSE_S = 60.0, 0.2
 """How long a shared file system may take to show what another machine wrote (NFS: up to 60 s)."""
 SAMPLED_S, TOLD_S = 0.05, 1.0
@@ -80,12 +77,6 @@ class Job:
         `code_digest()` of the client.
     verify : bool
         Hash frames anew.
-    divides : bool
-        Whether others may do parts of it: the rows at which it is cut are then returned, where it is large.
-    part : (start, stop)
-        Rows that are done, with those of others to be joined; () for all.
-    cuts : tuple of int
-        Rows at which it was cut into parts, which are joined now; ().
     """
 
     campaign: str
@@ -97,26 +88,6 @@ class Job:
     reads: tuple[tuple[tuple[str, ...], str], ...]
     code: str
     verify: bool = False
-    divides: bool = False
-    part: tuple[int, ...] = ()
-    cuts: tuple[int, ...] = ()
-
-    @property
-    def name(self) -> tuple[str, ...]:
-        """The key; of a part with its rows."""
-        return _tuple(part_key(Key(*self.key), self.part))
-
-
-def part_key(key: Key, part: tuple[int, ...]) -> Key:
-    """Return by what a part of a task is known; the key of the task itself where it is no part."""
-    return replace(key, stage="-".join(map(str, (key.stage, *part))))
-
-
-def receipt_path(records: BuildRecords, key: Key, part: tuple[int, ...] = ()) -> Path:
-    """Return where a worker says what it made of a task, or of a part."""
-    if part:
-        return records.path_of(key, PARTS) / ("-".join(map(str, part)) + RECEIPT)
-    return records.path_of(key, RECEIPT)
 
 
 @cache
@@ -179,9 +150,8 @@ def work(job: Job, say: Callable[[int, int], object]) -> dict[str, Any]:
     Returns
     -------
     told : dict
-        ``peak``: private bytes; ``frames`` that were read; ``cuts``: the rows at which it is cut into parts
-        that are to be done first; ``damaged``: the key of a task whose products must be made anew, and
-        the name of the file, where one was.
+        ``peak``: private bytes; ``frames`` that were read; ``damaged``: the key of a task whose products
+        must be made anew, and the name of the file, where one was.
 
     Raises
     ------
@@ -193,10 +163,10 @@ def work(job: Job, say: Callable[[int, int], object]) -> dict[str, Any]:
             raise _other_version(job)
         workplace = _workplace(job)
         try:
-            cuts = workplace.do(job)
+            workplace.do(job)
         except Damaged as error:
             return {"damaged": _tuple(error.key), "name": str(error.problems[0].found)}
-        return {"peak": watch.bytes, "frames": watch.frames, "cuts": cuts}
+        return {"peak": watch.bytes, "frames": watch.frames}
 
 
 def _workplace(job: Job) -> Workplace:
@@ -231,31 +201,21 @@ class Workplace:
         stages = Stages(plan.campaign, places, records, templates, plan.graph)
         return cls(places, records, plan.graph, stages, set())
 
-    def do(self, job: Job) -> tuple[int, ...]:
-        """Do a task, or a part of it, and leave a receipt of what it made or of why it was refused.
-
-        Where others are to do parts of it first, only the rows are returned at which it is cut.
-        """
+    def do(self, job: Job) -> None:
+        """Do a task, and leave a receipt of what it made or of why it was refused."""
         task = self.graph.get(Key(*job.key))
         if task is None or digest_of(task) != job.task:
             raise NotShared(
                 f"{'/'.join(job.key)}: this worker reads different files than the client"
             )
-        path = receipt_path(self.records, task.key, job.part)
+        path = self.records.path_of(task.key, RECEIPT)
         if is_whole(read_receipt(path), job.made_of, self.places):
-            return ()
+            return
         self._await(job)
-        refused: dict[str, Any] = {}
-        for part in pairwise(job.cuts):
-            # Made again where its files are not what was written.
-            self.do(replace(job, cuts=(), part=part))
-            found = read_receipt(receipt_path(self.records, task.key, part))
-            refused = refused or (found if is_refused(found) else {})
         started = time.monotonic()
         try:
-            if job.divides and (cuts := self.stages.cuts(task)):
-                return cuts
-            receipt = refused or self._made(job, task)
+            write = self.stages.compute(task)
+            receipt = receipt_of(write(lambda: self._require_asked(job, task.key)), self.places)
             self.written[task.key] = {n: e[-1] for n, e in receipt.get("files", {}).items()}
         except (Damaged, NotShared, NoLongerAsked, OSError):
             raise
@@ -265,15 +225,6 @@ class Workplace:
         make_folder(path.parent)
         seconds = round(time.monotonic() - started, 2)
         write_json(path, {**receipt, "made of": job.made_of, "seconds": seconds})
-        return ()
-
-    def _made(self, job: Job, task: Task) -> dict[str, Any]:
-        """Do a task, a part of it, or the joining of its parts; return the receipt."""
-        if job.part:
-            write = self.stages.compute_part(task, (job.part[0], job.part[1]))
-        else:
-            write = self.stages.compute(task, job.cuts)
-        return receipt_of(write(lambda: self._require_asked(job, task.key)), self.places)
 
     def _await(self, job: Job) -> None:
         """Wait until what the task reads is seen here, and read all of it once."""

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from levkas.colour.srgb import counts_white, find_rendering
-from levkas.core.files import replacing, spooling, together
+from levkas.core.files import spooling, together
 from levkas.database.catalogue import Entry
 from levkas.database.layers import (
     Layer,
@@ -39,7 +39,7 @@ from levkas.database.spectral_tiff import (
 from levkas.database.store import writing_layer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from levkas.colour.srgb import Rendering
     from levkas.core.cube import Band, Cube
@@ -54,9 +54,6 @@ THREADS = 2
 class PageSpool:
     """Strips of band pages: taken from rows of all bands, given back band by band.
 
-    Of a part of the rows the strips that are whole are encoded; the rows before and behind them, which
-    share a strip with those of other parts, are kept as they are.
-
     Parameters
     ----------
     handle : binary file, for reading and writing
@@ -64,8 +61,6 @@ class PageSpool:
     dtype : numpy dtype
     pool : ThreadPoolExecutor
         For compression; the bytes are the same for any number of threads.
-    rows : (start, stop), optional
-        Those that come; default all.
     """
 
     def __init__(
@@ -74,28 +69,16 @@ class PageSpool:
         shape: tuple[int, int, int],
         dtype: Any,
         pool: ThreadPoolExecutor,
-        rows: tuple[int, int] | None = None,
     ) -> None:
         self._handle, self.shape, self._pool = handle, shape, pool
-        start, stop = rows or (0, shape[0])
         self._rows = strip_rows(shape[1], dtype)
-        self._first = self._strip = -(-start // self._rows)
-        self._ahead = min(self._strip * self._rows, stop) - start
-        self._head = np.empty((self._ahead, *shape[1:]), dtype)
-        strips = -(-shape[0] // self._rows)
-        self._files = [handle]
-        self._places = np.zeros((shape[2], strips, 2), np.int64)
-        self._file_of = np.zeros(strips, np.int64)
+        self._places = np.zeros((shape[2], -(-shape[0] // self._rows), 2), np.int64)
         self._held = np.empty((min(self._rows, shape[0]), *shape[1:]), dtype)
-        self._filled = self._end = 0
+        self._strip = self._filled = self._end = 0
 
     def write_rows(self, block: np.ndarray) -> None:
         """Take rows, (rows, width, bands), from top to bottom."""
-        start = min(self._ahead, len(block))
-        if start:
-            first = len(self._head) - self._ahead
-            self._head[first : first + start] = block[:start]
-            self._ahead -= start
+        start = 0
         while start < len(block):
             missing = min(self._rows, self.shape[0] - self._strip * self._rows) - self._filled
             part = block[start : start + missing]
@@ -123,20 +106,6 @@ class PageSpool:
                 self._end += len(encoded)
         self._strip += 1
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return what `take` needs of a part beside its file: rows of broken strips, and places."""
-        places = self._places[:, self._first : self._strip]
-        return {"head": self._head, "tail": self._held[: self._filled], "places": places}
-
-    def take(self, handle: BinaryIO, part: Mapping[str, np.ndarray]) -> None:
-        """Take the next rows from a part: its file, and what `arrays` gave of it."""
-        self.write_rows(part["head"])
-        strips = slice(self._strip, self._strip + part["places"].shape[1])
-        self._places[:, strips], self._file_of[strips] = part["places"], len(self._files)
-        self._files.append(handle)
-        self._strip = strips.stop
-        self.write_rows(part["tail"])
-
     def pages(self) -> Generator[list[bytes], None, None]:
         """Yield the strips of each band.
 
@@ -146,13 +115,9 @@ class PageSpool:
             raise ValueError(f"{self._strip} strips of {self._places.shape[1]} were written")
         # The strips of a page lie far apart: a buffer would read all between them, for each page anew.
         self._handle.flush()
-        plain = [getattr(handle, "raw", handle) for handle in self._files]
-        files = self._file_of.tolist()
+        plain = getattr(self._handle, "raw", self._handle)
         for places in self._places.tolist():
-            yield [
-                _read(plain[file], start, size)
-                for file, (start, size) in zip(files, places, strict=True)
-            ]
+            yield [_read(plain, start, size) for start, size in places]
 
     def drop(self) -> None:
         """Give the disk back what was spooled; no page can be had any more."""
@@ -168,64 +133,6 @@ def _read(handle: BinaryIO, start: int, size: int) -> bytes:
             raise OSError(errno.EIO, f"{len(found)} bytes of {size} could be read back")
         found += more
     return found
-
-
-@dataclass(frozen=True)
-class RowsPart:
-    """Rows of a layer or sensor, encoded by themselves, to be joined with the others by `SpooledTiffs`.
-
-    Parameters
-    ----------
-    base : Path
-        Of its files: one of strips for values, flags and sigma each, and an index.
-    rows : (start, stop)
-    """
-
-    base: Path
-    rows: tuple[int, int]
-
-    @property
-    def index(self) -> Path:
-        """Where the strips lie, rows of strips that are not whole, and what else is known of the part."""
-        return self.base.with_name(f"{self.base.name}.npz")
-
-    def strips(self, kind: str) -> Path:
-        """Return the file of the whole strips of values, flags or sigma."""
-        return self.base.with_name(f"{self.base.name}{KINDS[kind]}.strips")
-
-    def files(self, *, sigma: bool) -> tuple[Path, ...]:
-        """Return all files of the part."""
-        return (*(self.strips(kind) for kind in _kinds(sigma)), self.index)
-
-    def write(
-        self,
-        cubes: Iterable[Cube],
-        shape: tuple[int, int, int],
-        *,
-        sigma: bool,
-        more: Callable[[], Mapping[str, np.ndarray]],
-    ) -> None:
-        """Write the rows of a layer of a shape; `more` is asked for arrays to keep when all have come."""
-        kinds, arrays = _kinds(sigma), dict[str, Any]()
-        with ExitStack() as stack:
-            pool = stack.enter_context(ThreadPoolExecutor(THREADS))
-            spools = {
-                kind: PageSpool(
-                    stack.enter_context(replacing(self.strips(kind))),
-                    shape,
-                    DTYPES[kind],
-                    pool,
-                    self.rows,
-                )
-                for kind in kinds
-            }
-            for cube in cubes:
-                for kind, spool in spools.items():
-                    spool.write_rows(getattr(cube, kind))
-            for kind, spool in spools.items():
-                arrays |= {f"{kind} {name}": one for name, one in spool.arrays().items()}
-        with replacing(self.index) as handle:
-            np.savez(handle, **(arrays | {**more()}))
 
 
 def _kinds(sigma: bool) -> list[str]:
@@ -259,13 +166,6 @@ class SpooledTiffs:
         """Take rows of all arrays."""
         for kind, spool in self._spools.items():
             spool.write_rows(getattr(cube, kind))
-
-    def take(self, part: RowsPart, index: Mapping[str, np.ndarray]) -> None:
-        """Take the rows of a part in place of `write_rows`; `index` is what its file of that name holds."""
-        for kind, spool in self._spools.items():
-            handle = self._stack.enter_context(part.strips(kind).open("rb", buffering=0))
-            names = ("head", "tail", "places")
-            spool.take(handle, {name: index[f"{kind} {name}"] for name in names})
 
     def finish(
         self,
