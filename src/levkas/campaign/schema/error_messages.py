@@ -8,6 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from levkas.campaign.camera_kinds import KINDS
 from levkas.campaign.schema.tables import Document
 from levkas.core.problems import Problem, closest_match
 
@@ -26,7 +27,7 @@ PHRASES = {
 """The schema's words in ours."""
 EXAMPLES = {
     "reference": '{ camera = "lctf-vis", band = "550 nm" }',
-    "kind": "mosaic, bands, sensors, cube or image",
+    "kind": ", ".join(KINDS),
     "campaign": "a table [campaign] with `reference`",
     "cameras": "a table [cameras.NAME] for each camera",
 }
