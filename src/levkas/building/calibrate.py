@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,7 +37,7 @@ from levkas.building.native_cubes import (
     require_memory,
     write_native,
 )
-from levkas.building.scans import Scan, develop_scan, is_streamed, open_scan, write_scan
+from levkas.building.scans import Scan, is_streamed, open_scan, write_scan
 from levkas.building.spectra import board_of, broad_centroids, read_sensitivity
 from levkas.calibration.agreement import compare_facts
 from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA, light_variance
@@ -166,7 +167,7 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
         for context in contexts:
             sensor, light = context.sensor, context.light
             captured = captured or context.facts.captured
-            if camera.kind != "image":
+            if camera.traits.is_calibrated:
                 require_exposures(context)
                 require_black(context)
             notes += doubts_of(context)
@@ -174,13 +175,13 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
                 _require_chart_of_size(context, light)
                 context.told[CHART_WHITE] = dict(light.record)
                 context.told[LIGHT_SIGMA] = light.sigmas()
-            cube, found = DEVELOPERS[camera.kind](context)
+            cube, found = developer_of(camera)(context)
             if light is not None and cube.sigma is not None:
                 shared = light_variance(cube.values, light.sigmas(), cube.labels)
                 cube = replace(cube, sigma=round_root(cube.sigma**2 + shared))
             cube = cubes[sensor.name] = mark_glare_in(cube)
             notes += [*found, *describe_sensor(context)]
-            if camera.kind != "cube":  # of a scan it is among what its lines show
+            if not camera.traits.is_scanned:  # of a scan it is among what its lines show
                 counts = count_above(cube)
                 with placing(sensor.object):
                     require_light(counts, cube.labels)
@@ -319,7 +320,7 @@ def demosaicing_of(campaign: Campaign, camera: Camera, sensor: SensorFrames) -> 
         path = campaign.root / camera.sensitivity
         wavelengths, table = read_sensitivity(path, [band.label for band in sensor.bands])
         return wiener_method(correlate_channels(wavelengths, table))
-    beam_splitter = camera.kind == "sensors" and len(sensor.pattern or ()) == 2
+    beam_splitter = camera.traits.bands_in == "sensors" and len(sensor.pattern or ()) == 2
     return camera.demosaic or ("bilinear" if beam_splitter else None)
 
 
@@ -501,10 +502,8 @@ def _noise_of_bands(context: SensorContext) -> tuple[NoiseModel | None, WhiteAre
     return noise_of(context, shots, whites, darks), joined_area(areas)
 
 
-DEVELOPERS = {
-    "mosaic": develop_mosaic,
-    "sensors": develop_mosaic,
-    "bands": develop_bands,
-    "cube": develop_scan,
-    "image": develop_image,
-}
+def developer_of(camera: Camera) -> Callable[[SensorContext], Noted]:
+    """Return the function that the row of a camera's kind names (`levkas.campaign.camera_kinds.KINDS`)."""
+    module, _, name = camera.traits.develop.partition(":")
+    found: Callable[[SensorContext], Noted] = getattr(import_module(module), name)
+    return found

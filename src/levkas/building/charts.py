@@ -327,10 +327,11 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
         for s in capture.sensors
         if s.pattern is not None
     }
-    kind = campaign.cameras[capture.camera].kind
+    traits = campaign.cameras[capture.camera].traits
     edges = edges_of(campaign, capture)
-    top = greatest_code(read_facts(capture.sensors[0].object[0].path)) if kind == "image" else None
-    parts = None if kind == "cube" else _halves(capture)
+    frame = capture.sensors[0].object[0].path
+    top = None if traits.is_calibrated else greatest_code(read_facts(frame))
+    parts = None if traits.is_scanned else _halves(capture)
     if parts is None:
         whole = develop(capture, campaign, templates)
         most = min(_shots_of(capture))

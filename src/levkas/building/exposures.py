@@ -259,7 +259,7 @@ def require_same_size(
     camera are one line.
     """
     lines = shape[0]
-    if context.camera.kind == "cube" and context.camera.scan != "mirror":
+    if context.camera.traits.is_scanned and context.camera.scan != "mirror":
         lines = 1
     pattern = context.sensor.pattern
     if pattern is not None and (shape[0] < len(pattern) or shape[1] < len(pattern[0])):
@@ -306,7 +306,7 @@ def flatten(
     moved: np.ndarray | None = None,
 ) -> Calibrated:
     """Flat-field with the files named in every refusal; `moved` is what the exposures showed already."""
-    if white is not None and context.camera.kind != "cube":
+    if white is not None and not context.camera.traits.is_scanned:
         board = _with_lamp(context, shot, dark, white, board)
     try:
         flat = flat_field(
@@ -317,12 +317,12 @@ def flatten(
         frames = context.sensor.white or context.sensor.object
         problems = (context.with_full_scale(p) for p in refused.problems)
         raise CalibrationRefused(*(placed(p, frames) for p in problems)) from None
-    if white is not None and context.camera.kind != "cube" and context.light is None:
+    if white is not None and not context.camera.traits.is_scanned and context.light is None:
         _note_shot_noise(context, (shot, white), dark, board.labels or ())
     if white is None and context.camera.white_chart is not None:
         taken = dict.fromkeys(board.labels or (), shot.exposure_s)
         context.told.setdefault("exposures_s", {}).update(taken)
-    if context.camera.kind != "cube" and not shot.above_dark:
+    if not context.camera.traits.is_scanned and not shot.above_dark:
         found = {
             label: float(f"{context.step * one:.4g}")
             for label, one in _per_count(context, shot, dark, white, board).items()

@@ -157,7 +157,7 @@ def cameras_with_pages(
 
     Of plain images, where nothing is calibrated, nothing but a chart tells.
     """
-    seen = {c.camera for c in captures if campaign.cameras[c.camera].kind != "image"}
+    seen = {c.camera for c in captures if campaign.cameras[c.camera].traits.is_calibrated}
     seen |= {c.camera for c in charts}
     return [name for name in campaign.cameras if name in seen]
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.campaign.camera_kinds import KINDS
 from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
 from levkas.core.files import make_folder
 from levkas.core.machine import memory_bound
@@ -253,9 +254,9 @@ def count_values(capture: Capture, kind: str) -> int:
     counts = [0]
     for sensor in capture.sensors:
         sizes = [_samples_in(frame.path) for frame in sensor.object]
-        if kind == "cube":
+        if KINDS[kind].is_scanned:
             counts.append(sum(sizes))
-        elif kind == "bands":
+        elif KINDS[kind].bands_in == "files":
             counts.append(max(sizes, default=0) * len(sensor.bands))
         else:
             counts.append(max(sizes, default=0))

@@ -244,7 +244,9 @@ def _links_of_layer(campaign: Campaign, places: Places, capture: Capture) -> lis
     paths["registration"] = places.registration(capture.object, layer)
     paths["pairs"] = places.matches(capture.object, layer)
     links = [(w, p.relative_to(folder).as_posix()) for w, p in paths.items() if p.is_file()]
-    if campaign.cameras[capture.camera].kind != "image":  # nothing is calibrated: it has no page
+    if campaign.cameras[
+        capture.camera
+    ].traits.is_calibrated:  # nothing is calibrated: it has no page
         links.append(("report of the camera", f"../../cameras/{capture.camera}/report.html"))
     return links
 

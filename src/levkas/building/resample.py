@@ -99,7 +99,7 @@ def target_of(
     if capture.setup and native.quantity == "reflectance":
         values, flags = (places.layer(name, capture.camera, kind=k) for k in (".tif", ".flags.tif"))
         default = DefaultLayer.open(values, flags, shape)
-    encoded = campaign.cameras[capture.camera].kind == "image"
+    encoded = not campaign.cameras[capture.camera].traits.is_calibrated
     verdict = record["verdict"]["decision"]
     return GridTarget(capture, layer, grid, maps_of(record), verdict, encoded, default)
 
@@ -107,7 +107,7 @@ def target_of(
 def mosaics_of(capture: Capture, campaign: Campaign) -> dict[str, Mosaic]:
     """Return the sensors of a capture whose values were demosaiced."""
     camera = campaign.cameras[capture.camera]
-    if camera.kind not in ("mosaic", "sensors"):
+    if not camera.traits.is_demosaiced:
         return {}
     return {
         s.name: Mosaic(s.pattern, demosaicing_of(campaign, camera, s), [b.label for b in s.bands])

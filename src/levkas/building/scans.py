@@ -57,7 +57,7 @@ def is_streamed(capture: Capture, campaign: Campaign) -> bool:
     Dark and white of a mirror scanner are as large, and have to be ENVI files too.
     """
     camera, sensor = campaign.cameras[capture.camera], capture.sensors[0]
-    if camera.kind != "cube" or capture.camera == campaign.reference.camera:
+    if not camera.traits.is_scanned or capture.camera == campaign.reference.camera:
         return False
     frames = [*sensor.object]
     if camera.scan == "mirror":

@@ -196,7 +196,7 @@ def _is_moved(sensor: SensorFrames, frame: FrameRef) -> bool:
 
 
 def _is_fatal(camera: Camera, one: Contradiction) -> bool:
-    return one.severity == "refused" and camera.kind != "image"
+    return one.severity == "refused" and camera.traits.is_calibrated
 
 
 def check_alike(
@@ -300,7 +300,7 @@ def _value(camera: Camera, sensor: SensorFrames, fact: ComparedFact, one: Stated
         return None
     if fact.name in ("wavelengths", "bands") and one.role == "dark" and len(value) == 1:
         return None  # no light came through the filter
-    if fact.name == "region" and camera.kind == "cube":
+    if fact.name == "region" and camera.traits.is_scanned:
         if one.role == "object" and one.frame != sensor.object[0]:
             return None  # of a strip it may be its place in the scan
         if camera.scan != "mirror":  # dark and white are other lines

@@ -105,7 +105,7 @@ class SensorContext:
 
     def _measured_full_scale(self) -> FullScale | None:
         """Return the full scale by the frames of object and white, where it lies below what is declared."""
-        if self.camera.kind == "image" or np.dtype(self.facts.dtype).kind != "u":
+        if not self.camera.traits.is_calibrated or np.dtype(self.facts.dtype).kind != "u":
             return None
         lit, darks = self._sampled()
         found = find_full_scale(lit, darks, period=self.period[1])
@@ -117,7 +117,7 @@ class SensorContext:
     def _sampled(self) -> tuple[list[SceneShots], list[np.ndarray]]:
         """Return samples of the scenes and of the darks."""
         sensor = self.sensor
-        strips = self.camera.kind == "cube"
+        strips = self.camera.traits.is_scanned
         lit = [
             SceneShots([*map(_sample, some)], role == "white")
             for role, frames in (("object", sensor.object), ("white", sensor.white))
@@ -128,7 +128,7 @@ class SensorContext:
     @property
     def unmended(self) -> bool:
         """Whether defects are left out instead of replaced from their neighbours."""
-        return self.camera.kind == "cube"
+        return self.camera.traits.is_scanned
 
     @property
     def period(self) -> tuple[int, int]:
@@ -151,7 +151,7 @@ class SensorContext:
         sensor, full = self.sensor, self.saturation
         darks = {times_of(frame) for frame in sensor.dark}
         lit = {times_of(frame) for frame in (*sensor.object, *sensor.white)}
-        if len(darks) != 1 or full is None or lit <= darks or self.camera.kind == "cube":
+        if len(darks) != 1 or full is None or lit <= darks or self.camera.traits.is_scanned:
             return None
         for shots, under in self._series():
             found = check_linearity(shots, saturation=full, fit_offset=True, period=PERIOD)
@@ -173,7 +173,7 @@ class SensorContext:
     def holds_reflectance(self) -> bool:
         """Whether the object's files state their reflectance, and nothing else is there to make it."""
         frames = (*self.sensor.white, *self.sensor.chart, *self.sensor.dark)
-        if self.camera.kind == "image" or frames or SCALE in self.camera.overrule:
+        if not self.camera.traits.is_calibrated or frames or SCALE in self.camera.overrule:
             return False
         return all(read_facts(frame.path).reflectance_scale for frame in self.sensor.object)
 
@@ -221,7 +221,7 @@ class SensorContext:
     @cached_property
     def response(self) -> Response | None:
         """Curve of a sensor that is not linear, by the exposure series of objects and whites; None where they show a line."""
-        if self.camera.kind in ("cube", "image") or self.saturation is None:
+        if self.camera.traits.bands_in == "file" or self.saturation is None:
             return None
         points: list[Point] = []
         levels = [self.black or 0.0]
@@ -370,7 +370,7 @@ class SensorContext:
         """Read frame by frame, codes checked against the bits that are declared, and against the other frames."""
         for frame in frames:
             values = self.checked(self.frame(frame), frame)
-            if frame in self.sensor.object and self.camera.kind != "image":
+            if frame in self.sensor.object and self.camera.traits.is_calibrated:
                 self._require_variety(values, frame)
             first = self.facts, self.sensor.object[0].path
             rows = thin_rows(values, FEW_CODES)
@@ -395,7 +395,7 @@ class SensorContext:
 
     def frame(self, frame: FrameRef) -> np.ndarray:
         """Read a frame as it is stored; of a mosaic, or of a band in a file of its own, one sample a pixel."""
-        planes = self.camera.kind == "bands" or self.sensor.pattern is not None
+        planes = self.camera.traits.bands_in == "files" or self.sensor.pattern is not None
         return (read_plane if planes else read_frame)(frame.path, page=frame.page)
 
     def checked(self, values: np.ndarray, frame: FrameRef) -> np.ndarray:

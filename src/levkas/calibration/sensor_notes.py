@@ -46,7 +46,7 @@ def doubts_of(context: SensorContext) -> list[str]:
     camera = context.camera
     doubts = [*_notes_of_files(context), *_doubt_bits(context), *context.doubts]
     targets = context.campaign.targets
-    if camera.kind == "image":
+    if not camera.traits.is_calibrated:
         return doubts
     doubts += [*context.sensor.remarks, *_note_scale(context), *_note_bad_bands(context)]
     if context.light is not None:
@@ -101,9 +101,9 @@ def _notes_of_files(context: SensorContext) -> list[str]:
         if frame.path.suffix.lower() in RAW_SUFFIXES:
             continue
         facts = read_facts(frame.path)
-        unread = facts.pages > 1 and frame.page is None and context.camera.kind != "cube"
+        unread = facts.pages > 1 and frame.page is None and not context.camera.traits.is_scanned
         more = [f"the first of {facts.pages} pages is used, the others are not"] if unread else []
-        if facts.encoded and context.camera.kind != "image":
+        if facts.encoded and context.camera.traits.is_calibrated:
             more.append(f"by the file its codes have a tone curve ({facts.encoded}); {AS_LIGHT}")
         for note in (*facts.notes, *more):
             found.setdefault(note, {})[frame.path] = None

@@ -111,13 +111,13 @@ class Campaign(Document):
 
     def darks_of(self, camera: Camera) -> tuple[str, ...]:
         """Values of {target} that are darks of a camera; none for a plain image."""
-        if camera.kind == "image":
+        if not camera.traits.is_calibrated:
             return ()
         return camera.dark if camera.dark is not None else self.targets.dark
 
     def whites_of(self, camera: Camera) -> tuple[str, ...]:
         """Values of {target} that are whites of a camera; none for a plain image."""
-        if camera.kind == "image":
+        if not camera.traits.is_calibrated:
             return ()
         if camera.white_names is not None:
             return camera.white_names

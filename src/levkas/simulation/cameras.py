@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from levkas.calibration.noise_model import Sensor
+from levkas.campaign.camera_kinds import KINDS
 from levkas.colour.illuminants import illuminant
 from levkas.simulation.optics import ChromaticOptics, Viewpoint, turn
 from levkas.simulation.painting import Panel
@@ -270,13 +271,13 @@ def camera_models(*, thin: bool = False) -> dict[str, CameraModel]:
 
 
 def _thinned(camera: CameraModel) -> CameraModel:
-    if camera.kind == "bands" or camera.kind == "cube":
+    if not KINDS[camera.kind].is_broad:
         every = 2 if camera.name == "lctf-vis" else 5
         # 550 nm, the reference, must stay.
         first = next(i for i, b in enumerate(camera.bands) if b.label == "550 nm") % every
         bands = camera.bands[first::every]
         sensor = replace(camera.sensors[0], bands=tuple(range(len(bands))))
-        many = camera.kind == "cube"
+        many = KINDS[camera.kind].is_scanned
         return replace(
             camera,
             bands=bands,

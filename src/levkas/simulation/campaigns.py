@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from levkas.campaign.camera_kinds import KINDS
 from levkas.core.files import Folder, publishing
 from levkas.core.ownership import require_outside, stands_in
 from levkas.simulation.cameras import BandModel, CameraModel, camera_models, relit, response_table
@@ -164,7 +165,7 @@ def simulate_campaign(
 def _bytes_needed(models: dict[str, CameraModel], targets: int) -> int:
     total = 0
     for m in models.values():
-        planes = len(m.bands) if m.kind in ("bands", "cube") else len(m.sensors)
+        planes = len(m.bands) if not KINDS[m.kind].is_broad else len(m.sensors)
         frame = 2 * m.width * m.height * planes
         total += frame * targets * m.shots
         total += frame * (m.whites + m.darks) // (m.height if m.scan else 1)
@@ -313,7 +314,7 @@ class SimulatedSession:
         self, writer: FrameWriter, camera: SimulatedCamera, target: str, sight: PaintingView | None
     ) -> Iterator[SimulationStep]:
         name, first = camera.model.name, self.done
-        one_file_a_band = camera.model.kind in ("bands", "cube")
+        one_file_a_band = not KINDS[camera.model.kind].is_broad
         for frame in camera.shoot(target, sight, white=target == "white"):
             writer.add(camera, target, frame)
             if one_file_a_band and frame.shot == 0:
@@ -347,17 +348,17 @@ class FrameWriter:
 
     def add(self, camera: SimulatedCamera, target: str, frame: SimulatedFrame) -> None:
         """Write one frame, or keep it for its cube."""
-        kind = camera.model.kind
-        if kind == "cube":
+        bands_in = KINDS[camera.model.kind].bands_in
+        if bands_in == "file":
             labels = [b.label for b in camera.model.bands]
             lines, samples = frame.counts.shape
             # Interleaved by line, as the scanner writes it.
             cube = self.cubes.setdefault(target, np.empty((lines, len(labels), samples), "<u2"))
             cube[:, labels.index(frame.band)] = frame.counts
             return
-        if kind == "bands":
+        if bands_in == "files":
             file = f"{frame.band.removesuffix(' nm')}nm_{frame.shot:02d}.tif"
-        elif kind == "sensors":
+        elif bands_in == "sensors":
             file = f"{frame.sensor}_{frame.shot:03d}.tif"
         else:
             file = f"DSC_{FIRST_SHOT.get(target, 1000) + frame.shot:04d}.tif"
@@ -405,7 +406,7 @@ def write_tables(folder: Folder, models: Mapping[str, CameraModel]) -> None:
     rows = [f"{w},{WHITE_REFLECTANCE}" for w in grid]
     _write_lines(folder, WHITE_TABLE, ["wavelength,white", *rows])
     for name, model in models.items():
-        if model.kind in ("mosaic", "sensors"):
+        if KINDS[model.kind].is_broad:
             labels, table = response_table(model.bands)
             lines = [",".join(["wavelength", *labels])]
             for w, row in zip(WAVELENGTHS, table, strict=True):
@@ -464,14 +465,15 @@ def _camera_text(model: CameraModel) -> str:
     levels = f"black = {noise.black:g}\nsaturation = {noise.saturation}\nbits = {noise.bits}\n"
     head = f'[cameras.{model.name}]\nkind = "{model.kind}"\n'
     raw = f"raw/{model.name}"
-    if model.kind == "mosaic":
+    bands_in = KINDS[model.kind].bands_in
+    if bands_in == "pattern":
         return (
             f'{head}files = "{raw}/{{target}}/DSC_{{shot}}.tif"\npattern = "{_pattern(model, 0)}"\n'
             f'sensitivity = "{model.name}_sensitivity.csv"\n{levels}'
         )
-    if model.kind == "bands":
+    if bands_in == "files":
         return f'{head}files = "{raw}/{{target}}/{{wavelength}}nm_{{shot}}.tif"\n{_steps(model)}{levels}'
-    if model.kind == "cube":
+    if bands_in == "file":
         return f'{head}files = "{raw}/{{target}}.hdr"\n{_steps(model)}{levels}'
     text = f'{head}sensitivity = "{model.name}_sensitivity.csv"\n{levels}'
     for i, sensor in enumerate(model.sensors):

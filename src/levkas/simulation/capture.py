@@ -13,6 +13,7 @@ from zlib import crc32
 
 import numpy as np
 
+from levkas.campaign.camera_kinds import KINDS
 from levkas.core.compiled import njit
 from levkas.core.threads import in_threads
 from levkas.simulation.cameras import BandModel, CameraModel, SensorModel
@@ -159,7 +160,7 @@ class SimulatedCamera:
         """
         m = self.model
         for sensor in m.sensors:
-            if m.kind in ("bands", "cube"):
+            if not KINDS[m.kind].is_broad:
                 for index in sensor.bands:
                     band = m.bands[index]
                     exposure = self._exposure(band, sensor, sight, white)

@@ -80,11 +80,12 @@ def bands_in_file(
         Whether bands are pages of a TIFF, not samples of a pixel.
     """
     samples = facts.shape[2] if len(facts.shape) == 3 else 1
-    mixed = samples > 1 and facts.pages > 1 and (pages or camera.kind == "cube")
-    pages = pages or (camera.kind == "cube" and samples == 1 and facts.kind != "envi")
+    whole = camera.traits.bands_in == "file" and camera.traits.is_calibrated
+    mixed = samples > 1 and facts.pages > 1 and (pages or whole)
+    pages = pages or (whole and samples == 1 and facts.kind != "envi")
     count = facts.pages if pages else samples
     where, unit = str(facts.path), "pages" if pages else "bands"
-    if camera.kind == "image" and count not in (1, 3):
+    if not camera.traits.is_calibrated and count not in (1, 3):
         raise CaptureRefused(
             Problem(
                 "E_BAND_COUNT",
@@ -126,7 +127,7 @@ def _default_names(
     count: int,
     centres: Sequence[float] | None,
 ) -> Sequence[str]:
-    if camera.kind == "image":
+    if not camera.traits.is_calibrated:
         return ("R", "G", "B") if count == 3 else ("grey",)
     names = facts.band_names if facts.band_names and len(facts.band_names) == count else None
     if sensor is not None and count == 1:

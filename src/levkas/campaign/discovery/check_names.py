@@ -41,7 +41,9 @@ def check_names(campaign: Campaign, index: FileIndex, refusals: Refusals) -> Non
 
 
 def _lost_templates(campaign: Campaign, there: Sequence[str]) -> Iterator[Problem]:
-    raw = [(name, camera) for name, camera in campaign.cameras.items() if camera.kind != "image"]
+    raw = [
+        (name, camera) for name, camera in campaign.cameras.items() if camera.traits.is_calibrated
+    ]
     roles = {f"cameras.{n}.dark": c.dark for n, c in raw}
     roles |= {f"cameras.{n}.white": c.white_names for n, c in raw}
     if raw:  # photographs are calibrated by none

@@ -337,7 +337,7 @@ def frames_of_sensors(
     twice = [label for label, n in Counter(b.label for b in bands).items() if n > 1]
     if twice:
         raise CaptureRefused(_same_names(index, camera, twice))
-    if camera.kind in ("mosaic", "sensors"):
+    if camera.traits.is_demosaiced:
         bands = list(with_declared_centres(camera, bands, sensors[0].object[0].path))
     left = iter(bands)
     return tuple(replace(s, bands=tuple(islice(left, len(s.bands)))) for s in sensors)
@@ -371,7 +371,9 @@ def _sensor(
     for kind, some in (("dark", darks), ("white", whites)):
         check_every_band(camera, kind, some, bands)
     chart = _chart_frames(templates, camera, sensor, bands)
-    left_out = bands_beyond(index.campaign, camera, bands) if camera.kind == "bands" else ()
+    left_out = (
+        bands_beyond(index.campaign, camera, bands) if camera.traits.bands_in == "files" else ()
+    )
     if left_out:
         frames, darks, chart = (
             [f for f in role if f.band not in left_out] for role in (frames, darks, chart)
@@ -418,13 +420,14 @@ def _frames_and_bands(
     """Return the frames of the object with their bands, the mosaic's pattern, and the bands."""
     frames, first = [_ref(f) for f in found], found[0].path
     pattern = sensor.pattern if sensor else camera.pattern
-    names = (sensor.bands if sensor else ()) or (camera.bands if camera.kind == "mosaic" else ())
-    if camera.kind == "mosaic" or (sensor and pattern):
+    bands_in = camera.traits.bands_in
+    names = (sensor.bands if sensor else ()) or (camera.bands if bands_in == "pattern" else ())
+    if bands_in == "pattern" or (sensor and pattern):
         facts = index.facts(first) if pattern is None else None
         return frames, *bands_of_mosaic(camera, pattern, names, facts)
-    if camera.kind != "bands":
+    if bands_in != "files":
         bands = bands_in_file(camera, sensor, index.facts(first))
-        if camera.kind == "cube":
+        if bands_in == "file" and camera.traits.is_calibrated:
             _check_counts(index, camera, frames[1:], len(bands))
             frames = [in_order(camera, frame, index.facts, first) for frame in frames]
         return frames, None, bands
@@ -446,10 +449,11 @@ def _fitted(
     bands: tuple[Band, ...],
 ) -> list[FrameRef]:
     """Give templates the bands they belong to, by name or by page; without either they serve all."""
-    if camera.kind == "cube":
+    bands_in = camera.traits.bands_in
+    if bands_in == "file" and camera.traits.is_calibrated:
         _check_counts(index, camera, templates, len(bands))
         return [in_order(camera, template, index.facts, frames[0].path) for template in templates]
-    if camera.kind != "bands":
+    if bands_in != "files":
         return templates
     paged: list[FrameRef] = []
     for template in templates:
@@ -491,7 +495,7 @@ def _check_exposures(camera: Camera, found: list[FoundFile], frames: list[FrameR
         times = sorted({f.exposure_s for f in group if f.exposure_s is not None})
         if len(times) > 1 and camera.exposures == "one":
             raise CaptureRefused(_several_exposures(camera, what, group, times))
-        if camera.kind not in ("bands", "image"):
+        if not camera.traits.declares_shots:
             continue
         for time in {f.exposure_s for f in group}:
             same = [f for f in group if f.exposure_s == time]
@@ -510,7 +514,7 @@ def _several_exposures(
         ", ".join(f"{t:g} s" for t in times),
         "one exposure",
         'Write exposures = "best" (the longest unsaturated) or "merge".'
-        if camera.kind != "cube"
+        if not camera.traits.is_scanned
         else "Name one exposure in `files`. If the files are strips of one scan, write exposures "
         '= "best": each strip is divided by its own time.',
     )

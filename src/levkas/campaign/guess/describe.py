@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.campaign.camera_kinds import KINDS, CameraKind
 from levkas.campaign.guess.appearance import mosaic_behind_filters, mosaic_of, tile_side
 from levkas.campaign.guess.band_names import Question
 from levkas.campaign.guess.groups import CameraGroup, FilePatterns, find_patterns, safe_name
@@ -99,6 +100,11 @@ class CameraGuess:
         """As in campaign.toml."""
         return str(self.keys["kind"].value)
 
+    @property
+    def traits(self) -> CameraKind:
+        """What follows of its kind."""
+        return KINDS[self.kind]
+
 
 @dataclass
 class CameraNotes:
@@ -128,26 +134,27 @@ def describe_camera(
     kind = str(keys["kind"].value)
     texts = files.of_kind(kind)
     keys["files"] = Guess(texts[0] if len(texts) == 1 else texts, "; ".join(files.reasons))
-    if kind == "sensors":
+    traits = KINDS[kind]
+    if traits.bands_in == "sensors":
         _describe_sensors(group, files, samples, notes, warmth)
-    elif kind in ("mosaic", "bands"):
+    elif "pattern" in traits.keys:
         keys |= _mosaic_keys(group, kind, samples, notes, warmth)
-    if kind == "bands":
+    if traits.bands_in == "files":
         keys |= _band_keys(group, files)
-    if kind == "cube" and group.frames[0].facts.kind != "envi":
+    if traits.is_scanned and group.frames[0].facts.kind != "envi":
         keys["scan"] = Guess(
             "mirror", "darks and whites are frames; remove this line for a push-broom scan"
         )
-    elif kind == "cube" and len({f.facts.shape[0] for f in group.frames}) == 1:
+    elif traits.is_scanned and len({f.facts.shape[0] for f in group.frames}) == 1:
         notes.hints.append(
             'scan = "mirror"  # if darks and whites are whole frames, not lines of the scan'
         )
-    if kind == "cube" and not group.of_role("dark") and any(map(_is_hyspex, group.frames)):
+    if traits.is_scanned and not group.of_role("dark") and any(map(_is_hyspex, group.frames)):
         notes.unknown.append(
             "the dark: HySpex keeps it in the .hyspex file, before the scan, where it is not read; export by "
             "HySpex RAD, or capture a dark"
         )
-    if kind != "image":
+    if traits.is_calibrated:
         keys |= _scale_keys(group, samples, notes)
         keys |= _exposure_keys(group, files)
         _check_exposures(group, notes)
@@ -235,15 +242,15 @@ def _kind(group: CameraGroup, files: FilePatterns, samples: Samples) -> Guess:
 def _mosaic_keys(
     group: CameraGroup, kind: str, samples: Samples, notes: CameraNotes, warmth: Mapping[str, float]
 ) -> dict[str, Guess]:
-    facts = group.frames[0].facts
+    facts, in_pattern = group.frames[0].facts, KINDS[kind].bands_in == "pattern"
     if facts.pattern:
         if facts.kind == "raw":
             return {}
-        return {"pattern": Guess(facts.pattern, "from the header")} if kind == "mosaic" else {}
-    if kind == "bands":
-        mosaic = mosaic_behind_filters(group, samples)
-    else:
+        return {"pattern": Guess(facts.pattern, "from the header")} if in_pattern else {}
+    if in_pattern:
         mosaic = mosaic_of(group.frames, samples, warmth)
+    else:
+        mosaic = mosaic_behind_filters(group, samples)
     if mosaic is None:
         return {}
     if mosaic.unknown:
@@ -443,13 +450,14 @@ def _check_shots(
     several = [
         frames for frames in group.by_target(group.of_role("object")).values() if len(frames) > 1
     ]
-    if files.shots and kind == "cube" and several:
+    scanned = KINDS[kind].is_scanned
+    if files.shots and scanned and several:
         names = ", ".join(frame.path.name for frame in several[0][:LISTED])
         notes.unknown.append(
             f"whether {names} are strips beside one another, from left to right: parts one after the other, as "
             "Headwall's raw_0 and raw_2000 are, cannot be joined"
         )
-    if not files.shots or kind == "cube":
+    if not files.shots or scanned:
         return
     by_target: dict[tuple[str, str], list[NamedFile]] = {}
     sensors = files.sensor_of()
@@ -481,7 +489,7 @@ def find_white_table(root: Path, tables: Sequence[str]) -> str | None:
 
 def with_sensitivity(camera: CameraGuess, root: Path, tables: Sequence[str]) -> CameraGuess:
     """Give a camera the table with its name, and its channels the names in it where they fit."""
-    if camera.kind not in ("mosaic", "sensors", "image"):
+    if not camera.traits.is_broad:
         return camera
     for table in tables:
         if camera.name.casefold() not in Path(table).stem.casefold():

@@ -29,7 +29,7 @@ from levkas.campaign.guess.listing import CaptureFile, Listing
 from levkas.campaign.guess.names import name_targets
 from levkas.campaign.guess.pixels import Samples
 from levkas.campaign.guess.words import GENERIC, TARGET, chart_in
-from levkas.campaign.schema.cross_checks import KINDS_BY_CHART, find_contradictions
+from levkas.campaign.schema.cross_checks import find_contradictions
 from levkas.campaign.schema.names import is_safe_name
 from levkas.campaign.schema.tables import Document
 from levkas.campaign.schema.toml import to_inline_toml, to_toml_key
@@ -46,7 +46,6 @@ GREEN_NM = 550.0
 VISIBLE_NM, NEAR_NM = (400.0, 720.0), 30.0
 PHOTOGRAPHS = r"(.*[-_ ])?(photo|photograph|foto|vis|visible|rgb|color|colour)([-_ ].*)?"
 """Names of cameras that took the picture as one sees it."""
-RANKS = {"bands": 4, "mosaic": 3, "cube": 2, "sensors": 2, "image": 1}
 """Fitness of kinds as the reference: a sharp frame a band, then a sharp mosaic."""
 MOST_LISTED = 6
 UNKNOWN_WHITE = "the reflectance of the white board: 1 is assumed"
@@ -128,7 +127,7 @@ def propose(listing: Listing) -> Proposal:
     ]
     if questions:
         cameras = _with_questions(cameras, groups, questions, captures, samples)
-    alone = len(cameras) == 1 and cameras[0].kind == "image" and not cameras[0].choices
+    alone = len(cameras) == 1 and not cameras[0].traits.is_calibrated and not cameras[0].choices
     if alone and len(cameras[0].targets) > 1:
         unknown.append(
             "whether some of these pictures show the same object: each is treated as a separate "
@@ -243,12 +242,13 @@ def _beside_scans(groups: Sequence[CameraGroup], cameras: Sequence[CameraGuess])
     raw = {
         g.folders[: g.folders.index(TARGET) + 1]
         for g, camera in zip(groups, cameras, strict=True)
-        if camera.kind != "image" and TARGET in g.folders
+        if camera.traits.is_calibrated and TARGET in g.folders
     }
     return {
         camera.name
         for g, camera in zip(groups, cameras, strict=True)
-        if camera.kind == "image" and any(g.folders[: len(above)] == above for above in raw)
+        if not camera.traits.is_calibrated
+        and any(g.folders[: len(above)] == above for above in raw)
     }
 
 
@@ -265,8 +265,10 @@ def _reference(
         objects = len(_shown(camera))
         visible = [w for w in camera.centres if VISIBLE_NM[0] <= w <= VISIBLE_NM[1]]
         near = bool(visible) and min(abs(w - GREEN_NM) for w in visible) <= NEAR_NM
-        plain = camera.kind == "image" and bool(re.fullmatch(PHOTOGRAPHS, camera.name.lower()))
-        order = RANKS[camera.kind], len(visible), plain, sizes[i]
+        plain = not camera.traits.is_calibrated and bool(
+            re.fullmatch(PHOTOGRAPHS, camera.name.lower())
+        )
+        order = camera.traits.rank, len(visible), plain, sizes[i]
         return camera.name not in rendered, objects, near or not camera.centres, *order
 
     best = max(range(len(cameras)), key=worth)
@@ -308,10 +310,10 @@ def _without_strangers(
 def _band(camera: CameraGuess) -> str:
     """Return the label of the band nearest to green; "" where the default, the middle one, will do."""
     centres = camera.centres
-    if not centres or camera.kind in ("mosaic", "image"):
+    if not centres or (camera.traits.is_broad and not camera.sensors):
         return ""
     place = min(range(len(centres)), key=lambda i: abs(centres[i] - GREEN_NM))
-    if camera.kind != "sensors":
+    if not camera.sensors:
         return band_labels(centres)[place]
     labels = [label for s in camera.sensors for label in s.keys["bands"].value]
     return str(labels[place]) if len(labels) == len(centres) else ""
@@ -360,7 +362,7 @@ def _targets(
         for target, role in camera.targets.items():
             gathered[role][target] = None
     by_role = {role: list(names) for role, names in gathered.items()}
-    calibrated = {t for c in cameras if c.kind != "image" for t in c.targets}
+    calibrated = {t for c in cameras if c.traits.is_calibrated for t in c.targets}
     unknown: list[str] = []
     keys: dict[str, Guess] = {}
     if dark := sorted(by_role["dark"], key=natural):
@@ -410,14 +412,14 @@ def _chart(target: str) -> str:
 
 def _with_own_templates(camera: CameraGuess, targets: dict[str, Guess]) -> CameraGuess:
     """Add to a camera that it has no dark or white where others have one, and a chart as a hint in its place."""
-    if camera.kind == "image":
+    if not camera.traits.is_calibrated:
         return camera
     keys = dict(camera.keys)
     for role in ("dark", "white"):
         if role in targets and role not in camera.targets.values():
             keys[role] = Guess([], f"no {role} of this camera was found")
     seen = [name for name, role in camera.targets.items() if role == "chart"]
-    if seen and "white" not in camera.targets.values() and camera.kind in KINDS_BY_CHART:
+    if seen and "white" not in camera.targets.values() and camera.traits.by_chart:
         value = to_inline_toml({"chart": min(seen, key=natural)})
         instead = " instead of the line above" if "white" in keys else ""
         hint = f"white = {value}  # reflectance by the chart{instead}"

@@ -8,6 +8,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from levkas.campaign.camera_kinds import KINDS, kinds_with
 from levkas.campaign.chart_names import CHARTS, kind_of_chart
 from levkas.campaign.discovery.patterns import Pattern
 from levkas.campaign.methods import DEFAULT_METHOD, METHODS, owners_of
@@ -260,7 +261,11 @@ def _setups(document: Document) -> Iterator[Problem]:
                 continue
             for text in own.files:
                 yield from check_pattern(f"{field}.files", text, camera.kind)
-            if own.files and camera.kind == "sensors" and "{sensor}" not in "".join(own.files):
+            if (
+                own.files
+                and camera.traits.bands_in == "sensors"
+                and "{sensor}" not in "".join(own.files)
+            ):
                 yield value_problem(
                     f"{field}.files", "the pattern has no {sensor}", " ".join(own.files)
                 )
@@ -378,16 +383,10 @@ def _files(document: Document, root: Path) -> Iterator[Problem]:
             )
 
 
-KINDS_BY_CHART = ("mosaic", "bands", "sensors")
-"""Kinds of cameras that a chart can calibrate in place of a white frame."""
 KEYS_OF_KINDS = {
-    "pattern": ("mosaic", "bands"),
-    "bands": ("mosaic", "bands", "cube", "image"),
-    "demosaic": ("mosaic", "sensors"),
-    "scan": ("cube",),
-    "sensors": ("sensors",),
+    key: kinds_with(key) for key in sorted({key for kind in KINDS.values() for key in kind.keys})
 }
-"""Camera keys that mean nothing elsewhere."""
+"""Camera keys that mean nothing elsewhere, and the kinds that have them."""
 
 
 def value_problem(
@@ -401,7 +400,7 @@ def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
     """Yield what does not fit together in the table `where`, such as ``cameras.nir``."""
     for key, kinds in KEYS_OF_KINDS.items():
         if getattr(camera, key) and camera.kind not in kinds:
-            per_sensor = key in ("pattern", "bands") and camera.kind == "sensors"
+            per_sensor = key in ("pattern", "bands") and camera.traits.bands_in == "sensors"
             yield value_problem(
                 f"{where}.{key}",
                 f"a camera of kind {camera.kind!r} does not have the key `{key}`",
@@ -416,14 +415,15 @@ def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
             'sensitivity = "CSV of wavelength and a column a channel"',
             'Name the table, or use demosaic = "bilinear".',
         )
-    if camera.kind == "sensors":
+    if camera.traits.bands_in == "sensors":
         yield from _sensors(where, camera)
     elif not camera.files:
         yield Problem("E_KEY", "files is required", field=f"{where}.files")
     for text in camera.files:
         yield from check_pattern(f"{where}.files", text, camera.kind)
     yield from _wavelengths(where, camera)
-    yield from _channels(where, camera.pattern if camera.kind == "mosaic" else None, camera.bands)
+    mosaic = camera.pattern if camera.traits.bands_in == "pattern" else None
+    yield from _channels(where, mosaic, camera.bands)
     if camera.black is not None and camera.saturation and camera.black >= camera.saturation:
         yield value_problem(
             f"{where}.black",
@@ -452,17 +452,17 @@ def _white_chart(where: str, camera: CameraKeys, charts: Collection[str]) -> Ite
     white = camera.white_chart
     if white is None:
         return
-    if camera.kind not in KINDS_BY_CHART:
+    if not camera.traits.by_chart:
         why = (
             "a line scan has no frame from which to measure the light"
-            if camera.kind == "cube"
+            if camera.traits.is_scanned
             else "it is not calibrated"
         )
         yield value_problem(
             f"{where}.chart",
             f"a camera of kind {camera.kind!r} cannot be calibrated by a chart: {why}",
             white.chart,
-            " or ".join(f'kind = "{kind}"' for kind in KINDS_BY_CHART),
+            " or ".join(f'kind = "{name}"' for name, kind in KINDS.items() if kind.by_chart),
             "Capture a white, or write white = [].",
         )
     if white.chart not in charts and kind_of_chart(white.chart) is None:
@@ -519,21 +519,23 @@ def check_pattern(field: str, text: str, kind: str) -> Iterator[Problem]:
         return
     if "target" not in fields:
         yield value_problem(field, "the pattern has no {target}", text, "raw/NAME/{target}/*.tif")
-    for name in ("band", "wavelength"):
-        if name in fields and kind != "bands":
+    of_others = {
+        name: other for other, row in KINDS.items() for name in row.fields if other != kind
+    }
+    for name in ("band", "wavelength", "sensor"):
+        if name in fields and name in of_others:
             yield value_problem(
-                field, f"only a camera of kind 'bands' has {{{name}}}", text, fix="Write * instead."
+                field,
+                f"only a camera of kind {of_others[name]!r} has {{{name}}}",
+                text,
+                fix="Write * instead.",
             )
-    if "object" in fields and kind == "image":
+    if "object" in fields and not KINDS[kind].is_calibrated:
         yield value_problem(
             field,
             "an image has neither darks nor whites, which {object} is for",
             text,
             fix="Take it out.",
-        )
-    if "sensor" in fields and kind != "sensors":
-        yield value_problem(
-            field, "only a camera of kind 'sensors' has {sensor}", text, fix="Write * instead."
         )
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from levkas.campaign.camera_kinds import KINDS
 from levkas.campaign.schema.tables import Document
 from levkas.core.problems import Problem, closest_match
 from levkas.core.requirements import requirement
@@ -15,7 +16,7 @@ MOST_PROBLEMS = 100
 """Problems that one report lists; a file with more is probably another kind of file."""
 EXAMPLES = {
     "reference": '{ camera = "lctf-vis", band = "550 nm" }',
-    "kind": "mosaic, bands, sensors, cube or image",
+    "kind": ", ".join(KINDS),
     "campaign": "a table [campaign] with `reference`",
     "cameras": "a table [cameras.NAME] for each camera",
 }

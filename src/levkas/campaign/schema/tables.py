@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import Annotated, Any, Literal
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -15,6 +16,7 @@ from pydantic import (
     create_model,
 )
 
+from levkas.campaign.camera_kinds import KINDS, CameraKind, known_kind
 from levkas.campaign.methods import METHODS, UNUSABLE
 from levkas.campaign.schema.values import (
     Address,
@@ -210,7 +212,7 @@ class SensorKeys(Table):
 class CameraKeys(Table):
     """One camera and how its files are named."""
 
-    kind: Literal["mosaic", "bands", "sensors", "cube", "image"]
+    kind: Annotated[Text, AfterValidator(known_kind)]
     files: Files = ()
     pattern: MosaicPattern | None = None
     bands: Names | None = None
@@ -230,6 +232,11 @@ class CameraKeys(Table):
     dark: Names | None = None
     white: Annotated[CameraWhite | None, BeforeValidator(_camera_white)] = None
     registration: RegistrationKeys = RegistrationKeys()
+
+    @property
+    def traits(self) -> CameraKind:
+        """What follows of its kind."""
+        return KINDS[self.kind]
 
     @property
     def centres(self) -> tuple[float, ...] | None:

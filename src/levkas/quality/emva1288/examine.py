@@ -92,7 +92,7 @@ def _examine_camera(
 ) -> Iterator[SensorReport]:
     from levkas.quality.emva1288.stacks import gather
 
-    if campaign.cameras[name].kind == "image":
+    if not campaign.cameras[name].traits.is_calibrated:
         facts = describe_frame(captures[0].sensors[0].object[0].path)
         note = ["an image without calibration: its noise cannot be measured"]
         yield SensorReport(name, "", facts, facts.levels or _no_levels(), notes=note)

@@ -78,7 +78,7 @@ def reduce_stack(
     if stack.mean.ndim == 3:
         stack = _flat_bands(stack)
     found = block_statistics(stack, pattern, drift=drift, dark=level, clipped=dark)
-    if pattern is not None and bench.camera.kind == "bands":
+    if pattern is not None and not bench.camera.traits.is_demosaiced:
         parts = list(found.values())
         mean, temporal, spatial = (
             np.concatenate([getattr(b, n) for b in parts]) for n in ("mean", "temporal", "spatial")
@@ -146,7 +146,7 @@ def fit_clipped(
 def _channels(frames: Sequence[np.ndarray], bench: SensorContext) -> dict[str, list[np.ndarray]]:
     """Return the codes of each channel, flat, frame by frame."""
     pattern = bench.sensor.pattern
-    if pattern is None or bench.camera.kind == "bands":
+    if pattern is None or not bench.camera.traits.is_demosaiced:
         return {"": [f.ravel() for f in frames]}
     names = [name for row in pattern for name in row]
     size = channel_table(pattern).shape

@@ -70,7 +70,7 @@ def gather(campaign: Campaign, captures: Sequence[Capture], camera: str) -> Iter
         sensor = SensorStacks(camera, frames.name, bench)
         together = replace(frames, object=tuple(frame for _, taken in objects for frame in taken))
         sensor.notes += compare_facts(bench.camera, together, bench.alignments)
-        if campaign.cameras[camera].kind == "cube":
+        if campaign.cameras[camera].traits.is_scanned:
             gather_lines(sensor, frames)
         else:
             _gather_frames(sensor, frames, objects)

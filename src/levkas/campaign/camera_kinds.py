@@ -1,0 +1,118 @@
+"""Kinds of cameras: one row a kind, with all that differs between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from levkas.core.problems import closest_match
+
+
+@dataclass(frozen=True)
+class CameraKind:
+    """What a camera of some kind delivers, and what follows of it.
+
+    Parameters
+    ----------
+    bands_in : str
+        Where its bands are told apart: in the ``"pattern"`` of a mosaic, in one ``"file"`` that holds them all, in
+        ``"files"``, one each, or by ``"sensors"`` behind one lens, of which each may have a pattern.
+    develop : str
+        ``MODULE:FUNCTION`` that makes calibrated values of the frames of a sensor (`SensorContext` → cube and notes).
+    is_calibrated : bool
+        Whether its frames are raw: with black level, noise, dark and white.
+    is_scanned : bool
+        Whether its lines are exposed one after another, so that dark and white are lines and files are strips.
+    by_chart : bool
+        Whether a colour chart may take the place of a white frame.
+    declares_shots : bool
+        Whether several files of one band are a mistake unless they are declared to be shots.
+    keys : tuple of str
+        Keys of its table that have no meaning for other kinds.
+    fields : tuple of str
+        Fields of its patterns of files that have no meaning for other kinds.
+    rank : int
+        Of several cameras, `levkas look` proposes the one with the highest as the reference.
+    """
+
+    bands_in: Literal["pattern", "file", "files", "sensors"]
+    develop: str
+    is_calibrated: bool = True
+    is_scanned: bool = False
+    by_chart: bool = False
+    declares_shots: bool = False
+    keys: tuple[str, ...] = ()
+    fields: tuple[str, ...] = ()
+    rank: int = 1
+
+    @property
+    def is_demosaiced(self) -> bool:
+        """Whether the pattern of a sensor holds channels, which are interpolated; a mosaic behind filters is equalised."""
+        return self.bands_in in ("pattern", "sensors")
+
+    @property
+    def is_broad(self) -> bool:
+        """Whether its channels are broad: known by sensitivities, not by wavelengths."""
+        return self.is_demosaiced or not self.is_calibrated
+
+
+_DEVELOP = "levkas.building.calibrate"
+KINDS: dict[str, CameraKind] = {
+    "mosaic": CameraKind(
+        bands_in="pattern",
+        develop=f"{_DEVELOP}:develop_mosaic",
+        by_chart=True,
+        keys=("pattern", "bands", "demosaic"),
+        rank=3,
+    ),
+    "bands": CameraKind(
+        bands_in="files",
+        develop=f"{_DEVELOP}:develop_bands",
+        by_chart=True,
+        declares_shots=True,
+        keys=("pattern", "bands"),
+        fields=("band", "wavelength"),
+        rank=4,
+    ),
+    "sensors": CameraKind(
+        bands_in="sensors",
+        develop=f"{_DEVELOP}:develop_mosaic",
+        by_chart=True,
+        keys=("sensors", "demosaic"),
+        fields=("sensor",),
+        rank=2,
+    ),
+    "cube": CameraKind(
+        bands_in="file",
+        develop="levkas.building.scans:develop_scan",
+        is_scanned=True,
+        keys=("bands", "scan"),
+        rank=2,
+    ),
+    "image": CameraKind(
+        bands_in="file",
+        develop=f"{_DEVELOP}:develop_image",
+        is_calibrated=False,
+        declares_shots=True,
+        keys=("bands",),
+    ),
+}
+"""Key `kind` of a camera in campaign.toml. A new kind is a row here and the function that it names."""
+
+
+def known_kind(name: str) -> str:
+    """Return the name of a kind; raises ValueError where there is none of that name.
+
+    >>> known_kind("mosaic")
+    'mosaic'
+    """
+    if name not in KINDS:
+        *most, last = map(repr, KINDS)
+        near = closest_match(name, KINDS)
+        raise ValueError(f"must be {', '.join(most)} or {last}" + (f". {near}" if near else ""))
+    return name
+
+
+def kinds_with(key: str) -> tuple[str, ...]:
+    """Return the kinds whose tables have a key that others have not; all where every kind has it."""
+    return tuple(name for name, kind in KINDS.items() if key in kind.keys)
