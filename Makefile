@@ -9,7 +9,7 @@ export PYTHONUTF8 := 1
 WORKERS ?= 2
 PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -rfEs
 
-.PHONY: env demo test test-slow test-all lint format hooks bench docs reference lock frontend peers compare fuzz clean
+.PHONY: env demo test test-slow exhaustive test-all lint format hooks bench docs reference lock frontend peers compare fuzz clean
 
 env: $(READY)
 	@echo "The environment is $(VENV). Next: make demo | test | lint | docs; CONTRIBUTING.md says more."
@@ -24,6 +24,12 @@ test: pages
 # Faults at every step of a build, fuzzing, same bytes on any number of threads, long browser walks.
 test-slow: pages
 	$(PYTEST) -m slow --durations=25
+
+# What the slow tests take a few of: faults at every step, every change of a campaign, every hostile file through the
+# commands, bytes under every circumstance. Hours.
+exhaustive: $(READY)
+	LEVKAS_EVERY_CASE=1 $(PYTEST) tests/building/test_faults.py tests/building/test_staleness.py \
+		tests/building/test_same_bytes.py tests/cli/test_hostile_commands.py
 
 test-all: pages
 	$(PYTEST) --durations=50
@@ -102,7 +108,7 @@ fuzz: requirements-fuzz.lock
 	else \
 		$(FUZZ)/bin/python -m pip install --disable-pip-version-check --require-hashes -r requirements-fuzz.lock; \
 	fi
-	PYTHONPATH=src $(FUZZ)/bin/python benchmarks/guided_fuzzing.py $(SECONDS)
+	PYTHONPATH=src $(FUZZ)/bin/python benchmarks/fuzzing.py $(SECONDS)
 
 lock:
 	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \

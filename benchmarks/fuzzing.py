@@ -1,172 +1,166 @@
-"""Change bytes of small files at random and read them: whatever comes must be a sound value or a refusal.
+"""Let coverage choose the bytes: atheris spoils small files, each reader in a process of its own.
 
-    python benchmarks/fuzzing.py [SECONDS] [SEED]
+    python benchmarks/fuzzing.py [SECONDS] [READER …]
 
-Frames, scans, campaign.toml, records, tables and control points (`small_files.py`), each judged by
-`judging.py`; then, for as long again, camera raw: DNGs, whose decoder runs in a process of its own, forked
-here from one that has loaded LibRaw, and sometimes started as a build starts it. A seeded loop without
-coverage guidance; `guided_fuzzing.py` has it. Prints runs, distinct refusals, the run that took most
-processor time, and everything that was neither a sound value nor a refusal.
+SECONDS (20) a reader; files and readers are those of tests/readers/small_files.py and judging.py (all but camera
+raw, whose decoder is another program). atheris is the extra `fuzz`, `make fuzz` makes an environment of it; where it
+is not there this is said, and nothing fails. What a run complains of is judged once more in a process
+without atheris, which slows a reader several times, and printed if it is still so.
 """
 
+import contextlib
+import importlib
+import json
 import logging
-import struct
+import pkgutil
+import re
 import subprocess
 import sys
 import tempfile
-import time
 import warnings
 from collections import Counter
 from pathlib import Path
 
-import judging
-import numpy as np
-from small_files import TOKENS, raw_seeds, seeds
-
-from levkas.readers import raw
-
-STARTED_WHOLE = 50
-"""Every so-many-th camera raw is decoded by a new process."""
-FORKING = """
-import os, runpy, signal, struct, sys, tempfile
-import numpy, rawpy
-program = sys.argv[1]
-for line in sys.stdin:
-    path, what = line.rstrip("\\n").rsplit("|", 1)
-    with tempfile.TemporaryFile() as answer:
-        child = os.fork()
-        if not child:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-            sys.argv = [program, path, what]
-            class Output:
-                class buffer:
-                    write = staticmethod(lambda data: answer.write(data))
-            sys.stdout = Output
-            import resource
-            limited = resource.setrlimit
-            resource.setrlimit = lambda kind, most: kind == resource.RLIMIT_FSIZE or limited(kind, most)
-            runpy.run_path(program, run_name="__main__")
-            answer.flush()
-            os._exit(0)
-        _, status, used = os.wait4(child, 0)
-        answer.seek(0)
-        data = answer.read()
-        told = os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime, len(data)
-        sys.__stdout__.buffer.write(struct.pack(">idI", *told))
-        sys.__stdout__.buffer.write(data)
-        sys.__stdout__.buffer.flush()
-"""
+HERE = Path(__file__).resolve().parents[1] / "tests" / "readers"
+sys.path.insert(0, str(HERE))
+SECONDS, SEED, LONGEST = 20, 1, 1 << 16
+MODULES = (
+    "levkas.readers", "levkas.registration.control_points", "levkas.campaign.schema", "levkas.campaign.discovery",
+    "levkas.campaign.campaign", "levkas.campaign.edits", "levkas.building.spectra", "levkas.planning.spectra",
+    "levkas.planning.setup", "levkas.quality.targets.charts", "tifffile.tifffile", "exifread", "tomllib._parser",
+    "json.decoder",
+)  # fmt: skip
+"""Those whose branches count."""
+FLAGS = ("-timeout=1200", "-rss_limit_mb=4096", f"-max_len={LONGEST}", "-print_final_stats=1")
+"""`judging` counts processor time; a process that only had to wait is no finding."""
 
 
-class Forking:
-    """In place of `subprocess` in `levkas.readers.raw`: the decoder without its second of starting."""
+def spoil(reader, folder):
+    """Fuzz one reader for ever; what came is written to the folder, libFuzzer ends the process."""
+    import atheris
 
-    DEVNULL, PIPE = subprocess.DEVNULL, subprocess.PIPE
-    TimeoutExpired, count, seconds = subprocess.TimeoutExpired, 0, 0.0
+    with atheris.instrument_imports(include=[name.split(".")[0] for name in MODULES]):
+        for name in MODULES:
+            import_all(name)
+    import judging
+    from small_files import seeds
 
-    def __init__(self):
-        command = [sys.executable, "-c", FORKING, str(raw.PROGRAM)]
-        self.server = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    names = [(n, beside) for n, _, beside in seeds() if judging.reader_of(n) == reader]
+    came, ways, found = Counter(), set(), {}
+    for _, beside in names:
+        for other, content in beside.items():
+            (folder / other).write_bytes(content)
 
-    def run(self, command, **options):
-        self.count += 1
-        if self.count % STARTED_WHOLE == 0:
-            return subprocess.run(command, **options)
-        self.server.stdin.write(f"{command[-2]}|{command[-1]}\n".encode())
-        self.server.stdin.flush()
-        status, used, length = struct.unpack(">idI", self.server.stdout.read(16))
-        self.seconds += used
-        return subprocess.CompletedProcess(command, status, self.server.stdout.read(length))
+    def once(data):
+        # The last byte picks the name, where one reader has several kinds of files.
+        path = folder / names[data[-1] % len(names) if data and len(names) > 1 else 0][0]
+        path.write_bytes(data[:-1] if len(names) > 1 else data)
+        what, refusals, wrong = judging.judge(path)
+        came[what] += 1
+        ways.update(refusals)
+        if wrong and (kind := re.sub(r"\d+", "0", f"{path.name} {wrong}")) not in found:
+            found[kind] = wrong
+            (folder / f"found-{len(found)}").mkdir()
+            keep(folder / f"found-{len(found)}" / path.name, path, names)
+        if came.total() % 100 == 0 or wrong:
+            record = {"came": came, "ways": len(ways), "found": len(found)}
+            (folder / "record.json").write_text(json.dumps(record))
 
-
-def changed(data, rng):
-    """Return bytes with one to six changes: bits, tokens, cuts, repeats, numbers of 2, 4 or 8 bytes."""
-    data = bytearray(data)
-    for _ in range(int(rng.integers(1, 7))):
-        at = int(rng.integers(len(data) + 1)) if data else 0
-        if rng.random() < 0.6:
-            at = min(at, int(rng.integers(0, 400)))  # headers stand at the front
-        what = int(rng.integers(6))
-        if what == 0 and at < len(data):
-            data[at] ^= 1 << int(rng.integers(8))
-        elif what == 1 and at < len(data):
-            data[at] = int(rng.integers(256))
-        elif what == 2:
-            data[at:at] = TOKENS[int(rng.integers(len(TOKENS)))]
-        elif what == 3:
-            token = TOKENS[int(rng.integers(len(TOKENS)))]
-            data[at : at + len(token)] = token
-        elif what == 4:
-            size = int(rng.choice([2, 4, 8]))
-            number = int(rng.choice([0, 1, 8, 255, 65535, 2**31, 2**32 - 1, 2**63])) % 256**size
-            data[at : at + size] = number.to_bytes(size, str(rng.choice(["little", "big"])))
-        else:
-            end = at + int(rng.integers(1, 64))
-            data[at:end] = data[at:end] * int(rng.integers(0, 4))
-    return bytes(data[: int(rng.integers(len(data) + 1))] if rng.random() < 0.05 else data)
+    atheris.Setup([sys.argv[0], *sys.argv[4:]], once)
+    atheris.Fuzz()
 
 
-def main(seconds, seed):
-    """Run for some seconds a round; return how many runs ended otherwise than they should."""
-    odd = fuzz(list(seeds()), seconds, seed)
-    raw.subprocess = Forking()
-    try:
-        return odd + fuzz(list(raw_seeds()), seconds, seed)
-    finally:
-        raw.subprocess.server.stdin.close()
-        raw.subprocess.server.wait()
-        raw.subprocess = subprocess
+def import_all(name):
+    """Import a module, or a package with all that is in it."""
+    module = importlib.import_module(name)
+    for inner in pkgutil.iter_modules(getattr(module, "__path__", ()), f"{name}."):
+        with contextlib.suppress(ImportError):
+            importlib.import_module(inner.name)
 
 
-def fuzz(corpus, seconds, seed):
-    """Change and read files of a corpus in turn, and print what came of it."""
-    rng = np.random.default_rng(seed)
-    runs, came, ways, odd, most = Counter(), Counter(), {}, {}, (0.0, "")
-    started = time.perf_counter()
-    with tempfile.TemporaryDirectory() as folder:
-        for number in range(sys.maxsize):
-            if time.perf_counter() - started > seconds:
-                break
-            name, data, beside = corpus[number % len(corpus)]
-            path, made, kind = Path(folder) / name, changed(data, rng), judging.reader_of(name)
-            for other, content in beside.items():
-                (Path(folder) / other).write_bytes(content)
-            path.write_bytes(made)
-            what, refusals, wrong, used = timed(path)
-            runs[kind] += 1
-            came[kind, what] += 1
-            ways.setdefault(kind, set()).update(refusals)
-            most = max(most, (used, name))
-            if wrong:
-                odd.setdefault((name, wrong), made[:300])
-    for kind in runs:
-        print(
-            f"{kind:9} {runs[kind]:7} runs, {came[kind, 'read']:7} read, "
-            f"{came[kind, 'refused']:7} refused in {len(ways[kind])} ways"
-        )
+def keep(to, path, names):
+    """Keep a file with those that belong to it."""
+    to.write_bytes(path.read_bytes())
+    for name, beside in names:
+        for other in beside if name == path.name else ():
+            (to.parent / other).write_bytes(path.with_name(other).read_bytes())
+
+
+def run(reader, seconds):
+    """Fuzz one reader for some seconds; print a row, and return how many files are judged wrong."""
+    import judging
+    from small_files import seeds
+
+    with tempfile.TemporaryDirectory() as room:
+        folder, corpus = Path(room) / "files", Path(room) / "corpus"
+        folder.mkdir()
+        corpus.mkdir()
+        every = [(n, data) for n, data, _ in seeds() if judging.reader_of(n) == reader]
+        for number, (_, data) in enumerate(every):
+            tail = bytes([number]) if len(every) > 1 else b""
+            (corpus / str(number)).write_bytes(data + tail)
+        ask = ["-seed=" + str(SEED), f"-max_total_time={seconds}", f"-artifact_prefix={room}/died-"]
+        command = [sys.executable, __file__, "--one", reader, str(folder), *FLAGS, *ask]
+        done = subprocess.run([*command, str(corpus)], capture_output=True, text=True, check=False)
+        record = {"came": {}, "ways": 0}
+        with contextlib.suppress(OSError, ValueError):
+            record = json.loads((folder / "record.json").read_text())
+        covered = re.findall(r"cov: (\d+)", done.stderr)
+        ran = re.findall(r"number_of_executed_units: (\d+)", done.stderr)
+        came = record["came"]
+        row = [
+            *ran[-1:],
+            came.get("read", 0),
+            came.get("refused", 0),
+            record["ways"],
+            *covered[-1:],
+        ]
+        wrong = [line for path in sorted(folder.glob("found-*")) if (line := confirmed(path))]
+        if done.returncode:
+            died = [path.read_bytes()[:4000] for path in Path(room).glob("died-*")]
+            wrong.append(f"the process ended with {done.returncode}: {died}\n{done.stderr[-1500:]}")
     print(
-        f"{runs.total()} runs in {seconds:g} s from seed {seed}; most processor time {most[0]:.2f} s "
-        f"({most[1]}); {len(odd)} that were neither"
+        f"{reader:9}" + "".join(f"{number:>9}" for number in row) + f"{len(wrong):>9}", flush=True
     )
-    for (name, wrong), made in odd.items():
-        print(f"--- {name}: {wrong}\n{made!r}")
-    return len(odd)
+    for line in wrong:
+        print(f"--- {line}")
+    return len(wrong)
 
 
-def timed(path):
-    """Judge a file, with the processor time that it took, that of forked decoders too."""
-    before = judging.processor_s(), getattr(raw.subprocess, "seconds", 0.0)
-    what, refusals, wrong = judging.judge(path)
-    forked = getattr(raw.subprocess, "seconds", 0.0) - before[1]
-    used = judging.processor_s() - before[0] + forked
-    if not wrong and used > judging.SLOW_S:
-        wrong = "slow"
-        print(f"slow: {path.name}, {used:.1f} s of processor time", flush=True)
-    return what, refusals, wrong, used
+def confirmed(folder):
+    """Judge a file that was kept once more, without atheris; return what is wrong with it."""
+    reads = "import judging, pathlib, sys; p = pathlib.Path(sys.argv[1]); judging.warm(p); print(judging.judge(p)[2])"
+    for path in sorted(folder.iterdir()):
+        if path.name.split(".")[1:2] == ["target"] or path.suffix == ".raw":
+            continue
+        command = [sys.executable, "-c", reads, str(path)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=HERE)
+        wrong = done.stdout.strip() or done.stderr.strip()[-200:]
+        if wrong:
+            return f"{path.name}: {wrong}\n{path.read_bytes()[:600]!r}"
+    return ""
+
+
+def main(seconds, readers):
+    """Fuzz readers in turn; return how many files were judged wrong."""
+    try:
+        import atheris  # noqa: F401
+    except ImportError:
+        print("atheris is not here, so nothing was spoilt under its guidance: `make fuzz` gets it.")
+        return 0
+    import judging
+
+    heads = ("runs", "read", "refused", "ways", "covered", "wrong")
+    print(f"{'reader':9}" + "".join(f"{head:>9}" for head in heads), flush=True)
+    return sum(run(r, seconds) for r in readers or [k for k in judging.READERS if k != "raw"])
 
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
     logging.disable(logging.ERROR)  # tifffile tells of every tag that it leaves out
-    given = [float(n) for n in sys.argv[1:]] + [180.0, 0][len(sys.argv) - 1 :]
-    sys.exit(1 if main(given[0], int(given[1])) else 0)
+    if sys.argv[1:2] == ["--one"]:
+        spoil(sys.argv[2], Path(sys.argv[3]))
+    else:
+        numbers = [int(a) for a in sys.argv[1:] if a.isdecimal()]
+        chosen = [a for a in sys.argv[1:] if not a.isdecimal()]
+        sys.exit(1 if main((numbers or [SECONDS])[0], chosen) else 0)

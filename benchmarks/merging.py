@@ -2,7 +2,6 @@
 
     python benchmarks/merging.py [--side 256] [--read 2.0] [--whites 16] [--darks 8] [--bend 0.06] [--leak 0.0018]
     python benchmarks/merging.py --painted   # discs of all tones beside one another's saturated sensels; bend 0.06, leak 0.0018
-    python benchmarks/motion.py   # what is flagged as moved, of cameras as they are
 
 A sensor of 12 bits in 16-bit files (black 50, 2 electrons a count) takes one shot of twelve patches,
 0.0003 to 0.95, at four exposures 4x apart, and a stack of a white at one of them. `levkas build` makes

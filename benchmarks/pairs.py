@@ -10,12 +10,13 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from levkas.geometry.transforms import Affine, Composed, Homography, Lens
+from levkas.geometry.transforms import Affine, Composed, Homography, Lens, Polynomial
 
 SURFACE = (2200, 1650)
 SEEN_SHARE = 0.55
 COARSE_PX = 360
 PAINTED = 12
+BEND_PX = 6.0
 KINDS = ("visible", "visible", "infrared", "inverted")
 
 
@@ -214,6 +215,38 @@ def impostor(studio: Studio, rng: np.random.Generator, number: int):
         if name == "framed":
             _frame(rng, a, b)
     return name, a.astype(np.float32), b.astype(np.float32)
+
+
+def bent(rng: np.random.Generator, size) -> Polynomial:
+    """Return reference px → reference px bent by up to `BEND_PX` at the rim, a random cubic."""
+    x, y = np.meshgrid(np.linspace(0, size[0] - 1, 21), np.linspace(0, size[1] - 1, 17))
+    points = np.stack([x.ravel(), y.ravel()], 1)
+    u, v = (2 * points / np.array(size) - 1).T
+    terms = np.stack([u * u, u * v, v * v, u**3, u * u * v, u * v * v, v**3], 1)
+    field = terms @ rng.normal(0, 1, (terms.shape[1], 2))
+    field *= rng.uniform(0, BEND_PX) / np.abs(field).max()
+    return Polynomial.fit(points, points + field, order=3)
+
+
+def bent_pair(studio: Studio, rng: np.random.Generator, size=(400, 300)):
+    """Return (reference, target, true map, what of the reference's frame lost its detail)."""
+    surface = studio.pick(rng, 1)[0]
+    kind = ("visible", "inverted")[rng.integers(2)]
+    scale = float(rng.uniform(0.8, 1.5))
+    other = (round(size[0] * scale), round(size[1] * scale))
+    truth = Composed(
+        bent(rng, size),
+        view(rng, size, other, scale, turn=rng.normal(0, 1.5), shift=rng.normal(0, 0.01, 2)),
+    )
+    home = frame(size, surface)
+    reference = shoot(surface.layer("visible"), home, size, rng, snr=60)
+    target = shoot(surface.layer(kind), Composed(truth.inverse, home), other, rng, snr=60)
+    blank = cv2.GaussianBlur(target, (0, 0), 30.0)
+    blank += rng.normal(0, 0.006, blank.shape).astype(np.float32)
+    from_, part = rng.integers(4), rng.uniform(0.25, 0.67)
+    rows, columns = np.mgrid[: other[1], : other[0]] / np.array(other[::-1])[:, None, None]
+    lost = (rows, columns, 1 - rows, 1 - columns)[from_] > 1 - part
+    return reference, np.where(lost, blank, target), truth, lost
 
 
 def _frame(rng: np.random.Generator, *images: np.ndarray) -> None:

@@ -2,12 +2,14 @@
 
     python benchmarks/registration.py [FOLDER] [--seeds 1 2 3 …] [--presets small hard] [--scale 0.2]
         [--objects 1] [--methods levkas joint mirhashemi2019] [--results FILE]
+    python benchmarks/registration.py --built DATABASE=TRUTH … [--results FILE]
 
 "joint" is the default method with all objects of a camera adjusted together; it wants several.
 
 Of every camera: the mean error of all its bands, and the largest 99.9th percentile of any, in px of the
-reference band, against exact truth on the whole frame. FOLDER keeps campaigns, databases and results.
-Also builds are kept: benchmarks/sigma.py reads them.
+reference band, against exact truth on the whole frame; and, of the default method, the share of errors within the circles
+that should hold nine of ten, by the sigma of the registration record. FOLDER keeps campaigns, databases and results.
+With --built nothing is simulated: databases whose truth is known are measured.
 """
 
 from __future__ import annotations
@@ -24,24 +26,32 @@ from results import add_option, record
 from levkas.building import build
 from levkas.geometry import from_dict
 from levkas.quality.evaluation.similarity import position_errors, read_truth
+from levkas.registration.record import Sigma
+from levkas.registration.uncertainty import NINE_OF_TEN
 from levkas.simulation import simulate_campaign
 
 
 def measure(database: Path, truth: Path) -> dict[str, dict]:
-    """Return what became of every capture: verdict, mean and 99.9th percentile of its errors."""
+    """Return what became of every capture: verdict, mean and 99.9th percentile of its errors, share held by sigma."""
     found = {}
     for path in sorted(database.glob("objects/*/registration/*.json")):
         record = json.loads(path.read_text(encoding="utf-8"))
         known = read_truth(truth, record["object"], record["camera"])
-        errors = [
-            position_errors(from_dict(b["transform"]), known.reference, known.bands[label])
-            for label, b in record["bands"].items()
-        ]
-        errors = [np.where(np.isfinite(e), e, np.inf) for e in errors]
+        errors, held = [], []
+        for label, band in record["bands"].items():
+            miss = position_errors(
+                from_dict(band["transform"]), known.reference, known.bands[label]
+            )
+            errors.append(np.where(np.isfinite(miss), miss, np.inf))
+            sigma = Sigma.from_dict(band["sigma"])(known.reference) if "sigma" in band else 0.0
+            if np.max(sigma) > 0:
+                held.append(np.mean((miss <= NINE_OF_TEN * sigma)[np.isfinite(miss)]))
         found[f"{record['object']}/{path.stem}"] = {
+            "camera": record["camera"],
             "verdict": record["verdict"]["decision"],
             "mean": float(np.mean([e.mean() for e in errors])) if errors else None,
             "p999": float(max(np.quantile(e, 0.999) for e in errors)) if errors else None,
+            "held": float(np.mean(held)) if held else None,
         }
     return found
 
@@ -87,7 +97,7 @@ def tell(results: dict[str, list[dict]]) -> dict[tuple[str, str], float | None]:
     """Print a line a preset, camera and method; return the median of the means, by camera and method."""
     medians = {}
     print(f"{'preset':8s} {'capture':20s} {'method':16s} {'n':>3s} {'mean':>7s} {'worst':>7s} "
-          f"{'p99.9':>7s} {'worst':>7s}  verdicts")  # fmt: skip
+          f"{'p99.9':>7s} {'worst':>7s}  verdicts; held")  # fmt: skip
     for preset, several in results.items():
         rows = defaultdict(list)
         for result in several:
@@ -100,11 +110,23 @@ def tell(results: dict[str, list[dict]]) -> dict[tuple[str, str], float | None]:
             counts = ", ".join(f"{said.count(v)} {v}" for v in dict.fromkeys(said))
             numbers = (np.median(means), max(means), np.median(highs), max(highs)) if means else ()
             text = " ".join(f"{v:7.3f}" for v in numbers)
-            print(f"{preset:8s} {name:20s} {method:16s} {len(row):3d} {text}  {counts}")
+            held = [r["held"] for r in row if r["held"] is not None]
+            share = f"; {np.mean(held):.2f}" if held else ""
+            print(f"{preset:8s} {name:20s} {method:16s} {len(row):3d} {text}  {counts}{share}")
             if method in COLUMNS:
                 camera = name, f"{preset}, {COLUMNS[method]}"
                 medians[camera] = numbers[0] if numbers else None
     return medians
+
+
+def held_of(captures: list[dict]) -> dict[str, float]:
+    """Return the mean share held of each camera and of all captures."""
+    shares = defaultdict(list)
+    for row in captures:
+        if row["held"] is not None:
+            shares[row["camera"]].append(row["held"])
+            shares["all"].append(row["held"])
+    return {name: float(np.mean(several)) for name, several in shares.items()}
 
 
 def main() -> None:
@@ -116,8 +138,16 @@ def main() -> None:
     parser.add_argument("--scale", type=float, default=0.2)
     parser.add_argument("--objects", type=int, default=1)
     parser.add_argument("--methods", nargs="+", choices=KEYS, default=["levkas", "mirhashemi2019"])
+    parser.add_argument("--built", nargs="+", metavar="DATABASE=TRUTH", help="measure only these")
     add_option(parser)
     arguments = parser.parse_args()
+    if arguments.built:
+        found = [measure(*map(Path, one.split("="))) for one in arguments.built]
+        tell({"built": [{"levkas": captures} for captures in found]})
+        shares = held_of([row for captures in found for row in captures.values()])
+        print(", ".join(f"{name} {share:.2f}" for name, share in shares.items()))
+        record(arguments.results, "sigma-position", shares)
+        return
     results: dict[str, list[dict]] = defaultdict(list)
     for seed in arguments.seeds:
         for preset in arguments.presets:

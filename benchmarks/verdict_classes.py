@@ -3,8 +3,7 @@
     python benchmarks/verdict_classes.py [--pairs 200] [--real 160] [--impostors 100] [--json OUT] [--results FILE]
     python benchmarks/verdict_classes.py --again OUT
 
-Pairs of the battery (`benchmarks/pairs.py`), surfaces that are bent and of which a part lost its detail
-(`benchmarks/unchecked.py`), and real captures: two channels of one photograph, or a band twice, of which one is cut, turned, scaled, bent, partly covered
+Pairs of the battery (`benchmarks/pairs.py`), also of bent surfaces of which a part lost its detail, and real captures: two channels of one photograph, or a band twice, of which one is cut, turned, scaled, bent, partly covered
 by another picture or blanked. So the truth is exact. A map is right where it is at most 0.5 px wrong in the
 mean over what both show of the object (the part of the reference that a database publishes), and at most 2 % of
 that is off by more than 1 px; px are of the reference, or of the target where that is coarser. `--json` keeps the numbers of all verdicts, and `--again` judges those with the
@@ -22,11 +21,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from pairs import Studio, impostor, right_pair, view
+from pairs import Studio, bent, bent_pair, impostor, right_pair, view
 from results import add_option, record
 from scipy import ndimage
-from unchecked import bent
-from unchecked import pair as bent_pair
 
 from levkas.geometry.transforms import Affine, Composed
 from levkas.readers.frames import read_frame
@@ -85,7 +82,7 @@ def real_pair(pictures: dict[str, list[np.ndarray]], rng: np.random.Generator):
     truth = view(rng, SIZE, size, scale, turn=turn, shift=shift)
     kind = "plain"
     if rng.uniform() < 0.3:
-        truth, kind = Composed(bent(rng), truth), "bent"
+        truth, kind = Composed(bent(rng, SIZE), truth), "bent"
     reference = sample(first, home, SIZE)
     target = sample(second, Composed(truth.inverse, home), size)
     target = target.max() - target if inverted else target

@@ -15,13 +15,12 @@ ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 NOT_INSTALLED = {
     "SimpleITK": "simpleitk", "ants": "antspyx", "itk": "itk-elastix", "mahotas": "mahotas",
-    "mitsuba": "mitsuba",
 }  # fmt: skip
 """Import name → distribution of the extras that the tests' environment does not have."""
 USED = ("cluster", "export", "peers", "remote")
 """Extras that the package, or the comparison with its peers, imports."""
-UNNAMED = {"cryptography", "mitsuba"}
-"""What no source of the package imports: dask's certificates for the workers of one machine, and the renderer of a benchmark."""
+UNNAMED = {"cryptography"}
+"""What no source of the package imports: dask's certificates for the workers of one machine."""
 UNIX = ("resource", "fcntl", "pwd", "grp", "termios", "tty", "pty", "syslog")
 
 

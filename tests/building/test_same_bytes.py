@@ -1,6 +1,8 @@
 """The bytes of a database do not depend on where, when and with how many threads it was built."""
 
-import importlib.util
+import os
+import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,16 +11,19 @@ from levkas.building import build, summarise
 from levkas.core.digests import hash_tree
 from levkas.core.machine import count_threads, tile_rows
 
-BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks/same_bytes.py"
+sys.path.insert(0, str(Path(__file__).parent))
+from circumstances import EMULATED, EVERY, run
 
-
-@pytest.fixture(scope="module")
-def other_ways():
-    """The benchmark, which builds under other circumstances; it has more of them, and more cameras."""
-    spec = importlib.util.spec_from_file_location("same_bytes", BENCHMARK)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+FEW = (
+    "1 threads, 64 rows",
+    "2 threads, whole rows",
+    "3 threads, 97 rows",
+    "Turkish, Kathmandu, 400 days on",
+    "OpenBLAS for Haswell",
+    "C library without fused multiply-add",
+)
+EMULATOR = shutil.which(os.environ.get("QEMU", "qemu-x86_64-static"))
+ALL = [name for name in EVERY if EMULATOR or name not in EMULATED]
 
 
 @pytest.fixture(scope="module")
@@ -29,20 +34,10 @@ def plate(make_plates, tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        "1 threads, 64 rows",
-        "2 threads, whole rows",
-        "3 threads, 97 rows",
-        "Turkish, Kathmandu, 400 days on",
-        "OpenBLAS for Haswell",
-        "C library without fused multiply-add",
-    ],
-)
-def test_the_bytes_are_the_same(name, plate, other_ways, tmp_path):
+@pytest.mark.parametrize("name", ALL if os.environ.get("LEVKAS_EVERY_CASE") else FEW)
+def test_the_bytes_are_the_same(name, plate, tmp_path):
     folder, expected = plate
-    assert other_ways.run(folder, tmp_path / "database", name) == expected
+    assert run(folder, tmp_path / "database", name) == expected
 
 
 def test_one_variable_says_how_many_rows(monkeypatch):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parent))
 judging = pytest.importorskip("judging", exc_type=ImportError)  # it counts as Unix does
 from small_files import raw_seeds, seeds  # noqa: E402
 

@@ -38,13 +38,13 @@ class UncertaintySettings:
         (`benchmarks/pairs.py`).
     bands_factor : float
         The same for a band against its neighbours in wavelength; measured on three simulated campaigns.
-        `benchmarks/sigma.py` measures both on others.
+        `benchmarks/registration.py` measures both on others.
     local_share : float
         Share of the variance of the folds that is taken at the place itself, the rest from the whole
         frame: nine folds say little of one place.
     stray : float, px a px
         How far a map may stray for each px that it reaches beyond what windows confirm; measured on cut
-        and bent pairs (`benchmarks/unchecked.py`).
+        and bent pairs (those of `benchmarks/verdict_classes.py`).
     """
 
     lattice: tuple[int, int] = (9, 7)

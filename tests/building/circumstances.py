@@ -1,30 +1,20 @@
-"""One campaign built under other circumstances: the databases must be the same, byte for byte.
+"""A campaign built under other circumstances, in a process of its own, for its bytes to be compared.
 
-    python benchmarks/same_bytes.py [FOLDER] [--plain] [--matrix | --single | --instructions | --processors]
-
-A mosaic camera, one of many bands and a line scan, simulated. First one circumstance at a time: other
-numbers of threads, order and dates of the files, folder, locale, time zone and day. Then (``--matrix``:
-this alone; ``--single``: not this) 1, 2 and 3 threads x 64, 97 and all rows at a time, each with its
-files made in an order of their own, in a folder, locale and time zone of their own; once with the scan
-held in memory, once with it streamed. ``--instructions`` (this alone) asks each library for other
-instructions, which held libraries do not heed: with ``LEVKAS_INSTRUCTIONS=native`` it shows what each
-would change. ``--processors`` (this alone) builds on emulated processors, by ``qemu-x86_64-static`` of the
-package qemu-user-static, or the program that $QEMU names. FOLDER keeps the simulated campaign. With ``--plain`` FOLDER is
-any campaign, and nothing is simulated.
+One circumstance at a time: numbers of threads, order and dates of the files, folder, locale, time zone and
+day. `MATRIX`: 1, 2 and 3 threads x 64, 97 and all rows at a time, each with files in an order of their own, in
+a folder, locale and time zone of their own. `INSTRUCTIONS` asks each library for other instructions, which held
+libraries do not heed: with ``LEVKAS_INSTRUCTIONS=native`` each changes the bytes. `EMULATED` processors need
+``qemu-x86_64-static`` of the package qemu-user-static, or the program that $QEMU names.
 """
 
-import hashlib
 import os
 import random
 import shutil
 import subprocess
 import sys
-import tempfile
-import time
 from pathlib import Path
 
 from levkas.core.digests import hash_tree
-from levkas.simulation import simulate_campaign
 
 BUILD = """
 import datetime, os, random, sys, time
@@ -64,9 +54,7 @@ if "shuffled" in how:
     os.scandir = lambda *place: Scan(mixed(scanned(*place)))
 from levkas.core.instructions import hold_instructions
 hold_instructions()
-from levkas.building import build, scans, streaming, summarise
-if "streamed" in how:
-    scans.STREAMED_SAMPLES, streaming.HELD_BYTES = 0, 3_000_000
+from levkas.building import build, summarise
 report = summarise(build(sys.argv[1], output=sys.argv[2]))
 print(report.text)
 sys.exit(not report.ok)
@@ -89,9 +77,8 @@ CIRCUMSTANCES: dict[str, tuple[dict[str, str], int, str]] = {
 }
 PLACES = (("C", "UTC"), ("tr_TR.UTF-8", "Asia/Kathmandu"), ("C.UTF-8", "America/Lima"))
 THREADS, TILES = (1, 2, 3), ("64", "97", "whole")
-MATRIX: dict[str, tuple[dict[str, str], int, str]] = {"as it comes, streamed": ({}, 0, "streamed")}
-MATRIX |= {
-    f"{threads} threads, {tile} rows{', streamed' if streamed else ''}": (
+MATRIX: dict[str, tuple[dict[str, str], int, str]] = {
+    f"{threads} threads, {tile} rows": (
         {
             "LEVKAS_THREADS": str(threads),
             "NUMBA_NUM_THREADS": "3",
@@ -100,9 +87,8 @@ MATRIX |= {
             "TZ": PLACES[(threads + row) % 3][1],
         },
         100 * threads + row,
-        "shuffled streamed" if streamed else "shuffled",
+        "shuffled",
     )
-    for streamed in (False, True)
     for threads in THREADS
     for row, tile in enumerate(TILES)
 }
@@ -130,7 +116,9 @@ EMULATED = {
     f"emulated {name}": ({"NUMBA_CPU_NAME": "generic"}, 0, f"emulated {name}")
     for name in ("Nehalem", "Haswell")  # without and with AVX2 and fused multiply-add
 }
-LIBRARIES: dict[str, tuple[dict[str, str], int, str]] = {
+EVERY = {
+    **CIRCUMSTANCES,
+    **MATRIX,
     **{name: (settings, 0, "") for name, settings in INSTRUCTIONS.items()},
     **EMULATED,
 }
@@ -149,7 +137,7 @@ def scatter(folder: Path, copy: Path, seed: int) -> None:
 
 def run(folder: Path, output: Path, name: str) -> dict[str, str]:
     """Build in a process of its own, and return the hashes."""
-    more, days, how = {**CIRCUMSTANCES, **MATRIX, **LIBRARIES}[name]
+    more, days, how = EVERY[name]
     if "shuffled" in how:
         elsewhere = output.with_name(f"{output.name} elsewhere")
         scatter(folder, elsewhere, 3 + days)
@@ -162,48 +150,3 @@ def run(folder: Path, output: Path, name: str) -> dict[str, str]:
         command = [emulator, "-cpu", how.removeprefix("emulated "), *command]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env={**os.environ, **more})
     return hash_tree(output)
-
-
-def tree_hash(found: dict[str, str]) -> str:
-    """Return one SHA-256 for all names and contents."""
-    return hashlib.sha256("".join(f"{n}\0{h}\n" for n, h in found.items()).encode()).hexdigest()
-
-
-def main(folder: Path, names: list[list[str]], *, plain: bool) -> int:
-    if not plain and not (folder / "campaign.toml").is_file():
-        for _ in simulate_campaign(folder, preset="small", scale=0.15, cameras=["d80", "v10"]):
-            pass
-    failed = 0
-    for group in names:
-        failed += compare(folder, group)
-    return failed
-
-
-def compare(folder: Path, names: list[str]) -> int:
-    """Build under some circumstances; return how many gave another database than the first."""
-    first: dict[str, str] = {}
-    failed = 0
-    for name in names:
-        start = time.perf_counter()
-        with tempfile.TemporaryDirectory() as room:
-            found = run(folder, Path(room) / "database", name)
-        first = first or found
-        other = [n for n in {**first, **found} if first.get(n) != found.get(n)]
-        failed += bool(other)
-        told = f"{len(other)} of {len(first)} files differ: {other[:4]}" if other else "same"
-        seconds = time.perf_counter() - start
-        print(f"{name}: {told}, {tree_hash(found)[:16]}, {seconds:.0f} s", flush=True)
-    return failed
-
-
-if __name__ == "__main__":
-    places = [a for a in sys.argv[1:] if not a.startswith("-")]
-    where = Path(places[0]) if places else Path(tempfile.mkdtemp()) / "campaign"
-    held = ["as it comes", *(name for name in MATRIX if "streamed" not in name)]
-    # What is streamed differs from what is held in the last bits of maps: two trees.
-    chosen = [list(CIRCUMSTANCES), held, [name for name in MATRIX if name not in held]]
-    chosen = chosen[1:] if "--matrix" in sys.argv else chosen
-    chosen = chosen[:1] if "--single" in sys.argv else chosen
-    chosen = [["as it comes", *INSTRUCTIONS]] if "--instructions" in sys.argv else chosen
-    chosen = [["as it comes", *EMULATED]] if "--processors" in sys.argv else chosen
-    sys.exit(main(where, chosen, plain="--plain" in sys.argv))

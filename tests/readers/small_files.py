@@ -1,4 +1,4 @@
-"""Small sound files of every kind that is read, for `fuzzing.py` and `guided_fuzzing.py` to spoil."""
+"""Small sound files of every kind that is read, for benchmarks/fuzzing.py to spoil."""
 
 import io
 import json
@@ -42,11 +42,6 @@ note = "by eye"
 [objects.icon1.cameras."msbs:IR"]
 added = [[10.0, 20.0, 30.0, 40.0]]
 """
-TOKENS = [
-    *(b"\0", b"\xff", b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\x80\0\0\0", b"-1", b"0", b"nan"),
-    *(b"inf", b"1e999", b"99999999999999999999", b"{", b"}", b"[", b"]", b'"', b'"""', b"=", b"\n"),
-    *(b",", b";", b".", b"\\u0000", b"\xc3", b" ", b"{target}", b"[[", b"'''", b"NaN", b"true"),
-]
 
 
 def seeds():
