@@ -96,17 +96,17 @@ def test_whatever_a_method_raises_refuses_its_capture_and_leaves_a_report(
 
 def test_whatever_calibration_raises_refuses_its_capture(make_plates, tmp_path, monkeypatch):
     folder = make_plates(tmp_path / "campaign")
-    develop = calibrate.DEVELOPERS["image"]
+    develop = calibrate.develop_image
 
     def broken(context):
         if context.camera.name == "infrared":
             raise KeyError("infrared")
         return develop(context)
 
-    monkeypatch.setitem(calibrate.DEVELOPERS, "image", broken)
+    monkeypatch.setattr(calibrate, "develop_image", broken)
     found = ended(summarise(build(folder)))
     assert set(found) == {(name, "infrared", "calibrate") for name in ("one", "two")}
-    monkeypatch.setitem(calibrate.DEVELOPERS, "image", develop)
+    monkeypatch.setattr(calibrate, "develop_image", develop)
     assert summarise(build(folder)).ok
 
 
