@@ -36,6 +36,8 @@ def truth():
         cy, cx, s, a = *rng.uniform(0, SIZE), rng.uniform(2, 12), rng.normal()
         blob = a * np.exp(-((y - cy) ** 2 + (x - cx) ** 2) / (2 * s * s))
         made += blob[..., None] * np.linspace(1, rng.uniform(-0.5, 1.5), len(NM))
+    # Grain that all bands share: blobs alone, of other weights in every band, look as if they were displaced.
+    made += 0.3 * rng.standard_normal((*SIZE, 1))
     return 0.05 + 0.8 / (1 + np.exp(-2 * made))
 
 
