@@ -213,8 +213,11 @@ class SensorTask:
         """Measure by how much parts of the best band that are smaller than a check window lie beside the map."""
         best = [band.label for band in self.bands].index(found.course["band"])
         step, whole = self.plain_step, Composed(found.chromatic.transform(best), found.base)
-        image = highpass(self.resample(self.bands[best], whole, step))
-        return measure_fine_displacement(self.reference.predictor(step).images, image, step=step)
+        predictors, image = (
+            self.reference.predictor(step).images,
+            self.images[self.bands[best].label],
+        )
+        return measure_fine_displacement(predictors, image, whole, step=step)
 
     def light_of(self, band: BandImage, transform: Transform, step: int) -> Light:
         """Tell whether a band sees light that the reference sees too.

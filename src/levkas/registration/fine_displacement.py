@@ -14,12 +14,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.registration.local_shifts import Predictor, WindowShifts
+from levkas.registration.local_shifts import Predictor, WindowShifts, detail_on_grid
 from levkas.registration.verification import Box, predict
+
+if TYPE_CHECKING:
+    from levkas.geometry.transforms import Transform
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,8 @@ class FineSettings:
         it falls where they lie there.
     least_windows, least_share : int, float
         That have to count, in number and as a share of those both pictures show, for a mean square.
+    above_noise : float
+        Mean square over the mean variance of windows from which it is none of theirs.
     least_rms : float, px
         From which on its root is part of sigma: 180 pairs that agree have 0.07 at most.
     around, least_around : int
@@ -62,6 +67,7 @@ class FineSettings:
     gain: float = 1.5
     least_windows: int = 40
     least_rms: float = 0.1
+    above_noise: float = 0.5
     least_share: float = 0.2
     around: int = 3
     least_around: int = 6
@@ -130,7 +136,7 @@ class FineDisplacement:
 
 
 def measure_fine_displacement(
-    predictors: np.ndarray, image: np.ndarray, *, step: int = 1
+    predictors: np.ndarray, image: np.ndarray, transform: Transform, *, step: int = 1
 ) -> FineDisplacement | None:
     """Measure by how much small windows of a band lie beside the map.
 
@@ -138,8 +144,10 @@ def measure_fine_displacement(
     ----------
     predictors : ndarray, (k, h, w), float32
         Images of the reference on a grid of `step` reference px, high-passed; NaN where invalid.
-    image : ndarray, (h, w), float32
-        The band on the same grid, seen through its map, high-passed too.
+    image : ndarray, (H, W), float32
+        The band in native px; NaN where invalid.
+    transform : Transform
+        Reference px → native px.
     step : int, reference px
 
     Returns
@@ -147,10 +155,12 @@ def measure_fine_displacement(
     found : FineDisplacement or None
         None where the pictures are too small or show nothing in common.
     """
-    if min(image.shape) < SETTINGS.cell * SETTINGS.around:
+    shape = (predictors.shape[1], predictors.shape[2])
+    if min(shape) < SETTINGS.cell * SETTINGS.around:
         return None
+    image = detail_on_grid(image, transform, shape, step=step)
     shifts = _shift_windows(Predictor(predict(predictors, image)[None], cell=SETTINGS.cell), image)
-    lattice = tuple(n // SETTINGS.cell for n in image.shape)
+    lattice = tuple(n // SETTINGS.cell for n in shape)
     shift = shifts.shift.reshape(*lattice, 2)
     information = shifts.information.reshape(*lattice, 2, 2)
     known = np.trace(information, axis1=2, axis2=3) > 0
@@ -258,9 +268,10 @@ def _variance(information: np.ndarray) -> np.ndarray:
 
 
 def _rms(shift: np.ndarray, variance: np.ndarray, weight: np.ndarray) -> float:
-    """Return the root mean square of a displacement everywhere, of both axes, px; windows stray, so that each has a limit."""
-    square = np.square(shift).sum(-1)
-    return float(np.sqrt(max(np.average(square - variance, weights=weight), 0.0)))
+    """Return the root mean square of a displacement everywhere, of both axes, px; 0 where noise, which is known by some tenths, may be the cause."""
+    found = float(np.average(np.square(shift).sum(-1) - variance, weights=weight))
+    noise = float(np.average(variance, weights=weight))
+    return float(np.sqrt(found)) if found > SETTINGS.above_noise * noise else 0.0
 
 
 def _period(shift: np.ndarray, counts: np.ndarray, step: int) -> tuple[float, float] | None:

@@ -25,7 +25,7 @@ from levkas.core.threads import in_threads
 from levkas.geometry.transforms import Affine, Composed, Inverse, Polynomial
 from levkas.registration.line_course import Course, LineShifts, find_course
 from levkas.registration.line_displacement_kernel import register_rows
-from levkas.registration.local_shifts import highpass, highpass_rows, reduce, smoothing_warp
+from levkas.registration.local_shifts import detail_on_grid, highpass_rows, smoothing_warp
 from levkas.registration.verification import predict
 
 if TYPE_CHECKING:
@@ -233,9 +233,7 @@ def _measure_pictures(
     ):
         return []
     native = np.linalg.norm(np.linalg.inv(change), axis=0)
-    block = max(1, round(step / float(native.mean()) / 1.2))
-    reduced = Composed(transform, Affine.scaling(1 / block))
-    there = highpass(smoothing_warp(reduce(image, block), reduced, size, step=step))
+    there = detail_on_grid(image, transform, size, step=step)
     predicted = predict(predictors, there)
     to_grid = Composed(Inverse(transform), Affine.scaling(1 / step))
     back = smoothing_warp(predicted, to_grid, (image.shape[0], image.shape[1]))

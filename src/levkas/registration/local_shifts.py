@@ -17,6 +17,7 @@ import numpy as np
 
 from levkas.core.compiled import njit
 from levkas.core.threads import in_threads
+from levkas.geometry.transforms import Affine, Composed
 from levkas.registration import local_shifts_kernel as kernels
 from levkas.registration.bands import LATTICE_PX, evaluate_lattice
 
@@ -252,6 +253,21 @@ def _reduce(start, stop, image, n, out):  # type: ignore[no-untyped-def]
                 for b in range(n):
                     total += image[i * n + a, j * n + b]
             out[i, j] = total / (n * n)
+
+
+def detail_on_grid(
+    image: np.ndarray, transform: Transform, shape: tuple[int, int], *, step: int = 1
+) -> np.ndarray:
+    """Return `image`, (h, w), seen on a grid of `step` reference px and high-passed.
+
+    `transform` is reference px → px of the image, `shape` that of the grid. Blocks of about one px of the grid are averaged: less lets
+    detail finer than the grid feign other detail, more makes noise alike in neighbours.
+    """
+    centre = (np.array([[shape[1], shape[0]]]) * step - 1) / 2
+    size = step * float(np.sqrt(np.abs(np.linalg.det(transform.jacobian(centre)[0]))))
+    block = max(1, round(size / 1.2)) if np.isfinite(size) else 1
+    whole = Composed(transform, Affine.scaling(1 / block))
+    return highpass(smoothing_warp(reduce(image, block), whole, shape, step=step))
 
 
 def highpass(image: np.ndarray) -> np.ndarray:

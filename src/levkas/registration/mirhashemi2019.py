@@ -21,7 +21,7 @@ from levkas.registration.features import KeyPoints, find_key_points
 from levkas.registration.fine_displacement import measure_fine_displacement
 from levkas.registration.foreground import ObjectArea
 from levkas.registration.line_displacement import measure_line_displacement
-from levkas.registration.local_shifts import highpass, smoothing_warp
+from levkas.registration.local_shifts import highpass
 from levkas.registration.manual_points import ManualPoints, MarkedMatches
 from levkas.registration.matching import RATIO, match
 from levkas.registration.outliers import Cleaned, RemovalTerms, clean, remove_outliers
@@ -412,9 +412,8 @@ def _measure_finely(evidence: Evidence) -> dict[str, Any]:
     inside = valid & region_mask(evidence.region, valid.shape)
     known = highpass(np.where(inside, ours, np.float32(np.nan)))[None]
     target = np.where(shown, theirs, np.float32(np.nan))
-    seen = highpass(smoothing_warp(target, evidence.transform, valid.shape))
     lines = measure_line_displacement(known, target, evidence.transform)
-    fine = measure_fine_displacement(known, seen)
+    fine = measure_fine_displacement(known, target, evidence.transform)
     return {
         "line_displacement": lines and lines.to_dict(),
         "fine_displacement": fine and fine.to_dict(),
