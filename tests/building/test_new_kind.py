@@ -1,5 +1,6 @@
 """A camera kind is one row and one function: the example of the docs is added and built."""
 
+import dataclasses
 import importlib
 import re
 import shutil
@@ -14,6 +15,7 @@ from PIL import Image
 import levkas
 from levkas.building import build, summarise
 from levkas.campaign import camera_kinds
+from levkas.campaign.schema.cross_checks import check_pattern
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/howto/add_camera_kind.md"
 
@@ -64,3 +66,15 @@ def test_an_unknown_kind_is_refused_with_those_that_there_are(plates, tmp_path):
 def test_every_row_names_a_function(kind):
     module, _, name = kind.develop.partition(":")
     assert callable(getattr(importlib.import_module(module), name))
+
+
+def test_kinds_may_share_a_field_and_a_key(monkeypatch):
+    row = dataclasses.replace(camera_kinds.KINDS["bands"], keys=("bands", "scan"))
+    monkeypatch.setitem(camera_kinds.KINDS, "filters", row)
+    assert "wavelength" not in camera_kinds.fields_of_others("bands")
+    assert camera_kinds.fields_of_others("cube")["wavelength"] == ("bands", "filters")
+    assert "scan" not in camera_kinds.keys_of_others("filters")
+    assert camera_kinds.keys_of_others("bands")["scan"] == ("cube", "filters")
+    assert not list(check_pattern("files", "raw/{target}_{wavelength}nm.tif", "bands"))
+    (problem,) = check_pattern("files", "raw/{target}_{wavelength}nm.tif", "cube")
+    assert "'bands' or 'filters'" in problem.message

@@ -46,6 +46,11 @@ class CameraKind:
     rank: int = 1
 
     @property
+    def is_cube(self) -> bool:
+        """Whether a file of raw frames holds all bands."""
+        return self.bands_in == "file" and self.is_calibrated
+
+    @property
     def is_demosaiced(self) -> bool:
         """Whether the pattern of a sensor holds channels, which are interpolated; a mosaic behind filters is equalised."""
         return self.bands_in in ("pattern", "sensors")
@@ -113,6 +118,26 @@ def known_kind(name: str) -> str:
     return name
 
 
-def kinds_with(key: str) -> tuple[str, ...]:
-    """Return the kinds whose tables have a key that others have not; all where every kind has it."""
-    return tuple(name for name, kind in KINDS.items() if key in kind.keys)
+def keys_of_others(kind: str) -> dict[str, tuple[str, ...]]:
+    """Return the keys that only other kinds have in their tables, and which kinds these are.
+
+    >>> keys_of_others("image")["pattern"]
+    ('mosaic', 'bands')
+    """
+    return _of_others(kind, {name: row.keys for name, row in KINDS.items()})
+
+
+def fields_of_others(kind: str) -> dict[str, tuple[str, ...]]:
+    """Return the fields that only other kinds have in their patterns, and which kinds these are.
+
+    >>> fields_of_others("bands")
+    {'sensor': ('sensors',)}
+    """
+    return _of_others(kind, {name: row.fields for name, row in KINDS.items()})
+
+
+def _of_others(kind: str, words: dict[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
+    foreign = dict.fromkeys(
+        word for own in words.values() for word in own if word not in words[kind]
+    )
+    return {word: tuple(name for name, own in words.items() if word in own) for word in foreign}

@@ -80,9 +80,8 @@ def bands_in_file(
         Whether bands are pages of a TIFF, not samples of a pixel.
     """
     samples = facts.shape[2] if len(facts.shape) == 3 else 1
-    whole = camera.traits.bands_in == "file" and camera.traits.is_calibrated
-    mixed = samples > 1 and facts.pages > 1 and (pages or whole)
-    pages = pages or (whole and samples == 1 and facts.kind != "envi")
+    mixed = samples > 1 and facts.pages > 1 and (pages or camera.traits.is_cube)
+    pages = pages or (camera.traits.is_cube and samples == 1 and facts.kind != "envi")
     count = facts.pages if pages else samples
     where, unit = str(facts.path), "pages" if pages else "bands"
     if not camera.traits.is_calibrated and count not in (1, 3):

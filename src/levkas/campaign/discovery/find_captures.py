@@ -427,7 +427,7 @@ def _frames_and_bands(
         return frames, *bands_of_mosaic(camera, pattern, names, facts)
     if bands_in != "files":
         bands = bands_in_file(camera, sensor, index.facts(first))
-        if bands_in == "file" and camera.traits.is_calibrated:
+        if camera.traits.is_cube:
             _check_counts(index, camera, frames[1:], len(bands))
             frames = [in_order(camera, frame, index.facts, first) for frame in frames]
         return frames, None, bands
@@ -449,11 +449,10 @@ def _fitted(
     bands: tuple[Band, ...],
 ) -> list[FrameRef]:
     """Give templates the bands they belong to, by name or by page; without either they serve all."""
-    bands_in = camera.traits.bands_in
-    if bands_in == "file" and camera.traits.is_calibrated:
+    if camera.traits.is_cube:
         _check_counts(index, camera, templates, len(bands))
         return [in_order(camera, template, index.facts, frames[0].path) for template in templates]
-    if bands_in != "files":
+    if camera.traits.bands_in != "files":
         return templates
     paged: list[FrameRef] = []
     for template in templates:

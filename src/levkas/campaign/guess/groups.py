@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
-from levkas.campaign.camera_kinds import KINDS
+from levkas.campaign.camera_kinds import fields_of_others
 from levkas.campaign.discovery.patterns import natural
 from levkas.campaign.guess.names import NamedFile
 from levkas.campaign.guess.words import BANDS, GENERIC, IMAGES, LIGHTS, MILD, TARGET, Token, role_in
@@ -306,9 +306,7 @@ class FilePatterns:
 
     def of_kind(self, kind: str) -> tuple[str, ...]:
         """Return the patterns with the fields that a camera of some kind has; others become ``*``."""
-        fields = "|".join(
-            name for row in KINDS.values() for name in row.fields if row is not KINDS[kind]
-        )
+        fields = "|".join(fields_of_others(kind))
         texts = (re.sub(rf"\{{({fields})\}}", "*", text) for text in self.patterns)
         return tuple(dict.fromkeys(re.sub(r"\*{2,}", "*", text) for text in texts))
 

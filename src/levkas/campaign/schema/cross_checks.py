@@ -8,7 +8,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from levkas.campaign.camera_kinds import KINDS, kinds_with
+from levkas.campaign.camera_kinds import KINDS, fields_of_others, keys_of_others
 from levkas.campaign.chart_names import CHARTS, kind_of_chart
 from levkas.campaign.discovery.patterns import Pattern
 from levkas.campaign.methods import DEFAULT_METHOD, METHODS, owners_of
@@ -383,12 +383,6 @@ def _files(document: Document, root: Path) -> Iterator[Problem]:
             )
 
 
-KEYS_OF_KINDS = {
-    key: kinds_with(key) for key in sorted({key for kind in KINDS.values() for key in kind.keys})
-}
-"""Camera keys that mean nothing elsewhere, and the kinds that have them."""
-
-
 def value_problem(
     field: str, message: str, found: Any = None, expected: str | None = None, fix: str | None = None
 ) -> Problem:
@@ -398,8 +392,8 @@ def value_problem(
 
 def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
     """Yield what does not fit together in the table `where`, such as ``cameras.nir``."""
-    for key, kinds in KEYS_OF_KINDS.items():
-        if getattr(camera, key) and camera.kind not in kinds:
+    for key, kinds in keys_of_others(camera.kind).items():
+        if getattr(camera, key):
             per_sensor = key in ("pattern", "bands") and camera.traits.bands_in == "sensors"
             yield value_problem(
                 f"{where}.{key}",
@@ -519,17 +513,11 @@ def check_pattern(field: str, text: str, kind: str) -> Iterator[Problem]:
         return
     if "target" not in fields:
         yield value_problem(field, "the pattern has no {target}", text, "raw/NAME/{target}/*.tif")
-    of_others = {
-        name: other for other, row in KINDS.items() for name in row.fields if other != kind
-    }
-    for name in ("band", "wavelength", "sensor"):
-        if name in fields and name in of_others:
-            yield value_problem(
-                field,
-                f"only a camera of kind {of_others[name]!r} has {{{name}}}",
-                text,
-                fix="Write * instead.",
-            )
+    for name, kinds in fields_of_others(kind).items():
+        if name in fields:
+            owners = " or ".join(map(repr, kinds))
+            message = f"only a camera of kind {owners} has {{{name}}}"
+            yield value_problem(field, message, text, fix="Write * instead.")
     if "object" in fields and not KINDS[kind].is_calibrated:
         yield value_problem(
             field,
