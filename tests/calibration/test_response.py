@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from levkas.calibration.linearity import find_points
-from levkas.calibration.response import ALIKE, find_response, fit_series
+from levkas.calibration.response import ALIKE, fit_series
 from levkas.calibration.templates import average
 
 GAIN, READ, BLACK, FULL = 0.25, 2.0, 60.0, 4095.0
@@ -34,7 +34,7 @@ def points(bend=0.0, *, cubic=0.0, times=TIMES, really=None, seed=2, full=FULL, 
     ("bend", "cubic"), [(0.06, 0.0), (0.12, 0.0), (-0.05, 0.0), (0.03, 0.03), (0.02, 0.0)]
 )
 def test_a_planted_curve_comes_back(bend, cubic):
-    found = find_response(points(bend, cubic=cubic), FULL - BLACK)
+    found = fit_series(points(bend, cubic=cubic), FULL - BLACK).response
     light = np.linspace(50, 3500, 50)
     off = found.light(bent(light, bend, cubic)) / light - 1
     # The slope in the dark is the scale: what counts is how light goes from there on.
@@ -45,21 +45,21 @@ def test_a_planted_curve_comes_back(bend, cubic):
 def test_a_curve_of_twelve_bits_in_files_of_sixteen_comes_back():
     """Nobody declares the bits: 5 per cent of 65,535 are most of the codes that there are."""
     full, times = 65535.0, (0.25, 0.5, 0.9)
-    found = find_response(points(0.08, times=times, full=full), full - BLACK)
+    found = fit_series(points(0.08, times=times, full=full), full - BLACK).response
     light = np.linspace(50, 3200, 50)
     assert np.abs(found.light(bent(light, 0.08)) / light - 1).max() < 0.004
-    assert find_response(points(0.0, times=times, full=full), full - BLACK) is None
+    assert fit_series(points(0.0, times=times, full=full), full - BLACK).response is None
 
 
 def test_a_linear_sensor_has_no_curve():
-    assert find_response(points(), FULL - BLACK) is None
+    assert fit_series(points(), FULL - BLACK).response is None
 
 
 @pytest.mark.parametrize("odd", range(4))
 @pytest.mark.parametrize("factor", [0.95, 1.02, 1.33])
 def test_a_wrong_time_of_one_exposure_is_no_curve(odd, factor):
     really = [t * (factor if i == odd else 1.0) for i, t in enumerate(TIMES)]
-    assert find_response(points(really=really), FULL - BLACK) is None
+    assert fit_series(points(really=really), FULL - BLACK).response is None
 
 
 @pytest.mark.parametrize("flicker", [0.01, 0.03])
@@ -72,7 +72,7 @@ def test_a_lamp_that_flickers_is_no_curve(flicker, times):
 
 def test_a_curve_comes_back_under_a_lamp_that_flickers():
     really = [time * light for time, light in zip(TIMES, (0.99, 1.02, 1.0, 0.98), strict=True)]
-    found = find_response(points(0.06, really=really), FULL - BLACK)
+    found = fit_series(points(0.06, really=really), FULL - BLACK).response
     light = np.linspace(50, 3500, 50)
     off = found.light(bent(light, 0.06)) / light - 1
     # Its error holds what the scatter of the light leaves in doubt.
@@ -100,18 +100,18 @@ def test_a_response_that_bends_at_its_dark_end_has_an_offset():
 
 
 def test_a_shutter_that_is_late_is_no_curve():
-    assert find_response(points(really=[t + 0.01 for t in TIMES]), FULL - BLACK) is None
+    assert fit_series(points(really=[t + 0.01 for t in TIMES]), FULL - BLACK).response is None
 
 
 def test_two_exposures_of_many_levels_show_a_curve():
-    found = find_response(points(0.06, times=(0.5, 1.0)), FULL - BLACK)
+    found = fit_series(points(0.06, times=(0.5, 1.0)), FULL - BLACK).response
     light = np.linspace(300, 3300, 20)
     ratio = found.light(bent(light, 0.06)) / light
     assert np.ptp(ratio) < 0.006
 
 
 def test_templates_are_straightened_with_their_variance():
-    found = find_response(points(0.06), FULL - BLACK)
+    found = fit_series(points(0.06), FULL - BLACK).response
     frames = [np.full((2, 2), bent(3000.0, 0.06) + BLACK + more) for more in (-30.0, 30.0)]
     made = found.straighten(average(frames), BLACK)
     assert made.mean == pytest.approx(3000 + BLACK, rel=0.002)

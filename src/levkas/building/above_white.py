@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from levkas.calibration.templates import CalibrationRefused
+from levkas.calibration.whites import LIT
 from levkas.core.cube import Cube, Flag, is_flagged
 from levkas.core.problems import Problem
 
@@ -35,9 +36,8 @@ COUNTS, LIT_ROW = 10, 8
 MICRO = 1e-6
 """Reflectance in which sums are counted, so that they are the same in whatever parts."""
 
-LIT, BRIGHT, FEW_BRIGHT = 0.7, 5.0, 0.001
-"""Share of a band above its dark that light makes at least: noise alone makes a half, and paint of half the noise 0.69. Standard
-deviations of a value that is light for certain, and share of such that hot sensels may be."""
+BRIGHT, FEW_BRIGHT = 5.0, 0.001
+"""Standard deviations of a value that is light for certain, and share of such that hot sensels may be."""
 
 
 def count_above(cube: Cube) -> np.ndarray:

@@ -22,19 +22,13 @@ WINDOW = 24  # gaps whose mean is one point of the fit
 FILLED = 4  # pixels that a level must have: a rare one may stand beside one that was not met
 MISFIT = 0.05  # of the gaps, in four windows of five
 RECURS = 2  # times that the smallest gap must be met
-LEAST_SHIFT, SURE_SHIFT = (
-    2,
-    4,
-)  # spacing over another's from which codes stand at the upper end of their words, and surely
-LEAST_COUNTS = (
-    16  # that no fraction of a full scale reaches: a gloss on varnish is 3 or 4 times a white
-)
+LEAST_SHIFT = 2  # spacing over another's from which codes stand at the upper end of their words
+SURE_SHIFT = 4  # the same, where no image editor of 15 bits may have made them
+LEAST_COUNTS = 16  # that no fraction of a full scale reaches: gloss is 3 or 4 times a white
 STRAY = 0.01  # share of codes that may stand between the others
 FEWEST_SHIFTED = 4  # different codes, all even, that are more than chance
-FEWEST_SPACED, DENSE = (
-    16,
-    0.25,
-)  # the same of any other spacing, and the share of its multiples that must occur
+FEWEST_SPACED = 16  # different codes of any other spacing that are more than chance
+DENSE = 0.25  # share of its multiples that must occur
 STRETCHED = 1.4  # spacing of the widest part over the narrowest from which it is called a curve
 
 

@@ -15,9 +15,7 @@ from levkas.core.problems import Problem
 
 DIM = 0.02  # of the brightest cells: darker ones hold noise alone
 LOCAL = 0.03  # of the light of a cell: a lamp that moves or flickers in bands does less
-SIGMAS = (
-    8.0  # of the noise of cells: 200 shots of 64 cells and 200 bands pass by chance once in 10^9
-)
+SIGMAS = 8.0  # of the noise of cells: of 200 shots, 64 cells, 200 bands one in 10^9 is beyond it
 STEADY = (0.7, 1.4)  # least and greatest light of a shot that is a lamp's
 CONTRADICTED = 0.1  # of the light of a cell: the mean of two whites is then wrong by as much
 

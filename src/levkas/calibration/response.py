@@ -18,9 +18,7 @@ import numpy as np
 from levkas.calibration.linearity import RECIPROCAL, Point
 from levkas.calibration.templates import Template
 
-CURVED = (
-    0.003  # of the light, relative, from which on a curve counts: reflectance may be off by as much
-)
+CURVED = 0.003  # of the light, relative: reflectance may be off by as much before a curve counts
 STRAIGHT = 0.005  # rms that a curve may leave
 BETTER = 0.7  # of the rms that wrong times leave, that of a curve
 SURE = 0.003  # relative error of a curve, at most: it is part of sigma
@@ -32,16 +30,9 @@ MOST_WEIGHT = 0.1  # of all pixels, that a group may count for
 OUTLIER = 4.0  # usual deviations from a curve, from which on a group moved
 STILL = 0.85  # share of the pixels that did not, at least
 LEAST = 1e-4  # relative: deviations below it are alike
-FLICKER = (
-    0.0,
-    1.0,
-    3.0,
-    10.0,
-    30.0,
-    100.0,
-    300.0,
-)  # of the noise of a point: light of exposures, rms
-ROUNDS = 20
+FLICKER = (0.0, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)  # rms of exposures, of the noise of a point
+ROUNDS = 20  # of fits by iteration, at most
+PLACES = 20  # levels at which a curve is looked at
 
 
 @dataclass(frozen=True)
@@ -157,18 +148,13 @@ def fit_series(points: Sequence[Point], full: float) -> SeriesFit:
     if not len(best.terms):
         return shown
     response = Response(tuple(best.terms.tolist()), full, best.error, series.rms(line), best.rms)
-    reach = np.linspace(0, float(still.share.max()), ROUNDS)[1:] * full
+    reach = np.linspace(0, float(still.share.max()), PLACES)[1:] * full
     size = float(np.abs(response.light(reach) / reach - 1).max())
     if size <= CURVED:
         return shown
     rising = np.all(response.slope(np.linspace(0, full, 50)) > 0)
     good = best.error <= min(SURE, size / SIGMAS) and best.rms <= STRAIGHT and rising
     return shown._replace(response=response) if good else shown._replace(unsure=size)
-
-
-def find_response(points: Sequence[Point], full: float) -> Response | None:
-    """Return the curve that exposure series show, as `fit_series` does; None where there is none that is sure."""
-    return fit_series(points, full).response
 
 
 def bends(points: Sequence[Point], full: float) -> bool:
@@ -318,7 +304,7 @@ def _fit(series: _Series, count: int, shifted: bool, flicker: float) -> _Fit:
     criterion = freedom * np.log(noise) + scatter + parameters * np.log(places)
     covariance = np.linalg.pinv(design.T @ design) * noise
     # Beyond what the series reached nothing is known: there the error grows.
-    at = np.linspace(0, 1, ROUNDS)[:, None] * series.share.max()
+    at = np.linspace(0, 1, PLACES)[:, None] * series.share.max()
     at = at ** np.arange(1, count + 1)
     spread = np.sqrt(np.einsum("ni,ij,nj->n", at, covariance[:count, :count], at))
     error = float((spread / np.maximum(1 + at @ found[:count], 1e-3)).max(initial=0.0))

@@ -33,10 +33,8 @@ if TYPE_CHECKING:
     from levkas.calibration.sensor_context import SensorContext
 
 
-DARK_SIGMAS, DARK_DOUBT = (
-    4.0,
-    0.0002,
-)  # errors of an offset, to be one, and reflectance: a tenth of the darkest paint
+DARK_SIGMAS = 4.0  # standard errors of an offset of the dark, to be one
+DARK_DOUBT = 0.0002  # reflectance: a tenth of the darkest paint
 NEARLY_FULL = 0.1  # of the shot noise: with less nothing tells how much light is lacking
 AS_LIGHT = "they are taken as proportional to light: export linear frames"
 

@@ -14,10 +14,8 @@ import numpy as np
 
 SCALES = ((1.0, 4.0), (4.0, 16.0))  # px: of texture and dust; of painted fields and blurred ones
 SMALL = 150  # px of the shorter side of a frame below which its fields are smaller too
-AROUND, BESIDE = (
-    3.0,
-    1.5,
-)  # px: the object's detail, and its slopes, are averaged over it before they weigh
+AROUND = 3.0  # px over which the object's detail is averaged before it weighs
+BESIDE = 1.5  # px, the same of its slopes
 FLOOR = 0.002  # rms of an object's detail below which noise, not detail, weighs
 SIGMAS = 4.0  # of the estimate, for texture; a white is judged once a band
 FEW = 20  # px of specks that nothing tells, together: less is not spoken of

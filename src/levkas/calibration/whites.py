@@ -11,7 +11,8 @@ from levkas.calibration.patterns import channel_names, channel_table
 from levkas.calibration.templates import CalibrationRefused, Template
 from levkas.core.problems import Problem
 
-LIT = 0.7  # share of a channel above the dark that light makes at least: noise alone makes a half
+LIT = 0.7
+"""Share of a channel above the dark that light makes at least: noise alone makes a half, and paint of half the noise 0.69."""
 GAUSSIAN = 5.0  # 99th percentile over the median of noise without a sign is 3.8: a lit part of 1 % has more
 MOST = 0.5  # share of a channel's white that must be usable
 SAMPLE = 100_000  # pixels looked at to judge a white
