@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from levkas.geometry.transforms import Affine
-from levkas.quality.evaluation.loop_closure import LoopView, close_loops, points_on
+from levkas.quality.evaluation.loop_closure import LoopView, close_loops, loops_text, points_on
 from levkas.registration import BandImage
 
 
@@ -38,3 +38,7 @@ def test_a_pair_that_cannot_be_registered_says_why(studio):
     (loop,) = close_loops([one, other], points_on(one.images[0]))
     assert not len(loop.error) and loop.refused
     assert loop.to_dict()["mean"] is None
+
+
+def test_a_database_without_loops_is_said_so():
+    assert "two registered cameras" in loops_text([])

@@ -76,6 +76,8 @@ def _view(database: Path, name: str, record: dict[str, Any]) -> LoopView | None:
 
 def loops_text(loops: list[dict[str, Any]]) -> str:
     """Return a table for people: a line a loop, errors in reference pixels."""
+    if not loops:
+        return "No loops: no object has two registered cameras or more beside its reference."
     lines = [f"{'loop':44} {'mean px':>8} {'p95 px':>8} {'max px':>8}"]
     for one in loops:
         name = f"{one['object']}: reference, {one['first']}, {one['second']}"
