@@ -25,9 +25,10 @@ test: pages
 test-slow: pages
 	$(PYTEST) -m slow --durations=25
 
-# What the slow tests take a few of: faults at every step, every change of a campaign, every hostile file through the
-# commands, bytes under every circumstance. Hours.
+# What the tests take a few of: faults at every step, every change of a campaign, every hostile file through the
+# commands, bytes under every circumstance, examples drawn anew. Hours.
 exhaustive: $(READY)
+	$(PYTEST) -m hypothesis --hypothesis-profile=explore
 	LEVKAS_EVERY_CASE=1 $(PYTEST) tests/building/test_faults.py tests/building/test_staleness.py \
 		tests/building/test_same_bytes.py tests/cli/test_hostile_commands.py
 

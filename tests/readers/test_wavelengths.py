@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import tifffile
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from levkas.readers.frames import read_facts, read_frame
@@ -32,6 +32,7 @@ def test_every_unit_comes_out_in_nanometres(unit, centres):
 @given(st.lists(st.floats(*RANGE_NM), min_size=1, max_size=9))
 def test_a_wrong_unit_of_length_is_seen_through_and_said(centres):
     micrometres = [nm / 1000 for nm in centres]
+    assume(micrometres not in ([1.0], [1.0, 2.0]))  # those are numbers of bands, as below
     for written, unit in ((micrometres, "Nanometers"), (centres, "Micrometers")):
         found = read_centres(written, unit)
         assert np.allclose(found.nm, centres) and unit in found.note
