@@ -125,7 +125,7 @@ def speed(campaign, folder, results):
 STREAMED = """
 from levkas.core.instructions import hold_instructions
 hold_instructions()
-from levkas.building import scans, streaming
+from levkas.stages import scans, streaming
 scans.STREAMED_SAMPLES, streaming.HELD_BYTES = 0, 3_000_000
 """
 

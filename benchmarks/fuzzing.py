@@ -26,7 +26,7 @@ sys.path.insert(0, str(HERE))
 SECONDS, SEED, LONGEST = 20, 1, 1 << 16
 MODULES = (
     "levkas.readers", "levkas.registration.control_points", "levkas.campaign.schema", "levkas.campaign.discovery",
-    "levkas.campaign.campaign", "levkas.campaign.edits", "levkas.building.spectra", "levkas.planning.spectra",
+    "levkas.campaign.campaign", "levkas.campaign.edits", "levkas.stages.spectra", "levkas.planning.spectra",
     "levkas.planning.setup", "levkas.quality.targets.charts", "tifffile.tifffile", "exifread", "tomllib._parser",
     "json.decoder",
 )  # fmt: skip

@@ -78,14 +78,14 @@ def work(folder: Path, memory: float) -> None:
     import resource
     import threading
 
-    from levkas.building.scans import open_scan
-    from levkas.building.streaming import resample_scan
-    from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import load_campaign
     from levkas.campaign.discovery.find_captures import find_captures
     from levkas.database.layers import Layer
     from levkas.database.streaming_writer import write_rows
     from levkas.geometry.transforms import Affine, Composed, Lens
+    from levkas.stages.scans import open_scan
+    from levkas.stages.streaming import resample_scan
+    from levkas.stages.template_cache import TemplateCache
 
     limit = int(memory * 1e9)
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
@@ -100,7 +100,7 @@ def work(folder: Path, memory: float) -> None:
     threading.Thread(target=watch, daemon=True).start()
     campaign = load_campaign(folder)
     capture = next(c for c in find_captures(campaign)[0] if c.camera == "scan")
-    scan = open_scan(capture, campaign, TemplateCache(folder, None, shared=False))
+    scan = open_scan(capture, campaign, TemplateCache(folder))
     lines, samples, bands = scan.shape
     size = (samples // 2, lines // 2)
     lens = Lens(np.array([samples / 2, lines / 2]), lines / 2.0, (1e-4, 0.0))

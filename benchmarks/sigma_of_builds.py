@@ -16,12 +16,12 @@ import numpy as np
 import tifffile
 
 from levkas.building.run import build
-from levkas.building.shared_noise import Mosaic, shared_noise
 from levkas.calibration.patterns import channel_table
 from levkas.core.cube import Flag
 from levkas.database.spectral_tiff import read_tiff_pages
 from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Affine
+from levkas.stages.shared_noise import Mosaic, shared_noise
 
 GAIN, READ, BLACK, PRNU, CURRENT = 0.25, 2.0, 64.0, 0.012, 40.0
 """Counts an electron; counts; counts; share; electrons a second."""

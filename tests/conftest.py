@@ -11,8 +11,12 @@ from hypothesis import HealthCheck, settings
 
 # No test times anything: on a busy machine an example may take as long as it takes. The same examples every time, so
 # that a change is judged by what it changed; `make exhaustive` draws others, and more.
-settings.register_profile("levkas", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
-settings.register_profile("explore", settings.get_profile("levkas"), derandomize=False, max_examples=1000)
+settings.register_profile(
+    "levkas", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.register_profile(
+    "explore", settings.get_profile("levkas"), derandomize=False, max_examples=1000
+)
 settings.load_profile("levkas")
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"

@@ -9,7 +9,7 @@ import levkas
 
 HOUSE = Path(levkas.__file__).parent
 FILES = sorted(HOUSE.rglob("*.py"))
-MOST_BODY, MOST_PARAMETERS, MOST_DEPTH, MOST_ENTRIES = 60, 8, 5, 18
+MOST_BODY, MOST_PARAMETERS, MOST_DEPTH, MOST_ENTRIES = 60, 8, 5, 19
 WIDE = {
     "levkas.database.streaming_writer.write_rows",
 }

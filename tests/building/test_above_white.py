@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.building.above_white import count_above, describe_above
-from levkas.building.calibrate import develop
-from levkas.building.scans import open_scan
-from levkas.building.template_cache import TemplateCache
 from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.cube import Band, Cube, Flag
+from levkas.stages.above_white import count_above, describe_above
+from levkas.stages.calibrate import develop
+from levkas.stages.scans import open_scan
+from levkas.stages.template_cache import TemplateCache
 
 SIZE, NM = (60, 80), (450, 550, 650)
 CAMPAIGN = """
@@ -56,7 +56,7 @@ def make(folder, kind, bright, spots=0.0, noise=2, unlit=()):
     campaign = load_campaign(folder)
     (capture,), refused = find_captures(campaign)
     assert not refused
-    return capture, campaign, TemplateCache(folder, None, shared=False)
+    return capture, campaign, TemplateCache(folder)
 
 
 def said(warnings):

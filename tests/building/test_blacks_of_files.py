@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.building.calibrate import develop
-from levkas.building.template_cache import TemplateCache
 from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
+from levkas.stages.calibrate import develop
+from levkas.stages.template_cache import TemplateCache
 
 SIZE = (120, 160)
 CAMPAIGN = """
@@ -59,7 +59,7 @@ def developed(folder):
     campaign = load_campaign(folder)
     (capture,), refused = find_captures(campaign)
     assert not refused
-    return develop(capture, campaign, TemplateCache(folder, None, shared=False)).cubes[""]
+    return develop(capture, campaign, TemplateCache(folder)).cubes[""]
 
 
 def test_black_is_subtracted_by_phase_and_row_and_sigma_says_so(tmp_path):

@@ -9,10 +9,6 @@ import tifffile
 from typer.testing import CliRunner
 
 from levkas.building import build, status, summarise
-from levkas.building.calibrate import develop
-from levkas.building.charts import measure_charts
-from levkas.building.hashes import HASHES, Hashes
-from levkas.building.template_cache import TemplateCache
 from levkas.calibration.chart_light import CHART_WHITE as KEY
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
@@ -22,6 +18,9 @@ from levkas.core.problems import Refused
 from levkas.database.spectral_tiff import read_tiff_pages
 from levkas.quality.targets.charts import CHARTS, reference_of
 from levkas.quality.targets.locating import locate_chart
+from levkas.stages.calibrate import develop
+from levkas.stages.charts import measure_charts
+from levkas.stages.template_cache import TemplateCache
 
 CLASSIC = CHARTS["ColorChecker24"]
 PUBLISHED = reference_of(CLASSIC)
@@ -104,7 +103,7 @@ def developed(folder, name="panel"):
     kept = folder / "kept"
     kept.mkdir(exist_ok=True)
     capture = next(c for c in captures if c.object == name)
-    return develop(capture, read, TemplateCache(kept, Hashes(kept / HASHES), shared=False))
+    return develop(capture, read, TemplateCache(kept))
 
 
 def refusals_of(folder):

@@ -12,13 +12,13 @@ from typer.testing import CliRunner
 
 import levkas
 from levkas.building import build, status, summarise
-from levkas.building.charts import measure_charts
 from levkas.cli import app
 from levkas.colour.srgb import SRGB_TO_XYZ, encode_srgb, observer_under
 from levkas.core.digests import hash_file
 from levkas.core.problems import Refused
 from levkas.database.validation import validate
 from levkas.quality.targets.charts import CHARTS, reference_of
+from levkas.stages.charts import measure_charts
 
 CLASSIC = CHARTS["ColorChecker24"]
 NM = np.arange(420, 721, 60)

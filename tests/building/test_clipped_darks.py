@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.building.calibrate import develop
 from levkas.building.hashes import HASHES, Hashes
-from levkas.building.template_cache import TemplateCache
 from levkas.calibration.reflectance import calibrate
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.cube import Flag
+from levkas.stages.calibrate import develop
+from levkas.stages.template_cache import TemplateCache
 
 GAIN, READ, FIXED, WHITE = 0.25, 2.5, 0.5, 3300.0
 """Counts an electron; counts, of one shot; counts, from sensel to sensel; counts."""
@@ -72,7 +72,7 @@ def developed(folder, *, shared=False):
     return develop(
         captures[0],
         campaign,
-        TemplateCache(folder / "kept", Hashes(folder / HASHES), shared=shared),
+        TemplateCache(folder / "kept", Hashes(folder / HASHES).of_frame if shared else None),
     )
 
 

@@ -24,8 +24,6 @@ from levkas.building import (
     build,
     cluster,
     cluster_executor,
-    scans,
-    streaming,
     summarise,
     worker,
 )
@@ -34,6 +32,7 @@ from levkas.core.digests import hash_tree
 from levkas.core.files import PARTIAL
 from levkas.core.problems import Refused
 from levkas.core.progress import FRAMES
+from levkas.stages import scans, streaming
 
 LARGEST_MESSAGE = 64_000
 BUILD = "from levkas.cli import main; main()"
@@ -134,7 +133,7 @@ def test_setups_scans_and_captures_adjusted_together_are_those_of_one_process(
     preload.write_text("")
     if streamed:
         preload.write_text(
-            "from levkas.building import scans, streaming\n"
+            "from levkas.stages import scans, streaming\n"
             "scans.STREAMED_SAMPLES, streaming.HELD_BYTES = 0, 100_000\n"
         )
         monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.building.calibrate import develop
-from levkas.building.hashes import HASHES, Hashes
-from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.cube import Flag
 from levkas.core.problems import Refused
+from levkas.stages.calibrate import develop
+from levkas.stages.template_cache import TemplateCache
 
 GAIN, READ, BLACK = 0.25, 2.0, 64.0
 KEYS = """
@@ -99,7 +98,7 @@ def developed(folder):
     campaign = load_campaign(folder)
     captures, refused = find_captures(campaign)
     assert not refused
-    shelf = TemplateCache(folder / "kept", Hashes(folder / HASHES), shared=False)
+    shelf = TemplateCache(folder / "kept")
     return develop(captures[0], campaign, shelf)
 
 

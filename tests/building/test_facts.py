@@ -13,14 +13,14 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
 from levkas.building import build
-from levkas.building.calibrate import develop
-from levkas.building.template_cache import TemplateCache
 from levkas.calibration.agreement import OF_ONE_NOISE, Contradiction, compare_facts
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.problems import Refused
 from levkas.readers.compared_facts import FACTS_BY_NAME
 from levkas.readers.frames import read_facts
+from levkas.stages.calibrate import develop
+from levkas.stages.template_cache import TemplateCache
 
 SIZE, BLACK, LIGHT, NOISE, TRUTH = (40, 48), 64.0, 1500.0, 3.0, 0.5
 EXIF_IFD, ISO, STOP, FOCAL, LENS, SERIAL, BALANCE = (
@@ -177,7 +177,7 @@ def developed(folder):
     campaign = load_campaign(folder)
     (capture,), refused = find_captures(campaign)
     assert not refused, refused
-    native = develop(capture, campaign, TemplateCache(folder, None, shared=False))
+    native = develop(capture, campaign, TemplateCache(folder))
     (cube,) = native.cubes.values()
     return cube, native.warnings
 
@@ -615,7 +615,7 @@ def test_a_real_camera_that_chose_another_iso_for_two_of_its_bands(real_data, tm
     campaign = load_campaign(tmp_path)
     (capture,), _ = find_captures(campaign)
     with pytest.raises(Refused) as refused:
-        develop(capture, campaign, TemplateCache(tmp_path, None, shared=False))
+        develop(capture, campaign, TemplateCache(tmp_path))
     found = [(p.field, p.file.rpartition("/")[2], p.found) for p in refused.value.problems]
     assert found == [("ISO", f"IMG_0000_{n}.tif", "100") for n in (3, 5)]
     facts = read_facts(f"{folder}/IMG_0001_3.tif")

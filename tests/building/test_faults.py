@@ -35,7 +35,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.building import build, register, stages, summarise
+from levkas.building import build, summarise, tasks
 from levkas.core import files
 from levkas.core.digests import hash_tree
 from levkas.core.json_safe import to_json
@@ -46,6 +46,7 @@ from levkas.database.catalogue import COLUMNS
 from levkas.database.manifest import is_partial, read_manifest
 from levkas.database.store import ROOT
 from levkas.database.validation import validate
+from levkas.stages import register
 
 KINDS = ("full", "failing", "kill")
 SCENES = ("new", "over", "withdrawn", "joint")
@@ -260,7 +261,7 @@ def scenes(tmp_path_factory):
 def hasten(patch):
     """Spare what a kill does not ask for: registering again, memory, and the syncs themselves."""
     patch.setattr(register, "register_capture", remembered())
-    patch.setattr(stages, "give_back_memory", lambda: None)
+    patch.setattr(tasks, "give_back_memory", lambda: None)
     patch.setattr(os, "fsync", lambda descriptor: None)
     patch.setattr(files, "_sync_file_system", lambda descriptor: None)
 

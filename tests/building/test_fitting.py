@@ -2,10 +2,11 @@
 
 import pytest
 
-from levkas.building import build, native_cubes
+from levkas.building import build
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.simulation import simulate_campaign
+from levkas.stages import native_cubes
 
 pytestmark = pytest.mark.slow
 
@@ -51,7 +52,7 @@ def test_what_does_not_fit_is_refused_before_it_is_read(simulated, tmp_path, mon
 def test_a_stage_that_runs_out_of_memory_is_refused_and_the_others_go_on(
     simulated, tmp_path, monkeypatch
 ):
-    from levkas.building import calibrate
+    from levkas.stages import calibrate
 
     develop = calibrate.develop
 

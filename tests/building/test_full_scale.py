@@ -5,15 +5,14 @@ import pytest
 import tifffile
 from scipy import ndimage
 
-from levkas.building.calibrate import develop
-from levkas.building.hashes import HASHES, Hashes
-from levkas.building.template_cache import TemplateCache
 from levkas.calibration.reflectance import calibrate
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.cube import Flag
 from levkas.core.problems import Refused
 from levkas.quality.emva1288 import examine_with_seed
+from levkas.stages.calibrate import develop
+from levkas.stages.template_cache import TemplateCache
 
 GAIN, READ, BLACK, WHITE = 0.25, 2.0, 60.0, 3000.0
 SHAPE = (96, 140)
@@ -83,7 +82,7 @@ def write(
 def developed(folder):
     campaign = load_campaign(folder)
     captures, _ = find_captures(campaign)
-    kept = TemplateCache(folder / "kept", Hashes(folder / HASHES), shared=False)
+    kept = TemplateCache(folder / "kept")
     return develop(captures[0], campaign, kept)
 
 

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from levkas.building.control_points import declared_points, told_points
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.registration.control_points import ControlPoints, PointsRefused, write_points
+from levkas.stages.control_points import declared_points, told_points
 
 KEYS = """
 [campaign]

@@ -9,12 +9,13 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from levkas.building import build, calibrate, camera_pages, report_pages, run, status, summarise
+from levkas.building import build, camera_pages, report_pages, run, status, summarise
 from levkas.campaign.methods import LevkasOptions
 from levkas.core.internal_errors import CODE
 from levkas.readers import frames
 from levkas.registration import BUILT_IN
 from levkas.registration.levkas import register_levkas
+from levkas.stages import calibrate
 
 ERRORS = {
     "four": np.linalg.LinAlgError("Singular matrix at 0x7f00deadbeef"),

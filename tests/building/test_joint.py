@@ -10,11 +10,11 @@ import pytest
 
 from levkas.building import build, status
 from levkas.building.graph import NEIGHBOURS, mates_of
-from levkas.building.joint import adjusted
-from levkas.building.register import Measured
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.campaign.discovery.captures import Capture
 from levkas.geometry.transforms import Affine
+from levkas.stages.joint import adjusted
+from levkas.stages.register import Measured
 
 NAMES = ("one", "two", "three")
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.building.capture_statistics import describe_lamp
 from levkas.calibration.drift import LAMP
+from levkas.stages.capture_statistics import describe_lamp
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from sigma_of_builds import LIGHT, Camera, built, scene, spreads, write_campaign

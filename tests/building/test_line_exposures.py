@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from levkas.building.calibrate import develop
-from levkas.building.hashes import HASHES, Hashes
-from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.problems import Refused
+from levkas.stages.calibrate import develop
+from levkas.stages.template_cache import TemplateCache
 
 GAIN, READ, BLACK, CURRENT = 0.5, 2.0, 100.0, 4000.0
 LIGHT = 150_000.0  # counts a second of the white
@@ -73,7 +72,7 @@ def developed(folder):
     campaign = load_campaign(folder)
     (capture,), refused = find_captures(campaign)
     assert not refused, refused
-    shelf = TemplateCache(folder / "kept", Hashes(folder / HASHES), shared=False)
+    shelf = TemplateCache(folder / "kept")
     native = develop(capture, campaign, shelf)
     (cube,) = native.cubes.values()
     return cube.values, cube.sigma, native.warnings

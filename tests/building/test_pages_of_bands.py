@@ -8,12 +8,12 @@ import tifffile
 
 import levkas
 from levkas.building import build, summarise
-from levkas.building.calibrate import develop
-from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.campaign.guess import look, write_campaign
 from levkas.core.problems import Refused
+from levkas.stages.calibrate import develop
+from levkas.stages.template_cache import TemplateCache
 
 SIZE, CENTRES = (96, 110), (450, 550, 650)
 LAMP, BLACK = np.array([0.5, 1.0, 1.6]), np.array([50, 60, 75])
@@ -79,7 +79,7 @@ def developed(folder):
     campaign = load_campaign(folder)
     (capture,), refused = find_captures(campaign)
     assert not refused
-    native = develop(capture, campaign, TemplateCache(folder, None, shared=False))
+    native = develop(capture, campaign, TemplateCache(folder))
     return native.cubes[""], native.warnings
 
 

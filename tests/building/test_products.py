@@ -5,13 +5,13 @@ import pytest
 
 import levkas
 from levkas.building import build, summarise
-from levkas.building.calibrate import develop
-from levkas.building.native_cubes import Native
-from levkas.building.scans import open_scan
-from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.cube import Flag
+from levkas.stages.calibrate import develop
+from levkas.stages.native_cubes import Native
+from levkas.stages.scans import open_scan
+from levkas.stages.template_cache import TemplateCache
 
 NM = np.arange(400, 1001, 100.0)
 SIZE = (100, 90)
@@ -78,7 +78,7 @@ def capture_of(folder):
     read = load_campaign(folder)
     (capture,), refused = find_captures(read)
     assert not refused
-    return capture, read, TemplateCache(folder, None, shared=False)
+    return capture, read, TemplateCache(folder)
 
 
 def developed(folder) -> Native:

@@ -8,13 +8,14 @@ import time
 import numpy as np
 import pytest
 
-from levkas.building import build, scans, status, summarise
+from levkas.building import build, status, summarise
 from levkas.building.hashes import HASHES, Hashes
-from levkas.building.template_cache import TemplateCache
 from levkas.calibration.templates import average
 from levkas.campaign.discovery.captures import FrameRef
 from levkas.core.digests import hash_file, hash_tree, stamp_of
 from levkas.readers.envi import read_envi
+from levkas.stages import scans
+from levkas.stages.template_cache import TemplateCache
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +122,7 @@ def test_provenance_has_every_file_of_every_frame_with_role_and_exposure(campaig
 
 
 def test_templates_with_equal_headers_are_not_taken_for_one(campaign):
-    shelf = TemplateCache(campaign / "shelf", Hashes(campaign / HASHES), shared=True)
+    shelf = TemplateCache(campaign / "shelf", Hashes(campaign / HASHES).of_frame)
 
     def template(name):
         path = campaign / f"scan/{name}.hdr"

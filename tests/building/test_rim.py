@@ -8,8 +8,6 @@ import tifffile
 from typer.testing import CliRunner
 
 from levkas.building.build_records import BuildRecords
-from levkas.building.calibrate import develop
-from levkas.building.template_cache import TemplateCache
 from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
@@ -17,6 +15,8 @@ from levkas.cli import app
 from levkas.core.cube import Flag
 from levkas.core.problems import Refused
 from levkas.database.layout import Places
+from levkas.stages.calibrate import develop
+from levkas.stages.template_cache import TemplateCache
 
 KEYS = """
 [campaign]
@@ -55,9 +55,7 @@ def developed(folder):
     (capture,), refusals = find_captures(read)
     assert not refusals
     places = Places(folder / "database")
-    shelf = TemplateCache(
-        folder / "kept", BuildRecords(places.kept, places.output).hashes, shared=True
-    )
+    shelf = TemplateCache(folder / "kept", BuildRecords(places.kept, places.output).hashes.of_frame)
     native = develop(capture, read, shelf)
     return native.cubes[""], native.warnings
 

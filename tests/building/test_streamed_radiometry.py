@@ -3,13 +3,6 @@
 import numpy as np
 import pytest
 
-from levkas.building import capture_statistics, streaming
-from levkas.building.calibrate import develop
-from levkas.building.capture_statistics import Middle, flag_and_count, focus_of
-from levkas.building.exposures import mark_glare_in
-from levkas.building.native_cubes import Native
-from levkas.building.resample import DefaultLayer, gains_of_scan
-from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.cube import Band, Cube, Flag
@@ -17,6 +10,13 @@ from levkas.database.layers import Layer, write_layer
 from levkas.geometry.transforms import Affine
 from levkas.quality.image_quality import sharpness
 from levkas.registration.bands import BandImage
+from levkas.stages import capture_statistics, streaming
+from levkas.stages.calibrate import develop
+from levkas.stages.capture_statistics import Middle, flag_and_count, focus_of
+from levkas.stages.exposures import mark_glare_in
+from levkas.stages.native_cubes import Native
+from levkas.stages.resample import DefaultLayer, gains_of_scan
+from levkas.stages.template_cache import TemplateCache
 
 CAMPAIGN = """
 [campaign]
@@ -53,7 +53,7 @@ def test_glare_is_flagged_whatever_lines_are_taken_together(tmp_path, monkeypatc
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
     campaign = load_campaign(tmp_path)
     (capture,), _ = find_captures(campaign)
-    shelf = TemplateCache(tmp_path, None, shared=False)
+    shelf = TemplateCache(tmp_path)
     monkeypatch.setenv("LEVKAS_TILE", tile)
     flags = develop(capture, campaign, shelf).cubes[""].flags
     planted = np.zeros(shape, bool)

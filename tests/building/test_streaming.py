@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.building import build, register, scan_templates, scans, streaming, summarise
-from levkas.building.calibrate import develop
-from levkas.building.scans import Scan, is_streamed, open_scan
-from levkas.building.streaming import HeldLines
-from levkas.building.template_cache import TemplateCache
+from levkas.building import build, summarise
 from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
@@ -21,6 +17,11 @@ from levkas.database.layers import Layer, write_layer
 from levkas.database.streaming_writer import write_rows
 from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Affine
+from levkas.stages import register, scan_templates, scans, streaming
+from levkas.stages.calibrate import develop
+from levkas.stages.scans import Scan, is_streamed, open_scan
+from levkas.stages.streaming import HeldLines
+from levkas.stages.template_cache import TemplateCache
 
 
 @pytest.fixture
@@ -29,7 +30,7 @@ def scan_and_cube(small_scan, monkeypatch):
     campaign = load_campaign(small_scan)
     capture = next(c for c in find_captures(campaign)[0] if c.camera == "v10")
     assert is_streamed(capture, campaign)
-    shelf = TemplateCache(small_scan, None, shared=False)
+    shelf = TemplateCache(small_scan)
     cube = next(iter(develop(capture, campaign, shelf).cubes.values()))
     return open_scan(capture, campaign, shelf), cube
 
@@ -250,7 +251,7 @@ def write_scan(folder, cubes, more=""):
 def developed(folder):
     campaign = load_campaign(folder)
     (capture,), _ = find_captures(campaign)
-    return develop(capture, campaign, TemplateCache(folder, None, shared=False))
+    return develop(capture, campaign, TemplateCache(folder))
 
 
 def levels(dtype, shape=(30, 20, 5)):

@@ -9,12 +9,7 @@ import pytest
 from scipy.ndimage import map_coordinates, spline_filter
 
 import levkas
-from levkas.building import build, scan_templates, scans, summarise
-from levkas.building.calibrate import develop
-from levkas.building.native_cubes import Native, PackedSigma
-from levkas.building.resample import resample
-from levkas.building.scans import open_scan
-from levkas.building.template_cache import TemplateCache
+from levkas.building import build, summarise
 from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
@@ -23,6 +18,12 @@ from levkas.core.digests import hash_tree
 from levkas.core.problems import Refused
 from levkas.geometry.grid import Grid
 from levkas.geometry.transforms import Affine
+from levkas.stages import scan_templates, scans
+from levkas.stages.calibrate import develop
+from levkas.stages.native_cubes import Native, PackedSigma
+from levkas.stages.resample import resample
+from levkas.stages.scans import open_scan
+from levkas.stages.template_cache import TemplateCache
 
 LINES, SAMPLES, BANDS = 260, 150, 6
 WHITE, DARK = 3000.0, 100.0
@@ -100,7 +101,7 @@ def write_campaign(folder, strips, *, more="", reference="scan", light=1.0, seed
 def developed(folder) -> Native:
     campaign = load_campaign(folder)
     capture = next(c for c in find_captures(campaign)[0] if c.camera == "scan")
-    return develop(capture, campaign, TemplateCache(folder, None, shared=False))
+    return develop(capture, campaign, TemplateCache(folder))
 
 
 def miss(cube, scene):
@@ -196,7 +197,7 @@ def test_three_strips_are_joined_and_streamed_to_the_same_bytes(tmp_path, monkey
     (capture,), _ = find_captures(campaign)
     cube = native.cubes[""]
     monkeypatch.setattr(scan_templates, "BLOCK_SAMPLES", 7 * SAMPLES * BANDS)
-    scan = open_scan(capture, campaign, TemplateCache(folder, None, shared=False))
+    scan = open_scan(capture, campaign, TemplateCache(folder))
     assert scan.shape == cube.values.shape
     for name in ("values", "flags", "sigma"):
         some = np.concatenate([getattr(block, name) for block in scan.blocks(30, 200)])

@@ -11,12 +11,12 @@ from scipy.ndimage import gaussian_filter
 from sigma_of_builds import Camera, write_campaign
 
 from levkas.building import build, summarise
-from levkas.building.calibrate import develop
-from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.cube import Flag
 from levkas.database.spectral_tiff import read_tiff_pages
+from levkas.stages.calibrate import develop
+from levkas.stages.template_cache import TemplateCache
 
 SHAPE, EDGE = (100, 140), 40
 
@@ -128,7 +128,7 @@ def test_texture_of_the_board_is_said_and_in_sigma(tmp_path, panel, kind):
     smooth = gaussian_filter(panel, 3.0)
     write_campaign(tmp_path / "c", kind, camera, smooth, times=(0.02,) * 4, shots=2)
     (capture,), _ = find_captures(campaign := load_campaign(tmp_path / "c"))
-    native = develop(capture, campaign, TemplateCache(tmp_path, None, shared=False))
+    native = develop(capture, campaign, TemplateCache(tmp_path))
     assert any("fine detail" in warning for warning in native.warnings)
     cube = native.cubes[""]
     miss = (cube.values[8:-8, 8:-8] - smooth[8:-8, 8:-8, None]) / cube.sigma[8:-8, 8:-8]

@@ -4,12 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
-from levkas.building.shared_noise import Mosaic, shared_noise
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.wiener_mosaic import wiener_method
 from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Affine
+from levkas.stages.shared_noise import Mosaic, shared_noise
 
 SHAPE = (300, 360)
 BAYER, NINE = (["R", "G"], ["G", "B"]), (["a", "b", "c"], ["d", "e", "f"], ["g", "h", "i"])

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import levkas
-from levkas.building.calibrate import develop
-from levkas.building.spectra import board_of
-from levkas.building.template_cache import TemplateCache
 from levkas.readers.frames import read_frame
+from levkas.stages.calibrate import develop
+from levkas.stages.spectra import board_of
+from levkas.stages.template_cache import TemplateCache
 
 GAIN, READ, BLACK, FULL = 0.25, 2.0, 64.0, 3000.0
 GLARE = np.uint8(levkas.Flag.GLARE)
@@ -30,7 +30,7 @@ def test_a_mosaic_has_the_values_flags_and_sigma_of_a_build(tmp_path):
     campaign = levkas.load_campaign(tmp_path / "icon")
     capture = next(c for c in levkas.find_captures(campaign)[0] if c.camera == "d80")
     (sensor,) = capture.sensors
-    built = develop(capture, campaign, TemplateCache(tmp_path, None, shared=False)).cubes[""]
+    built = develop(capture, campaign, TemplateCache(tmp_path)).cubes[""]
     read = [
         [read_frame(f.path) for f in part] for part in (sensor.object, sensor.dark, sensor.white)
     ]

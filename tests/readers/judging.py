@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from levkas.building.spectra import read_sensitivity, read_spectrum
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.file_index import read_exposures
 from levkas.campaign.edits import read_edits
@@ -30,6 +29,7 @@ from levkas.readers.frames import read_facts, read_frame
 from levkas.readers.images import read_exif
 from levkas.registration.control_points.dialects import read_points
 from levkas.registration.control_points.layers import is_table_of_frames, read_table_of_frames
+from levkas.stages.spectra import read_sensitivity, read_spectrum
 
 SLOW_S = 2.0
 """Of the processor, not of the clock: on a busy machine a file may wait for as long as it likes."""

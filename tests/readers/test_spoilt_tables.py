@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from levkas.building.spectra import read_sensitivity, read_spectrum
 from levkas.core.problems import Refused
 from levkas.planning.loading import read_lobe
 from levkas.planning.tables import LampKeys
 from levkas.quality.targets.charts import Chart, parse_reference
+from levkas.stages.spectra import read_sensitivity, read_spectrum
 
 CHART = Chart("two by two", 2, 2, (0, 1, 2, 3))
 

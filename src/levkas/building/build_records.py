@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from levkas.building.hashes import HASHES, Hashes
 from levkas.core.digests import hash_file
@@ -80,16 +80,6 @@ CATALOGUE = Key("", stage="catalogue")
 def key_of(capture: Capture, stage: str) -> Key:
     """Return the key of a stage of a capture."""
     return Key(capture.object, capture.camera, capture.setup, stage)
-
-
-class Written(NamedTuple):
-    """What a stage has written: its files, those beside the database, and what later stages read of it."""
-
-    files: Iterable[Path]
-    notes: dict[str, Any]
-    aside: tuple[Path, ...] = ()
-    warnings: tuple[str, ...] = ()
-    problems: tuple[Problem, ...] = ()
 
 
 class BuildRecords:

@@ -9,12 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from levkas import __version__
 from levkas.building import fingerprints
-from levkas.building.build_records import BuildRecords, Key, Written, key_of
-from levkas.building.capture_statistics import FEW_BANDS, LAMP_DOUBT, SENSELS, levels_of
-from levkas.building.charts import edges_of
+from levkas.building.build_records import BuildRecords, Key, key_of
 from levkas.building.fingerprints import digest, written
 from levkas.building.graph import cameras_with_pages, page_key
-from levkas.building.sources import made_with
 from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA
 from levkas.calibration.drift import LAMP, NOTICED
 from levkas.campaign.discovery.find_captures import find_charts
@@ -24,13 +21,16 @@ from levkas.core.internal_errors import as_refusal
 from levkas.core.problems import Problem, Refused
 from levkas.quality.targets.indicators import WhiteEvenness, lightness_spread
 from levkas.quality.targets.stray_light import NOT_MEASURED
+from levkas.stages.capture_statistics import FEW_BANDS, LAMP_DOUBT, SENSELS, levels_of
+from levkas.stages.charts import edges_of
+from levkas.stages.sources import made_with
+from levkas.stages.written import Written
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.building.fingerprints import Inputs
     from levkas.building.graph import Step
-    from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.campaign.discovery.file_index import FileIndex
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from levkas.database.layout import Places
     from levkas.quality.targets.edges import EdgeTargetMeasure
     from levkas.quality.targets.measuring import ChartMeasure
+    from levkas.stages.template_cache import TemplateCache
 
 
 @dataclass(frozen=True)
@@ -190,9 +191,9 @@ def _measured(
     templates: TemplateCache,
 ) -> tuple[list[ChartMeasure | EdgeTargetMeasure], list[Problem], list[Path]]:
     """Measure the charts that a camera saw, and write them."""
-    from levkas.building.charts import develop_chart, measure_capture, problems_of, write_chart
     from levkas.quality.targets.charts import kind_of, reference_of
     from levkas.quality.targets.measuring import ChartMeasure
+    from levkas.stages.charts import develop_chart, measure_capture, problems_of, write_chart
 
     learnt = learnt_of(page, records)
     files: list[Path] = []
@@ -331,8 +332,8 @@ def write_sensitivity(folder: Path, campaign: Campaign, capture: Capture) -> lis
     Refused
         Where the declared table cannot be read, or the disk refuses.
     """
-    from levkas.building.spectra import read_sensitivity
     from levkas.core.files import write_text
+    from levkas.stages.spectra import read_sensitivity
 
     declared = campaign.cameras[capture.camera].sensitivity
     if not declared:

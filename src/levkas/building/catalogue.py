@@ -18,11 +18,11 @@ from levkas.building.estimates import (
 )
 from levkas.building.fingerprints import digest
 from levkas.building.graph import Step
-from levkas.building.sources import made_with
 from levkas.campaign.campaign import Campaign
 from levkas.campaign.discovery.captures import Capture
 from levkas.core.ownership import IMPRINT, MARK
 from levkas.database.layout import LayerId, Places
+from levkas.stages.sources import made_with
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -311,7 +311,7 @@ def spectra_of(campaign: Campaign, setups: Iterable[str]) -> dict[str, str]:
     SpectrumRefused
         Where the file is no table of two columns.
     """
-    from levkas.building.spectra import read_table
+    from levkas.stages.spectra import read_table
 
     declared = {name: keys.spectrum for name, keys in setups_of(campaign).items()}
     tables = {n: read_table(campaign.root / path) for n in setups if (path := declared[n])}

@@ -26,9 +26,7 @@ from levkas.building.build_records import CATALOGUE
 from levkas.building.cluster import Cluster, no_workers_s
 from levkas.building.fingerprints import digest, of_calibration
 from levkas.building.graph import Step, Task, captures_of
-from levkas.building.native_cubes import CUBE_BYTES, TooLarge, count_values
 from levkas.building.outcomes import Due, Outcomes, refusal_of
-from levkas.building.scans import bytes_of_pass, is_streamed
 from levkas.building.task_queue import TaskQueue, hash_key
 from levkas.building.worker import (
     ASKED,
@@ -48,6 +46,8 @@ from levkas.core.problems import Problem, Refused
 from levkas.core.progress import FRAMES
 from levkas.core.sweeping import sweep
 from levkas.core.text import counted
+from levkas.stages.native_cubes import CUBE_BYTES, TooLarge, count_values
+from levkas.stages.scans import bytes_of_pass, is_streamed
 
 if TYPE_CHECKING:
     from levkas.building.build_records import Key

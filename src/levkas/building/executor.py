@@ -13,12 +13,12 @@ from levkas.building import fingerprints
 from levkas.building.build_records import Key
 from levkas.building.graph import Step, Task, captures_of
 from levkas.building.outcomes import Due, Outcomes
-from levkas.building.stages import Stages
+from levkas.building.tasks import Stages
 from levkas.core.machine import keep_memory
 
 if TYPE_CHECKING:
-    from levkas.building.stages import Write
-    from levkas.building.template_cache import TemplateCache
+    from levkas.building.tasks import Write
+    from levkas.stages.template_cache import TemplateCache
 
     Layer = tuple[str, str]
 

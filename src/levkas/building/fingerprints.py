@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.building.build_records import UNREADABLE, Key, key_of
-from levkas.building.control_points import told_points
 from levkas.building.hashes import Hashes, Unread
-from levkas.building.sources import made_with
 from levkas.core.internal_errors import CODE as INTERNAL
+from levkas.stages.control_points import told_points
+from levkas.stages.sources import made_with
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence

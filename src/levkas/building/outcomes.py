@@ -6,14 +6,15 @@ import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from levkas.building.build_records import CATALOGUE, STAGES, BuildRecords, Key, Written, key_of
+from levkas.building.build_records import CATALOGUE, STAGES, BuildRecords, Key, key_of
 from levkas.building.fingerprints import Inputs
 from levkas.building.graph import Graph, Step, Task, captures_of, keys_of
-from levkas.building.stages import Damaged
+from levkas.building.tasks import Damaged
 from levkas.core.disk import DISK_CODES
 from levkas.core.internal_errors import as_refusal
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import counted
+from levkas.stages.written import Written
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence

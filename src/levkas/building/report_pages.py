@@ -14,7 +14,6 @@ from levkas.building import fingerprints
 from levkas.building.build_records import Key, key_of
 from levkas.building.fingerprints import written
 from levkas.building.graph import keys_of
-from levkas.building.sources import LIBRARIES, LIBRARIES_OF_PAGES
 from levkas.calibration.chart_light import CHART_WHITE
 from levkas.calibration.drift import common_uncertainty
 from levkas.calibration.sensor_context import Times, times_of
@@ -51,6 +50,7 @@ from levkas.quality.image_quality.light import choose_places
 from levkas.readers.frames import files_of
 from levkas.registration.advice import percent
 from levkas.registration.marks import describe_want_of_marks
+from levkas.stages.sources import LIBRARIES, LIBRARIES_OF_PAGES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from levkas.building import fingerprints
-from levkas.building.build_records import CATALOGUE, BuildRecords, Key, Written
+from levkas.building.build_records import CATALOGUE, BuildRecords, Key
 from levkas.building.camera_pages import prints_of_page, write_camera_page
 from levkas.building.catalogue import (
     by_others,
@@ -40,12 +40,13 @@ from levkas.building.outcomes import (
     within,
 )
 from levkas.building.plan import Plan, plan_of
-from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.edits import sweep_corrections
 from levkas.core.internal_errors import as_refusal
 from levkas.core.problems import Problem, Refused
 from levkas.database.layout import Places
+from levkas.stages.template_cache import TemplateCache
+from levkas.stages.written import Written
 
 if TYPE_CHECKING:
     from levkas.building.cluster_executor import ClusterExecutor
@@ -122,9 +123,8 @@ def build(
         records = BuildRecords(places.kept, places.output, keep_removed=keep_removed, verify=verify)
         gone = no_longer_there(campaign, records, plan.captures, plan.refusals, plan.pages, objects)
         total = _count(plan) + bool(describe(gone, records))
-        templates = TemplateCache(
-            places.kept / "templates", records.hashes, shared=len(plan.names) > 1
-        )
+        digests = records.hashes.of_frame if len(plan.names) > 1 else None
+        templates = TemplateCache(places.kept / "templates", digests)
         outcomes = Outcomes(campaign, places, records, plan.graph)
         with _executor(where, outcomes, templates, verify=verify) as executor:
             steps = _steps(plan, outcomes, executor, templates, gone, whole=not objects)
@@ -330,7 +330,7 @@ def status(
     check_apart(campaign, places.output, plan.captures)
     records = BuildRecords(places.kept, places.output, verify=verify)
     gone = no_longer_there(campaign, records, plan.captures, plan.refusals, plan.pages, None)
-    templates = TemplateCache(places.kept / "templates", records.hashes, shared=True)
+    templates = TemplateCache(places.kept / "templates", records.hashes.of_frame)
     outcomes = Outcomes(campaign, places, records, plan.graph, dry=True, unread=not verify)
     steps = [*_steps(plan, outcomes, DryRun(outcomes), templates, gone, whole=True)]
     report = summarise(steps, places.output)

@@ -19,13 +19,11 @@ from typing import TYPE_CHECKING, Any
 import psutil
 
 from levkas import __version__
-from levkas.building.build_records import BuildRecords, Key, Written
+from levkas.building.build_records import BuildRecords, Key
 from levkas.building.graph import Graph, Task
 from levkas.building.outcomes import refusal_of
 from levkas.building.plan import read_plan
-from levkas.building.sources import STAGES, code_version
-from levkas.building.stages import Damaged, Stages
-from levkas.building.template_cache import TemplateCache
+from levkas.building.tasks import Damaged, Stages
 from levkas.core.digests import hash_file, stamp_of
 from levkas.core.files import make_folder, write_json
 from levkas.core.instructions import describe_instructions, instructions_in_use
@@ -35,6 +33,9 @@ from levkas.core.problems import Problem, Refused
 from levkas.core.progress import FRAMES
 from levkas.core.text import read_json
 from levkas.database.layout import Places
+from levkas.stages.sources import STAGES, code_version
+from levkas.stages.template_cache import TemplateCache
+from levkas.stages.written import Written
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -196,8 +197,8 @@ class Workplace:
         plan = read_plan(job.campaign)
         places = Places(Path(job.output))
         records = BuildRecords(places.kept, places.output, verify=job.verify)
-        shared = len(plan.names) > 1
-        templates = TemplateCache(places.kept / "templates", records.hashes, shared=shared)
+        digests = records.hashes.of_frame if len(plan.names) > 1 else None
+        templates = TemplateCache(places.kept / "templates", digests)
         stages = Stages(plan.campaign, places, records, templates, plan.graph)
         return cls(places, records, plan.graph, stages, set())
 

@@ -61,7 +61,7 @@ class CameraKind:
         return self.is_demosaiced or not self.is_calibrated
 
 
-_DEVELOP = "levkas.building.calibrate"
+_DEVELOP = "levkas.stages.calibrate"
 KINDS: dict[str, CameraKind] = {
     "mosaic": CameraKind(
         bands_in="pattern",
@@ -89,7 +89,7 @@ KINDS: dict[str, CameraKind] = {
     ),
     "cube": CameraKind(
         bands_in="file",
-        develop="levkas.building.scans:develop_scan",
+        develop="levkas.stages.scans:develop_scan",
         is_scanned=True,
         keys=("bands", "scan"),
         rank=2,

@@ -59,10 +59,10 @@ def chart(
     as_json: Json = False,
 ) -> None:
     """Find colour charts; measure signal-to-noise, colour, tone, spatial frequency response, misregistration."""
-    from levkas.building.charts import measure_charts
     from levkas.core.ownership import require_free
     from levkas.quality.targets.charts import parse_corners
     from levkas.quality.targets.edges import parse_edges
+    from levkas.stages.charts import measure_charts
 
     if output is not None:
         require_free(output, overwrite=overwrite)

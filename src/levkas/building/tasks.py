@@ -8,21 +8,22 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
 
-from levkas.building.build_records import BuildRecords, Key, Written, key_of
+from levkas.building.build_records import BuildRecords, Key, key_of
 from levkas.building.fingerprints import is_measured, measured_path
 from levkas.building.graph import Graph, Task, captures_of
 from levkas.core.machine import give_back_memory, steady_libraries
 from levkas.core.problems import Problem, Refused
+from levkas.stages.written import Written
 
 if TYPE_CHECKING:
-    from levkas.building.native_cubes import FiledSigma, Native, PackedSigma
-    from levkas.building.reference import ReferenceFrame
-    from levkas.building.register import Measured
-    from levkas.building.scans import Scan
-    from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
+    from levkas.stages.native_cubes import FiledSigma, Native, PackedSigma
+    from levkas.stages.reference import ReferenceFrame
+    from levkas.stages.register import Measured
+    from levkas.stages.scans import Scan
+    from levkas.stages.template_cache import TemplateCache
 
     Write = Callable[[Callable[[], object]], Written]
 
@@ -52,8 +53,8 @@ class Held:
 
     def calibrate(self, capture: Capture) -> Native | Scan:
         """Calibrate a capture; all but sigma, which is packed, is kept for the next stages."""
-        from levkas.building.calibrate import calibrate
-        from levkas.building.native_cubes import Native, PackedSigma
+        from levkas.stages.calibrate import calibrate
+        from levkas.stages.native_cubes import Native, PackedSigma
 
         self.let_go()
         self.templates.used.clear()
@@ -70,7 +71,7 @@ class Held:
 
     def native(self, capture: Capture) -> Native | Scan:
         """Return the calibrated cubes of a capture, without sigma."""
-        from levkas.building.native_cubes import Native
+        from levkas.stages.native_cubes import Native
 
         if self._native is None or self._capture is not capture:
             self.let_go()
@@ -80,7 +81,7 @@ class Held:
 
     def sigmas(self, capture: Capture) -> dict[str, PackedSigma | FiledSigma]:
         """Return the sigma of every sensor of a capture that has one."""
-        from levkas.building.native_cubes import sigmas_of
+        from levkas.stages.native_cubes import sigmas_of
 
         if self._sigmas and self._capture is capture:
             return {**self._sigmas}
@@ -88,8 +89,8 @@ class Held:
 
     def frame(self, task: Task, graph: Graph) -> ReferenceFrame:
         """Return the reference that a capture is registered to."""
-        from levkas.building.native_cubes import Native
-        from levkas.building.reference import ReferenceFrame
+        from levkas.stages.native_cubes import Native
+        from levkas.stages.reference import ReferenceFrame
 
         _, lead = captures_of(task)
         if self._frame is None or self._frame.capture is not lead:
@@ -109,7 +110,7 @@ class Held:
         self._frame = None
 
     def _read(self, capture: Capture) -> Native | Scan:
-        from levkas.building.calibrate import load_calibrated
+        from levkas.stages.calibrate import load_calibrated
 
         notes = self.records.notes(key_of(capture, "calibrate"))
         return load_calibrated(capture, self.campaign, self.places, notes, self.templates)
@@ -152,7 +153,7 @@ class Stages:
             return stages[task.key.stage](task)
 
     def _calibrate(self, task: Task) -> Write:
-        from levkas.building.calibrate import write_calibrated
+        from levkas.stages.calibrate import write_calibrated
 
         capture, _ = captures_of(task)
         made = self.held.calibrate(capture)
@@ -161,14 +162,14 @@ class Stages:
         return lambda before: _with_notes(write(before), templates=used)
 
     def _measure(self, task: Task) -> Write:
-        from levkas.building.register import write_measured
+        from levkas.stages.register import write_measured
 
         path = measured_path(self.records.folder, task.key)
         return partial(write_measured, self._alone(task), path)
 
     def _alone(self, task: Task) -> Measured:
         """Register a capture by itself."""
-        from levkas.building.register import measure
+        from levkas.stages.register import measure
 
         capture, _ = captures_of(task)
         native, frame = self.held.native(capture), self.held.frame(task, self.graph)
@@ -178,9 +179,9 @@ class Stages:
         return found
 
     def _register(self, task: Task) -> Write:
-        from levkas.building.joint import adjust_capture
-        from levkas.building.reference import record_of, sigmas_of
-        from levkas.building.register import publish_registration
+        from levkas.stages.joint import adjust_capture
+        from levkas.stages.reference import record_of, sigmas_of
+        from levkas.stages.register import publish_registration
 
         capture, lead = captures_of(task)
         if task.needs[0].stage != "measure":
@@ -194,7 +195,7 @@ class Stages:
 
     def _read_measured(self, key: Key) -> Measured:
         """Read a capture's own registration; raises Damaged where it cannot be."""
-        from levkas.building.register import Measured
+        from levkas.stages.register import Measured
 
         path = measured_path(self.records.folder, key)
         try:
@@ -210,8 +211,10 @@ class Stages:
             raise Damaged(key, problem) from error
 
     def _resample(self, task: Task) -> Write:
-        from levkas.building.reference import record_of
-        from levkas.building.resample import (
+        from levkas.calibration.chart_light import LIGHT_SIGMA
+        from levkas.core.files import make_folder
+        from levkas.stages.reference import record_of
+        from levkas.stages.resample import (
             flag_glare_in,
             mosaics_of,
             resample,
@@ -219,9 +222,7 @@ class Stages:
             target_of,
             write_resampled,
         )
-        from levkas.building.scans import Scan
-        from levkas.calibration.chart_light import LIGHT_SIGMA
-        from levkas.core.files import make_folder
+        from levkas.stages.scans import Scan
 
         capture, _ = captures_of(task)
         frame = self.held.frame(task, self.graph)

@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from levkas.building.native_cubes import Native
     from levkas.calibration.drift import LampChange
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.calibration.templates import Template
     from levkas.core.cube import Band, Cube
     from levkas.database.tiff_pages import TiffPages
     from levkas.quality.image_quality.light import LightField
+    from levkas.stages.native_cubes import Native
 
 FEW_BANDS = 5
 """Bands of a line scan or photograph whose light is looked at."""

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.register import Measured, draw_figures, verdict_problems
 from levkas.geometry import from_dict
 from levkas.geometry.transforms import Affine, Composed, Transform, solve_2x2
 from levkas.registration.advice import advise
@@ -27,6 +26,7 @@ from levkas.registration.verification import (
     measure_windows,
 )
 from levkas.registration.window_matching import CheckWindows
+from levkas.stages.register import Measured, draw_figures, verdict_problems
 
 if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import Capture

@@ -10,20 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.build_records import Written
-from levkas.building.calibrate import demosaicing_of
-from levkas.building.capture_statistics import (
-    DefaultLayer,
-    count_flags,
-    describe_flags,
-    flag_and_count,
-    ranges_of,
-)
-from levkas.building.native_cubes import FiledSigma, Native, PackedSigma, least_bytes
-from levkas.building.reference import ReferenceFrame, maps_of
-from levkas.building.shared_noise import Mosaic, shared_by_strips, shared_noise
-from levkas.building.spectra import broad_centroids
-from levkas.building.streaming import Passing, resample_scan, white_of
 from levkas.calibration.chart_light import LightNodes, light_variance, variance_under_light
 from levkas.core.cube import Cube, Flag, is_flagged
 from levkas.core.disk import require_space
@@ -38,12 +24,26 @@ from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Composed, Transform
 from levkas.quality.evaluation.similarity import structural_similarity
 from levkas.quality.image_quality.glare import setup_gains
+from levkas.stages.calibrate import demosaicing_of
+from levkas.stages.capture_statistics import (
+    DefaultLayer,
+    count_flags,
+    describe_flags,
+    flag_and_count,
+    ranges_of,
+)
+from levkas.stages.native_cubes import FiledSigma, Native, PackedSigma, least_bytes
+from levkas.stages.reference import ReferenceFrame, maps_of
+from levkas.stages.shared_noise import Mosaic, shared_by_strips, shared_noise
+from levkas.stages.spectra import broad_centroids
+from levkas.stages.streaming import Passing, resample_scan, white_of
+from levkas.stages.written import Written
 
 if TYPE_CHECKING:
-    from levkas.building.scans import Scan
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.catalogue import Entry
+    from levkas.stages.scans import Scan
 
 LONGEST_MAP = 640
 """Longest side of an SSIM map on a page, px."""

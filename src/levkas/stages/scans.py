@@ -9,13 +9,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from levkas.building.above_white import COUNTS, count_above, describe_above, require_light
-from levkas.building.capture_statistics import Middle, describe_lamp
-from levkas.building.exposures import cube_of, mark_glare_in
-from levkas.building.scan_lines import FlatLines, Strip, describe_loss
-from levkas.building.scan_templates import block_lines
-from levkas.building.spectra import board_of
-from levkas.building.strips import JoinedStrips, lines_of_scan
 from levkas.calibration.agreement import compare_facts
 from levkas.calibration.denoising import Projecting, Subspace, describe_removed, find_subspace
 from levkas.calibration.flatfield import Calibrated
@@ -30,16 +23,23 @@ from levkas.database.layers import Layer
 from levkas.database.streaming_writer import SpooledTiffs
 from levkas.readers.frames import read_facts
 from levkas.registration.bands import BandImage
+from levkas.stages.above_white import COUNTS, count_above, describe_above, require_light
+from levkas.stages.capture_statistics import Middle, describe_lamp
+from levkas.stages.exposures import cube_of, mark_glare_in
+from levkas.stages.scan_lines import FlatLines, Strip, describe_loss
+from levkas.stages.scan_templates import block_lines
+from levkas.stages.spectra import board_of
+from levkas.stages.strips import JoinedStrips, lines_of_scan
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.credits import Credits
     from levkas.database.layout import Places
+    from levkas.stages.template_cache import TemplateCache
 
 STREAMED_SAMPLES = 100_000_000
 """A scan of more samples, of a mirror scanner of a third as many, is not held in memory. Layers, maps and

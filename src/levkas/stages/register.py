@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas import __version__
-from levkas.building.build_records import Written
-from levkas.building.control_points import declared_points, joined, placed_in, placed_pairs
 from levkas.campaign.edits import BY_HAND
 from levkas.campaign.methods import DEFAULT_METHOD
 from levkas.core.files import make_folder, remove, together, write_bytes, write_json, write_text
@@ -27,19 +25,21 @@ from levkas.registration import Registration, RegistrationRefused, register
 from levkas.registration.joint import SensorObservations
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.record import COLUMNS, HandMark, Matches
+from levkas.stages.control_points import declared_points, joined, placed_in, placed_pairs
+from levkas.stages.written import Written
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from levkas.building.native_cubes import Native
-    from levkas.building.reference import ReferenceFrame
-    from levkas.building.scans import Scan
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
     from levkas.geometry.grid import Grid
     from levkas.registration import BandImage
     from levkas.registration.predictors import PreparedReference
+    from levkas.stages.native_cubes import Native
+    from levkas.stages.reference import ReferenceFrame
+    from levkas.stages.scans import Scan
 
 _COLUMNS = tuple(column.name for column in fields(Matches))
 _WORDS = ("state", "reason")

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from levkas.building.capture_statistics import add_counts, count_flags, flag_and_count, ranges_of
-from levkas.building.shared_noise import shared_by_strips
 from levkas.colour.srgb import counts_white, find_rendering
 from levkas.core.cube import Band, Cube, Flag
 from levkas.core.files import spooling
@@ -21,14 +19,16 @@ from levkas.database.grey import grey_of
 from levkas.geometry.pixel_maps import PixelMap, lay
 from levkas.geometry.resample import Warped, source_rows, warp
 from levkas.geometry.transforms import Affine, Composed
+from levkas.stages.capture_statistics import add_counts, count_flags, flag_and_count, ranges_of
+from levkas.stages.shared_noise import shared_by_strips
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from levkas.building.capture_statistics import DefaultLayer
-    from levkas.building.scans import Scan
     from levkas.geometry.transforms import Transform
+    from levkas.stages.capture_statistics import DefaultLayer
+    from levkas.stages.scans import Scan
 
 HELD_BYTES, ASKEW_BYTES = 300_000_000, 3_600_000_000
 """Of calibrated lines and of grid rows, together, the next ones being read meanwhile; and of a scan that lies askew."""

@@ -13,13 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.scan_lines import FlatLines, Strip, describe_loss
-from levkas.building.scan_templates import (
-    ScanFile,
-    ScanTemplates,
-    block_lines,
-    templates_of_scan,
-)
 from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.sensor_context import (
     SensorContext,
@@ -36,6 +29,13 @@ from levkas.geometry.resample import source_rows, warp
 from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration.record import RegistrationRefused
 from levkas.registration.strip_joints import find_joint
+from levkas.stages.scan_lines import FlatLines, Strip, describe_loss
+from levkas.stages.scan_templates import (
+    ScanFile,
+    ScanTemplates,
+    block_lines,
+    templates_of_scan,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

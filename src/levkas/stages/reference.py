@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from levkas.building.spectra import middle_band, reference_channel
 from levkas.campaign.methods import method_of
 from levkas.core.cube import find_band
 from levkas.database.registrations import read_registration
@@ -19,15 +18,16 @@ from levkas.geometry.grid import Grid, GridRefused
 from levkas.geometry.transforms import Transform
 from levkas.registration import Matches, Registration, Verdict
 from levkas.registration.record import Sigma
+from levkas.stages.spectra import middle_band, reference_channel
 
 if TYPE_CHECKING:
-    from levkas.building.native_cubes import Native
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.campaign.schema.tables import GridKeys
     from levkas.database.layout import Places
     from levkas.registration import BandImage
     from levkas.registration.predictors import PreparedReference
+    from levkas.stages.native_cubes import Native
 
     Grey = tuple[np.ndarray, np.ndarray]
     Region = tuple[float, float, float, float]

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.capture_statistics import note_lamp, note_noise
 from levkas.calibration.clipped_darks import MANY_ZEROS
 from levkas.calibration.darks import SAME_TIME, level_under
 from levkas.calibration.defects import find_defects
@@ -37,6 +36,7 @@ from levkas.core.cube import Cube, Flag, is_flagged
 from levkas.core.problems import Problem
 from levkas.core.rounding import round_root, round_values
 from levkas.quality.image_quality.glare import mark_glare
+from levkas.stages.capture_statistics import note_lamp, note_noise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

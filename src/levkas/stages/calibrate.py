@@ -11,34 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.above_white import count_above, describe_above, require_light
-from levkas.building.build_records import Written
-from levkas.building.capture_statistics import describe_lamp, focus_of, note_light, note_sensels
-from levkas.building.chart_white import lights_by_chart
-from levkas.building.exposures import (
-    average_shots,
-    check_scaling,
-    cube_of,
-    defects_of,
-    expose,
-    flatten,
-    mark_glare_in,
-    noise_of,
-    require_same_size,
-    require_white,
-    white_area_of,
-    white_of,
-    whites_of,
-)
-from levkas.building.native_cubes import (
-    Native,
-    least_bytes,
-    read_native,
-    require_memory,
-    write_native,
-)
-from levkas.building.scans import Scan, is_streamed, open_scan, write_scan
-from levkas.building.spectra import board_of, broad_centroids, read_sensitivity
 from levkas.calibration.agreement import compare_facts
 from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA, light_variance
 from levkas.calibration.code_checks import CodesRefused
@@ -67,15 +39,43 @@ from levkas.core.rounding import round_root
 from levkas.core.threads import each
 from levkas.database.credits import credits_of
 from levkas.readers.frames import UnreadableCapture, read_facts
+from levkas.stages.above_white import count_above, describe_above, require_light
+from levkas.stages.capture_statistics import describe_lamp, focus_of, note_light, note_sensels
+from levkas.stages.chart_white import lights_by_chart
+from levkas.stages.exposures import (
+    average_shots,
+    check_scaling,
+    cube_of,
+    defects_of,
+    expose,
+    flatten,
+    mark_glare_in,
+    noise_of,
+    require_same_size,
+    require_white,
+    white_area_of,
+    white_of,
+    whites_of,
+)
+from levkas.stages.native_cubes import (
+    Native,
+    least_bytes,
+    read_native,
+    require_memory,
+    write_native,
+)
+from levkas.stages.scans import Scan, is_streamed, open_scan, write_scan
+from levkas.stages.spectra import board_of, broad_centroids, read_sensitivity
+from levkas.stages.written import Written
 
 if TYPE_CHECKING:
-    from levkas.building.template_cache import TemplateCache
     from levkas.calibration.chart_light import ChartLight
     from levkas.calibration.mosaic import Method
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.campaign.campaign import Camera, Campaign
     from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
     from levkas.database.layout import Places
+    from levkas.stages.template_cache import TemplateCache
 
 MOST_PROBLEMS = 50
 Noted = tuple[Cube, list[str]]

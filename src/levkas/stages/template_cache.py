@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import zipfile
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from levkas.building.hashes import Hashes
-from levkas.building.sources import made_with
 from levkas.calibration.templates import DarkFit, ShotLevels, Template
 from levkas.campaign.discovery.captures import FrameRef
 from levkas.core.files import make_folder, remove, replacing
+from levkas.stages.sources import made_with
+
+Digests = Callable[[Path], Mapping[Path, str]]
 
 
 class TemplateCache:
@@ -24,10 +25,9 @@ class TemplateCache:
     ----------
     folder : Path
         Where they are kept.
-    hashes : Hashes
-        Of the frames.
-    shared : bool
-        Whether more than one object needs them; a template for one is not worth its disk space.
+    digests : callable, optional
+        Return the hashes of the files of a frame. Without it nothing is kept: a template that one object alone needs
+        is not worth its disk space.
 
     Attributes
     ----------
@@ -35,8 +35,8 @@ class TemplateCache:
         Names of the files that were read or written since `used` was cleared.
     """
 
-    def __init__(self, folder: Path, hashes: Hashes, *, shared: bool) -> None:
-        self.folder, self.hashes, self.shared = folder, hashes, shared
+    def __init__(self, folder: Path, digests: Digests | None = None) -> None:
+        self.folder, self.digests = folder, digests
         self.used: set[str] = set()
 
     def template(
@@ -46,11 +46,11 @@ class TemplateCache:
 
         Frames that serve one object alone are not kept. A file that was damaged on the disk fails its checksum and is averaged anew.
         """
-        if not self.shared or all(frame.object for frame in frames):
+        if self.digests is None or all(frame.object for frame in frames):
             return average()
         digest = hashlib.sha256(repr((sorted(parameters.items()), made_with("template"))).encode())
         for frame in frames:
-            content = [*self.hashes.of_frame(frame.path).values()]
+            content = [*self.digests(frame.path).values()]
             digest.update(f"{content}:{frame.page}:{frame.exposure_s};".encode())
         path = self.folder / f"{digest.hexdigest()[:24]}.npz"
         self.used.add(path.name)

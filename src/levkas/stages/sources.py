@@ -14,7 +14,7 @@ from levkas.core.instructions import instructions_in_use
 HERE = Path(__file__).resolve().parents[1]
 READING = ("core", "readers", "geometry", "colour", "calibration")
 NUMBERS = (
-    *(*READING, "campaign", "registration", "database", "building"),
+    *(*READING, "campaign", "registration", "database", "stages"),
     *("quality/evaluation", "quality/image_quality", "quality/targets"),
 )
 PAGES = (*NUMBERS, "pages")
@@ -23,20 +23,14 @@ STAGES = {
     "register": PAGES,
     "adjust": PAGES,
     "resample": NUMBERS,
-    "report": PAGES,
-    "camera": PAGES,
-    "catalogue": NUMBERS,
+    "report": (*PAGES, "building"),
+    "camera": (*PAGES, "building"),
+    "catalogue": (*NUMBERS, "building"),
     "template": READING,
 }
 """The folders of each stage's code; figures of a registration are drawn by `pages`."""
-RIM = frozenset(
-    (
-        *("run", "plan", "executor", "stages", "outcomes", "worker", "graph", "hashes"),
-        *("cluster", "cluster_executor", "task_queue", "build_records", "fingerprints", "sources"),
-        *("claiming", "layer_verdicts", "estimates"),
-    )
-)
-"""Modules of `building` that decide what is done, with what, and where; what comes of it is in the fingerprints."""
+PRODUCTS = frozenset(("camera_pages", "catalogue", "report_pages"))
+"""Modules of `building` that write what is published; others decide what is done, with what, and where."""
 LIBRARIES = (
     *("exifread", "imagecodecs", "llvmlite", "numba", "numcodecs", "numpy"),
     *("opencv-python-headless", "pillow", "rawpy", "scikit-image", "scipy", "tifffile"),
@@ -65,8 +59,8 @@ def files_of(folders: tuple[str, ...], package: Path = HERE) -> Iterator[Path]:
     for folder in folders:
         for path in sorted((package / folder).rglob("*")):
             within = path.relative_to(package).parts
-            rim = within[:1] == ("building",) and path.stem in RIM
-            if path.is_file() and not rim and not {"__pycache__", "built", "guess"} & {*within}:
+            engine = within[0] == "building" and path.stem not in PRODUCTS
+            if path.is_file() and not engine and not {"__pycache__", "built", "guess"} & {*within}:
                 yield path
 
 
@@ -75,7 +69,7 @@ def _hash(folders: tuple[str, ...], package: Path = HERE) -> str:
     digest = hashlib.sha256()
     for path in files_of(folders, package):
         digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
-    names = LIBRARIES + (LIBRARIES_OF_PAGES if folders is PAGES else ())
+    names = LIBRARIES + (LIBRARIES_OF_PAGES if "pages" in folders else ())
     digest.update(repr([(name, _version(name)) for name in names]).encode())
     return digest.hexdigest()[:16]
 

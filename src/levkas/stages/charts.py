@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.chart_files import Subject, greatest_code, is_database, subjects_of
 from levkas.core.cube import Cube
 from levkas.core.problems import Problem, Refused, unknown_name
 from levkas.quality.image_quality.slanted_edge import EdgeRefused
@@ -35,13 +34,14 @@ from levkas.quality.targets.indicators import IndicatorRow, WhiteEvenness
 from levkas.quality.targets.locating import locate_in_cube
 from levkas.quality.targets.measuring import ChartMeasure, Sighting, decode_sighting, measure
 from levkas.readers.frames import read_facts
+from levkas.stages.chart_files import Subject, greatest_code, is_database, subjects_of
 
 if TYPE_CHECKING:
-    from levkas.building.native_cubes import Native
-    from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
     from levkas.database.layout import Places
+    from levkas.stages.native_cubes import Native
+    from levkas.stages.template_cache import TemplateCache
 
 CHART = "ColorChecker24"
 """That is looked for where none is named."""
@@ -243,11 +243,10 @@ def _of_campaign(
     path: Path, cameras: Sequence[str], report: ChartReport
 ) -> Iterator[tuple[Capture, Chart | None, Developed]]:
     """Develop every chart of a campaign; what cannot be is told in the report."""
-    from levkas.building.hashes import HASHES, Hashes
-    from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import load_campaign
     from levkas.campaign.discovery.find_captures import find_charts
     from levkas.database.layout import Places
+    from levkas.stages.template_cache import TemplateCache
 
     campaign = load_campaign(path)
     kinds = {name: kind_of(kind) for name, kind in campaign.targets.charts.items()}
@@ -267,8 +266,7 @@ def _of_campaign(
         raise ChartRefused(
             *(unknown_name(what, n, known, file=file, field="--camera") for n in unknown)
         )
-    kept = Places(campaign.output).kept
-    templates = TemplateCache(kept / "templates", Hashes(kept / HASHES), shared=False)
+    templates = TemplateCache(Places(campaign.output).kept)
     captures, refusals = find_charts(campaign)
     report.problems.extend(p for r in refusals.values() for p in r.problems)
     for capture in captures:
@@ -319,8 +317,8 @@ class Developed:
 
 def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Developed:
     """Calibrate a chart's frames in two halves where every band has two shots, else as one."""
-    from levkas.building.calibrate import develop
     from levkas.calibration.patterns import channel_table
+    from levkas.stages.calibrate import develop
 
     patterns = {
         s.name: channel_table(s.pattern, [band.label for band in s.bands])
@@ -564,10 +562,10 @@ def write_chart(
     measure: ChartMeasure | EdgeTargetMeasure,
 ) -> list[Path]:
     """Write charts/CHART/: calibrated cubes in native pixels, one a sensor, and what was measured."""
-    from levkas.building.spectra import broad_centroids
     from levkas.core.files import write_json
     from levkas.database.credits import Credits
     from levkas.database.layers import Layer, write_tiffs
+    from levkas.stages.spectra import broad_centroids
 
     chart, described = capture.object, campaign.campaign
     folder = places.output / "charts" / chart

@@ -7,14 +7,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from levkas.building.exposures import flatten
-from levkas.building.scan_templates import (
-    FrameLines,
-    ScanFile,
-    ScanTemplates,
-    gaps_marked,
-    lines_of,
-)
 from levkas.calibration.flatfield import Calibrated, describe_darks, less_sure
 from levkas.calibration.sensor_context import (
     SensorContext,
@@ -35,6 +27,14 @@ from levkas.calibration.templates import (
 )
 from levkas.calibration.whites import WhiteBoard
 from levkas.core.cube import Flag
+from levkas.stages.exposures import flatten
+from levkas.stages.scan_templates import (
+    FrameLines,
+    ScanFile,
+    ScanTemplates,
+    gaps_marked,
+    lines_of,
+)
 
 if TYPE_CHECKING:
     pass

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from levkas.building.capture_statistics import note_lamp, note_light, note_noise
-from levkas.building.exposures import noise_of, require_same_size
 from levkas.calibration.clipped_darks import MANY_ZEROS, pairs_of_lines
 from levkas.calibration.darks import level_under
 from levkas.calibration.differing_shots import require_agreement
@@ -40,6 +38,8 @@ from levkas.core.machine import tile_rows
 from levkas.core.problems import Problem
 from levkas.readers.envi import EnviFile, open_envi
 from levkas.readers.frames import read_facts
+from levkas.stages.capture_statistics import note_lamp, note_light, note_noise
+from levkas.stages.exposures import noise_of, require_same_size
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from levkas.building.spectra import COVERED, BandWeights, weights_of_bands
 from levkas.calibration.chart_light import (
     ChartLight,
     ChartOutline,
@@ -34,11 +33,12 @@ from levkas.quality.targets.charts import (
 )
 from levkas.quality.targets.locating import Located, locate_in_cube
 from levkas.quality.targets.patches import SATURATED, PatchTable, measure_patches
+from levkas.stages.spectra import COVERED, BandWeights, weights_of_bands
 
 if TYPE_CHECKING:
-    from levkas.building.native_cubes import Native
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture, SensorFrames
+    from levkas.stages.native_cubes import Native
 
 LEAST_GREYS = 3
 """Grey patches that a level needs: two would hide a third that is dirty."""
