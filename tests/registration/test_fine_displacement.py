@@ -106,6 +106,25 @@ def test_unlike_pigments_stains_and_noise_move_nothing(painting, front):
         assert objection(measured(front, one)) is None
 
 
+@pytest.mark.parametrize(("shade", "groove"), [(0.02, 0.05), (0.05, 0.1)])
+@pytest.mark.parametrize("angle", [90, 120])
+def test_grooves_lit_from_another_side_are_not_displaced(studio, painting, shade, groove, angle):
+    """Walls of grooves are bright on the side of the lamp: beside where they are bright by another, without having moved."""
+    grain = cv2.GaussianBlur(np.random.default_rng(3).normal(0, 1, painting.shape), (0, 0), 1.5)
+    depth = -np.abs(grain / grain.std())
+    slope = np.stack(np.gradient(depth)[::-1])
+    y, x = np.mgrid[: painting.shape[0], : painting.shape[1]]
+    gilded = (np.abs(x - 170) < 30) & (np.abs(y - 170) < 30)
+
+    def lit_from(degrees):
+        lamp = np.array([np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))])
+        shading = np.tensordot(lamp, slope, 1) / slope.std()
+        return painting + gilded * (groove * depth + shade * shading)
+
+    front = studio.photograph(lit_from(0), Affine.identity(), seed=1)
+    assert objection(measured(front, seen(lit_from(angle)))) is None
+
+
 def test_a_smooth_error_of_the_map_is_not_finer_than_a_window(painting, front):
     bend = 0.4 * np.sin(2 * np.pi * X / 300)
     assert measured(front, seen(painting, (bend, 0 * bend))).rms < 0.1

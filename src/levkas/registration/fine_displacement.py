@@ -7,7 +7,8 @@ on that residual. A window that is badly explained is begun 2 px aside, too, and
 halves the residual.
 
 Two statistics are formed. The mean square of all shifts, less the variance of each, is that of a displacement everywhere. The scan statistic
-([kulldorff1997]_) is the largest mean shift of 3 x 3 windows that move alike.
+([kulldorff1997]_) is the largest mean shift of 3 x 3 windows that move alike and that explains them: relief in raking light looks
+displaced, and is explained neither where it is nor where it seems to come from.
 """
 
 from __future__ import annotations
@@ -54,6 +55,9 @@ class FineSettings:
         Share of the shifts, squared in their deviations, that the mean of windows explains where they move alike.
     deviations : float
         Of that mean: chance, over some thousand places, has 5 at most.
+    explained, better : float
+        How much larger than the usual one the residual of windows that are moved back may be; or by how much it has to fall. Patches
+        that moved have 3.4 at most, or 1.4 at least; relief in gold by another light 5 and 1.0.
     longest, wave : float
         Period up to which a wave is finer than what check windows of 40 px show, px.
         Power of a wave over the mean of all, for its period to be named: the largest of a thousand by chance has seven.
@@ -74,6 +78,8 @@ class FineSettings:
     smooth: int = 15
     alike: float = 0.7
     deviations: float = 6.0
+    explained: float = 3.5
+    better: float = 1.2
     wave: float = 20.0
     longest: float = 60.0
 
@@ -159,7 +165,8 @@ def measure_fine_displacement(
     if min(shape) < SETTINGS.cell * SETTINGS.around:
         return None
     image = detail_on_grid(image, transform, shape, step=step)
-    shifts = _shift_windows(Predictor(predict(predictors, image)[None], cell=SETTINGS.cell), image)
+    predictor = Predictor(predict(predictors, image)[None], cell=SETTINGS.cell)
+    shifts = _shift_windows(predictor, image)
     lattice = tuple(n // SETTINGS.cell for n in shape)
     shift = shifts.shift.reshape(*lattice, 2)
     information = shifts.information.reshape(*lattice, 2, 2)
@@ -170,15 +177,16 @@ def measure_fine_displacement(
     counts = variance < 2 * SETTINGS.sigma**2
     weight = np.where(counts, 1 / (variance + SETTINGS.floor**2), 0.0)
     shift = shift - _smooth(shift, weight)
-    size, part, least = _scan(shift, np.where(counts[..., None, None], information, 0.0))
+    found = _scan(shift, np.where(counts[..., None, None], information, 0.0))
+    size, part = _largest_explained(found, predictor, image)
     rms, period = None, None
     shown = float(counts.sum() / known.sum())
     if counts.sum() >= SETTINGS.least_windows and shown >= SETTINGS.least_share:
         others = counts & ~part
         rms = _rms(shift[others], variance[others], weight[others]) * step
         period = _period(shift, others, step)
-    box = _box_about(part, SETTINGS.cell * step)
-    return FineDisplacement(rms, shown, size * step, box, least and least * step, period, step)
+    box, least = _box_about(part, SETTINGS.cell * step), found.least and found.least * step
+    return FineDisplacement(rms, shown, size * step, box, least, period, step)
 
 
 def _box_about(part: np.ndarray, side: int) -> Box | None:
@@ -227,8 +235,12 @@ def _grown(poor: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     from scipy import ndimage
 
     rows, columns = (n // SETTINGS.cell for n in shape)
-    cells = ndimage.binary_dilation(poor.reshape(rows, columns), np.ones((5, 5)))
-    px = np.kron(cells, np.ones((SETTINGS.cell, SETTINGS.cell), bool))
+    return _in_px(ndimage.binary_dilation(poor.reshape(rows, columns), np.ones((5, 5))), shape)
+
+
+def _in_px(windows: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return the value of its window, (rows, columns), for every px of `shape`."""
+    px = windows.repeat(SETTINGS.cell, 0).repeat(SETTINGS.cell, 1)
     return np.pad(px, [(0, n - m) for n, m in zip(shape, px.shape, strict=True)], mode="edge")
 
 
@@ -291,36 +303,98 @@ def _period(shift: np.ndarray, counts: np.ndarray, step: int) -> tuple[float, fl
     return in_x, in_y
 
 
-def _scan(shift: np.ndarray, information: np.ndarray) -> tuple[float, np.ndarray, float | None]:
-    """Return the largest displacement of windows that move alike, px, these windows, and what would be found."""
+@dataclass(frozen=True, eq=False)
+class _Means:
+    """Mean shifts of 3 x 3 windows.
+
+    Parameters
+    ----------
+    mean : ndarray, (rows, columns, 2), px
+    known, sure : ndarray, (rows, columns), bool
+        Where enough of the windows count, and where they move alike, farther than by chance.
+    least : float or None, px
+        Smallest that would be sure, the median.
+    """
+
+    mean: np.ndarray
+    known: np.ndarray
+    sure: np.ndarray
+    least: float | None
+
+
+def _scan(shift: np.ndarray, information: np.ndarray) -> _Means:
+    """Return the mean shift of the windows about each, (rows, columns, 2), weighted by their information."""
+    weighted = np.einsum("...ij,...j", information, shift)
+    squares = _sum(np.einsum("...i,...i", shift, weighted))
+    total, moment = _sum(information), _sum(weighted)
+    count = _sum((np.trace(information, axis1=2, axis2=3) > 0).astype(float))
+    # Windows overlap, three cells wide: so many of them are independent.
+    n = SETTINGS.around
+    variance = _variance(total) * n * n / ((n + 2) / 3) ** 2
+    known = (count > SETTINGS.least_around - 0.5) & np.isfinite(variance)
+    if not known.any():
+        return _Means(np.zeros_like(shift), known, known, None)
+    inverse = np.linalg.inv(np.where(known[..., None, None], total, np.eye(2)))
+    mean = np.where(known[..., None], np.einsum("...ij,...j", inverse, moment), 0.0)
+    explained = np.einsum("...i,...i", mean, moment)
+    sure = known & (explained > SETTINGS.alike * squares)
+    sure &= np.hypot(*np.moveaxis(mean, -1, 0)) > SETTINGS.deviations * np.sqrt(variance / 2)
+    least = SETTINGS.deviations * float(np.sqrt(np.median(variance[known]) / 2))
+    return _Means(mean, known, sure, least)
+
+
+def _sum(values: np.ndarray) -> np.ndarray:
+    """Return the sum over 3 x 3 windows, (rows, columns, ...)."""
     from scipy import ndimage
 
     n = SETTINGS.around
+    size = (n, n) + (1,) * (values.ndim - 2)
+    return np.asarray(ndimage.uniform_filter(values, size, mode="constant")) * n * n
 
-    def around(values: np.ndarray) -> np.ndarray:
-        size = (n, n) + (1,) * (values.ndim - 2)
-        return np.asarray(ndimage.uniform_filter(values, size, mode="constant")) * n * n
 
-    weighted = np.einsum("...ij,...j", information, shift)
-    squares = around(np.einsum("...i,...i", shift, weighted))
-    total, moment = around(information), around(weighted)
-    count = around((np.trace(information, axis1=2, axis2=3) > 0).astype(float))
-    # Windows overlap, three cells wide: so many of them are independent.
-    variance = _variance(total) * n * n / ((n + 2) / 3) ** 2
-    enough = (count > SETTINGS.least_around - 0.5) & np.isfinite(variance)
-    if not enough.any():
-        return 0.0, np.zeros_like(enough), None
-    inverse = np.linalg.inv(np.where(enough[..., None, None], total, np.eye(2)))
-    mean = np.einsum("...ij,...j", inverse, moment)
-    length, explained = np.hypot(mean[..., 0], mean[..., 1]), np.einsum("...i,...i", mean, moment)
-    sure = enough & (explained > SETTINGS.alike * squares)
-    sure &= length > SETTINGS.deviations * np.sqrt(variance / 2)
-    length[~sure] = 0.0
-    least = SETTINGS.deviations * float(np.sqrt(np.median(variance[enough]) / 2))
-    row, column = np.unravel_index(int(length.argmax()), length.shape)
-    size = float(length[row, column])
-    if not size:
-        return 0.0, np.zeros_like(enough), least
-    # Others beside them that go the same way are part of it, sure or not.
-    parts, _ = ndimage.label(enough & (mean @ mean[row, column] > size**2 / 2))
-    return size, parts == parts[row, column], least
+def _largest_explained(
+    found: _Means, predictor: Predictor, image: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Return the largest displacement of windows that move alike, px, and these windows, (rows, columns) bool.
+
+    Moved back, the picture must be explained there about as well as elsewhere, or better than before. Relief in gold moves in raking
+    light without being displaced: it is explained neither here nor there.
+    """
+    none = np.zeros_like(found.sure)
+    if not found.sure.any():
+        return 0.0, none
+    length = np.where(found.sure, np.hypot(*np.moveaxis(found.mean, -1, 0)), 0.0)
+    here, there = (
+        (1 - predictor.compare(one).r2).reshape(none.shape)
+        for one in (image, _moved_back(image, found))
+    )
+    usual = np.median(here[found.known])
+    while size := float(length.max()):
+        part = _part_of(found, np.unravel_index(int(length.argmax()), length.shape))
+        before, after = here[part].mean(), there[part].mean()
+        if after < SETTINGS.explained * usual or after < before / SETTINGS.better:
+            return size, part
+        length[part] = 0.0
+    return 0.0, none
+
+
+def _moved_back(image: np.ndarray, found: _Means) -> np.ndarray:
+    """Return `image` with the windows that are sure to be displaced where the map has them; NaN beyond it."""
+    import cv2
+
+    at = (np.arange(n, dtype=float) for n in image.shape)
+    y, x = np.meshgrid(*at, indexing="ij")
+    shift = np.where(found.sure[..., None], found.mean, 0.0)
+    x, y = ((v - _in_px(shift[..., k], image.shape)).astype("f4") for k, v in enumerate((x, y)))
+    nothing = float("nan")
+    back = cv2.remap(image, x, y, cv2.INTER_CUBIC, None, cv2.BORDER_CONSTANT, nothing)
+    return np.asarray(back)
+
+
+def _part_of(found: _Means, place: tuple[np.intp, ...]) -> np.ndarray:
+    """Return the windows about one that go the same way, sure or not, (rows, columns) bool."""
+    from scipy import ndimage
+
+    way = found.mean[place]
+    parts, _ = ndimage.label(found.known & (found.mean @ way > way @ way / 2))
+    return np.asarray(parts == parts[place])
