@@ -65,10 +65,10 @@ def test_a_lamp_that_changes_within_a_stack_is_no_noise(drifted):
 
 def test_what_the_lamp_did_between_white_and_object_is_in_the_budget_and_reported(drifted):
     lamp = drifted.budget["lamp between white and object"]
-    assert lamp["common_to"] == "all pixels of a band"
-    assert lamp["bands"] == pytest.approx(dict.fromkeys(lamp["bands"], 0.05), rel=0.02)
+    assert lamp["common_to"] == "frame" and not lamp["all_bands"]  # one file a band
+    assert lamp["size"] == pytest.approx(dict.fromkeys(lamp["size"], 0.05), rel=0.02)
     assert drifted.bias == pytest.approx(-0.04, abs=0.003)
-    combined = np.hypot(drifted.sigma, lamp["bands"]["550 nm"])
+    combined = np.hypot(drifted.sigma, lamp["size"]["550 nm"])
     assert np.mean(np.abs(drifted.miss) < 1.96 * combined) > 0.95
     assert "known between white and object to 5 %" in drifted.report
     assert "changed by -5 % within the white" in drifted.camera
@@ -87,7 +87,7 @@ def test_whites_before_and_after_are_interpolated_to_the_time_of_the_object(tmp_
 
     made = Built(tmp_path / "c", falling, moments, whites=2)
     assert abs(made.bias) < 0.003
-    assert made.budget["lamp between white and object"]["bands"]["450 nm"] == pytest.approx(
+    assert made.budget["lamp between white and object"]["size"]["450 nm"] == pytest.approx(
         0.05 * 0.25 * 0.75, rel=0.1
     )
     assert "interpolated to its time" in made.report
@@ -124,7 +124,7 @@ def test_a_black_level_that_wanders_is_no_noise_and_is_in_the_budget(tmp_path):
     (step,) = [one for one in steps if one["stage"] == "calibrate"]
     (black,) = [one for one in step["uncertainty"] if one["source"].startswith("black level")]
     expected = wander.std(ddof=1) * np.sqrt(1 + 1 / 8) / (0.25 * LIGHT)
-    assert black["bands"]["550 nm"] == pytest.approx(expected, rel=0.35)
+    assert black["size"]["550 nm"] == pytest.approx(expected, rel=0.35)
 
 
 def test_noise_of_a_weak_band_is_no_change_of_the_lamp():
@@ -156,6 +156,6 @@ def test_a_lamp_that_sinks_along_a_scan_is_in_the_budget_up_to_its_last_line(tmp
     provenance = json.loads((folder / "database/objects/panel/provenance.json").read_text())
     (step,) = [one for one in provenance["steps"] if one["stage"] == "calibrate"]
     (lamp,) = [one for one in step["uncertainty"] if one["source"].startswith("lamp")]
-    assert [*lamp["bands"].values()] == pytest.approx([0.02 * (50 + 480) / 579] * 4, rel=0.4)
+    assert [*lamp["size"].values()] == pytest.approx([0.02 * (50 + 480) / 579] * 4, rel=0.4)
     report = (folder / "database/objects/panel/report.html").read_text()
     assert "last line lies 5.3 times as far" in report

@@ -15,7 +15,6 @@ from levkas.building.build_records import Key, key_of
 from levkas.building.fingerprints import written
 from levkas.building.graph import keys_of
 from levkas.calibration.chart_light import CHART_WHITE
-from levkas.calibration.drift import common_uncertainty
 from levkas.calibration.sensor_context import Times, times_of
 from levkas.campaign.schema.toml import to_toml
 from levkas.core.files import make_folder, together, write_json, write_text
@@ -50,6 +49,7 @@ from levkas.quality.image_quality.light import choose_places
 from levkas.readers.frames import files_of
 from levkas.registration.advice import percent
 from levkas.registration.marks import describe_want_of_marks
+from levkas.stages.budget import budget_of, to_records
 from levkas.stages.sources import LIBRARIES, LIBRARIES_OF_PAGES
 
 if TYPE_CHECKING:
@@ -363,8 +363,8 @@ def provenance_of(
         libraries that it uses), ``instructions`` (instruction sets of the libraries), ``parameters``, ``inputs`` and ``products`` (SHA-256 by relative path; of products not the Zarr
         chunks, which hold the same numbers as the TIFFs); of a calibration ``frames`` too: of every
         frame its role, what its name says, its exposure in s, and the SHA-256 of all its files; and of a camera
-        whose white is a chart ``chart_white``: by which, and how good, sensor by sensor; and ``uncertainty``, what
-        sigma of pixels does not contain, as of `common_uncertainty`.
+        whose white is a chart ``chart_white``: by which, and how good, sensor by sensor; and ``uncertainty``, the budget
+        of the layer, as of `levkas.stages.budget.budget_of`.
     """
     steps = []
     for capture in captures:
@@ -373,8 +373,8 @@ def provenance_of(
                 frames = _frames(campaign, capture, step["inputs"])
                 learnt = records.notes(key).get("learnt", {})
                 own = {"frames": frames, **_white_of(learnt)}
-                if budget := common_uncertainty(learnt):
-                    own["uncertainty"] = budget
+                if key.stage == "calibrate" and (budget := budget_of(campaign, capture, learnt)):
+                    own["uncertainty"] = to_records(budget)
                 steps.append(step | (own if key.stage == "calibrate" else {}))
     return {
         "object": name,

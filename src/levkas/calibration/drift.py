@@ -8,10 +8,10 @@ offset instead, x_k = D + o_k + noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -577,17 +577,3 @@ def _bridge(white: ShotLevels, shot: ShotLevels) -> tuple[np.ndarray, np.ndarray
     factor = np.where(known, first + share * (last - first), 1.0)
     sigma = np.abs(last - first) * np.where(known, share * (1 - share), 1.0)
     return factor, sigma, (1 - share) ** 2 / before.sum() + share**2 / after.sum()
-
-
-def common_uncertainty(learnt: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return what sigma of pixels does not contain, by source and by what shares it, as records of a budget."""
-    bands = {label: one for told in learnt.values() for label, one in told.get(LAMP, {}).items()}
-    sources = (
-        ("lamp between white and object", "sigma", "relative"),
-        ("black level between dark and object", "black_sigma", "of the values"),
-    )
-    return [
-        {"source": source, "common_to": "all pixels of a band", "unit": unit, "bands": found}
-        for source, name, unit in sources
-        if any(found := {label: one[name] for label, one in bands.items() if one[name]})
-    ]

@@ -30,6 +30,8 @@ FEW_BANDS = 5
 LEVELS = 65535
 SENSELS = "sensels"
 """Among what is learnt of a sensor: of the object's picture, not of the camera."""
+NOISE, ROUNDING = "noise_shares", "rounding"
+"""The same: what shots, white and darks add to the noise of each band, and the step of its codes, reflectance."""
 
 
 # --- the sensor ---------------------------------------------------------------------------------

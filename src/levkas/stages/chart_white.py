@@ -445,6 +445,7 @@ def _record(fitted: SensorLight, label: str, light: LightMap) -> dict[str, Any]:
         "sigma_of_level": _digits(fit.level_sigma),
         "sigma_at_edge_of_chart": _digits(float(on_chart.max())),
         "sigma_most": _digits(float(light.sigma.values.max())),
+        "sigma_in_frame": _digits(float(np.sqrt(np.mean(light.sigma.values**2)))),
         "uneven_sensels": _digits(fitted.unevenness[label]),
         "sigma_of_patches": [_digits(part) for part in fitted.scatter[label]],
         "light_of": fitted.lent.get(label, ""),

@@ -34,6 +34,7 @@ from levkas.quality.targets.indicators import IndicatorRow, WhiteEvenness
 from levkas.quality.targets.locating import locate_in_cube
 from levkas.quality.targets.measuring import ChartMeasure, Sighting, decode_sighting, measure
 from levkas.readers.frames import read_facts
+from levkas.stages.capture_statistics import ROUNDING
 from levkas.stages.chart_files import Subject, greatest_code, is_database, subjects_of
 
 if TYPE_CHECKING:
@@ -400,7 +401,7 @@ def edges_of(campaign: Campaign, capture: Capture) -> dict[str, tuple[EdgePlace,
 
 
 def _steps_of(made: Native) -> dict[str, tuple[float, ...]]:
-    found = {name: told.get("rounding", {}) for name, told in made.learnt.items()}
+    found = {name: told.get(ROUNDING, {}) for name, told in made.learnt.items()}
     return {
         name: tuple(float(found[name].get(band.label, 0.0)) for band in cube.bands)
         for name, cube in made.cubes.items()

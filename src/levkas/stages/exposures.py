@@ -36,7 +36,7 @@ from levkas.core.cube import Cube, Flag, is_flagged
 from levkas.core.problems import Problem
 from levkas.core.rounding import round_root, round_values
 from levkas.quality.image_quality.glare import mark_glare
-from levkas.stages.capture_statistics import note_lamp, note_noise
+from levkas.stages.capture_statistics import NOISE, ROUNDING, note_lamp, note_noise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -330,7 +330,9 @@ def flatten(
         if board.unit is not None:
             pairs = zip(found.items(), board.unit, strict=True)
             found = {label: step / float(unit) for (label, step), unit in pairs}
-        context.told.setdefault("rounding", {}).update(found)
+        context.told.setdefault(ROUNDING, {}).update(found)
+    if white is not None and noise is not None and not context.camera.traits.is_scanned:
+        _note_shares(context, shot, dark, white, board, noise)
     if moved is None:
         moved = _moved(context, shot, dark, noise)
     flat = _with_movement(context, flat, moved)
@@ -423,6 +425,71 @@ def _with_lamp(
     note_lamp(context.told, labels, lamp, worst, [*per_count])
     known = np.broadcast_to(np.asarray(board.reflectance, float), len(labels))
     return board if np.all(lamp.factor == 1) else replace(board, reflectance=known / lamp.factor)
+
+
+def _note_shares(
+    context: SensorContext,
+    shot: Template,
+    dark: list[Template],
+    white: Template,
+    board: WhiteBoard,
+    noise: NoiseModel,
+) -> None:
+    """Note in `told` what shots, white and darks add to the noise of each band where its signal is middling, reflectance."""
+    under, white_under, *_ = pair_darks(shot, dark or None, white, context.black_level)
+    labels, notes = list(board.labels or ()), context.told.setdefault(NOISE, {})
+    per_count = _per_count(context, shot, dark, white, board)
+    for label, phase in _phases(board, labels).items():
+        signal, light = (
+            max(level_of(_phase(one.mean, phase)) - level_of(_phase(back.mean, phase)), 1e-9)
+            for one, back in ((shot, under), (white, white_under))
+        )
+        ratio = signal / light
+        of_dark = under.share * noise.read_under(under)
+        counts = {
+            "photons and read noise": _variance_of(shot, phase, noise, signal),
+            "white frames": ratio**2 * _variance_of(white, phase, noise, light),
+            "dark frames": (1 - ratio) ** 2 * of_dark if white_under is under else of_dark,
+        }
+        notes[label] = {
+            name: float(f"{per_count[label] * found**0.5:.4g}") for name, found in counts.items()
+        }
+
+
+def _variance_of(frames: Template, phase: Phase, noise: NoiseModel, signal: float) -> float:
+    """Return the variance of a mean of frames at a signal, counts²; of merged ones that was worked out."""
+    if frames.above_dark and frames.variance is not None:
+        return level_of(_phase(frames.variance, phase)) / frames.count
+    return float(noise.variance(signal)) / frames.count
+
+
+Phase = tuple[slice, slice, int | None]
+
+
+def _phases(board: WhiteBoard, labels: Sequence[str]) -> dict[str, Phase]:
+    """Return where the sensels of each band of a board lie: one phase of a mosaic, or a band of a cube."""
+    every = slice(None)
+    if board.pattern is None:
+        several = len(labels) > 1
+        return {label: (every, every, k if several else None) for k, label in enumerate(labels)}
+    table = channel_table(board.pattern, list(labels))
+    firsts = (np.argwhere(table == k)[0].tolist() for k in range(len(labels)))
+    rows, columns = table.shape
+    return {
+        label: (slice(y, None, rows), slice(x, None, columns), None)
+        for label, (y, x) in zip(labels, firsts, strict=True)
+    }
+
+
+def _phase(frame: np.ndarray, phase: Phase) -> np.ndarray:
+    """Return the sensels of one band of a frame, or of its one number a line or frame."""
+    rows, columns, band = phase
+    tall, wide = (
+        part if n > 1 else slice(None)
+        for part, n in zip((rows, columns), frame.shape[:2], strict=True)
+    )
+    part = frame[tall, wide]
+    return part if band is None or part.ndim == 2 else part[..., min(band, part.shape[2] - 1)]
 
 
 def _per_count(

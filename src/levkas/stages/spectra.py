@@ -284,6 +284,49 @@ def board_of(campaign: Campaign, capture: Capture, sensor: SensorFrames) -> Boar
     return BoardInBands(np.array(found), tuple(notes))
 
 
+def read_board_uncertainty(campaign: Campaign, capture: Capture) -> dict[str, float] | None:
+    """Return the relative standard uncertainty of the white board in every band of a capture; None where none is stated.
+
+    The third column of the white's CSV has it, in the unit of the second; or `uncertainty` of `targets.white`, a reflectance.
+
+    Raises
+    ------
+    Refused
+        Where the CSV of the board cannot be used.
+    """
+    white = campaign.targets.white
+    if white is None:
+        return None
+    boards = {
+        band.label: float(level)
+        for sensor in capture.sensors
+        for band, level in zip(
+            sensor.bands,
+            np.broadcast_to(board_of(campaign, capture, sensor).reflectance, len(sensor.bands)),
+            strict=True,
+        )
+    }
+    if isinstance(white.reflectance, str):
+        table = read_table(campaign.root / white.reflectance, columns=3)
+        if table.shape[1] == 3 and np.isfinite(table[:, 2]).all():
+            scale = 100.0 if table[:, 1].max() > 2 else 1.0
+            bands = [band for sensor in capture.sensors for band in sensor.bands]
+            weights = weights_of_bands(campaign, capture, bands)
+            return {
+                band.label: (
+                    float(table[:, 2].mean())
+                    if seen is None
+                    else float(seen.mean_of(table[:, 0], table[:, 2]))
+                )
+                / scale
+                / boards[band.label]
+                for band, seen in zip(bands, weights, strict=True)
+            }
+    if white.uncertainty is None:
+        return None
+    return {label: float(white.uncertainty) / level for label, level in boards.items()}
+
+
 def read_spectrum(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Read a two-column CSV: wavelength in nm, and a share or per cent; a header is allowed.
 
@@ -294,14 +337,14 @@ def read_spectrum(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return table[:, 0], values
 
 
-def read_table(path: Path) -> np.ndarray:
-    """Read the numbers of a two-column CSV, (n, 2): wavelengths in nm, rising, and values as they are.
+def read_table(path: Path, columns: int = 2) -> np.ndarray:
+    """Read the numbers of a CSV, (n, `columns`) or fewer columns where it has no more: wavelengths in nm, rising, and values as they are.
 
     Raises SpectrumRefused where it is not that.
     """
     expected = "a CSV of wavelength in nm and value"
     try:
-        table, _ = parse_spectra(read_text(path, expected), columns=2)
+        table, _ = parse_spectra(read_text(path, expected), columns=columns)
     except TextRefused as refused:
         raise SpectrumRefused(*refused.problems) from None
     except ValueError as error:
@@ -315,7 +358,7 @@ def read_table(path: Path) -> np.ndarray:
                 fix="Name the correct file, or save the table again as CSV.",
             )
         ) from error
-    if not are_spectra(table) or not np.isfinite(table).all() or table[0, 0] < LOWEST_NM:
+    if not are_spectra(table) or not np.isfinite(table[:, :2]).all() or table[0, 0] < LOWEST_NM:
         raise SpectrumRefused(
             Problem(
                 "E_VALUE",

@@ -209,6 +209,20 @@ class SensorKeys(Table):
     align: Align = "measure"
 
 
+Share = Annotated[Number, Field(ge=0, le=0.5)]
+
+
+class UncertaintyKeys(Table):
+    """Standard uncertainties of a camera that its frames do not show.
+
+    `wavelength_nm` of the centre of a band; `linearity` of a value, relative; `stray_light` as a share of the white's light.
+    """
+
+    wavelength_nm: Annotated[Number, Field(ge=0, le=100)] | None = None
+    linearity: Share | None = None
+    stray_light: Share | None = None
+
+
 class CameraKeys(Table):
     """One camera and how its files are named."""
 
@@ -231,6 +245,7 @@ class CameraKeys(Table):
     demosaic: Literal["malvar", "bilinear", "normalised", "wiener"] | None = None
     dark: Names | None = None
     white: Annotated[CameraWhite | None, BeforeValidator(_camera_white)] = None
+    uncertainty: UncertaintyKeys = UncertaintyKeys()
     registration: RegistrationKeys = RegistrationKeys()
 
     @property
@@ -262,10 +277,11 @@ class CameraKeys(Table):
 
 
 class White(Table):
-    """The white board."""
+    """The white board; `uncertainty` is the standard uncertainty (k = 1) of its reflectance, a share of the perfect diffuser's."""
 
     names: Names
     reflectance: Reflectance | None = None
+    uncertainty: Share | None = None
 
 
 class TargetKeys(Table):
@@ -285,11 +301,17 @@ class SetupCamera(Table):
 
 
 class Setup(Table):
-    """A lighting: another one with its cameras, or the default one, which has none of its own."""
+    """A lighting: another one with its cameras, or the default one, which has none of its own.
+
+    `angle_deg` lies between the light and the normal of the object; `angle_uncertainty_deg` is by how much the white may have stood
+    otherwise than the object, standard uncertainty.
+    """
 
     title: Text = ""
     description: Text = ""
     spectrum: PathText | None = None
+    angle_deg: Annotated[Number, Field(ge=0, le=85)] | None = None
+    angle_uncertainty_deg: Annotated[Number, Field(ge=0, le=30)] | None = None
     cameras: dict[str, SetupCamera] = {}
 
 

@@ -1,0 +1,287 @@
+"""What makes a value uncertain, how large it is, and what it is common to: rows of an uncertainty budget.
+
+A value is its true one and a sum of errors of first order, q = q₀ + Σₖ cₖ ξₖ, with independent ξₖ of mean 0 and variance 1
+([jcgm2008]_, 5.1; [mittaz2019]_ for images). The coefficients cₖ of all numbers that one error touches belong together: so the
+mean of many pixels is no better known than what they share, and what two numbers share leaves their ratio.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+Extent = Literal["pixel", "line", "frame", "camera", "campaign"]
+"""What one draw of an error is common to: the pixels of a line, of a capture, all captures of a camera, or all cameras."""
+Unit = Literal["relative", "reflectance", "nm", "px"]
+"""Of a size: of the value, absolute, of the wavelength (times the slope of the spectrum), of the place (times that of the picture)."""
+Basis = Literal["measured", "declared", "unknown"]
+
+COVERAGE = 2.0
+"""Factor of an expanded uncertainty: about 95 % of normal errors."""
+
+
+@dataclass(frozen=True)
+class ErrorSource:
+    """One row of a budget.
+
+    Parameters
+    ----------
+    name : str
+        What errs.
+    unit : Unit
+    size : mapping of str to float
+        Standard uncertainty of each band, by label; bands without one are not known.
+    common_to : Extent
+        Within what one draw of the error holds.
+    all_bands : bool
+        Whether one draw holds for all bands, or each band has its own.
+    basis : Basis
+        From where the size is known.
+    advice : str
+        Of an unknown one: what to capture or to declare, to know it.
+    owner : str
+        Which camera or campaign has the error in common where that is not where it stands: the file of a white's certificate.
+
+    Examples
+    --------
+    >>> ErrorSource("white", "relative", {"R": 0.01}, "campaign", all_bands=True, basis="declared").to_dict()["size"]
+    {'R': 0.01}
+    """
+
+    name: str
+    unit: Unit
+    size: Mapping[str, float]
+    common_to: Extent
+    all_bands: bool
+    basis: Basis = "measured"
+    advice: str = ""
+    owner: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the row, JSON-ready; without what is empty."""
+        row = {
+            "source": self.name,
+            "unit": self.unit,
+            "size": {band: float(f"{size:.4g}") for band, size in self.size.items()},
+            "common_to": self.common_to,
+            "all_bands": self.all_bands,
+            "basis": self.basis,
+            "advice": self.advice,
+            "owner": self.owner,
+        }
+        return {key: value for key, value in row.items() if value not in ("", {})}
+
+    @classmethod
+    def from_dict(cls, row: Mapping[str, Any]) -> ErrorSource:
+        """Read what `to_dict` gave; raises KeyError where it is none."""
+        more = {key: row[key] for key in ("basis", "advice", "owner") if key in row}
+        size = row.get("size", {})
+        return cls(
+            row["source"], row["unit"], size, row["common_to"], all_bands=row["all_bands"], **more
+        )
+
+
+Part = tuple[str, str, Hashable]
+"""Name of a source, whose error it is, and which of its draws."""
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertain:
+    """Numbers, and how each error moves them.
+
+    Parameters
+    ----------
+    values : ndarray, (n,)
+    parts : mapping of Part to ndarray, (n,)
+        Coefficients cₖ, in the unit of the values.
+
+    Examples
+    --------
+    Two bands that share 1 % of a white, each with noise of 0.003: their ratio does not know the white.
+
+    >>> both = Uncertain(np.array([0.5, 0.25]), {
+    ...     ("white", "", 0): np.array([0.005, 0.0025]),
+    ...     ("noise", "", "R"): np.array([0.003, 0.0]), ("noise", "", "G"): np.array([0.0, 0.003])})
+    >>> both.sigma.round(4).tolist(), both.through(lambda v: v[:1] / v[1:]).sigma.round(4).tolist()
+    ([0.0058, 0.0039], [0.0268])
+    """
+
+    values: np.ndarray
+    parts: Mapping[Part, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the values, (n, n)."""
+        rows = np.array([*self.parts.values()]).reshape(-1, len(self.values))
+        return rows.T @ rows
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Standard uncertainty of each value, (n,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def by_source(self) -> dict[str, np.ndarray]:
+        """Return the standard uncertainty of each value by each source, (n,), the largest first."""
+        squares: dict[str, np.ndarray] = {}
+        for (name, _, _), row in self.parts.items():
+            squares[name] = squares.get(name, 0.0) + np.square(row)
+        order = sorted(squares, key=lambda name: -float(squares[name].sum()))
+        return {name: np.sqrt(squares[name]) for name in order}
+
+    def through(
+        self, function: Callable[[np.ndarray], np.ndarray], *, step: float = 1e-4
+    ) -> Uncertain:
+        """Return a function of the values, (n,) to (m,), with each error carried on by its slope, ([jcgm2008]_, Eq. 13).
+
+        Parameters
+        ----------
+        function : callable
+            Smooth over the errors.
+        step : float
+            Half of what each value is changed by to find the slope.
+        """
+        at = np.asarray(self.values, float)
+        steps = step * np.eye(len(at))
+        slopes = np.array(
+            [(np.ravel(function(at + d)) - np.ravel(function(at - d))) / (2 * step) for d in steps]
+        )
+        made = np.ravel(function(at))
+        return Uncertain(made, {part: row @ slopes for part, row in self.parts.items()})
+
+
+def join(several: Sequence[Uncertain]) -> Uncertain:
+    """Put numbers beside one another, (n₁ + n₂ + …,); an error that has the same name and draw in two of them is one."""
+    values = np.concatenate([one.values for one in several])
+    parts: dict[Part, np.ndarray] = {}
+    start = 0
+    for one in several:
+        stop = start + len(one.values)
+        for part, row in one.parts.items():
+            parts.setdefault(part, np.zeros(len(values)))[start:stop] += row
+        start = stop
+    return Uncertain(values, parts)
+
+
+@dataclass(frozen=True, eq=False)
+class MeanSpectrum:
+    """What is known of the mean of some pixels, band by band.
+
+    Parameters
+    ----------
+    labels : sequence of str, (n,)
+    values : ndarray, (n,)
+    random : ndarray, (n,)
+        Standard uncertainty by what pixels do not share: 0 where it is not known.
+    wavelengths : ndarray, (n,), nm
+        NaN where a band has none.
+    gradient : ndarray, (2, n), per px, optional
+        Slope of the mean in x and in y.
+    lines : int
+        Over how many lines of a scan the pixels lie.
+    """
+
+    labels: Sequence[str]
+    values: np.ndarray
+    random: np.ndarray
+    wavelengths: np.ndarray
+    gradient: np.ndarray | None = None
+    lines: int = 1
+
+    @property
+    def slope(self) -> np.ndarray:
+        """Change of the value with wavelength, (n,), 1/nm; 0 where the bands do not say."""
+        slope, known = np.zeros(len(self.values)), np.isfinite(self.wavelengths)
+        order = np.flatnonzero(known)[np.argsort(self.wavelengths[known], kind="stable")]
+        at = self.wavelengths[order]
+        if len(at) > 1 and (np.diff(at) > 0).all():
+            slope[order] = np.gradient(self.values[order], at)
+        return slope
+
+
+def uncertain_mean(
+    mean: MeanSpectrum,
+    sources: Iterable[ErrorSource],
+    *,
+    layer: str,
+    camera: str = "",
+    region: Hashable = 0,
+) -> Uncertain:
+    """Return the mean of some pixels with all that is known to make it uncertain.
+
+    Parameters
+    ----------
+    mean : MeanSpectrum
+    sources : iterable of ErrorSource
+        Those common to a pixel are in `mean.random` and are left out.
+    layer, camera : str
+        Whose errors they are: a capture's, and its camera's in all captures.
+    region : hashable
+        Name of the pixels: their noise is no other pixels'.
+
+    Examples
+    --------
+    >>> grey = MeanSpectrum(["R"], np.array([0.5]), np.array([0.003]), np.array([np.nan]))
+    >>> white = ErrorSource("white", "relative", {"R": 0.01}, "campaign", all_bands=True)
+    >>> uncertain_mean(grey, [white], layer="icon1/d80").sigma.round(5).tolist()
+    [0.00583]
+    """
+    n = len(mean.values)
+    parts: dict[Part, np.ndarray] = {
+        ("noise", layer, (region, k)): np.where(np.arange(n) == k, mean.random, 0.0)
+        for k in range(n)
+        if mean.random[k] > 0
+    }
+    owners = {"line": layer, "frame": layer, "camera": camera or layer, "campaign": ""}
+    for source in sources:
+        if source.common_to == "pixel":
+            continue
+        sizes = np.array([source.size.get(label, 0.0) for label in mean.labels])
+        if source.common_to == "line":
+            sizes = sizes / np.sqrt(mean.lines)
+        owner = source.owner or owners[source.common_to]
+        draw: Hashable = region if source.common_to == "line" else ""
+        for axis, row in enumerate(_coefficients(mean, source.unit) * sizes):
+            if not row.any():
+                continue
+            if source.all_bands:
+                parts[source.name, owner, (draw, axis)] = row
+                continue
+            for k in np.flatnonzero(row).tolist():
+                alone = np.where(np.arange(n) == k, row, 0.0)
+                parts[source.name, owner, (draw, axis, mean.labels[k])] = alone
+    return Uncertain(np.asarray(mean.values, float), parts)
+
+
+def _coefficients(mean: MeanSpectrum, unit: Unit) -> np.ndarray:
+    """Return by how much an error of one unit moves the values, (1 or 2, n)."""
+    if unit == "px":
+        return np.zeros((2, len(mean.values))) if mean.gradient is None else mean.gradient
+    if unit == "nm":
+        return mean.slope[None]
+    return (
+        np.asarray(mean.values, float)[None]
+        if unit == "relative"
+        else np.ones((1, len(mean.values)))
+    )
+
+
+def expected_ratio(first: Uncertain, second: Uncertain) -> np.ndarray:
+    """Return E_n of pairs of values, (n,): their difference over its expanded uncertainty ([iso13528]_, 9.7).
+
+    |Eₙ| above 1 says that two numbers contradict each other by more than their uncertainties allow.
+
+    Examples
+    --------
+    >>> a, b = (Uncertain(np.array([v]), {("noise", name, 0): np.array([0.01])}) for v, name in ((0.5, "a"), (0.55, "b")))
+    >>> expected_ratio(a, b).round(2).tolist()
+    [1.77]
+    """
+    n = len(first.values)
+    apart = join([first, second]).through(lambda v: v[n:] - v[:n])
+    sigma = apart.sigma
+    return np.divide(
+        np.abs(apart.values), COVERAGE * sigma, out=np.full(n, np.nan), where=sigma > 0
+    )

@@ -1,0 +1,222 @@
+"""The uncertainty budget of a layer: what its frames showed, what is declared, and what nobody knows.
+
+Rows are `levkas.calibration.error_sources.ErrorSource`. What a build measures on the way is in what calibration learnt of each sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from math import isnan, radians, tan
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.calibration.chart_light import CHART_WHITE
+from levkas.calibration.drift import LAMP
+from levkas.calibration.error_sources import ErrorSource
+from levkas.calibration.sensor_context import RESPONSE
+from levkas.stages.capture_statistics import NOISE, ROUNDING
+from levkas.stages.spectra import read_board_uncertainty
+
+if TYPE_CHECKING:
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.core.cube import Band
+
+WHITE, LAMP_ROW, BLACK_ROW = "white board", "lamp between white and object", "black level"
+LINEARITY, STRAY, WAVELENGTH, ANGLE = "linearity", "stray light", "wavelength", "angle of the light"
+PLACE, CHART = "place", "chart as white"
+
+
+def budget_of(
+    campaign: Campaign, capture: Capture, learnt: Mapping[str, Mapping[str, Any]]
+) -> tuple[ErrorSource, ...]:
+    """Return the rows of a capture's budget, all sensors together; none of values that are no reflectance.
+
+    Parameters
+    ----------
+    learnt : mapping of str to mapping
+        What calibration noted of each sensor.
+
+    Raises
+    ------
+    Refused
+        Where the spectrum of the white cannot be read.
+    """
+    camera = campaign.cameras[capture.camera]
+    has_white = any(sensor.white or sensor.chart for sensor in capture.sensors)
+    if not camera.traits.is_calibrated or not has_white:
+        return ()
+    bands = [band for sensor in capture.sensors for band in sensor.bands]
+    at_once = camera.traits.bands_in != "files"
+    declared = camera.uncertainty
+    rows = [
+        *_noise(bands, learnt),
+        *_white(campaign, capture, learnt),
+        *_light(bands, learnt, at_once=at_once),
+        _declared(
+            *(LINEARITY, "relative", bands, declared.linearity, _response_errors(capture, learnt)),
+            "frames of the white at three exposures or more, or declare `uncertainty.linearity` of the camera",
+        ),
+        _declared(
+            *(STRAY, "reflectance", bands, declared.stray_light, {}),
+            "a chart with black patches, or declare `uncertainty.stray_light` of the camera",
+        ),
+        _declared(
+            *(
+                WAVELENGTH,
+                "nm",
+                [b for b in bands if not isnan(b.wavelength)],
+                declared.wavelength_nm,
+                {},
+            ),
+            "a wavelength standard, or declare `uncertainty.wavelength_nm` of the camera",
+            all_bands=False,
+        ),
+        _angle(campaign, capture, bands),
+    ]
+    return tuple(rows)
+
+
+def with_place(
+    rows: Sequence[ErrorSource], bands: Sequence[str], sigma_px: Mapping[str, float]
+) -> tuple[ErrorSource, ...]:
+    """Add what a registration does not know of the place of each band, px of the reference on each axis."""
+    size = {band: sigma_px[band] for band in bands if band in sigma_px}
+    return (*rows, ErrorSource(PLACE, "px", size, "frame", all_bands=True)) if size else (*rows,)
+
+
+def _noise(bands: Sequence[Band], learnt: Mapping[str, Mapping[str, Any]]) -> Iterator[ErrorSource]:
+    """Yield what the published sigma of pixels is made of, where that is known."""
+    shares: dict[str, dict[str, float]] = {}
+    for told in learnt.values():
+        for label, own in told.get(NOISE, {}).items():
+            for name, size in own.items():
+                shares.setdefault(name, {})[label] = size
+        for label, step in told.get(ROUNDING, {}).items():
+            if step:
+                shares.setdefault("code spacing", {})[label] = step / 12**0.5
+    labels = {band.label for band in bands}
+    for name, size in shares.items():
+        own = {label: value for label, value in size.items() if label in labels}
+        yield ErrorSource(name, "reflectance", own, "pixel", all_bands=False)
+
+
+def _white(
+    campaign: Campaign,
+    capture: Capture,
+    learnt: Mapping[str, Mapping[str, Any]],
+) -> Iterator[ErrorSource]:
+    """Yield what is not known of the reflectance of the white board or of the chart in its place."""
+    charts = {name: told[CHART_WHITE] for name, told in learnt.items() if CHART_WHITE in told}
+    if charts:
+        found = {label: one for chart in charts.values() for label, one in chart["bands"].items()}
+        relative, absolute = (
+            {label: one["sigma_of_patches"][k] for label, one in found.items()} for k in (0, 1)
+        )
+        light = {b: float(np.hypot(found[b]["sigma_in_frame"], relative[b])) for b in found}
+        yield ErrorSource(CHART, "relative", light, "frame", all_bands=False)
+        yield ErrorSource(CHART, "reflectance", absolute, "frame", all_bands=False)
+        return
+    row = ErrorSource(WHITE, "relative", {}, "campaign", all_bands=True)
+    white = campaign.targets.white
+    sizes = read_board_uncertainty(campaign, capture)
+    if white is None or sizes is None:
+        advice = "the standard uncertainty of its certificate: `uncertainty` of `targets.white`, or a third column of its CSV"
+        yield replace(row, basis="unknown", advice=advice)
+        return
+    owner = white.reflectance if isinstance(white.reflectance, str) else ""
+    yield replace(row, size=sizes, basis="declared", owner=owner)
+
+
+def _light(
+    bands: Sequence[Band], learnt: Mapping[str, Mapping[str, Any]], *, at_once: bool
+) -> Iterator[ErrorSource]:
+    """Yield how far the lamp and the black level are known between white, dark and object.
+
+    Bands that are exposed at once share the lamp; those of a tunable filter do not see it at one time.
+    """
+    found = {label: one for told in learnt.values() for label, one in told.get(LAMP, {}).items()}
+    several = {
+        label: one
+        for label, one in found.items()
+        if one["white"] is not None or one["object"] is not None
+    }
+    lamp = {label: float(one["sigma"] or 0.0) for label, one in several.items()}
+    row = ErrorSource(LAMP_ROW, "relative", lamp, "frame", all_bands=at_once)
+    if len(several) < len({band.label for band in bands}):
+        row = replace(
+            row,
+            basis=row.basis if lamp else "unknown",
+            advice="two shots or more of the white before the object and after it",
+        )
+    yield row
+    black = {
+        label: float(one["black_sigma"] or 0.0)
+        for label, one in found.items()
+        if one["black"] is not None
+    }
+    row = ErrorSource(BLACK_ROW, "reflectance", black, "frame", all_bands=at_once)
+    if not black:
+        row = replace(
+            row, basis="unknown", advice="two darks or more, before the object and after it"
+        )
+    yield row
+
+
+def _response_errors(capture: Capture, learnt: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """Return the relative error of the curve that an exposure series showed, by band."""
+    found: dict[str, float] = {}
+    for sensor in capture.sensors:
+        response = learnt.get(sensor.name, {}).get(RESPONSE)
+        if response:
+            found |= {band.label: float(response["error"]) for band in sensor.bands}
+    return found
+
+
+def _declared(
+    name: str,
+    unit: Any,
+    bands: Sequence[Band],
+    size: float | None,
+    measured: Mapping[str, float],
+    advice: str,
+    *,
+    all_bands: bool = True,
+) -> ErrorSource:
+    """Return a row that is measured, else declared, else not known; it is the camera's in all its captures."""
+    row = ErrorSource(name, unit, measured, "camera", all_bands=all_bands)
+    if measured:
+        return row
+    if size is None:
+        return replace(row, basis="unknown", advice=advice)
+    return replace(row, size={band.label: float(size) for band in bands}, basis="declared")
+
+
+def _angle(campaign: Campaign, capture: Capture, bands: Sequence[Band]) -> ErrorSource:
+    """Return what a white that stood at another angle than the object does to all values: tan θ · δθ, Lambert's law."""
+    row = ErrorSource(ANGLE, "relative", {}, "frame", all_bands=True)
+    setup = campaign.setups.get(capture.setup or campaign.campaign.setup or "default")
+    if setup is None or setup.angle_deg is None or setup.angle_uncertainty_deg is None:
+        advice = "`angle_deg` and `angle_uncertainty_deg` of the setup: how far white and object stood in one plane"
+        return replace(row, basis="unknown", advice=advice)
+    size = float(tan(radians(setup.angle_deg)) * radians(setup.angle_uncertainty_deg))
+    return replace(row, size={band.label: size for band in bands}, basis="declared")
+
+
+def to_records(rows: Sequence[ErrorSource]) -> list[dict[str, Any]]:
+    """Return rows JSON-ready."""
+    return [row.to_dict() for row in rows]
+
+
+def median_noise(sigma: np.ndarray | None, sound: np.ndarray) -> np.ndarray | None:
+    """Return the median of sigma, (h, w, bands), over sound pixels, (bands,); None without one."""
+    if sigma is None:
+        return None
+    return np.array(
+        [
+            np.median(sigma[..., k][sound[..., k]]) if sound[..., k].any() else np.nan
+            for k in range(sigma.shape[-1])
+        ]
+    )

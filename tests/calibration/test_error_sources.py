@@ -1,0 +1,132 @@
+"""Errors that pixels and bands share: what is combined is what draws of the same errors scatter by."""
+
+import numpy as np
+import pytest
+
+from levkas.calibration.error_sources import (
+    ErrorSource,
+    MeanSpectrum,
+    Uncertain,
+    expected_ratio,
+    join,
+    uncertain_mean,
+)
+
+LABELS = ["450 nm", "550 nm", "650 nm"]
+NM = np.array([450.0, 550.0, 650.0])
+FIRST, SECOND = np.array([0.2, 0.5, 0.8]), np.array([0.4, 0.3, 0.6])
+DRAWS = 40_000
+
+
+def of_all(size):
+    return dict.fromkeys(LABELS, size)
+
+
+SOURCES = [
+    ErrorSource("white", "relative", of_all(0.01), "campaign", all_bands=True),
+    ErrorSource("lamp", "relative", of_all(0.02), "frame", all_bands=False),
+    ErrorSource("black", "reflectance", of_all(0.001), "frame", all_bands=True),
+    ErrorSource("wavelength", "nm", of_all(1.0), "camera", all_bands=False),
+    ErrorSource("place", "px", of_all(0.2), "frame", all_bands=True),
+    ErrorSource("photons", "reflectance", of_all(0.005), "pixel", all_bands=False),
+]
+"""The last is in the noise of the means already."""
+
+
+def mean_of(values, noise=0.002, seed=0):
+    gradient = np.random.default_rng(seed).normal(0, 0.01, (2, 3))
+    return MeanSpectrum(LABELS, values, np.full(3, noise), NM, gradient)
+
+
+class Laboratory:
+    """Draws of every error, made without the module: one number a source and what it is common to."""
+
+    def __init__(self, seed):
+        self.rng = np.random.default_rng(seed)
+        self.white = 0.01 * self.rng.standard_normal((DRAWS, 1))
+
+    def camera(self):
+        """Return what one camera and capture make of means of several regions."""
+        draw = self.rng.standard_normal
+        lamp, nm = 0.02 * draw((DRAWS, 3)), draw((DRAWS, 3))
+        black, place = 0.001 * draw((DRAWS, 1)), 0.2 * draw((DRAWS, 2))
+
+        def see(mean):
+            slope = np.gradient(mean.values, NM)
+            errors = mean.values * (self.white + lamp) + black + slope * nm + place @ mean.gradient
+            return mean.values + errors + 0.002 * draw((DRAWS, 3))
+
+        return see
+
+
+def test_means_ratios_and_differences_scatter_as_the_budget_says():
+    see = Laboratory(1).camera()
+    regions = mean_of(FIRST), mean_of(SECOND, seed=1)
+    seen = np.concatenate([see(mean) for mean in regions], axis=1)
+    both = join(
+        [uncertain_mean(mean, SOURCES, layer="a", region=k) for k, mean in enumerate(regions)]
+    )
+    assert np.allclose(both.covariance, np.cov(seen.T), atol=2e-6, rtol=0.05)
+    for function in (
+        lambda v: v[..., :3] - v[..., 3:],
+        lambda v: v[..., :3] / v[..., 3:],
+        lambda v: np.log(v[..., 1:2] / v[..., :1]),
+    ):
+        scatter = function(seen).std(0)
+        assert np.allclose(both.through(function).sigma, scatter, rtol=0.03)
+
+
+def test_two_cameras_share_the_white_of_the_campaign_and_nothing_else():
+    laboratory = Laboratory(2)
+    one, other = laboratory.camera(), laboratory.camera()
+    mean = mean_of(FIRST)
+    scatter = (one(mean) - other(mean)).std(0)
+    found = [uncertain_mean(mean, SOURCES, layer=n, camera=n, region=n) for n in ("a", "b")]
+    apart = join(found).through(lambda v: v[:3] - v[3:])
+    assert np.allclose(apart.sigma, scatter, rtol=0.03)
+    rows = apart.by_source()
+    assert rows["white"].max() < 1e-9 and rows["lamp"][2] == pytest.approx(0.016 * 2**0.5)
+
+
+def test_another_certificate_is_another_error():
+    mean = mean_of(FIRST)
+    whites = [
+        ErrorSource("white", "relative", of_all(0.01), "campaign", all_bands=True, owner=name)
+        for name in ("a.csv", "a.csv", "b.csv")
+    ]
+    found = [uncertain_mean(mean, [white], layer=str(k)) for k, white in enumerate(whites)]
+    same, other = (join([found[0], one]).through(lambda v: v[:3] - v[3:]) for one in found[1:])
+    assert np.allclose(other.by_source()["white"], 0.01 * 2**0.5 * FIRST)
+    assert np.allclose(same.by_source()["white"], 0, atol=1e-12)
+
+
+def test_lines_of_a_scan_average_their_own_error():
+    line = ErrorSource("flicker", "relative", of_all(0.01), "line", all_bands=True)
+    mean = MeanSpectrum(LABELS, FIRST, np.zeros(3), NM, lines=25)
+    assert np.allclose(uncertain_mean(mean, [line], layer="a").sigma, 0.002 * FIRST)
+
+
+def test_bands_without_a_wavelength_have_no_slope_and_rows_come_back():
+    mean = MeanSpectrum(LABELS, FIRST, np.zeros(3), np.array([450.0, np.nan, 650.0]))
+    assert mean.slope.tolist() == pytest.approx([0.003, 0.0, 0.003])
+    for source in SOURCES:
+        assert ErrorSource.from_dict(source.to_dict()) == source
+    unknown = ErrorSource(
+        "linearity", "relative", {}, "camera", all_bands=True, basis="unknown", advice="…"
+    )
+    assert ErrorSource.from_dict(unknown.to_dict()) == unknown
+    assert uncertain_mean(mean, [unknown], layer="a").parts == {}
+
+
+def test_numbers_that_agree_have_an_expected_ratio_below_one_in_nineteen_of_twenty():
+    rng = np.random.default_rng(3)
+    truth, sizes = rng.uniform(0.1, 0.9, 5000), (0.01, 0.02)
+    a, b = (truth + size * rng.standard_normal(5000) for size in sizes)
+    # By hand: E_n = |a - b| / (2 * sqrt(0.01^2 + 0.02^2)).
+    expected = np.abs(a - b) / (2 * np.hypot(*sizes))
+    first, second = (
+        Uncertain(v[:50], {("noise", name, i): size * row for i, row in enumerate(np.eye(50))})
+        for v, name, size in ((a, "a", 0.01), (b, "b", 0.02))
+    )
+    assert np.allclose(expected_ratio(first, second), expected[:50])
+    assert 0.945 < np.mean(expected < 1) < 0.965
