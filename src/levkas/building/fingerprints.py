@@ -294,7 +294,19 @@ def of_report(
         prints[f"objects.{name}.{key}"] = value
     for key in ("title", "date", "licence", "reference"):
         prints[f"campaign.{key}"] = getattr(campaign.campaign, key)
-    return plain(prints)
+    return plain(prints | _uncertainties(campaign))
+
+
+def _uncertainties(campaign: Campaign) -> dict[str, Any]:
+    """What is declared of errors that no frame shows: it is in the budgets alone."""
+    white, found = campaign.targets.white, {}
+    for name, camera in campaign.cameras.items():
+        found |= {f"cameras.{name}.uncertainty.{key}": size for key, size in camera.uncertainty}
+    for name, setup in campaign.setups.items():
+        for key in ("angle_deg", "angle_uncertainty_deg"):
+            found[f"setups.{name}.{key}"] = getattr(setup, key)
+    found["targets.white.uncertainty"] = white.uncertainty if white else None
+    return {key: size for key, size in found.items() if size is not None}
 
 
 def _grid(campaign: Campaign) -> dict[str, Any]:

@@ -31,6 +31,7 @@ from levkas.database.registrations import (
     unchecked_mm2,
     unchecked_share,
 )
+from levkas.pages.budget import UncertaintyBudget, describe_budget
 from levkas.pages.maps import draw_maps
 from levkas.pages.page import (
     CloseUpRow,
@@ -210,7 +211,22 @@ def _layer(
         ssim_map=f"data:image/png;base64,{ssim_map}" if ssim_map else "",
         columns=("shift at the centre, px", "x", "y"),
         rows=_band_rows(record),
+        budget=_budget(campaign, capture, calibrated, resampled) if shown else None,
     )
+
+
+def _budget(
+    campaign: Campaign,
+    capture: Capture,
+    calibrated: Mapping[str, Any],
+    resampled: Mapping[str, Any],
+) -> UncertaintyBudget | None:
+    """Return what the report says of the uncertainty of a layer's values, at its middling pixels."""
+    ranges = [r for r in resampled.get("ranges", []) if r.get("snr") and r.get("noise")]
+    noise = {r["band"]: float(r["noise"]) for r in ranges}
+    levels = {r["band"]: float(r["snr"] * r["noise"]) for r in ranges}
+    sources = budget_of(campaign, capture, calibrated.get("learnt", {}))
+    return describe_budget(sources, capture.bands, levels, noise)
 
 
 def _error(record: dict[str, Any]) -> tuple[float | None, float | None]:

@@ -95,3 +95,14 @@ def munsell_lab() -> np.ndarray:
     xyz = np.stack([x / y, np.ones(len(y)), (1 - x - y) / y], 1) * luminance[:, None]
     white = np.array([C_XY[0] / C_XY[1], 1.0, (1 - sum(C_XY)) / C_XY[1]])
     return xyz_to_lab(xyz @ adaptation(white, WHITE).T)
+
+
+def delta_e_2000(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return ΔE2000 of CIELAB colours, as CIE 142-2001 has it (Sharma, Wu and Dalal 2005, 10.1002/col.20070).
+
+    >>> [round(float(d), 4) for d in delta_e_2000(np.array([[50, 2.6772, -79.7751]]), np.array([[50, 0, -82.7485]]))]
+    [2.0425]
+    """
+    from skimage.color import deltaE_ciede2000
+
+    return np.asarray(deltaE_ciede2000(a, b), float)

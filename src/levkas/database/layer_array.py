@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +14,11 @@ from levkas.database.layout import LayerId
 from levkas.database.opening import has_sigma, open_layer, place_of
 
 if TYPE_CHECKING:
+    from levkas.calibration.error_sources import Uncertain
     from levkas.database.components import Components, Method
     from levkas.database.pixel_frames import FrameMap
+    from levkas.database.region_uncertainty import Of
+    from levkas.database.regions import Region
 
 SAMPLES = 16
 """Rows and columns that are compared to know whether values are those of the layer; a change of all, or of a large part, is seen."""
@@ -124,6 +127,65 @@ class LayerAccessor:
         layer, flags = (_with_bands(array) for array in (self._array, self.flags))
         return region_statistics(layer, flags, region, bins=bins)
 
+    def uncertainty(
+        self,
+        polygon: Sequence[tuple[float, float]] | None = None,
+        *,
+        rectangle: tuple[float, float, float, float] | None = None,
+        circle: tuple[float, float, float] | None = None,
+        bands: Sequence[str] | None = None,
+        of: Of = "mean",
+        beside: Mapping[str, Any] | None = None,
+    ) -> xarray.Dataset:
+        """Return what is read from a region with its uncertainty, random and common errors combined.
+
+        Parameters
+        ----------
+        polygon, rectangle, circle
+            As of `region`.
+        bands : sequence of str, optional
+            Labels; all by default.
+        of : {"mean", "difference", "ratio", "delta_e"}
+            The mean of each band; the difference or ratio of two bands, or, with `beside`, of two regions band by band; the colour
+            difference ΔE2000 of two regions under D65.
+        beside : mapping, optional
+            The second region: ``{"rectangle": (0, 0, 9, 9)}``.
+
+        Returns
+        -------
+        numbers : xarray.Dataset
+            Over ``band``: ``value``; ``u``, its standard uncertainty; ``U``, expanded with k = 2; ``u_random`` and ``u_common``, of the
+            pixels' own noise and of what they share; ``u_by_source``. The attribute ``not_known`` names the sources that
+            nothing is known of, and that are not in it.
+
+        Raises
+        ------
+        RegionRefused
+            ``E_REGION`` as of `region`; ``E_VALUE`` where that cannot be made of these bands.
+
+        Notes
+        -----
+        First order in all errors ([jcgm2008]_). An error that two numbers share leaves their ratio.
+        """
+        from levkas.database.region_uncertainty import combine, to_dataset
+        from levkas.database.regions import make_region
+
+        regions = [make_region(polygon, rectangle, circle)]
+        if beside is not None:
+            regions.append(
+                make_region(*(beside.get(k) for k in ("polygon", "rectangle", "circle")))
+            )
+        array = _with_bands(self._array)
+        if bands is not None:
+            array = array.sel(band=[*bands])
+        means, unknown = _uncertain_means(array, *self._place, regions)
+        labels = [str(label) for label in array.band.values]
+        wavelengths = np.atleast_1d(array.wavelength.values).astype(float)
+        made, names = combine(
+            of, labels, wavelengths, means[0], means[1] if beside is not None else None
+        )
+        return to_dataset(made, names, unknown)
+
     def components(self, method: Method = "pca") -> Components:
         """Find the principal components (``"pca"``) or minimum-noise fractions (``"mnf"``) of these pixels.
 
@@ -205,6 +267,10 @@ class LayerArray(xarray.DataArray):
         """As `LayerAccessor.region`."""
         return self.levkas.region(*args, **options)
 
+    def uncertainty(self, *args: Any, **options: Any) -> xarray.Dataset:
+        """As `LayerAccessor.uncertainty`."""
+        return self.levkas.uncertainty(*args, **options)
+
     def components(self, method: Method = "pca") -> Components:
         """As `LayerAccessor.components`."""
         return self.levkas.components(method)
@@ -222,6 +288,34 @@ class LayerArray(xarray.DataArray):
             array = xarray.DataArray.sortby(self, "wavelength").set_xindex("wavelength")
         selected: LayerArray = array.sel(indexers, *args, **options)
         return selected
+
+
+def _uncertain_means(
+    array: xarray.DataArray, root: Path, layer: LayerId, regions: Sequence[Region]
+) -> tuple[list[Uncertain], list[str]]:
+    """Return the means of regions with their errors, and the sources that nothing is known of."""
+    from levkas.database import region_uncertainty as found
+
+    budget = found.read_budget(root, layer)
+    beside = array.levkas
+    flags, sigma = (
+        None if one is None else _with_bands(one) for one in (beside.flags, beside.sigma)
+    )
+    assert flags is not None
+    means = []
+    for region in regions:
+        mean = found.mean_of_region(array, flags, sigma, region, budget.correlation)
+        here = found.with_place(budget, root, layer, mean.labels, _centre(array, region))
+        means.append(found.uncertain_region(mean, here, layer, region.vertices.tolist()))
+    return means, [row.name for row in budget.sources if row.basis == "unknown"]
+
+
+def _centre(array: xarray.DataArray, region: Region) -> tuple[float, float]:
+    """Return the middle of a region, px of the grid."""
+    x0, y0, x1, y1 = region.bounds
+    places = ((x0 + x1) / 2, array.x.values), ((y0 + y1) / 2, array.y.values)
+    x, y = (float(known[int(np.clip(round(at), 0, len(known) - 1))]) for at, known in places)
+    return x, y
 
 
 def _with_bands(array: xarray.DataArray) -> xarray.DataArray:

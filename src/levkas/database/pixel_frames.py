@@ -259,21 +259,28 @@ def find_position_sigma(
     ------
     MappingRefused
     """
-    from levkas.registration.record import Sigma
-
     records, frame = Records(place(database), name), Frame(camera, setup, band or "")
-    entry = records.entry(frame)
-    grid, reference = records.pixels(Frame()), records.reference()
-    if "sigma" not in entry or grid.size is None:
+    grid = records.pixels(Frame())
+    if "sigma" not in records.entry(frame) or grid.size is None:
         return None
     width, height = (round(n) for n in grid.size)
     check_memory(records.folder, width * height * 2, 8)
     x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
-    points = np.stack([x.ravel(), y.ravel()], 1)
-    seen = np.isfinite(FrameMap(grid, records.pixels(frame), reference)(points)).all(1)
-    values = np.full(len(points), np.nan, np.float32)
-    values[seen] = Sigma.from_dict(entry["sigma"])(grid.from_reference.inverse(points[seen]))
+    values = position_sigma_at(records, frame, np.stack([x.ravel(), y.ravel()], 1))
     return values.reshape(height, width)
+
+
+def position_sigma_at(records: Records, frame: Frame, points: np.ndarray) -> np.ndarray:
+    """Return how well the position of a band is known at (n, 2) px of the grid, reference px; NaN where it is not seen or known."""
+    from levkas.registration.record import Sigma
+
+    grid, entry = records.pixels(Frame()), records.entry(frame)
+    values = np.full(len(points), np.nan, np.float32)
+    if "sigma" in entry:
+        seen = FrameMap(grid, records.pixels(frame), records.reference())(points)
+        seen = np.isfinite(seen).all(1)
+        values[seen] = Sigma.from_dict(entry["sigma"])(grid.from_reference.inverse(points[seen]))
+    return values
 
 
 def predict_error(

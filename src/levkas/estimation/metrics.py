@@ -9,9 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from levkas.colour.gamut import xyz_to_lab
+from levkas.colour.gamut import delta_e_2000, xyz_to_lab
 from levkas.colour.srgb import observer_under, visible_coverage, xyz_weights
-from levkas.quality.targets.measuring import delta_e_2000
 
 MRAE_FLOOR = 0.01
 """Reflectance below which errors are relative to it: those of black paint would rule otherwise."""

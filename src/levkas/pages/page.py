@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     import jinja2
 
+
 WORTH_NAMING = 0.1
 """Share of a layer that was not checked, from which on it is named beside the decision."""
 
@@ -75,6 +76,7 @@ class LayerReport:
     ssim_map: str = ""
     columns: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = ()
+    budget: Any = None
 
     @property
     def decision_text(self) -> str:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 WHITE, LAMP_ROW, BLACK_ROW = "white board", "lamp between white and object", "black level"
 LINEARITY, STRAY, WAVELENGTH, ANGLE = "linearity", "stray light", "wavelength", "angle of the light"
-PLACE, CHART = "place", "chart as white"
+CHART = "chart as white"
 
 
 def budget_of(
@@ -77,14 +77,6 @@ def budget_of(
         _angle(campaign, capture, bands),
     ]
     return tuple(rows)
-
-
-def with_place(
-    rows: Sequence[ErrorSource], bands: Sequence[str], sigma_px: Mapping[str, float]
-) -> tuple[ErrorSource, ...]:
-    """Add what a registration does not know of the place of each band, px of the reference on each axis."""
-    size = {band: sigma_px[band] for band in bands if band in sigma_px}
-    return (*rows, ErrorSource(PLACE, "px", size, "frame", all_bands=True)) if size else (*rows,)
 
 
 def _noise(bands: Sequence[Band], learnt: Mapping[str, Mapping[str, Any]]) -> Iterator[ErrorSource]:
@@ -208,15 +200,3 @@ def _angle(campaign: Campaign, capture: Capture, bands: Sequence[Band]) -> Error
 def to_records(rows: Sequence[ErrorSource]) -> list[dict[str, Any]]:
     """Return rows JSON-ready."""
     return [row.to_dict() for row in rows]
-
-
-def median_noise(sigma: np.ndarray | None, sound: np.ndarray) -> np.ndarray | None:
-    """Return the median of sigma, (h, w, bands), over sound pixels, (bands,); None without one."""
-    if sigma is None:
-        return None
-    return np.array(
-        [
-            np.median(sigma[..., k][sound[..., k]]) if sound[..., k].any() else np.nan
-            for k in range(sigma.shape[-1])
-        ]
-    )

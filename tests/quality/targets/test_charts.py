@@ -2,6 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
+from levkas.colour.gamut import delta_e_2000
 from levkas.core.cube import Band, Cube, Flag
 from levkas.quality.targets.charts import (
     CHARTS,
@@ -17,7 +18,6 @@ from levkas.quality.targets.locating import locate_chart, locate_in_cube
 from levkas.quality.targets.measuring import (
     Sighting,
     compare_colours,
-    delta_e_2000,
     lab_of,
     measure,
     rate,

@@ -21,7 +21,6 @@ _HOMES = {
     "sensor_stops": "image_quality.dynamic_range",
     "find_glare": "image_quality.glare",
     "choose_places": "image_quality.light",
-    "delta_e_2000": "targets.measuring",
 }
 __all__ = sorted(_HOMES)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from levkas.colour.gamut import xyz_to_lab
+from levkas.colour.gamut import delta_e_2000, xyz_to_lab
 from levkas.colour.srgb import SRGB_TO_XYZ, observer_under, visible_coverage, xyz_weights
 from levkas.core.cube import Band, Cube, Flag, is_flagged
 from levkas.core.json_safe import rounded
@@ -471,17 +471,6 @@ def lab_of(xyz: np.ndarray) -> np.ndarray:
     [76, 0, 0]
     """
     return xyz_to_lab(np.maximum(xyz, 0), observer_under()[1].sum(0))
-
-
-def delta_e_2000(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return ΔE2000 of CIELAB colours, as CIE 142-2001 has it (Sharma, Wu and Dalal 2005, 10.1002/col.20070).
-
-    >>> [round(float(d), 4) for d in delta_e_2000(np.array([[50, 2.6772, -79.7751]]), np.array([[50, 0, -82.7485]]))]
-    [2.0425]
-    """
-    from skimage.color import deltaE_ciede2000
-
-    return np.asarray(deltaE_ciede2000(a, b), float)
 
 
 def rate(

@@ -1,0 +1,285 @@
+"""The uncertainty of what is read from a region of a layer: of means, and of differences, ratios and colours made of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+import xarray
+
+from levkas.calibration.error_sources import (
+    COVERAGE,
+    ErrorSource,
+    MeanSpectrum,
+    Uncertain,
+    join,
+    uncertain_mean,
+)
+from levkas.core.problems import Problem
+from levkas.database.regions import TRUSTED, Region, RegionRefused
+
+if TYPE_CHECKING:
+    from levkas.database.layout import LayerId
+
+Of = Literal["mean", "difference", "ratio", "delta_e"]
+PROVENANCE = "provenance.json"
+PLACE = "place"
+NONE = np.ones((1, 1))
+"""Correlation of noise that no neighbours share."""
+
+
+@dataclass(frozen=True, eq=False)
+class LayerBudget:
+    """What a database says of the errors of a layer.
+
+    Parameters
+    ----------
+    sources : tuple of ErrorSource
+    correlation : ndarray, (2r + 1, 2r + 1)
+        Of the noise of a pixel with that of its neighbours on the grid, 1 in the middle: they were interpolated from the same pixels.
+    """
+
+    sources: tuple[ErrorSource, ...] = ()
+    correlation: np.ndarray = field(default_factory=lambda: NONE)
+
+
+def read_budget(root: Path, layer: LayerId) -> LayerBudget:
+    """Return the budget of a layer by its object's provenance; an empty one where that says nothing of it.
+
+    Raises
+    ------
+    OSError, ValueError
+        Where the file cannot be read.
+    """
+    path = root / "objects" / layer.object / PROVENANCE
+    if not path.is_file():
+        return LayerBudget()
+    steps: Sequence[Mapping[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["steps"]
+    mine = {
+        s["stage"]: s for s in steps if (s["camera"], s["setup"]) == (layer.camera, layer.setup)
+    }
+    rows = mine.get("calibrate", {}).get("uncertainty", [])
+    correlation = mine.get("resample", {}).get("noise_correlation")
+    return LayerBudget(
+        tuple(ErrorSource.from_dict(row) for row in rows),
+        NONE if correlation is None else np.array(correlation, float),
+    )
+
+
+def with_place(
+    budget: LayerBudget,
+    root: Path,
+    layer: LayerId,
+    labels: Sequence[str],
+    centre: tuple[float, float],
+) -> LayerBudget:
+    """Add how well the place of each band is known at a pixel of the grid, by the layer's registration."""
+    from levkas.database.pixel_frames import Frame, MappingRefused, Records, position_sigma_at
+
+    try:
+        records = Records(root, layer.object)
+        size = {
+            band: float(
+                position_sigma_at(
+                    records, Frame(layer.camera, layer.setup, band), np.array([centre])
+                )[0]
+            )
+            for band in labels
+        }
+        pixel = records.pixels(Frame()).from_reference.inverse(np.array([[0.0, 0], [1, 0]]))
+    except MappingRefused:
+        return budget
+    # Reference px to px of the grid, in which slopes are.
+    scale = 1 / float(np.hypot(*(pixel[1] - pixel[0])))
+    size = {band: scale * value for band, value in size.items() if np.isfinite(value)}
+    row = ErrorSource(PLACE, "px", size, "frame", all_bands=True)
+    return replace(budget, sources=(*budget.sources, row)) if size else budget
+
+
+def mean_of_region(
+    layer: xarray.DataArray,
+    flags: xarray.DataArray,
+    sigma: xarray.DataArray | None,
+    region: Region,
+    correlation: np.ndarray = NONE,
+) -> MeanSpectrum:
+    """Return the mean of a region's sound pixels, its random uncertainty and its slopes, band by band.
+
+    Parameters
+    ----------
+    layer, flags, sigma : DataArray, (y, x, band)
+        Of the same pixels.
+    region : Region
+    correlation : ndarray, (2r + 1, 2r + 1)
+        Of the noise of neighbours.
+
+    Raises
+    ------
+    RegionRefused
+        ``E_REGION`` where no pixel lies within.
+
+    Notes
+    -----
+    The variance of the mean of n pixels is Σₚ Σₗ ρ(l) σₚ σₚ₊ₗ / n². With σ of 0.01, ρ of 0.5 to the four nearest and many
+    pixels it is three times σ²/n.
+    """
+    x0, y0, x1, y1 = region.bounds
+    rows = np.arange(max(0, int(np.ceil(y0))), min(layer.sizes["y"], int(np.floor(y1)) + 1))
+    columns = np.arange(max(0, int(np.ceil(x0))), min(layer.sizes["x"], int(np.floor(x1)) + 1))
+    inside = region.contains(columns[None], rows[:, None])
+    if not inside.any():
+        raise RegionRefused(
+            Problem(
+                "E_REGION",
+                "this is not a region of the layer",
+                found="no pixel within",
+                expected=f"a region on the grid, x 0 to {layer.sizes['x'] - 1}, y 0 to {layer.sizes['y'] - 1}",
+            )
+        )
+    part = {"y": slice(rows[0], rows[-1] + 1), "x": slice(columns[0], columns[-1] + 1)}
+    values, marks, noise = (
+        None if one is None else one.isel(part).transpose("y", "x", "band").values
+        for one in (layer, flags, sigma)
+    )
+    assert values is not None and marks is not None
+    sound = inside[..., None] & ((marks & ~TRUSTED) == 0) & np.isfinite(values)
+    count = sound.sum((0, 1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean, *slopes = (
+            np.where(sound, part, 0.0).sum((0, 1), dtype=float) / count
+            for part in (values, *_slopes(values, sound))
+        )
+    random = np.zeros(len(count))
+    if noise is not None:
+        spread = np.where(sound, noise, 0.0).astype(float)
+        random = np.array([_of_mean(spread[..., k], correlation) for k in range(len(count))])
+    labels = [str(label) for label in np.atleast_1d(layer.band.values)]
+    wavelengths = np.atleast_1d(layer.wavelength.values).astype(float)
+    return MeanSpectrum(labels, mean, random, wavelengths, np.nan_to_num(slopes), lines=len(rows))
+
+
+def _slopes(values: np.ndarray, sound: np.ndarray) -> list[np.ndarray]:
+    """Return the slopes of a picture, (h, w, bands), in x and in y, per px; 0 beside what is not sound."""
+    picture = np.where(sound, values, np.nan)
+    return [
+        np.nan_to_num(np.gradient(picture, axis=a)) if picture.shape[a] > 1 else 0 * values
+        for a in (1, 0)
+    ]
+
+
+def _of_mean(sigma: np.ndarray, correlation: np.ndarray) -> float:
+    """Return the standard deviation of a mean of pixels, (h, w), 0 of those that do not count; neighbours share noise."""
+    count = np.count_nonzero(sigma)
+    if not count:
+        return 0.0
+    reach = len(correlation) // 2
+    wide = np.pad(sigma, reach)
+    height, width = sigma.shape
+    total = 0.0
+    for dy, dx in _lags(reach):
+        share = correlation[dy + reach, dx + reach]
+        if share:
+            moved = wide[reach + dy : reach + dy + height, reach + dx : reach + dx + width]
+            total += float(share) * float(np.vdot(sigma, moved))
+    return float(np.sqrt(max(total, 0.0))) / count
+
+
+def _lags(reach: int) -> Iterator[tuple[int, int]]:
+    steps = range(-reach, reach + 1)
+    return ((dy, dx) for dy in steps for dx in steps)
+
+
+def uncertain_region(
+    mean: MeanSpectrum, budget: LayerBudget, layer: LayerId, region: object
+) -> Uncertain:
+    """Return the mean of a region with all that makes it uncertain; `region` names the pixels."""
+    place = f"{layer.object}/{layer.name}"
+    return uncertain_mean(
+        mean, budget.sources, layer=place, camera=layer.camera, region=str(region)
+    )
+
+
+def combine(
+    of: Of,
+    labels: Sequence[str],
+    wavelengths: np.ndarray,
+    first: Uncertain,
+    second: Uncertain | None,
+) -> tuple[Uncertain, list[str]]:
+    """Return what is made of the means of one region or of two, and names of the numbers.
+
+    Parameters
+    ----------
+    of : {"mean", "difference", "ratio", "delta_e"}
+        Means; difference or ratio of the first two bands of one region, or of two regions, band by band; ΔE2000 of two regions
+        under D65.
+    labels, wavelengths : (n,)
+        Of the bands.
+    first, second : Uncertain, (n,)
+
+    Raises
+    ------
+    RegionRefused
+        ``E_VALUE`` where it cannot be made of them.
+    """
+    if of == "mean" and second is None:
+        return first, [*labels]
+    n = len(labels)
+    if of == "delta_e" and second is not None:
+        if n < 3 or not np.isfinite(wavelengths).all():
+            raise _unfit(f"{n} bands", "three bands or more, each with a wavelength")
+        return join([first, second]).through(lambda v: _delta_e(v[:n], v[n:], wavelengths)), [
+            "ΔE2000"
+        ]
+    if of not in ("difference", "ratio"):
+        raise _unfit(
+            f"of = {of!r}", f"one of {', '.join(get_args(Of))}; delta_e of two regions, mean of one"
+        )
+    make = np.subtract if of == "difference" else np.divide
+    if second is not None:
+        return join([first, second]).through(lambda v: make(v[:n], v[n:])), [*labels]
+    if n != 2:
+        raise _unfit(f"{n} bands", "two bands, or a second region")
+    sign = "−" if of == "difference" else "/"
+    return first.through(lambda v: make(v[:1], v[1:])), [f"{labels[0]} {sign} {labels[1]}"]
+
+
+def _delta_e(first: np.ndarray, second: np.ndarray, wavelengths: np.ndarray) -> np.ndarray:
+    from levkas.colour.gamut import delta_e_2000, lab_of
+
+    return delta_e_2000(lab_of(first[None], wavelengths), lab_of(second[None], wavelengths))
+
+
+def _unfit(found: str, expected: str) -> RegionRefused:
+    return RegionRefused(
+        Problem("E_VALUE", "no uncertainty of this can be stated", found=found, expected=expected)
+    )
+
+
+def to_dataset(made: Uncertain, names: Sequence[str], unknown: Sequence[str]) -> xarray.Dataset:
+    """Return numbers with their uncertainties: `u` standard, `U` expanded, its random and common part, and every source's."""
+    rows = made.by_source()
+    random = rows.get("noise", np.zeros(len(made.values)))
+    common = np.sqrt(np.maximum(made.sigma**2 - random**2, 0))
+    found = xarray.Dataset(
+        {
+            "value": ("band", made.values),
+            "u": ("band", made.sigma),
+            "U": (
+                "band",
+                COVERAGE * made.sigma,
+                {"long_name": f"expanded uncertainty, k = {COVERAGE:g}"},
+            ),
+            "u_random": ("band", random),
+            "u_common": ("band", common),
+            "u_by_source": (("source", "band"), np.array([*rows.values()]).reshape(-1, len(names))),
+        },
+        coords={"band": [*names], "source": [*rows]},
+    )
+    found["u"].attrs["long_name"] = "standard uncertainty"
+    found.attrs["not_known"] = [*unknown]
+    return found

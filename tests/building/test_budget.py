@@ -1,0 +1,128 @@
+"""The budget of a build: what is measured, declared and not known, in records, report and in what is read from regions."""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import levkas
+from levkas.building import build, status, summarise
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from sigma_of_builds import Camera, scene, write_campaign
+
+SHAPE = (100, 140)
+DECLARED = """
+[cameras.cam.uncertainty]
+wavelength_nm = 1.0
+linearity = 0.005
+stray_light = 0.002
+[setups.default]
+angle_deg = 45
+angle_uncertainty_deg = 2
+"""
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("budget") / "c"
+    write_campaign(folder, "bands", Camera(SHAPE), scene(SHAPE)[0], whites=2)
+    assert summarise(build(folder)).ok
+    return folder
+
+
+def rows_of(folder):
+    record = json.loads((folder / "database/objects/panel/provenance.json").read_text())
+    (step,) = [one for one in record["steps"] if one["stage"] == "calibrate"]
+    return {row["source"]: row for row in step["uncertainty"]}
+
+
+def read(folder):
+    return levkas.open(folder / "database")["panel"]["cam"]
+
+
+REGION = (20, 30, 39, 49)
+
+
+def test_what_nobody_knows_is_named_with_what_would_tell_it(campaign):
+    rows = rows_of(campaign)
+    unknown = {name for name, row in rows.items() if row["basis"] == "unknown"}
+    assert unknown == {
+        "white board",
+        "linearity",
+        "stray light",
+        "wavelength",
+        "angle of the light",
+    }
+    assert all(row["advice"] for name, row in rows.items() if name in unknown)
+    report = (campaign / "database/objects/panel/report.html").read_text()
+    assert "Uncertainty of its values" in report and "not known" in report
+    found = read(campaign).uncertainty(rectangle=REGION)
+    assert set(found.attrs["not_known"]) == unknown
+
+
+def test_the_parts_of_the_noise_are_those_of_the_published_sigma(campaign):
+    rows = rows_of(campaign)
+    layer = read(campaign)
+    parts = [
+        rows[name]["size"] for name in ("photons and read noise", "white frames", "dark frames")
+    ]
+    for band in map(str, layer.band.values):
+        sigma = float(np.median(layer.sigma.sel(band=band)))
+        assert np.sqrt(sum(part[band] ** 2 for part in parts)) == pytest.approx(sigma, rel=0.15)
+
+
+def test_what_is_declared_is_in_every_number_and_rebuilds_the_report_alone(campaign, tmp_path):
+    folder = shutil.copytree(campaign, tmp_path / "c")
+    text = (folder / "campaign.toml").read_text()
+    stated = text.replace("[cameras", "WHITE\n[cameras", 1)
+    if "white = {" in text:
+        stated = text.replace("white = {", "white = { uncertainty = 0.01,", 1)
+    else:
+        line = next(one for one in text.splitlines() if one.startswith("white = "))
+        names = line.partition("=")[2].strip()
+        stated = text.replace(line, f"white = {{ names = {names}, uncertainty = 0.01 }}")
+    (folder / "campaign.toml").write_text(stated + DECLARED)
+    stale = [step.key.stage for step in status(folder).stages if step.state == "stale"]
+    assert set(stale) <= {"report", "catalogue", "camera"} and "report" in stale
+    assert summarise(build(folder)).ok
+    rows = rows_of(folder)
+    assert {row["basis"] for row in rows.values()} == {"measured", "declared"}
+    before, after = (read(one).uncertainty(rectangle=REGION) for one in (campaign, folder))
+    assert np.allclose(before.value, after.value) and np.allclose(before.u_random, after.u_random)
+    by_source = after.u_by_source.to_series().unstack()
+    board = rows["white board"]["size"]
+    for band, value in zip(after.band.values, after.value.values, strict=True):
+        assert by_source.loc["white board", band] == pytest.approx(value * board[band], rel=1e-3)
+        assert by_source.loc["angle of the light", band] == pytest.approx(
+            value * np.deg2rad(2), rel=1e-3
+        )
+        assert by_source.loc["stray light", band] == pytest.approx(0.002)
+    (unlit,) = [source for source in ("black level",) if source in rows]
+    assert rows[unlit]["common_to"] == "frame"
+
+
+@pytest.mark.parametrize(
+    ("keys", "field"),
+    [
+        (
+            "[cameras.cam.uncertainty]\nwavelength_nm = -1\n",
+            "cameras.cam.uncertainty.wavelength_nm",
+        ),
+        ("[cameras.cam.uncertainty]\nlinearity = 5\n", "cameras.cam.uncertainty.linearity"),
+        ("[cameras.cam.uncertainty]\nflat = 0.1\n", "cameras.cam.uncertainty.flat"),
+        ("[setups.default]\nangle_deg = 120\n", "setups.default.angle_deg"),
+    ],
+)
+def test_uncertainties_that_are_none_are_refused(campaign, tmp_path, keys, field):
+    from levkas.core.problems import Refused
+
+    folder = shutil.copytree(campaign, tmp_path / "c", ignore=shutil.ignore_patterns("database*"))
+    with (folder / "campaign.toml").open("a") as file:
+        file.write("\n" + keys)
+    with pytest.raises(Refused) as refused:
+        summarise(build(folder))
+    assert [p.field for p in refused.value.problems] == [field]
