@@ -299,7 +299,8 @@ def of_report(
 
 def _uncertainties(campaign: Campaign) -> dict[str, Any]:
     """What is declared of errors that no frame shows: it is in the budgets alone."""
-    white, found = campaign.targets.white, {}
+    white = campaign.targets.white
+    found: dict[str, Any] = {}
     for name, camera in campaign.cameras.items():
         found |= {f"cameras.{name}.uncertainty.{key}": size for key, size in camera.uncertainty}
     for name, setup in campaign.setups.items():
