@@ -110,7 +110,7 @@ class Uncertain:
     """
 
     values: np.ndarray
-    parts: Mapping[Part, np.ndarray] = field(default_factory=dict)
+    parts: dict[Part, np.ndarray] = field(default_factory=dict)
 
     @property
     def covariance(self) -> np.ndarray:

@@ -302,10 +302,13 @@ def _uncertain_means(
         None if one is None else _with_bands(one) for one in (beside.flags, beside.sigma)
     )
     assert flags is not None
+    labels = [str(label) for label in array.band.values]
+    centres = np.array([_centre(array, region) for region in regions])
+    known = found.position_sigmas(root, layer, labels, centres)
     means = []
-    for region in regions:
+    for region, sigmas in zip(regions, known, strict=True):
         mean = found.mean_of_region(array, flags, sigma, region, budget.correlation)
-        here = found.with_place(budget, root, layer, mean.labels, _centre(array, region))
+        here = found.with_place(budget, labels, sigmas)
         means.append(found.uncertain_region(mean, here, layer, region.vertices.tolist()))
     return means, [row.name for row in budget.sources if row.basis == "unknown"]
 

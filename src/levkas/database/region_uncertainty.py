@@ -70,32 +70,29 @@ def read_budget(root: Path, layer: LayerId) -> LayerBudget:
     )
 
 
-def with_place(
-    budget: LayerBudget,
-    root: Path,
-    layer: LayerId,
-    labels: Sequence[str],
-    centre: tuple[float, float],
-) -> LayerBudget:
-    """Add how well the place of each band is known at a pixel of the grid, by the layer's registration."""
+def position_sigmas(
+    root: Path, layer: LayerId, labels: Sequence[str], places: np.ndarray
+) -> np.ndarray:
+    """Return how well the place of each band is known at (p, 2) px of the grid, by the layer's registration, (p, n) px; NaN where it is not."""
     from levkas.database.pixel_frames import Frame, MappingRefused, Records, position_sigma_at
 
+    found = np.full((len(places), len(labels)), np.nan)
     try:
         records = Records(root, layer.object)
-        size = {
-            band: float(
-                position_sigma_at(
-                    records, Frame(layer.camera, layer.setup, band), np.array([centre])
-                )[0]
-            )
-            for band in labels
-        }
-        pixel = records.pixels(Frame()).from_reference.inverse(np.array([[0.0, 0], [1, 0]]))
+        corners = records.pixels(Frame()).from_reference.inverse(np.array([[0.0, 0], [1, 0]]))
+        for k, label in enumerate(labels):
+            frame = Frame(layer.camera, layer.setup, label)
+            found[:, k] = position_sigma_at(records, frame, places)
     except MappingRefused:
-        return budget
-    # Reference px to px of the grid, in which slopes are.
-    scale = 1 / float(np.hypot(*(pixel[1] - pixel[0])))
-    size = {band: scale * value for band, value in size.items() if np.isfinite(value)}
+        return found
+    return found / float(np.hypot(*(corners[1] - corners[0])))
+
+
+def with_place(budget: LayerBudget, labels: Sequence[str], sigmas_px: np.ndarray) -> LayerBudget:
+    """Add how well the place of each band is known, (n,) px of the grid."""
+    size = {
+        band: float(one) for band, one in zip(labels, sigmas_px, strict=True) if np.isfinite(one)
+    }
     row = ErrorSource(PLACE, "px", size, "frame", all_bands=True)
     return replace(budget, sources=(*budget.sources, row)) if size else budget
 

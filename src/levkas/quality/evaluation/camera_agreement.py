@@ -1,0 +1,376 @@
+"""Do two cameras agree about a painting? Means of even patches, compared within their uncertainties, band by band.
+
+A band of one camera is predicted from the spectrum of another that has bands on both sides of it, as its sensitivity weighs
+them. The expected ratio Eₙ ([iso13528]_) of a difference is formed with what both share left out: the white of the campaign, the place on
+the panel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from levkas.calibration.error_sources import COVERAGE, MeanSpectrum, Uncertain, join
+from levkas.database.region_uncertainty import (
+    LayerBudget,
+    mean_of_region,
+    position_sigmas,
+    uncertain_region,
+    with_place,
+)
+from levkas.database.regions import TRUSTED, make_region
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import xarray
+
+    from levkas.database.layout import LayerId
+
+
+@dataclass(frozen=True)
+class AgreementSettings:
+    """Constants of the comparison.
+
+    Parameters
+    ----------
+    side : int, px
+        Of a patch: 100 pixels and more make noise small beside what is common, 24 px hold few even patches of an icon.
+    rows, columns : int
+        Most strips of the grid from which patches are taken, and most patches of each: what is read of a large layer.
+    uneven : float
+        Standard deviation of a patch over its mean, from which it is no even one: there the place counts more than the light.
+    least : int
+        Patches by which a pair of bands is judged.
+    dark : float
+        Mean of a patch below which its ratio is one of noise.
+    apart : float
+        Relative difference below which nobody is told that cameras contradict each other, whatever their uncertainties: bands of other
+        shapes differ by that much.
+    reach_nm : float
+        How far a band of the first may lie from that of the second on either side.
+    """
+
+    side: int = 12
+    rows: int = 6
+    columns: int = 24
+    uneven: float = 0.15
+    least: int = 8
+    dark: float = 0.02
+    apart: float = 0.02
+    reach_nm: float = 40.0
+
+
+SETTINGS = AgreementSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class PatchMeans:
+    """What a layer has on some patches of the grid.
+
+    Parameters
+    ----------
+    layer : LayerId
+    places : ndarray, (p, 2), px
+        Corners of the patches, least x and y.
+    means : tuple of MeanSpectrum, (p,)
+    numbers : tuple of Uncertain, (p,)
+        The same with their errors.
+    fwhm : ndarray, (n,), nm
+        Widths of the bands; NaN where they are not known.
+    unknown : tuple of str
+        Sources of error that nothing is known of.
+    """
+
+    layer: LayerId
+    places: np.ndarray
+    means: tuple[MeanSpectrum, ...]
+    numbers: tuple[Uncertain, ...]
+    fwhm: np.ndarray
+    unknown: tuple[str, ...] = ()
+
+    @property
+    def wavelengths(self) -> np.ndarray:
+        """Centres of the bands, (n,), nm."""
+        return self.means[0].wavelengths
+
+    @property
+    def labels(self) -> Sequence[str]:
+        """Names of the bands."""
+        return self.means[0].labels
+
+
+@dataclass(frozen=True, eq=False)
+class BandAgreement:
+    """How one band of a layer agrees with another layer's spectrum.
+
+    Parameters
+    ----------
+    band : str
+    wavelength : float, nm
+    ratio, spread : float
+        Median over patches of the band over what the other layer predicts; their standard deviation, by the median deviation.
+    expected_ratio : float
+        Median of |Eₙ|.
+    values : ndarray, (p,)
+        Ratio of every patch; NaN where one is not known.
+    """
+
+    band: str
+    wavelength: float
+    ratio: float
+    spread: float
+    expected_ratio: float
+    values: np.ndarray
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether the difference is more than both uncertainties allow, and than bands of other shapes differ by."""
+        return self.expected_ratio > 1 and abs(self.ratio - 1) > SETTINGS.apart
+
+
+@dataclass(frozen=True, eq=False)
+class PairAgreement:
+    """How two layers agree, the bands of the second against the spectrum of the first."""
+
+    first: LayerId
+    second: LayerId
+    places: np.ndarray
+    bands: tuple[BandAgreement, ...]
+    unknown: tuple[str, ...] = ()
+
+    @property
+    def contradictions(self) -> tuple[BandAgreement, ...]:
+        """Bands that contradict each other."""
+        return tuple(band for band in self.bands if band.contradicts)
+
+    @property
+    def worst(self) -> BandAgreement:
+        """The band that differs most for its uncertainty."""
+        return max(self.bands, key=lambda band: (band.contradicts, band.expected_ratio))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers, JSON-ready."""
+        return {
+            "layers": [self.first.name, self.second.name],
+            "patches": len(self.places),
+            "not_known": [*self.unknown],
+            "bands": [
+                {
+                    "band": band.band,
+                    "wavelength_nm": round(band.wavelength, 2),
+                    "ratio": round(band.ratio, 4),
+                    "spread": round(band.spread, 4),
+                    "expected_ratio": round(band.expected_ratio, 3),
+                    "contradicts": band.contradicts,
+                }
+                for band in self.bands
+            ],
+        }
+
+
+def choose_patches(
+    layer: xarray.DataArray, flags: xarray.DataArray, settings: AgreementSettings = SETTINGS
+) -> np.ndarray:
+    """Return the corners of even patches of a layer, (p, 2) px, some strips of the grid over.
+
+    Parameters
+    ----------
+    layer, flags : DataArray, (y, x, band)
+    """
+    height, width, side = layer.sizes["y"], layer.sizes["x"], settings.side
+    tops = np.unique(np.linspace(side, height - 2 * side, settings.rows).astype(int))
+    starts = np.unique(np.linspace(side, width - 2 * side, settings.columns).astype(int))
+    found = []
+    for top in tops[tops >= 0]:
+        part = {"y": slice(int(top), int(top) + side)}
+        values = layer.isel(part).transpose("y", "x", "band").values
+        marks = flags.isel(part).transpose("y", "x", "band").values
+        sound = ((marks & ~TRUSTED) == 0).all((0, 2))
+        for start in starts[starts >= 0]:
+            patch = values[:, start : start + side].mean(-1)
+            even = patch.std() < settings.uneven * max(float(patch.mean()), settings.dark)
+            if even and sound[start : start + side].all():
+                found.append((int(start), int(top)))
+    return np.array(found, int).reshape(-1, 2)
+
+
+def measure_patches(
+    array: xarray.DataArray,
+    root: Path,
+    layer: LayerId,
+    places: np.ndarray,
+    budget: LayerBudget,
+    settings: AgreementSettings = SETTINGS,
+) -> PatchMeans:
+    """Return what a layer has on patches; a patch with a pixel that is not sound is NaN in that band."""
+    beside, side = array.levkas, settings.side
+    flags, sigma = beside.flags, beside.sigma
+    means, numbers = [], []
+    labels = [str(label) for label in array.band.values]
+    places = places[np.lexsort((places[:, 0], places[:, 1]))]
+    known = iter(position_sigmas(root, layer, labels, places + side / 2))
+    for top in np.unique(places[:, 1]):
+        strip = {"y": slice(int(top), int(top) + side)}
+        parts = [None if a is None else a.isel(strip).load() for a in (array, flags, sigma)]
+        values, marks, noise = parts
+        assert values is not None and marks is not None
+        for start, _ in places[places[:, 1] == top].tolist():
+            region = make_region(None, (start, 0, start + side - 1, side - 1), None)
+            mean = mean_of_region(values, marks, noise, region, budget.correlation)
+            here = with_place(budget, labels, next(known))
+            means.append(mean)
+            numbers.append(uncertain_region(mean, here, layer, (start, int(top))))
+    fwhm = np.atleast_1d(array.fwhm.values).astype(float)
+    unknown = tuple(row.name for row in budget.sources if row.basis == "unknown")
+    return PatchMeans(layer, places, tuple(means), tuple(numbers), fwhm, unknown)
+
+
+def weigh_bands(
+    first: PatchMeans,
+    second: PatchMeans,
+    sensitivities: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    settings: AgreementSettings = SETTINGS,
+) -> dict[int, np.ndarray]:
+    """Return how the bands of the second are made of the first's, (2, n₁) each, by their number: by a cubic spline and by straight lines.
+
+    A narrow band is interpolated between the nearest; a broad one is weighed by its sensitivity, (nm, response), where the first has bands
+    over all that matters of it.
+    """
+    nm = first.wavelengths
+    known = np.flatnonzero(np.isfinite(nm))
+    order = known[np.argsort(nm[known], kind="stable")]
+    at, found = nm[order], {}
+    if len(at) < 2:
+        return {}
+    for k, (label, centre) in enumerate(zip(second.labels, second.wavelengths, strict=True)):
+        grid, weights = sensitivities.get(label, (np.array([centre]), np.ones(1)))
+        if not np.isfinite(grid).all():
+            continue
+        weights = weights / weights.sum()
+        inside = (grid >= at[0]) & (grid <= at[-1])
+        gaps = np.diff(at)[np.clip(np.searchsorted(at, grid) - 1, 0, len(at) - 2)]
+        if weights[inside & (gaps <= 2 * settings.reach_nm)].sum() < 0.99:
+            continue
+        rows = np.zeros((2, len(nm)))
+        within = np.clip(grid, at[0], at[-1])
+        each = np.eye(len(at))
+        rows[0, order] = weights @ CubicSpline(at, each, bc_type="natural")(within)
+        rows[1, order] = [np.interp(within, at, one) @ weights for one in each]
+        found[k] = rows
+    return found
+
+
+def compare_layers(
+    first: PatchMeans,
+    second: PatchMeans,
+    sensitivities: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    settings: AgreementSettings = SETTINGS,
+) -> PairAgreement | None:
+    """Compare the bands of the second with what the first predicts; None where none can be."""
+    rows = weigh_bands(first, second, sensitivities, settings)
+    if not rows:
+        return None
+    bands = np.array([*rows])
+    weights, lines = np.array([*rows.values()]).swapaxes(0, 1)
+    ratios, expected = np.full((2, len(first.places), len(bands)), np.nan)
+    for p, (one, other) in enumerate(zip(first.numbers, second.numbers, strict=True)):
+        predicted = _weighted(one, weights)
+        between = np.nan_to_num(_weighted(one, lines).values - predicted.values)
+        for k, size in zip(bands.tolist(), np.diag(between), strict=True):
+            predicted.parts["between bands", "", k] = size
+        own = Uncertain(other.values[bands], {k: v[bands] for k, v in other.parts.items()})
+        n = len(bands)
+        apart = Uncertain(
+            own.values - predicted.values,
+            {k: v[n:] - v[:n] for k, v in join([predicted, own]).parts.items()},
+        )
+        sigma = apart.sigma
+        good = (predicted.values > settings.dark) & np.isfinite(own.values) & (sigma > 0)
+        ratios[p, good] = own.values[good] / predicted.values[good]
+        expected[p, good] = np.abs(apart.values[good]) / (COVERAGE * sigma[good])
+    made = tuple(
+        _band(second, k, ratios[:, i], expected[:, i])
+        for i, k in enumerate(bands.tolist())
+        if np.isfinite(ratios[:, i]).sum() >= settings.least
+    )
+    if not made:
+        return None
+    unknown = tuple(dict.fromkeys((*first.unknown, *second.unknown)))
+    return PairAgreement(first.layer, second.layer, first.places, made, unknown)
+
+
+def _weighted(one: Uncertain, weights: np.ndarray) -> Uncertain:
+    """Return weighted sums of bands; NaN where one that counts is."""
+    values = np.where(np.isfinite(one.values), one.values, 0.0)
+    lost = (weights[:, ~np.isfinite(one.values)] > 0).any(1)
+    made = weights @ values
+    made[lost] = np.nan
+    return Uncertain(made, {key: weights @ np.nan_to_num(row) for key, row in one.parts.items()})
+
+
+def _band(second: PatchMeans, k: int, ratios: np.ndarray, expected: np.ndarray) -> BandAgreement:
+    ratio = float(np.nanmedian(ratios))
+    spread = 1.4826 * float(np.nanmedian(np.abs(ratios - ratio)))
+    centre = float(second.wavelengths[k])
+    return BandAgreement(
+        second.labels[k], centre, ratio, spread, float(np.nanmedian(expected)), ratios
+    )
+
+
+def compare_all(
+    layers: Sequence[PatchMeans],
+    sensitivities: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]],
+) -> tuple[PairAgreement, ...]:
+    """Compare all pairs of layers, the one with fewer bands against the spectrum of the other.
+
+    `sensitivities` are those of the broad bands of each layer, by its name.
+    """
+    found = []
+    for pair in combinations(layers, 2):
+        first, second = sorted(pair, key=lambda one: -len(one.labels))
+        made = compare_layers(first, second, sensitivities.get(second.layer.name, {}))
+        if made is None:
+            made = compare_layers(second, first, sensitivities.get(first.layer.name, {}))
+        if made is not None:
+            found.append(made)
+    return tuple(found)
+
+
+def agreement_in(
+    root: Path,
+    layers: Sequence[LayerId],
+    budgets: Mapping[str, LayerBudget],
+    sensitivities: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]],
+) -> tuple[PairAgreement, ...]:
+    """Compare the layers of one object of a database that hold reflectance; the first says where it is even.
+
+    Parameters
+    ----------
+    root : Path
+        The database.
+    layers : sequence of LayerId
+        The reference first.
+    budgets, sensitivities : mapping by name of the layer
+    """
+    from levkas.database.layer_array import LayerArray
+    from levkas.database.opening import open_layer
+
+    arrays = {layer: LayerArray(open_layer(root, layer)) for layer in layers}
+    arrays = {k: a for k, a in arrays.items() if a.attrs.get("quantity") == "reflectance"}
+    if len(arrays) < 2:
+        return ()
+    reference = next(iter(arrays.values()))
+    places = choose_patches(reference, reference.levkas.flags)
+    if len(places) < SETTINGS.least:
+        return ()
+    measured = [
+        measure_patches(array, root, layer, places, budgets.get(layer.name, LayerBudget()))
+        for layer, array in arrays.items()
+    ]
+    return compare_all(measured, sensitivities)
