@@ -21,6 +21,8 @@ from levkas.core.files import make_folder, together, write_json, write_text
 from levkas.core.instructions import describe_instructions
 from levkas.core.problems import Refused
 from levkas.core.text import counted
+from levkas.database.layout import LayerId
+from levkas.database.region_uncertainty import LayerBudget
 from levkas.database.registrations import (
     describe_lying,
     describe_pairs,
@@ -31,6 +33,7 @@ from levkas.database.registrations import (
     unchecked_mm2,
     unchecked_share,
 )
+from levkas.pages.agreement import describe_agreement
 from levkas.pages.budget import UncertaintyBudget, describe_budget
 from levkas.pages.maps import draw_maps
 from levkas.pages.page import (
@@ -46,12 +49,14 @@ from levkas.pages.page import (
 )
 from levkas.pages.radiometry import RadiometryRow, describe_layer
 from levkas.pages.summary import describe_length, summarise_layers
+from levkas.quality.evaluation.camera_agreement import PairAgreement, agreement_in
 from levkas.quality.image_quality.light import choose_places
 from levkas.readers.frames import files_of
 from levkas.registration.advice import percent
 from levkas.registration.marks import describe_want_of_marks
 from levkas.stages.budget import budget_of, to_records
 from levkas.stages.sources import LIBRARIES, LIBRARIES_OF_PAGES
+from levkas.stages.spectra import weights_of_bands
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -90,12 +95,14 @@ def write_report(
     page, facts, made_of = (folder / n for n in ("report.html", "object.toml", PROVENANCE))
     described = campaign.objects.get(name)
     make_folder(folder)
+    pairs = _agreement(campaign, places, records, captures)
     with together(partial(records.forget, Key(name, stage="report"))):
-        write_text(page, report_of(campaign, places, records, name, captures, steps))
+        write_text(page, report_of(campaign, places, records, name, captures, steps, pairs))
         write_text(
             facts, to_toml({"name": name, **(described.museum_facts() if described else {})})
         )
-        write_json(made_of, provenance_of(campaign, records, name, captures))
+        record = provenance_of(campaign, records, name, captures)
+        write_json(made_of, {**record, "agreement": [pair.to_dict() for pair in pairs]})
     return [page, facts, made_of]
 
 
@@ -106,8 +113,9 @@ def report_of(
     name: str,
     captures: list[Capture],
     steps: list[Step],
+    pairs: Sequence[PairAgreement] = (),
 ) -> str:
-    """Return the HTML of an object's report."""
+    """Return the HTML of an object's report; `pairs` are how its layers agree."""
     layers = [
         layer for c in captures if (layer := _layer(campaign, places, records, c)) is not None
     ]
@@ -130,6 +138,7 @@ def report_of(
     reported = {layer.name for layer in layers}
     lost = list(dict.fromkeys(step.key.layer for step in refused))
     lost = [layer for layer in lost if layer and layer not in reported]
+    agreement = describe_agreement(pairs)
     return render_page(
         "report.html",
         page=ObjectReport(
@@ -145,12 +154,40 @@ def report_of(
             "unless stated otherwise.",
             views=[{"name": layer.name, "src": layer.preview} for layer in layers if layer.preview],
             radiometry=rows,
-            short=summarise_layers(layers, rows, float(sampling) if sampling else None, lost),
+            short=summarise_layers(
+                *(layers, rows, float(sampling) if sampling else None, lost),
+                agreement=agreement.short if agreement else (),
+            ),
+            agreement=agreement,
             links=(("museum facts", "object.toml"), ("provenance", PROVENANCE)),
             viewer=f"../../viewer/objects/{name}/index.html",
             setups=close_ups(places, captures),
         ),
     )
+
+
+def _agreement(
+    campaign: Campaign, places: Places, records: BuildRecords, captures: Sequence[Capture]
+) -> tuple[PairAgreement, ...]:
+    """Compare all layers of an object that hold reflectance, those of the reference first."""
+    order = sorted(captures, key=lambda c: (c.camera != campaign.reference.camera, c.setup))
+    layers, budgets, weights = [], {}, {}
+    for capture in order:
+        notes = records.notes(key_of(capture, "calibrate"))
+        layer = LayerId(capture.object, capture.camera, capture.setup)
+        written = places.layer(capture.object, capture.camera, capture.setup).is_file()
+        if not written or notes.get("quantity") != "reflectance":
+            continue
+        layers.append(layer)
+        budgets[layer.name] = LayerBudget(budget_of(campaign, capture, notes.get("learnt", {})))
+        bands = [band for sensor in capture.sensors for band in sensor.bands]
+        found = weights_of_bands(campaign, capture, bands)
+        weights[layer.name] = {
+            band.label: (one.wavelengths, one.weights)
+            for band, one in zip(bands, found, strict=True)
+            if one is not None
+        }
+    return agreement_in(places.output, layers, budgets, weights)
 
 
 def _layer(

@@ -269,9 +269,9 @@ def _coefficients(mean: MeanSpectrum, unit: Unit) -> np.ndarray:
 
 
 def expected_ratio(first: Uncertain, second: Uncertain) -> np.ndarray:
-    """Return E_n of pairs of values, (n,): their difference over its expanded uncertainty ([iso13528]_, 9.7).
+    """Return E_n of pairs of values, (n,): their difference over its expanded uncertainty.
 
-    |Eₙ| above 1 says that two numbers contradict each other by more than their uncertainties allow.
+    As [iso13528]_, 9.7, has it: |Eₙ| above 1 says that two numbers contradict each other by more than their uncertainties allow.
 
     Examples
     --------

@@ -11,6 +11,7 @@ import io
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -447,6 +448,7 @@ class Records:
             )
         self.layers = {p.stem: p for p in sorted(self.folder.glob("*.json"))}
         check_inside(database, *self.layers.values())
+        self._load = cache(_load)
 
     def pixels(self, frame: Frame) -> FramePixels:
         """Return the maps and the size of one frame."""
@@ -465,15 +467,15 @@ class Records:
     def reference(self) -> FramePixels:
         """Return the reference frame itself, with its size where that is known."""
         for path in self.layers.values():
-            frame = _frame(_load(path).get("reference"))
+            frame = _frame(self._load(path).get("reference"))
             if frame.layer in self.layers:
-                entry = _load(self.layers[frame.layer]).get("bands", {}).get(frame.band, {})
+                entry = self._load(self.layers[frame.layer]).get("bands", {}).get(frame.band, {})
                 return FramePixels(Affine.identity(), _size(entry))
         return FramePixels(Affine.identity())
 
     def _grid(self) -> FramePixels:
         for path in self.layers.values():
-            if grid := _load(path).get("grid"):
+            if grid := self._load(path).get("grid"):
                 return FramePixels(Inverse(from_dict(grid.get("transform", grid))), _size(grid))
         raise MappingRefused(
             Problem(
@@ -493,7 +495,7 @@ class Records:
                     fix=closest_match(frame.layer, [GRID, *self.layers]),
                 )
             )
-        record = _load(self.layers[frame.layer])
+        record = self._load(self.layers[frame.layer])
         verdict = record.get("verdict", {})
         if verdict.get("decision") == "refuse" or not record.get("bands"):
             raise MappingRefused(

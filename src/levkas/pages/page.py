@@ -120,6 +120,7 @@ class ObjectReport:
     views: Sequence[dict[str, str]] = field(default=())
     radiometry: Sequence[Any] = ()
     setups: Sequence[CloseUps] = ()
+    agreement: Any = None
     short: Sequence[tuple[str, str]] = ()
     links: Sequence[tuple[str, str]] = ()
     viewer: str = ""

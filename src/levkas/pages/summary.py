@@ -31,6 +31,7 @@ def summarise_layers(
     rows: Sequence[RadiometryRow],
     mm_per_px: float | None,
     lost: Sequence[str] = (),
+    agreement: Sequence[tuple[str, str]] = (),
 ) -> list[tuple[str, str]]:
     """Return (mark, sentence) of what matters, the mark being ok, warn, refuse or next.
 
@@ -42,13 +43,16 @@ def summarise_layers(
         Of the reference.
     lost : sequence of str
         Layers that could not even be begun.
+    agreement : sequence of (mark, sentence)
+        How the cameras agree.
     """
     return [
         *_overlay(layers, mm_per_px),
         *(("refuse", f"{name} was left out: its frames were refused.") for name in lost),
         *_glare(rows),
         *_noise(rows),
-        ("next", _next(layers, rows, lost)),
+        *agreement,
+        ("next", _next(layers, rows, lost, agreement)),
     ]
 
 
@@ -105,7 +109,12 @@ def _noise(rows: Sequence[RadiometryRow]) -> Iterator[tuple[str, str]]:
     yield ("warn" if low else "ok"), " ".join([told, *low])
 
 
-def _next(layers: Sequence[LayerReport], rows: Sequence[RadiometryRow], lost: Sequence[str]) -> str:
+def _next(
+    layers: Sequence[LayerReport],
+    rows: Sequence[RadiometryRow],
+    lost: Sequence[str],
+    agreement: Sequence[tuple[str, str]],
+) -> str:
     """Return the gravest thing to do: of a layer what its record says, too."""
     for decision in ("refuse", "by hand", "warn", "accept"):
         for one in layers:
@@ -113,5 +122,7 @@ def _next(layers: Sequence[LayerReport], rows: Sequence[RadiometryRow], lost: Se
                 return f"{one.name}: {one.next_step}"
     if lost:
         return "Correct the refused frames, listed below, and build again."
+    if any(mark == "warn" for mark, _ in agreement):
+        return "Find out which of the cameras that contradict each other is wrong: a white or a chart that all of them saw tells it."
     notes = [(row.glare_share or 0.0, f"{row.name}: {row.notes[0]}") for row in rows if row.notes]
     return max(notes)[1] if notes else "No action is needed."

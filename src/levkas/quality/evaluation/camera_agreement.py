@@ -145,6 +145,11 @@ class PairAgreement:
     unknown: tuple[str, ...] = ()
 
     @property
+    def other_light(self) -> bool:
+        """Whether they were captured under two lightings, so that they need not agree."""
+        return self.first.setup != self.second.setup
+
+    @property
     def contradictions(self) -> tuple[BandAgreement, ...]:
         """Bands that contradict each other."""
         return tuple(band for band in self.bands if band.contradicts)
@@ -159,6 +164,7 @@ class PairAgreement:
         return {
             "layers": [self.first.name, self.second.name],
             "patches": len(self.places),
+            "other_light": self.other_light,
             "not_known": [*self.unknown],
             "bands": [
                 {
@@ -294,8 +300,9 @@ def compare_layers(
         good = (predicted.values > settings.dark) & np.isfinite(own.values) & (sigma > 0)
         ratios[p, good] = own.values[good] / predicted.values[good]
         expected[p, good] = np.abs(apart.values[good]) / (COVERAGE * sigma[good])
+    centres = {k: _centre(second, k, sensitivities) for k in rows}
     made = tuple(
-        _band(second, k, ratios[:, i], expected[:, i])
+        _band(second.labels[k], centres[k], ratios[:, i], expected[:, i])
         for i, k in enumerate(bands.tolist())
         if np.isfinite(ratios[:, i]).sum() >= settings.least
     )
@@ -314,13 +321,20 @@ def _weighted(one: Uncertain, weights: np.ndarray) -> Uncertain:
     return Uncertain(made, {key: weights @ np.nan_to_num(row) for key, row in one.parts.items()})
 
 
-def _band(second: PatchMeans, k: int, ratios: np.ndarray, expected: np.ndarray) -> BandAgreement:
+def _centre(
+    layer: PatchMeans, k: int, sensitivities: Mapping[str, tuple[np.ndarray, np.ndarray]]
+) -> float:
+    """Return the wavelength of a band, nm; of a broad one the centroid of its sensitivity."""
+    if np.isfinite(layer.wavelengths[k]):
+        return float(layer.wavelengths[k])
+    grid, weights = sensitivities[layer.labels[k]]
+    return float(grid @ weights / weights.sum())
+
+
+def _band(label: str, centre: float, ratios: np.ndarray, expected: np.ndarray) -> BandAgreement:
     ratio = float(np.nanmedian(ratios))
     spread = 1.4826 * float(np.nanmedian(np.abs(ratios - ratio)))
-    centre = float(second.wavelengths[k])
-    return BandAgreement(
-        second.labels[k], centre, ratio, spread, float(np.nanmedian(expected)), ratios
-    )
+    return BandAgreement(label, centre, ratio, spread, float(np.nanmedian(expected)), ratios)
 
 
 def compare_all(

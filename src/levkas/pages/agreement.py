@@ -1,0 +1,169 @@
+"""Do the cameras agree? Sentences, a table and plots of how layers of one object compare."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from statistics import median
+from typing import NamedTuple
+
+import numpy as np
+
+from levkas.pages.page import Figure
+from levkas.pages.plots import Line, colour_of, in_style, new_figure, plot, to_svg
+from levkas.quality.evaluation.camera_agreement import BandAgreement, PairAgreement
+
+EVEN = 0.35
+"""Standard deviation of the ratios of all bands over their mean difference, up to which that is one of the light or the white, and not
+of wavelengths."""
+MOST_MAPS = 4
+
+
+class AgreementRow(NamedTuple):
+    """One pair of layers as a reader sees it."""
+
+    pair: str
+    bands: str
+    ratio: str
+    expected_ratio: str
+    said: str
+
+
+class AgreementSection(NamedTuple):
+    """What the page says of all pairs."""
+
+    short: tuple[tuple[str, str], ...]
+    rows: tuple[AgreementRow, ...]
+    figures: tuple[Figure, ...]
+
+
+def describe_agreement(pairs: Sequence[PairAgreement]) -> AgreementSection | None:
+    """Return sentences (mark, text), table and plots; None where no two layers could be compared."""
+    if not pairs:
+        return None
+    rows = tuple(_row(pair) for pair in pairs)
+    odd = [pair for pair in pairs if pair.contradictions and not pair.other_light]
+    figures = [figure for figure in (_ratios(pairs),) if figure]
+    figures += [_map(max(mine, key=_size)) for _, mine in _by_layer(odd)][:MOST_MAPS]
+    return AgreementSection(tuple(_short(pairs, odd)), rows, tuple(figures))
+
+
+def _short(
+    pairs: Sequence[PairAgreement], odd: Sequence[PairAgreement]
+) -> Iterator[tuple[str, str]]:
+    alike = [pair for pair in pairs if not pair.other_light]
+    if not odd and alike:
+        most = max(abs(band.ratio - 1) for pair in alike for band in pair.bands)
+        unknown = alike[0].unknown
+        told = f"The cameras agree within their uncertainties, to {100 * most:.2g} % or better in the {len(alike)} pairs that could be compared"
+        yield (
+            "ok",
+            f"{told}." if not unknown else f"{told}; an error that all share is not seen by that.",
+        )
+    for name, mine in _by_layer(odd):
+        yield "warn", _sentence(name, mine)
+
+
+def _by_layer(odd: Sequence[PairAgreement]) -> list[tuple[str, list[PairAgreement]]]:
+    """Return the layers that contradict most others, each with its pairs; a pair stands once."""
+    left, found = list(odd), []
+    while left:
+        names = [layer.name for pair in left for layer in (pair.first, pair.second)]
+        worst = max(dict.fromkeys(names), key=names.count)
+        mine = [pair for pair in left if worst in (pair.first.name, pair.second.name)]
+        left = [pair for pair in left if pair not in mine]
+        found.append((worst if len(mine) > 1 else mine[0].second.name, mine))
+    return found
+
+
+def _size(pair: PairAgreement) -> float:
+    return pair.worst.expected_ratio
+
+
+def _sentence(name: str, pairs: Sequence[PairAgreement]) -> str:
+    """Say by how much a layer differs from others, where, and what may be the cause."""
+    others = [p.first.name if p.second.name == name else p.second.name for p in pairs]
+    bands = [(pair, band) for pair in pairs for band in pair.contradictions]
+    ratios = [b.ratio if p.second.name == name else 1 / b.ratio for p, b in bands]
+    every = [b.ratio if p.second.name == name else 1 / b.ratio for p in pairs for b in p.bands]
+    apart = 100 * (median(ratios) - 1)
+    span = _span([band for _, band in bands])
+    worst = max(band.expected_ratio for _, band in bands)
+    cause = (
+        "white, lamp or angle of the light?"
+        if float(np.std(every)) < EVEN * abs(median(every) - 1)
+        else "wavelengths, sensitivities or stray light?"
+    )
+    unknown = dict.fromkeys(row for pair in pairs for row in pair.unknown)
+    told = f" Not known of them: {', '.join(unknown)}." if unknown else ""
+    return (
+        f"{name} differs from {_names(others)} by {apart:+.2g} % in {span}, more than their uncertainties allow "
+        f"(Eₙ {worst:.2g}): {cause}{told}"
+    )
+
+
+def _names(names: Sequence[str]) -> str:
+    *most, last = dict.fromkeys(names)
+    return f"{', '.join(most)} and {last}" if most else last
+
+
+def _span(bands: Sequence[BandAgreement]) -> str:
+    least, most = (f([band.wavelength for band in bands]) for f in (min, max))
+    if len({band.band for band in bands}) == 1 or not np.isfinite([least, most]).all():
+        return ", ".join(dict.fromkeys(band.band for band in bands))
+    return f"{least:.0f} to {most:.0f} nm"
+
+
+def _row(pair: PairAgreement) -> AgreementRow:
+    ratios = [band.ratio for band in pair.bands]
+    least, most = f"{min(ratios):.3f}", f"{max(ratios):.3f}"
+    odd = pair.contradictions
+    said = "agree" if not odd else f"contradict each other in {len(odd)} of {len(pair.bands)} bands"
+    if odd and pair.other_light:
+        said = "another lighting"
+    return AgreementRow(
+        f"{pair.second.name} over {pair.first.name}",
+        f"{len(pair.bands)}, {_span(pair.bands)}",
+        least if least == most else f"{least} to {most}",
+        f"{median(band.expected_ratio for band in pair.bands):.2g}, at most {max(band.expected_ratio for band in pair.bands):.2g}",
+        said,
+    )
+
+
+def _ratios(pairs: Sequence[PairAgreement]) -> Figure | None:
+    """Draw the ratio of each pair over the wavelength."""
+    lines = [
+        Line(
+            f"{pair.second.name} / {pair.first.name}",
+            [band.wavelength for band in ordered],
+            [band.ratio for band in ordered],
+            colour_of("", k, len(pairs)),
+        )
+        for k, pair in enumerate(pairs)
+        if (ordered := sorted(pair.bands, key=lambda band: band.wavelength))
+    ]
+    svg = plot(lines, x="wavelength, nm", y="ratio")
+    caption = "Median ratio of even patches, by pair: 1 where two cameras agree."
+    return Figure(svg, caption) if svg else None
+
+
+def _map(pair: PairAgreement) -> Figure:
+    band = pair.worst
+    return Figure(
+        _draw_map(pair, band),
+        f"{pair.second.name} over {pair.first.name} in {band.band}, patch by patch: a difference that changes over the painting is one of the light's evenness.",
+    )
+
+
+@in_style
+def _draw_map(pair: PairAgreement, band: BandAgreement) -> str:
+    figure = new_figure(420, 300)
+    axes = figure.subplots()
+    x, y = pair.places.T
+    spread = max(float(np.nanmax(np.abs(band.values - 1))), 0.01)
+    dots = axes.scatter(
+        x, y, c=band.values, cmap="RdBu_r", vmin=1 - spread, vmax=1 + spread, s=28, edgecolors="#888", linewidths=0.4
+    )  # fmt: skip
+    axes.set(xlabel="x, px", ylabel="y, px", aspect="equal")
+    axes.invert_yaxis()
+    figure.colorbar(dots, ax=axes, label="ratio")
+    return to_svg(figure, f"ratio of {pair.second.name} to {pair.first.name} over the painting")
