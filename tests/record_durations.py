@@ -23,7 +23,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "development" / "tests.md"
-LONGEST = 40
+LONGEST = 10
 
 
 # --- taken
