@@ -4,8 +4,8 @@
     python tests/record_durations.py FOLDER
 
 The script writes tests/durations.json, seconds of the clock of each file, by which conftest.py starts the longest first so that
-no process idles at the end (files below a second need no entry), and the tables of docs/development/tests.md. Their seconds are
-those of the processor, of children that have ended too: those of the clock are longer on a machine that others use.
+no process idles at the end (files below a second need no entry), and prints tables: a folder a row, then the longest tests. Their
+seconds are those of the processor, of children that have ended too: those of the clock are longer on a machine that others use.
 """
 
 from __future__ import annotations
@@ -21,8 +21,6 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "development" / "tests.md"
 LONGEST = 40
 
 
@@ -115,11 +113,7 @@ def main() -> None:
     kept = {name: round(spent) for name, spent in files.most_common() if spent >= 1}
     target = Path(__file__).with_name("durations.json")
     target.write_text(json.dumps(kept, indent=0) + "\n", encoding="utf-8")
-    text = PAGE.read_text(encoding="utf-8")
-    head, rest = text.split("<!-- durations -->\n", 1)
-    tail = rest.split("<!-- end -->", 1)[1]
-    body = "\n".join(tables(seconds))
-    PAGE.write_text(f"{head}<!-- durations -->\n\n{body}\n\n<!-- end -->{tail}", encoding="utf-8")
+    print("\n".join(tables(seconds)))
 
 
 if __name__ == "__main__":
