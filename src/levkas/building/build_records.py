@@ -141,14 +141,15 @@ class BuildRecords:
 
     def recorded(self) -> list[Key]:
         """Return the stages that are recorded, or were being done anew when a build was interrupted."""
+        found = []
         rows = read_rows(self._file, f"{ALL} ORDER BY object, camera, setup, stage")
-        found = {Key(*names): [*mine] for names, mine in groupby(rows, lambda row: row[:4])}
-        for key, mine in found.items():
+        for names, mine in groupby(rows, lambda row: row[:4]):
+            key = Key(*names)
             if key not in self._known:
                 self._known[key] = _sound(key, mine)
-        return [
-            key for key in found if key != CATALOGUE and (self.made_by(key) or self._record(key))
-        ]
+            if key != CATALOGUE and (self._record(key) or self.made_by(key)):
+                found.append(key)
+        return found
 
     def made_by(self, key: Key) -> set[str]:
         """Return the names of all that a stage has made, also of one that was being done anew."""
@@ -327,11 +328,12 @@ def _sound(key: Key, rows: Iterable[Sequence[Any]]) -> dict[str, dict[str, Any]]
     """
     found: dict[str, dict[str, Any]] = {}
     for *_, state, text, sha256 in rows:
-        record = json.loads(text) if sha256 == _hash_of(key, str(text)) else {}
-        made = [n for part in ("products", "left", "aside") for n in record.get(part, ())]
-        found[state] = (
-            {**record, "sha256": sha256} if all(map(stays_inside, made)) and record else {}
-        )
+        found[state] = {}
+        if sha256 == _hash_of(key, str(text)):
+            record = json.loads(text)
+            made = (n for part in ("products", "left", "aside") for n in record.get(part, ()))
+            if all(map(stays_inside, made)):
+                found[state] = {**record, "sha256": sha256}
     return found
 
 

@@ -99,17 +99,14 @@ def _commit(path: Path, changes: Iterable[Change]) -> None:
 
 
 def _connect(path: Path, mode: str) -> sqlite3.Connection:
-    how = f"mode={mode}"
-    if not _has_locks(
-        path.parent
-    ):  # what another build is writing then looks as if left by a killed one
-        how = f"mode={'ro' if mode == 'rw' else mode}&nolock=1"
-    uri = f"{path.absolute().as_uri()}?{how}"
+    """Open a file in a mode of sqlite's: "rw", or "rwc" to make it where there is none."""
+    if not _has_locks(path.parent):
+        # What another build is writing looks there as if a killed one had left it: who only reads leaves it alone.
+        mode = f"{'ro' if mode == 'rw' else mode}&nolock=1"
+    uri = f"{path.absolute().as_uri()}?mode={mode}"
     connection = sqlite3.connect(uri, uri=True, timeout=PATIENCE_S)
     connection.text_factory = lambda text: text.decode(errors="replace")  # its hash shows it
-    connection.execute(
-        "PRAGMA synchronous = EXTRA"
-    )  # of files and, when a journal is gone, their folder
+    connection.execute("PRAGMA synchronous = EXTRA")  # the folder, too, when the journal is gone
     return connection
 
 
