@@ -176,6 +176,14 @@ def test_where_files_cannot_be_locked_records_are_kept_all_the_same(folders, mon
     assert BuildRecords(*folders).why_stale(KEY, PRINTS) == "not yet built"
 
 
+def test_a_folder_of_any_name_holds_records(tmp_path):
+    kept = tmp_path / "a ?#%25&mode=ro é \udcff"
+    kept.mkdir()
+    BuildRecords(kept, tmp_path).keep(KEY, PRINTS, [])
+    assert [path.name for path in kept.iterdir()] == [NAME]
+    assert BuildRecords(kept, tmp_path).why_stale(KEY, PRINTS) == ""
+
+
 def test_reading_makes_no_file(tmp_path):
     records = BuildRecords(tmp_path, tmp_path)
     assert records.why_stale(KEY, PRINTS) == "not yet built" and not records.recorded()
