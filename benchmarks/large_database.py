@@ -19,12 +19,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from levkas.building import build_records, fingerprints
+from levkas.building import fingerprints
 from levkas.building.build_records import BuildRecords, Key
 from levkas.building.claiming import claim
 from levkas.building.fingerprints import Inputs
 from levkas.building.plan import read_plan
-from levkas.core.json_safe import to_json
 from levkas.database.layout import Places
 
 CAMPAIGN = """
@@ -49,13 +48,9 @@ def make(root: Path) -> None:
     plan = read_plan(root)
     places = Places(plan.campaign.output)
     claim(plan.campaign, places, plan.captures, plan.names)
-    # Without a sync a record: 700,000 of them.
-    build_records.write_json = lambda path, record: path.write_text(to_json(record))
     records = BuildRecords(places.kept, places.output)
-    save, records.hashes.save = records.hashes.save, lambda: None
     inputs = Inputs(plan.campaign, records)
     layers: dict[str, str] = {}
-    done = 0
     for task in plan.graph.values():
         key = task.key
         if task.capture is not None:
@@ -66,10 +61,7 @@ def make(root: Path) -> None:
                 plan.campaign, key.object, layers, plan.layers[key.object]
             )
             _keep(places, records, key, prints, 1)
-            layers, done = {}, done + 1
-            if done % 1000 == 0:
-                save()
-    save()
+            layers = {}
 
 
 def _keep(

@@ -1,7 +1,9 @@
 import json
 import os
 import shutil
+import sqlite3
 import stat
+from contextlib import closing
 
 import cv2
 import numpy as np
@@ -10,7 +12,8 @@ import tifffile
 
 import levkas
 from levkas.building import build, status, summarise
-from levkas.building.hashes import HASHES, Hashes
+from levkas.building.hashes import Hashes
+from levkas.building.records_file import NAME
 from levkas.core.digests import hash_tree, stamp_of
 from levkas.core.problems import Refused
 
@@ -170,7 +173,7 @@ def flip_a_bit(path, kept):
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 4
     path.write_bytes(data)
-    hashes = Hashes(kept / HASHES)
+    hashes = Hashes(kept / NAME)
     hashes.take(path, [*stamp_of(path), hashes.known(path)[-1]])
     hashes.save()
 
@@ -197,8 +200,9 @@ def test_what_was_kept_is_checked_before_it_is_read_again(campaign, damaged):
 
 def test_a_damaged_record_of_a_stage_is_not_believed(campaign):
     whole = hash_tree(campaign / "database")
-    path = campaign / "database.kept/panel/irr/resample.json"
-    path.write_text(path.read_text().replace('"accept"', '"accepT"'))
+    with closing(sqlite3.connect(campaign / "database.kept" / NAME)) as kept, kept:
+        kept.execute("UPDATE stages SET record = replace(record, '\"accept\"', '\"accepT\"')")
+        assert kept.total_changes
     assert states(status(campaign))["irr resample"] == "stale"
     summarise(build(campaign))
     assert hash_tree(campaign / "database") == whole

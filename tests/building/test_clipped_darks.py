@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.building.hashes import HASHES, Hashes
+from levkas.building.hashes import Hashes
+from levkas.building.records_file import NAME
 from levkas.calibration.reflectance import calibrate
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
@@ -72,7 +73,7 @@ def developed(folder, *, shared=False):
     return develop(
         captures[0],
         campaign,
-        TemplateCache(folder / "kept", Hashes(folder / HASHES).of_frame if shared else None),
+        TemplateCache(folder / "kept", Hashes(folder / NAME).of_frame if shared else None),
     )
 
 

@@ -35,7 +35,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.building import build, summarise, tasks
+from levkas.building import build, build_records, summarise, tasks
+from levkas.building.records_file import NAME, read_rows
 from levkas.core import files
 from levkas.core.digests import hash_tree
 from levkas.core.json_safe import to_json
@@ -373,15 +374,16 @@ def find_torn(scene, *, told):
         part = below(found, layer)
         if part and part not in [below(state, layer) for state in scene.states()]:
             yield layer
-    for path in scene.kept.rglob("*.json"):
-        try:
-            products = json.loads(path.read_bytes()).get("products", {})
-        except ValueError:
-            yield str(path)
-            continue
+    for stage, products in recorded(scene.kept).items():
         for name, sha in products.items():
             if found.get(name) != sha:
-                yield f"{path.name} without {name}"
+                yield f"{stage} without {name}"
+
+
+def recorded(kept):
+    """Return the products of every finished stage by its record."""
+    rows = read_rows(kept / NAME, "SELECT * FROM stages WHERE state = 'done'")
+    return {" ".join(key): json.loads(record)["products"] for *key, _, record, _ in rows}
 
 
 def _is_whole(output, name):
@@ -554,7 +556,7 @@ def write_carelessly(patch):
         "core.files",
         "database.spectral_tiff",
         "database.store",
-        "building.template_cache",
+        "stages.template_cache",
     ):
         module = importlib.import_module(f"levkas.{name}")
         for function in (replacing, publishing):
@@ -568,7 +570,8 @@ def test_a_careless_writer_is_found_out(scenes):
     for name in ("new", "over"):
         for at in spread(250, 15):
             outcome = strike(scenes[name], at, "kill", writer=write_carelessly)
-            if outcome.struck and outcome.struck[0] == "write":
+            step, path = outcome.struck or ("", None)
+            if step == "write" and path.name != NAME:  # that of sqlite is none of ours
                 seen[bool(outcome.torn)] += 1
     assert seen.total() >= 8
     assert seen[True] >= 0.9 * seen.total(), seen
@@ -607,6 +610,17 @@ class Recorder:
         patch.setattr(files._Watched, "write", self._writing(files._Watched.write))
         patch.setattr(files.Folder, "write_bytes", self._filling(files.Folder.write_bytes))
         patch.setattr(shutil, "rmtree", _remove_tree)
+        patch.setattr(build_records, "write_rows", self._recording(build_records.write_rows))
+
+    def _recording(self, real):
+        """A transaction of sqlite is on the disk when it ends: what stands in the records before and after it is known."""
+
+        def recording(path, *changes):
+            with self.lock:
+                real(path, *changes)
+                self._told("recorded", recorded(path.parent))
+
+        return recording
 
     def _told(self, *operation):
         self.log.append(operation)
@@ -822,13 +836,12 @@ def replay(scene, *, without=()):
         assert scene.build() == scene.refused
     assert hash_tree(scene.output) == scene.after
     disk, wrong = Disk(recorder.contents), Counter()
-    records = {
-        path.relative_to(place).parts
-        for place in (root, scene.saved)
-        for path in place.glob("*.kept/**/*.json")
-    }
-    for number, operation in enumerate(recorder.log):
-        disk.do(*operation)
+    records = recorded(scene.saved / scene.kept.name)
+    for number, (kind, *what) in enumerate(recorder.log):
+        if kind == "recorded":
+            (records,) = what
+        else:
+            disk.do(kind, *what)
         if number >= before:
             wrong.update(set(lost(scene, disk, records)))
     return len(recorder.log) - before, wrong
@@ -850,14 +863,10 @@ def lost(scene, disk, records):
         for number in disk.may_be(top, *layer.split("/")) - {None}:
             if disk.tree(number, f"{layer}/") not in fit:
                 yield layer
-    for place in records:
-        for digest in disk.may_hold(*place) - {None}:
-            if digest == TORN:
-                yield "/".join(place)
-            else:
-                for name, sha in json.loads(disk.contents[digest]).get("products", {}).items():
-                    if disk.may_hold(top, *name.split("/")) != {sha}:
-                        yield f"{'/'.join(place)} without {name}"
+    for stage, products in records.items():
+        for name, sha in products.items():
+            if disk.may_hold(top, *name.split("/")) != {sha}:
+                yield f"{stage} without {name}"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="folders are not synced there")

@@ -1,11 +1,12 @@
-"""The index of hashes: found again, made anew where it is damaged, never believed against a stamp."""
+"""Recorded hashes: found again, made anew where the file is damaged, never taken against a stamp."""
 
 import os
 import sqlite3
 
 import pytest
 
-from levkas.building.hashes import HASHES, Hashes
+from levkas.building.hashes import Hashes
+from levkas.building.records_file import NAME
 from levkas.core.digests import hash_file, stamp_of
 from levkas.database.catalogue import Entry, read_catalogue, write_catalogue
 
@@ -13,7 +14,7 @@ from levkas.database.catalogue import Entry, read_catalogue, write_catalogue
 @pytest.fixture
 def kept(tmp_path):
     """An index of one file, whose hash in it is not its own: so one sees where it comes from."""
-    frame, index = tmp_path / "frame \udcff.tif", tmp_path / HASHES
+    frame, index = tmp_path / "frame \udcff.tif", tmp_path / NAME
     frame.write_bytes(b"frame")
     hashes = Hashes(index)
     hashes.take(frame, [*stamp_of(frame), "f" * 64])
@@ -34,7 +35,7 @@ def test_an_index_that_is_damaged_is_made_anew(kept, damage):
     frame, index = kept
     data = index.read_bytes()
     index.unlink()
-    torn = data[: len(data) // 2] + os.urandom(len(data) // 2)
+    torn = data[:4096] + os.urandom(len(data) - 4096)  # the page of the tables' names is whole
     if damage != "gone":
         index.write_bytes({"empty": b"", "garbage": b"no index" * 1000, "torn": torn}[damage])
     hashes = Hashes(index)
@@ -81,13 +82,13 @@ def test_an_index_of_another_form_is_made_anew(kept, table):
 
 
 def test_two_builds_write_one_index(tmp_path):
-    one, other = Hashes(tmp_path / HASHES), Hashes(tmp_path / HASHES)
+    one, other = Hashes(tmp_path / NAME), Hashes(tmp_path / NAME)
     for number, hashes in enumerate((one, other)):
         path = tmp_path / f"{number}"
         path.write_bytes(b"x")
         hashes(path, own=True)
         hashes.save()
-    both = Hashes(tmp_path / HASHES)
+    both = Hashes(tmp_path / NAME)
     assert both.known(tmp_path / "0") and both.known(tmp_path / "1")
 
 

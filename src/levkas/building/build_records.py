@@ -7,47 +7,41 @@ import json
 import os
 import re
 from dataclasses import dataclass, replace
-from itertools import count
-from pathlib import Path
+from itertools import count, groupby
 from typing import TYPE_CHECKING, Any
 
-from levkas.building.hashes import HASHES, Hashes
+from levkas.building.hashes import Hashes
+from levkas.building.records_file import NAME, read_rows, write_rows
 from levkas.core.digests import hash_file
-from levkas.core.files import (
-    make_folder,
-    move_files,
-    remove,
-    rename_file,
-    write_changed,
-    write_json,
-    write_text,
-)
+from levkas.core.files import make_folder, move_files, remove, write_text
 from levkas.core.internal_errors import CODE as INTERNAL
 from levkas.core.internal_errors import InternalError
-from levkas.core.json_safe import to_json
+from levkas.core.json_safe import plain
 from levkas.core.problems import Problem, Refused
-from levkas.core.text import read_text
 from levkas.database.containment import stays_inside
-from levkas.database.layout import LayerId, layer_name
+from levkas.database.layout import layer_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
 
+    from levkas.building.records_file import Change
     from levkas.campaign.discovery.captures import Capture
 
 STAGES = ("calibrate", "measure", "register", "resample")
 """Of a capture, in their order."""
-WAS = ".was"
-"""Suffix of the record of a stage that is being done anew."""
-REFUSED = ".refused"
-"""Suffix of what a refused stage was refused for: it is tried again by every build, and read by `status`."""
+DONE, WAS, REFUSED = "done", "was", "refused"
+"""States of what is recorded of a stage: it is finished; it was, and is being done anew; it was refused the last time,
+is tried again by every build, and `status` says why."""
 REPORT = ".error.txt"
-"""Suffix of the report of an exception that no check foresaw."""
-
+"""Suffix of the report of an exception that no check foresaw, a file for whoever sends it."""
+ALL = "SELECT object, camera, setup, stage, state, record, sha256 FROM stages"
+OF_A_STAGE = "WHERE object = ? AND camera = ? AND setup = ? AND stage = ?"
+RECORD = "INSERT OR REPLACE INTO stages VALUES (?, ?, ?, ?, ?, ?, ?)"
+FORGET = f"UPDATE OR REPLACE stages SET state = '{WAS}' {OF_A_STAGE} AND state = '{DONE}'"
+DROP = f"DELETE FROM stages {OF_A_STAGE}"
 UNREADABLE = "cannot be read"
 """Of a fingerprint: why there is none. A stage of such is never fresh."""
-MOST_KNOWN = 10_000
-"""Records in memory, some 8 kB each."""
 
 
 @dataclass(frozen=True, order=True)
@@ -64,14 +58,14 @@ class Key:
         """Camera and setup as frames and files name them: ``d80`` or ``d80@45-degree``."""
         return layer_name(self.camera, self.setup)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Object, camera, setup and stage."""
+        return tuple(vars(self).values())
+
     def to_dict(self) -> dict[str, str]:
         """Return the identifying fields of a stage report."""
-        return {
-            "object": self.object,
-            "camera": self.camera,
-            "setup": self.setup,
-            "stage": self.stage,
-        }
+        return dict(vars(self))
 
 
 CATALOGUE = Key("", stage="catalogue")
@@ -83,10 +77,10 @@ def key_of(capture: Capture, stage: str) -> Key:
 
 
 class BuildRecords:
-    """Fingerprints and products of finished stages, one small file a stage.
+    """Fingerprints and products of finished stages, and why others were refused.
 
     A record is read once: what this build has read or written stays valid for it, whatever
-    another build that runs beside it takes away or writes. Of more than `MOST_KNOWN` the first are read again.
+    another build that runs beside it takes away or writes.
 
     Parameters
     ----------
@@ -104,17 +98,82 @@ class BuildRecords:
         self, folder: Path, output: Path, *, keep_removed: bool = False, verify: bool = False
     ) -> None:
         self.folder, self.output, self.keep_removed = folder, output, keep_removed
-        self.hashes = Hashes(folder / HASHES, verify=verify)
-        self._known: dict[str, dict[str, Any]] = {}
+        self._file = folder / NAME
+        self.hashes = Hashes(self._file, verify=verify)
+        self._known: dict[Key, dict[str, dict[str, Any]]] = {}
         self._put_away: Path | None = None
+
+    # --- what is recorded -----------------------------------------------------------------------
+
+    def _states(self, key: Key) -> dict[str, dict[str, Any]]:
+        """Return what is recorded of a stage by its state; a record that is damaged is empty."""
+        if key not in self._known:
+            rows = read_rows(self._file, f"{ALL} {OF_A_STAGE}", *key.names)
+            self._known[key] = _sound(key, rows)
+        return self._known[key]
+
+    def _record(self, key: Key) -> dict[str, Any]:
+        return self._states(key).get(DONE, {})
+
+    def is_begun(self, key: Key) -> bool:
+        """Tell whether anything was ever recorded of a stage."""
+        return bool(self._states(key))
+
+    def fingerprint(self, key: Key) -> dict[str, Any]:
+        """Return what a finished stage was made of; empty where it is not finished."""
+        return dict(self._record(key).get("fingerprint", {}))
+
+    def products(self, key: Key) -> dict[str, str]:
+        """Return the names and hashes of what a finished stage made."""
+        return dict(self._record(key).get("products", {}))
+
+    def notes(self, key: Key) -> dict[str, Any]:
+        """Return what a finished stage noted for later ones."""
+        return dict(self._record(key).get("notes", {}))
+
+    def check(self, key: Key) -> str:
+        """Return the hash of the record of a finished stage; empty where it is not finished."""
+        return str(self._record(key).get("sha256", ""))
+
+    def reread(self, key: Key) -> None:
+        """Read a record again when it is needed: another process may have written it since."""
+        self._known.pop(key, None)
+
+    def recorded(self) -> list[Key]:
+        """Return the stages that are recorded, or were being done anew when a build was interrupted."""
+        found = []
+        rows = read_rows(self._file, f"{ALL} ORDER BY object, camera, setup, stage")
+        for names, mine in groupby(rows, lambda row: row[:4]):
+            key = Key(*names)
+            if key not in self._known:
+                self._known[key] = _sound(key, mine)
+            if key != CATALOGUE and (self._record(key) or self.made_by(key)):
+                found.append(key)
+        return found
+
+    def made_by(self, key: Key) -> set[str]:
+        """Return the names of all that a stage has made, also of one that was being done anew."""
+        records = (self._states(key).get(state, {}) for state in (DONE, WAS))
+        return {
+            n for record in records for part in ("products", "left") for n in record.get(part, ())
+        }
+
+    def products_that_stand(self) -> Iterator[tuple[str, str]]:
+        """Yield name and SHA-256 of every existing product of every finished stage but the catalogue."""
+        for key in self.recorded():
+            for name, sha in self.products(key).items():
+                if _is_file(f"{self.output}{os.sep}{name}"):
+                    yield name, sha
+
+    # --- what is fresh --------------------------------------------------------------------------
 
     def why_stale(self, key: Key, fingerprint: dict[str, Any]) -> str:
         """Say why a stage must be done; empty where its products stand and fit."""
         if UNREADABLE in fingerprint:
             return f"its files cannot be read: {fingerprint[UNREADABLE]}"
         if not (record := self._record(key)):
-            return "its record is damaged" if self.path_of(key).is_file() else "not yet built"
-        if changed := _difference(record.get("fingerprint", {}), fingerprint):
+            return "its record is damaged" if DONE in self._states(key) else "not yet built"
+        if changed := _difference(record["fingerprint"], fingerprint):
             return changed
         for path, name, digest in self._made(record):
             try:
@@ -127,46 +186,20 @@ class BuildRecords:
     def damaged(self, key: Key) -> str:
         """Read every product of a finished stage, and name the first that is not what was written.
 
-        `why_stale` believes size and time of a file; before a product is read again, nothing is
-        believed.
+        `why_stale` relies on size and time of a file; before a product is read again, its bytes are read.
         """
         for path, name, digest in self._made(self._record(key)):
             if not _is_file(path) or hash_file(path) != digest:
                 return name
         return ""
 
-    def check(self, key: Key) -> str:
-        """Return the hash of the record of a finished stage; empty where it is not finished."""
-        record = self._record(key)
-        return _check(record) if record else ""
+    def _made(self, record: dict[str, Any]) -> Iterator[tuple[str, str, str]]:
+        """Yield path, name and hash of everything that a stage made."""
+        for part, folder in (("products", self.output), ("aside", self.folder)):
+            for name, digest in record.get(part, {}).items():
+                yield f"{folder}{os.sep}{name}", name, digest
 
-    def reread(self, key: Key) -> None:
-        """Read a record again when it is needed: another process may have written it since."""
-        self._known.pop(str(self.path_of(key)), None)
-
-    def fingerprint(self, key: Key) -> dict[str, Any]:
-        """Return what a finished stage was made of; empty where it is not finished."""
-        return dict(self._record(key).get("fingerprint", {}))
-
-    def products(self, key: Key) -> dict[str, str]:
-        """Return the names and hashes of what a finished stage made."""
-        return dict(self._record(key).get("products", {}))
-
-    def products_that_stand(self) -> Iterator[tuple[str, str]]:
-        """Yield name and SHA-256 of every existing product of every finished stage."""
-        root = str(self.output)
-        for place, folders, names in os.walk(self.folder):
-            folders.sort()
-            if place != str(self.folder):
-                for record in sorted(n for n in names if n.endswith(".json")):
-                    made = self._recorded(f"{place}{os.sep}{record}").get("products", {})
-                    for name, sha in made.items():
-                        if _is_file(f"{root}{os.sep}{name}"):
-                            yield name, sha
-
-    def notes(self, key: Key) -> dict[str, Any]:
-        """Return what a finished stage noted for later ones."""
-        return dict(self._record(key).get("notes", {}))
+    # --- what is done ---------------------------------------------------------------------------
 
     def keep(
         self,
@@ -181,50 +214,52 @@ class BuildRecords:
 
         `products` stand in the database, what is kept `aside` for later stages beside it.
         """
-        made = {
-            p.relative_to(self.output).as_posix(): self.hashes(p, own=True)
-            for p in sorted(products)
-        }
-        told: dict[str, Any] = {"fingerprint": fingerprint, "products": made, "notes": notes}
-        if left := self.put_away_left(key, made):
-            told["left"] = left
-        if kept := {
-            p.relative_to(self.folder).as_posix(): self.hashes(p, own=True) for p in sorted(aside)
-        }:
-            told["aside"] = kept
-        path = self.path_of(key)
-        make_folder(path.parent)
-        record = json.loads(to_json(told))
-        write_json(path, {**record, "check": _check(record)})
-        self._known[str(path)] = record
-        self._remove(path, WAS, REFUSED, REPORT)
-        self.hashes.save()
+        made, kept = self._hashed(products, self.output), self._hashed(aside, self.folder)
+        left = self.put_away_left(key, made)
+        record = {
+            "fingerprint": fingerprint, "products": made, "left": left, "aside": kept, "notes": notes,
+        }  # fmt: skip
+        row = _row(key, DONE, record)
+        write_rows(self._file, (DROP, [key.names]), (RECORD, [row]), self.hashes.unsaved())
+        self._known[key] = _sound(key, [row])
+        self.drop_report(key)
+
+    def _hashed(self, paths: Iterable[Path], folder: Path) -> dict[str, str]:
+        """Return the hashes of files by their names in a folder."""
+        return {p.relative_to(folder).as_posix(): self.hashes(p, own=True) for p in sorted(paths)}
+
+    def _write(self, key: Key, *changes: Change) -> None:
+        write_rows(self._file, *changes)
+        self.reread(key)
 
     def forget(self, key: Key) -> None:
-        """Drop the record of a stage that is about to be done anew.
+        """Record that a stage is about to be done anew; what it does not make any more is still known then."""
+        self._write(key, (FORGET, [key.names]))
 
-        It stays under another name until the stage has ended: what the stage does not make any more is
-        still known then.
-        """
-        path = self.path_of(key)
-        self._known[str(path)] = {}
-        rename_file(path, path.with_suffix(WAS))
+    def drop(self, key: Key) -> None:
+        """Forget a stage that will not be done again, and what was kept aside of it; a report stays."""
+        for name in self._record(key).get("aside", {}):
+            remove(self.folder / name)
+        self._write(key, (DROP, [key.names]))
 
     def refuse(self, key: Key, fingerprint: dict[str, Any], problems: Iterable[Problem]) -> None:
-        """Note what a stage was made of when it was refused, and why."""
-        told = {"fingerprint": fingerprint, "refused": [p.to_dict() for p in problems]}
-        record = json.loads(to_json(told))
-        path = self.path_of(key).with_suffix(REFUSED)
-        make_folder(path.parent)
-        write_changed(path, to_json({**record, "check": _check(record)}).encode())
+        """Record what a stage was made of when it was refused, and why."""
+        record = {"fingerprint": fingerprint, "refused": [p.to_dict() for p in problems]}
+        self._write(key, (RECORD, [_row(key, REFUSED, record)]))
 
     def refusal(self, key: Key, fingerprint: dict[str, Any]) -> tuple[Problem, ...]:
         """Return why a stage was refused that was made of the same; empty where it was not."""
-        path = self.path_of(key).with_suffix(REFUSED)
-        record = _sound(_read(path)) if _is_file(path) else {}
-        if not record or _difference(record.get("fingerprint", {}), fingerprint):
+        record = self._states(key).get(REFUSED)
+        if not record or _difference(record["fingerprint"], fingerprint):
             return ()
         return tuple(self._with_advice(key, Problem(**problem)) for problem in record["refused"])
+
+    # --- reports of exceptions that no check foresaw --------------------------------------------
+
+    def path_of(self, key: Key, suffix: str) -> Path:
+        """Return the path of a file of a stage among what is kept."""
+        parts = [part for part in (key.object, key.layer, key.stage) if part]
+        return self.folder.joinpath(*parts[:-1], f"{parts[-1]}{suffix}")
 
     def with_report(self, key: Key, refused: Refused) -> Refused:
         """Keep the report of an exception that no check foresaw, and return a refusal that says where.
@@ -251,41 +286,10 @@ class BuildRecords:
 
     def drop_report(self, key: Key) -> None:
         """Remove the report of an exception of an earlier build, where there is one."""
-        self._remove(self.path_of(key), REPORT)
+        if (path := self.path_of(key, REPORT)).is_file():
+            remove(path)
 
-    def drop(self, key: Key) -> None:
-        """Forget a stage that will not be done again, and what was kept aside of it; a report stays."""
-        path = self.path_of(key)
-        for name in self._record(key).get("aside", {}):
-            remove(self.folder / name)
-        self._known[str(path)] = {}
-        self._remove(path, path.suffix, WAS, REFUSED)
-
-    def recorded(self) -> list[Key]:
-        """Return the stages that are recorded, or were being done anew when a build was interrupted."""
-        found = set()
-        for place, _, names in os.walk(self.folder):
-            above = place[len(str(self.folder)) :].replace(os.sep, "/")
-            where = [part for part in above.split("/") if part]
-            for stem, suffix in map(os.path.splitext, names):
-                if suffix not in (".json", WAS):
-                    continue
-                if len(where) == 2 and stem in STAGES:
-                    layer = LayerId.parse(where[0], where[1])
-                    found.add(Key(layer.object, layer.camera, layer.setup, stem))
-                elif len(where) == 1 and stem == "report":
-                    found.add(Key(where[0], stage=stem))
-                elif len(where) == 1 and stem == "camera":
-                    found.add(Key("", where[0], stage=stem))
-        return sorted(found)
-
-    def made_by(self, key: Key) -> set[str]:
-        """Return the names of all that a stage has made, also of one that was being done anew."""
-        was = self.path_of(key).with_suffix(WAS)
-        records = self._record(key), _sound(_read(was)) if _is_file(was) else {}
-        return {
-            n for record in records for part in ("products", "left") for n in record.get(part, ())
-        }
+    # --- what a stage does not make any more ----------------------------------------------------
 
     def put_away_left(self, key: Key, made: Iterable[str]) -> list[str]:
         """Put away what a stage has made before and does not make any more; return what stays of it."""
@@ -306,60 +310,35 @@ class BuildRecords:
         move_files(there, self.output, self._put_away)
         return self._put_away
 
-    def _remove(self, path: Path, *suffixes: str) -> None:
-        """Remove the record at a path, or files beside it, where they exist."""
-        for suffix in suffixes:
-            if (one := path.with_suffix(suffix)).is_file():
-                remove(one)
 
-    def _made(self, record: dict[str, Any]) -> Iterator[tuple[str, str, str]]:
-        """Yield path, name and hash of everything that a stage made."""
-        for part, folder in (("products", self.output), ("aside", self.folder)):
-            for name, digest in record.get(part, {}).items():
-                yield f"{folder}{os.sep}{name}", name, digest
-
-    def _record(self, key: Key) -> dict[str, Any]:
-        return self._recorded(str(self.path_of(key)))
-
-    def _recorded(self, path: str) -> dict[str, Any]:
-        if path not in self._known:
-            while len(self._known) >= MOST_KNOWN:
-                del self._known[next(iter(self._known))]
-            self._known[path] = _sound(_read(Path(path))) if _is_file(path) else {}
-        return self._known[path]
-
-    def path_of(self, key: Key, suffix: str = ".json") -> Path:
-        """Return the path of the record of a stage, or of a file beside it."""
-        parts = [part for part in (key.object, key.layer, key.stage) if part]
-        return self.folder.joinpath(*parts[:-1], f"{parts[-1]}{suffix}")
+def _row(key: Key, state: str, record: dict[str, Any]) -> tuple[str, ...]:
+    """Return a row of the table of stages, with a hash that shows where a bit of it has flipped."""
+    text = json.dumps(plain(record), ensure_ascii=False, allow_nan=False)
+    return *key.names, state, text, _hash_of(key, text)
 
 
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        # Parsed as it is: there are thousands where all is fresh, and a record bears its own hash.
-        record = json.loads(read_text(path, "a JSON table in UTF-8"))
-    except (Refused, ValueError, RecursionError):
-        return {}
-    return record if isinstance(record, dict) else {}
+def _hash_of(key: Key, text: str) -> str:
+    return hashlib.sha256("\n".join([*key.names, text]).encode()).hexdigest()
 
 
-def _check(record: dict[str, Any]) -> str:
-    """Hash of what a record says, so that a bit that flips in its file is seen."""
-    return hashlib.sha256(json.dumps(record, ensure_ascii=False).encode()).hexdigest()
+def _sound(key: Key, rows: Iterable[Sequence[Any]]) -> dict[str, dict[str, Any]]:
+    """Return the records of a stage by state, each with its hash; an empty one where it is not what was written.
+
+    One that names a file outside is none of ours: what it names is moved out or taken away some day.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for *_, state, text, sha256 in rows:
+        found[state] = {}
+        if sha256 == _hash_of(key, str(text)):
+            record = json.loads(text)
+            made = (n for part in ("products", "left", "aside") for n in record.get(part, ()))
+            if all(map(stays_inside, made)):
+                found[state] = {**record, "sha256": sha256}
+    return found
 
 
 def _is_file(path: str | Path) -> bool:
     return os.path.isfile(path)  # noqa: PTH113 -- thousands of times where all is fresh
-
-
-def _sound(record: dict[str, Any]) -> dict[str, Any]:
-    """Return a record without its check; nothing where it is not what was written.
-
-    One that names a file outside is none of ours: what it names is moved out or taken away some day.
-    """
-    body = {name: value for name, value in record.items() if name != "check"}
-    made = [n for part in ("products", "left", "aside") for n in body.get(part, ())]
-    return body if record.get("check") == _check(body) and all(map(stays_inside, made)) else {}
 
 
 def _difference(before: dict[str, Any], now: dict[str, Any]) -> str:

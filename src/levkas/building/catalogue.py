@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
 from levkas.building.estimates import (
@@ -30,8 +27,6 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.database.catalogue import Entry
 
-AT_A_TIME = 50_000
-"""Names that are compared at once."""
 _OF_ALL_LAYERS = re.compile(r"zarr/[^/]+\.zarr/zarr\.json|setups/[^/]+/spd\.csv")
 
 
@@ -117,28 +112,14 @@ def by_others(places: Places, records: BuildRecords) -> dict[str, str]:
     from levkas.database.manifest import is_partial, walk_files
 
     keys = (*records.recorded(), CATALOGUE)
-    made = (name for key in keys for name in records.made_by(key))
-    there = _left_of(walk_files(places.output), chain(made, (TABLE, IMPRINT, MANIFEST)))
-    there = [n for n in there if not is_partial(n) and not _OF_ALL_LAYERS.fullmatch(n)]
+    made = {name for key in keys for name in records.made_by(key)} | {TABLE, IMPRINT, MANIFEST}
     estimated = _estimated_files(places)
-    there = [n for n in there if not n.startswith(estimated)]
+    there = [
+        name
+        for name in sorted(set(walk_files(places.output)) - made)
+        if not (is_partial(name) or _OF_ALL_LAYERS.fullmatch(name) or name.startswith(estimated))
+    ]
     return {n: records.hashes(places.output / n) for n in there if (places.output / n).is_file()}
-
-
-def _left_of(names: Iterable[str], ours: Iterable[str]) -> list[str]:
-    """Return the names that are not ours, sorted; ours are held as 8 bytes each, for there may be 10⁷ of them.
-
-    >>> _left_of(["c", "a", "b"], ["b"])
-    ['a', 'c']
-    """
-    known = np.sort(np.fromiter(map(hash, ours), np.int64))
-    left: list[str] = []
-    names = iter(names)
-    while some := list(islice(names, AT_A_TIME)):
-        hashes = np.fromiter(map(hash, some), np.int64, len(some))
-        places = np.searchsorted(known, hashes).clip(max=len(known) - 1)
-        left += [some[i] for i in np.flatnonzero(known[places] != hashes)]
-    return sorted(left)
 
 
 def _estimated_files(places: Places) -> tuple[str, ...]:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.building.build_records import UNREADABLE, Key, key_of
-from levkas.building.hashes import Hashes, Unread
 from levkas.core.internal_errors import CODE as INTERNAL
 from levkas.stages.control_points import told_points
 from levkas.stages.sources import made_with
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
 
     from levkas.building.build_records import BuildRecords
     from levkas.building.graph import Task
+    from levkas.building.hashes import Hashes
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture, FrameRef
     from levkas.core.problems import Problem
@@ -92,8 +92,8 @@ class Inputs:
         assert capture is not None and lead is not None
         campaign, hashes, stage = self.campaign, self.records.hashes, task.key.stage
         if stage == "calibrate":
-            never = self._unread and not self.records.path_of(task.key).parent.is_dir()
-            return of_calibration(campaign, capture, Unread() if never else hashes)
+            never = self._unread and not self.records.is_begun(task.key)
+            return {} if never else of_calibration(campaign, capture, hashes)
         if stage == "register" and task.needs[0].stage == "measure":
             seen = {f"{k.object}/{k.layer}": self._measured(k) for k in task.mates}
             return of_adjustment(self.digests[task.needs[0]], seen)

@@ -18,6 +18,7 @@ from levkas.stages.written import Written
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
+    from pathlib import Path
 
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture, Refusals
@@ -89,7 +90,7 @@ class Outcomes:
         """Return whether a stage is fresh, stale, or was refused when it was made of the same."""
         key = due.task.key
         if not due.why:
-            return fresh_step(key, self.records)
+            return self.fresh(key)
         if problems := self.records.refusal(key, due.prints):
             root = self.campaign.root
             there = (replace(p, file=p.file and str(root / p.file)) for p in problems)
@@ -114,7 +115,12 @@ class Outcomes:
 
     def fresh(self, key: Key) -> Step:
         """Return how a task ended that need not be done again."""
-        return fresh_step(key, self.records)
+        notes = self.records.notes(key)
+        warnings = tuple(notes.get("warnings", ()))
+        problems = tuple(Problem(**p) for p in notes.get("refused", ()))
+        if problems:
+            return Step(key, "refused", problems[0].message, problems=problems, warnings=warnings)
+        return Step(key, "fresh", warnings=warnings)
 
     def keep(self, due: Due, made: Written, **notes: Any) -> Step:
         """Record what a task made; return how it ended. Raises WriteRefused."""
@@ -211,16 +217,6 @@ OF_THE_MACHINES = ("E_MEMORY", "E_WORKER")
 """Codes of what another machine, or the same one later, may do."""
 
 
-def fresh_step(key: Key, records: BuildRecords) -> Step:
-    """Return how a task ended that need not be done again."""
-    notes = records.notes(key)
-    warnings = tuple(notes.get("warnings", ()))
-    problems = tuple(Problem(**p) for p in notes.get("refused", ()))
-    if problems:
-        return Step(key, "refused", problems[0].message, problems=problems, warnings=warnings)
-    return Step(key, "fresh", warnings=warnings)
-
-
 def is_of_the_disk(problems: Iterable[Problem]) -> bool:
     """Tell whether nothing but the disk refused: nothing is wrong with frames and parameters."""
     codes = {problem.code for problem in problems}
@@ -254,12 +250,15 @@ def withdraw(
         remove(path)
 
 
-def put_away_stage(key: Key, records: BuildRecords) -> None:
-    """Move out what a stage made, and forget it."""
-    if made := records.made_by(key):
-        records.forget(CATALOGUE)
-        records.put_away(made)
+def put_away_stage(key: Key, records: BuildRecords) -> Path | None:
+    """Move out what a stage made, and forget it; return where to, None where nothing stood there."""
+    made = records.made_by(key)
+    if made:
+        records.forget(CATALOGUE)  # what it lists is about to change
+    where = records.put_away(made)
+    if records.is_begun(key):
         records.drop(key)
+    return where
 
 
 class NoReference(Refused):
@@ -344,17 +343,12 @@ def removal(keys: Sequence[Key], records: BuildRecords) -> list[Step]:
         One, or none where there was nothing.
     """
     told = describe(keys, records)
-    if told and records.keep_removed:
-        return [Step(REMOVED, "fresh", warnings=(f"{told}, and was kept",))]
-    if keys and not records.keep_removed:
-        records.forget(CATALOGUE)  # what it lists is about to change
-    where = None
-    for key in keys if not records.keep_removed else ():
-        where = records.put_away(records.made_by(key)) or where
-        records.drop(key)
-    if where is None:
-        return []
-    return [Step(REMOVED, "done", told, warnings=(f"{told}: moved to {where}",))]
+    if records.keep_removed:
+        return [Step(REMOVED, "fresh", warnings=(f"{told}, and was kept",))] if told else []
+    moved = [where for key in keys if (where := put_away_stage(key, records))]
+    return (
+        [Step(REMOVED, "done", told, warnings=(f"{told}: moved to {moved[0]}",))] if moved else []
+    )
 
 
 def _names(captures: Sequence[Capture], refusals: Refusals) -> set[str]:
