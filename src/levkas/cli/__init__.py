@@ -17,7 +17,7 @@ from levkas.core.instructions import hold_instructions
 ORDER = {
     "Begin": ("doctor", "demo", "look", "plan", "simulate"),
     "Build": ("build", "status", "inspect", "points"),
-    "Measure": ("radiometry", "chart", "evaluate", "methods", "loops", "validate"),
+    "Measure": ("radiometry", "chart", "evaluate", "agree", "methods", "loops", "validate"),
     "Use": ("map", "estimate", "estimate apply", "estimate score", "export", "publish"),
 }
 """Commands as `levkas --help` lists them: in groups, in the order of work."""
@@ -95,6 +95,7 @@ for _name, _command in {
     "evaluate": evaluate.evaluate,
     "methods": evaluate.methods,
     "loops": evaluate.loops,
+    "agree": evaluate.agree,
     "validate": build.validate,
     "chart": measure.chart,
     "map": evaluate.map_points,

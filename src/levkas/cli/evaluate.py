@@ -1,4 +1,4 @@
-"""Commands about positions: evaluate, methods, loops, map, points convert."""
+"""Commands about positions and agreement: evaluate, methods, loops, agree, map, points convert."""
 
 from __future__ import annotations
 
@@ -76,6 +76,48 @@ def loops(database: Database, as_json: Json = False) -> None:
     print_report("loops", as_json, True, [], loops=closed)
     if not as_json:
         typer.echo(loops_text(closed))
+
+
+@refusing("agree")
+def agree(
+    database: Database,
+    other: Annotated[
+        Path,
+        typer.Argument(
+            help="Another database of the same object: another laboratory, session or date.",
+            parser=path_or_address,
+        ),
+    ],
+    objects: Annotated[
+        list[str] | None, typer.Option("--object", help="Only this object; may be repeated.")
+    ] = None,
+    rate: Annotated[
+        float,
+        typer.Option(
+            "--false-alarms",
+            help="Share of unchanged pixels that are marked as changed.",
+            min=1e-6,
+            max=0.2,
+        ),
+    ] = 0.01,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Folder for the page and JSON.")
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Compare two databases of one object within their uncertainties; exit status 1 where they contradict each other."""
+    from levkas.pages.agreement import agreement_text, write_agreement
+    from levkas.quality.evaluation.database_agreement import compare_databases
+
+    found = compare_databases(database, other, objects or (), rate=rate)
+    if output is not None:
+        write_agreement(str(database), str(other), found, output, overwrite=overwrite)
+    ok = all(one.agrees for one in found)
+    print_report("agree", as_json, ok, [], objects=[one.to_dict() for one in found])
+    if not as_json:
+        typer.echo(agreement_text(found))
+    raise typer.Exit(0 if ok else 1)
 
 
 @refusing("methods")

@@ -191,13 +191,11 @@ def _lags(reach: int) -> Iterator[tuple[int, int]]:
 
 
 def uncertain_region(
-    mean: MeanSpectrum, budget: LayerBudget, layer: LayerId, region: object
+    mean: MeanSpectrum, budget: LayerBudget, layer: LayerId, region: object, *, owner: str = ""
 ) -> Uncertain:
-    """Return the mean of a region with all that makes it uncertain; `region` names the pixels."""
-    place = f"{layer.object}/{layer.name}"
-    return uncertain_mean(
-        mean, budget.sources, layer=place, camera=layer.camera, region=str(region)
-    )
+    """Return the mean of a region with all that makes it uncertain; `region` names the pixels, `owner` one of several databases."""
+    place, camera = (f"{owner}:{one}" for one in (f"{layer.object}/{layer.name}", layer.camera))
+    return uncertain_mean(mean, budget.sources, layer=place, camera=camera, region=str(region))
 
 
 def combine(

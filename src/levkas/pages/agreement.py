@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from statistics import median
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from levkas.pages.page import Figure
+from levkas import __version__
+from levkas.pages.page import Figure, embed_png, render_page
 from levkas.pages.plots import Line, colour_of, in_style, new_figure, plot, to_svg
 from levkas.quality.evaluation.camera_agreement import BandAgreement, PairAgreement
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from levkas.quality.evaluation.database_agreement import ObjectAgreement
 
 EVEN = 0.35
 """Standard deviation of the ratios of all bands over their mean difference, up to which that is one of the light or the white, and not
@@ -67,11 +73,11 @@ def _by_layer(odd: Sequence[PairAgreement]) -> list[tuple[str, list[PairAgreemen
     """Return the layers that contradict most others, each with its pairs; a pair stands once."""
     left, found = list(odd), []
     while left:
-        names = [layer.name for pair in left for layer in (pair.first, pair.second)]
+        names = [name for pair in left for name in pair.names]
         worst = max(dict.fromkeys(names), key=names.count)
-        mine = [pair for pair in left if worst in (pair.first.name, pair.second.name)]
+        mine = [pair for pair in left if worst in pair.names]
         left = [pair for pair in left if pair not in mine]
-        found.append((worst if len(mine) > 1 else mine[0].second.name, mine))
+        found.append((worst if len(mine) > 1 else mine[0].names[1], mine))
     return found
 
 
@@ -81,10 +87,10 @@ def _size(pair: PairAgreement) -> float:
 
 def _sentence(name: str, pairs: Sequence[PairAgreement]) -> str:
     """Say by how much a layer differs from others, where, and what may be the cause."""
-    others = [p.first.name if p.second.name == name else p.second.name for p in pairs]
+    others = [p.names[p.names[0] == name] for p in pairs]
     bands = [(pair, band) for pair in pairs for band in pair.contradictions]
-    ratios = [b.ratio if p.second.name == name else 1 / b.ratio for p, b in bands]
-    every = [b.ratio if p.second.name == name else 1 / b.ratio for p in pairs for b in p.bands]
+    ratios = [b.ratio if p.names[1] == name else 1 / b.ratio for p, b in bands]
+    every = [b.ratio if p.names[1] == name else 1 / b.ratio for p in pairs for b in p.bands]
     apart = 100 * (median(ratios) - 1)
     span = _span([band for _, band in bands])
     worst = max(band.expected_ratio for _, band in bands)
@@ -121,7 +127,7 @@ def _row(pair: PairAgreement) -> AgreementRow:
     if odd and pair.other_light:
         said = "another lighting"
     return AgreementRow(
-        f"{pair.second.name} over {pair.first.name}",
+        f"{pair.names[1]} over {pair.names[0]}",
         f"{len(pair.bands)}, {_span(pair.bands)}",
         least if least == most else f"{least} to {most}",
         f"{median(band.expected_ratio for band in pair.bands):.2g}, at most {max(band.expected_ratio for band in pair.bands):.2g}",
@@ -133,7 +139,7 @@ def _ratios(pairs: Sequence[PairAgreement]) -> Figure | None:
     """Draw the ratio of each pair over the wavelength."""
     lines = [
         Line(
-            f"{pair.second.name} / {pair.first.name}",
+            f"{pair.names[1]} / {pair.names[0]}",
             [band.wavelength for band in ordered],
             [band.ratio for band in ordered],
             colour_of("", k, len(pairs)),
@@ -150,7 +156,7 @@ def _map(pair: PairAgreement) -> Figure:
     band = pair.worst
     return Figure(
         _draw_map(pair, band),
-        f"{pair.second.name} over {pair.first.name} in {band.band}, patch by patch: a difference that changes over the painting is one of the light's evenness.",
+        f"{pair.names[1]} over {pair.names[0]} in {band.band}, patch by patch: a difference that changes over the painting is one of the light's evenness.",
     )
 
 
@@ -166,4 +172,91 @@ def _draw_map(pair: PairAgreement, band: BandAgreement) -> str:
     axes.set(xlabel="x, px", ylabel="y, px", aspect="equal")
     axes.invert_yaxis()
     figure.colorbar(dots, ax=axes, label="ratio")
-    return to_svg(figure, f"ratio of {pair.second.name} to {pair.first.name} over the painting")
+    return to_svg(figure, f"ratio of {pair.names[1]} to {pair.names[0]} over the painting")
+
+
+# --- two databases --------------------------------------------------------------------------------
+
+
+def render_agreement(first: str, second: str, found: Sequence[ObjectAgreement]) -> str:
+    """Return the page that compares two databases as HTML."""
+    return render_page(
+        "agree.html",
+        page={
+            "title": "Two databases compared",
+            "subtitle": f"{second} against {first}",
+            "objects": [_object(one) for one in found],
+            "footer": f"Levkas {__version__}. Ratios are of the second database over the first or of the camera with fewer bands over that with "
+            "more, as the table says.",
+        },
+    )
+
+
+def write_agreement(
+    first: str,
+    second: str,
+    found: Sequence[ObjectAgreement],
+    folder: Path,
+    *,
+    overwrite: bool = False,
+) -> Path:
+    """Write agreement.html and agreement.json into a folder; return the page.
+
+    Raises
+    ------
+    WriteRefused
+        Where a file that Levkas did not write has the name.
+    """
+    from levkas.core.files import write_json, write_text
+    from levkas.core.ownership import OwnFiles
+
+    folder = folder.resolve()
+    path = folder / "agreement.html"
+    with OwnFiles(folder, overwrite=overwrite).writing():
+        write_json(folder / "agreement.json", {"objects": [one.to_dict() for one in found]})
+        write_text(path, render_agreement(first, second, found))
+    return path
+
+
+def agreement_text(found: Sequence[ObjectAgreement]) -> str:
+    """Return what two databases agree about in words, an object a paragraph."""
+    lines = []
+    for one in found:
+        section = describe_agreement(one.pairs)
+        lines += ["", one.name if one.name == one.other else f"{one.name} and {one.other}"]
+        lines += [f"  {text}" for _, text in (section.short if section else ())]
+        for row in section.rows if section else ():
+            lines.append(
+                f"  {row.pair:32} ratio {row.ratio:16} En {row.expected_ratio:22} {row.said}"
+            )
+        lines.append(f"  {describe_changes(one)}")
+    return "\n".join(lines[1:])
+
+
+def describe_changes(one: ObjectAgreement) -> str:
+    """Say how much of an object changed, and what chance alone marks."""
+    if one.changes is None:
+        return "No layer of one has the bands of a layer of the other, with its noise known: changes were not looked for."
+    return (
+        f"{100 * one.changes.share:.2g} % of the pixels of {one.compared} differ by more than their random uncertainties allow; "
+        f"{100 * one.changes.rate:.2g} % would by chance. What the whole pictures differ by is taken out first."
+    )
+
+
+def _object(one: ObjectAgreement) -> dict[str, Any]:
+    from levkas.database.preview import encode_png
+
+    error = "" if one.error_px is None else f", held-out error {one.error_px:.3f} px"
+    picture = ""
+    if one.changes is not None:
+        shades = np.where(one.changes.mask, 255, np.where(one.changes.known, 110, 0))
+        picture = embed_png(encode_png(shades.astype(np.uint8)))
+    areas = one.changes.areas if one.changes else ()
+    return {
+        "title": one.name if one.name == one.other else f"{one.name} and {one.other}",
+        "registered": f"The second was registered to the first{error}.",
+        "agreement": describe_agreement(one.pairs),
+        "changed": describe_changes(one),
+        "map": picture,
+        "areas": [[*map(str, area[:4]), f"{area[4]:+.3f}"] for area in areas],
+    }

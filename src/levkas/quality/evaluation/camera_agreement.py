@@ -23,7 +23,7 @@ from levkas.database.region_uncertainty import (
     uncertain_region,
     with_place,
 )
-from levkas.database.regions import TRUSTED, make_region
+from levkas.database.regions import TRUSTED, Region, RegionRefused
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,6 +31,11 @@ if TYPE_CHECKING:
     import xarray
 
     from levkas.database.layout import LayerId
+    from levkas.geometry.transforms import Transform
+
+
+Sensitivities = dict[str, tuple[np.ndarray, np.ndarray]]
+"""Of the bands of a layer, by label: nm, and the response there."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +90,8 @@ class PatchMeans:
         Widths of the bands; NaN where they are not known.
     unknown : tuple of str
         Sources of error that nothing is known of.
+    name : str
+        Of the layer in what is said of it; its own by default.
     """
 
     layer: LayerId
@@ -93,6 +100,7 @@ class PatchMeans:
     numbers: tuple[Uncertain, ...]
     fwhm: np.ndarray
     unknown: tuple[str, ...] = ()
+    name: str = ""
 
     @property
     def wavelengths(self) -> np.ndarray:
@@ -143,6 +151,7 @@ class PairAgreement:
     places: np.ndarray
     bands: tuple[BandAgreement, ...]
     unknown: tuple[str, ...] = ()
+    names: tuple[str, str] = ("", "")
 
     @property
     def other_light(self) -> bool:
@@ -162,7 +171,7 @@ class PairAgreement:
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers, JSON-ready."""
         return {
-            "layers": [self.first.name, self.second.name],
+            "layers": [*self.names],
             "patches": len(self.places),
             "other_light": self.other_light,
             "not_known": [*self.unknown],
@@ -212,35 +221,75 @@ def measure_patches(
     layer: LayerId,
     places: np.ndarray,
     budget: LayerBudget,
-    settings: AgreementSettings = SETTINGS,
+    *,
+    at: Transform | None = None,
+    owner: str = "",
 ) -> PatchMeans:
-    """Return what a layer has on patches; a patch with a pixel that is not sound is NaN in that band."""
-    beside, side = array.levkas, settings.side
+    """Return what a layer has on patches.
+
+    Parameters
+    ----------
+    array : DataArray, (y, x, band)
+    root, layer
+        Where it stands.
+    places : ndarray, (p, 2)
+        Corners of the patches, px.
+    budget : LayerBudget
+    at : Transform, optional
+        Pixels of the patches → pixels of the layer, where these are others.
+    owner : str
+        Of what errors of a camera belong to, where several databases are compared.
+    """
+    beside = array.levkas
     flags, sigma = beside.flags, beside.sigma
-    means, numbers = [], []
     labels = [str(label) for label in array.band.values]
     places = places[np.lexsort((places[:, 0], places[:, 1]))]
-    known = iter(position_sigmas(root, layer, labels, places + side / 2))
-    for top in np.unique(places[:, 1]):
-        strip = {"y": slice(int(top), int(top) + side)}
+    corners = places[:, None] + SETTINGS.side * CORNERS - 0.5
+    if at is not None:
+        corners = at(corners.reshape(-1, 2)).reshape(corners.shape)
+    known = position_sigmas(root, layer, labels, corners.mean(1))
+    means, numbers = [], []
+    for rows in (places[:, 1] == top for top in np.unique(places[:, 1])):
+        height = array.sizes["y"]
+        low, high = (int(np.clip(f(corners[rows, :, 1]), 0, height)) for f in (np.min, np.max))
+        strip = {"y": slice(low, min(high + 2, height))}
         parts = [None if a is None else a.isel(strip).load() for a in (array, flags, sigma)]
-        values, marks, noise = parts
-        assert values is not None and marks is not None
-        for start, _ in places[places[:, 1] == top].tolist():
-            region = make_region(None, (start, 0, start + side - 1, side - 1), None)
-            mean = mean_of_region(values, marks, noise, region, budget.correlation)
-            here = with_place(budget, labels, next(known))
+        for place, outline, sigmas in zip(
+            places[rows].tolist(), corners[rows], known[rows], strict=True
+        ):
+            mean = _mean_of(parts, outline - (0, low), budget, labels, array)
+            here = with_place(budget, labels, sigmas)
             means.append(mean)
-            numbers.append(uncertain_region(mean, here, layer, (start, int(top))))
+            numbers.append(uncertain_region(mean, here, layer, place, owner=owner))
     fwhm = np.atleast_1d(array.fwhm.values).astype(float)
     unknown = tuple(row.name for row in budget.sources if row.basis == "unknown")
     return PatchMeans(layer, places, tuple(means), tuple(numbers), fwhm, unknown)
 
 
+CORNERS = np.array([(0.0, 0.0), (1, 0), (1, 1), (0, 1)])
+
+
+def _mean_of(
+    parts: Sequence[Any],
+    outline: np.ndarray,
+    budget: LayerBudget,
+    labels: Sequence[str],
+    array: xarray.DataArray,
+) -> MeanSpectrum:
+    """Return the mean of a patch; NaN in every band where it lies outside."""
+    values, marks, noise = parts
+    try:
+        return mean_of_region(values, marks, noise, Region(outline), budget.correlation)
+    except RegionRefused:
+        none = np.full(len(labels), np.nan)
+        wavelengths = np.atleast_1d(array.wavelength.values).astype(float)
+        return MeanSpectrum(labels, none, np.zeros(len(labels)), wavelengths)
+
+
 def weigh_bands(
     first: PatchMeans,
     second: PatchMeans,
-    sensitivities: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    sensitivities: Sensitivities,
     settings: AgreementSettings = SETTINGS,
 ) -> dict[int, np.ndarray]:
     """Return how the bands of the second are made of the first's, (2, n₁) each, by their number: by a cubic spline and by straight lines.
@@ -275,7 +324,7 @@ def weigh_bands(
 def compare_layers(
     first: PatchMeans,
     second: PatchMeans,
-    sensitivities: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    sensitivities: Sensitivities,
     settings: AgreementSettings = SETTINGS,
 ) -> PairAgreement | None:
     """Compare the bands of the second with what the first predicts; None where none can be."""
@@ -309,7 +358,8 @@ def compare_layers(
     if not made:
         return None
     unknown = tuple(dict.fromkeys((*first.unknown, *second.unknown)))
-    return PairAgreement(first.layer, second.layer, first.places, made, unknown)
+    names = first.name or first.layer.name, second.name or second.layer.name
+    return PairAgreement(first.layer, second.layer, first.places, made, unknown, names)
 
 
 def _weighted(one: Uncertain, weights: np.ndarray) -> Uncertain:
@@ -321,9 +371,7 @@ def _weighted(one: Uncertain, weights: np.ndarray) -> Uncertain:
     return Uncertain(made, {key: weights @ np.nan_to_num(row) for key, row in one.parts.items()})
 
 
-def _centre(
-    layer: PatchMeans, k: int, sensitivities: Mapping[str, tuple[np.ndarray, np.ndarray]]
-) -> float:
+def _centre(layer: PatchMeans, k: int, sensitivities: Sensitivities) -> float:
     """Return the wavelength of a band, nm; of a broad one the centroid of its sensitivity."""
     if np.isfinite(layer.wavelengths[k]):
         return float(layer.wavelengths[k])
@@ -339,7 +387,7 @@ def _band(label: str, centre: float, ratios: np.ndarray, expected: np.ndarray) -
 
 def compare_all(
     layers: Sequence[PatchMeans],
-    sensitivities: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]],
+    sensitivities: Mapping[str, Sensitivities],
 ) -> tuple[PairAgreement, ...]:
     """Compare all pairs of layers, the one with fewer bands against the spectrum of the other.
 
@@ -360,7 +408,7 @@ def agreement_in(
     root: Path,
     layers: Sequence[LayerId],
     budgets: Mapping[str, LayerBudget],
-    sensitivities: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]],
+    sensitivities: Mapping[str, Sensitivities],
 ) -> tuple[PairAgreement, ...]:
     """Compare the layers of one object of a database that hold reflectance; the first says where it is even.
 
