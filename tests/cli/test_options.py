@@ -193,7 +193,7 @@ def bases(root, database):
         "export": [database, "--for", "envi", "-o", root / "out"], "estimate": [database],
         "map": [database, "icon1", root / "points.csv"], "plan light": [BENCH],
         "plan exposure": frames, "plan filter": [*frames, "--setup", BENCH, "--camera", "d80"], "plan series": frames,
-        "methods": [database], "loops": [database],
+        "methods": [database], "loops": [database], "agree": [database, database],
         "estimate score": [database, root], "estimate apply": [database, root / "m.npz", "new"],
         "points convert": [root / "checks.csv", root / "out.csv"],
     }  # fmt: skip

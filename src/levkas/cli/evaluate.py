@@ -97,7 +97,7 @@ def agree(
             "--false-alarms",
             help="Share of unchanged pixels that are marked as changed.",
             min=1e-6,
-            max=0.2,
+            max=1.0,
         ),
     ] = 0.01,
     output: Annotated[

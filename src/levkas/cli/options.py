@@ -16,6 +16,7 @@ NEEDS: dict[str, Needs] = {
     "estimate score": {"--overwrite": ("--output",)},
     "evaluate": {"--frame": ("--points",), "--overwrite": ("--maps",)},
     "map": {"--overwrite": ("--output",)},
+    "agree": {"--overwrite": ("--output",)},
     "methods": {"--frame": ("--points",), "--overwrite": ("--output",)},
     "plan exposure": {
         "--setup-name": ("--setup",),
