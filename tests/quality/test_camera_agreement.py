@@ -31,7 +31,8 @@ def layer(name, nm, *, factor=1.0, noise=0.001, sources=(), setup="", seed=0):
         values = spectrum(nm, tone) * factor + rng.normal(0, noise, len(nm))
         mean = MeanSpectrum(labels, values, np.full(len(nm), noise), np.array(nm, float))
         means.append(mean)
-        numbers.append(uncertain_mean(mean, sources, layer=name, camera=name, region=(name, k)))
+        own = name + setup
+        numbers.append(uncertain_mean(mean, sources, layer=own, camera=name, region=(own, k)))
     fwhm = np.full(len(nm), 10.0)
     return PatchMeans(LayerId("icon", name, setup), PLACES, tuple(means), tuple(numbers), fwhm)
 

@@ -20,6 +20,7 @@ from levkas.calibration.error_sources import (
     uncertain_mean,
 )
 from levkas.core.problems import Problem
+from levkas.database.catalogue import DatabaseRefused
 from levkas.database.regions import TRUSTED, Region, RegionRefused
 
 if TYPE_CHECKING:
@@ -52,13 +53,29 @@ def read_budget(root: Path, layer: LayerId) -> LayerBudget:
 
     Raises
     ------
-    OSError, ValueError
-        Where the file cannot be read.
+    DatabaseRefused
+        ``E_DAMAGED`` where that is none.
     """
     path = root / "objects" / layer.object / PROVENANCE
     if not path.is_file():
         return LayerBudget()
-    steps: Sequence[Mapping[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["steps"]
+    try:
+        return _budget_in(json.loads(path.read_text(encoding="utf-8")), layer)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        problem = Problem(
+            "E_DAMAGED",
+            "what the layers of this object were made of cannot be read",
+            str(path),
+            found=f"{type(error).__name__}: {error}",
+            expected="steps with uncertainties, as a build writes them",
+            fix="Build it again.",
+        )
+        raise DatabaseRefused(problem) from error
+
+
+def _budget_in(record: Mapping[str, Any], layer: LayerId) -> LayerBudget:
+    """Read the budget of a layer off its object's provenance."""
+    steps: Sequence[Mapping[str, Any]] = record["steps"]
     mine = {
         s["stage"]: s for s in steps if (s["camera"], s["setup"]) == (layer.camera, layer.setup)
     }

@@ -72,6 +72,8 @@ class AgreementSettings:
 
 
 SETTINGS = AgreementSettings()
+SAME_NM, SAME_WIDTH = 1.0, 0.2
+"""By how much centres of bands, and widths relatively, may differ for the bands to be one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,13 +303,18 @@ def weigh_bands(
     known = np.flatnonzero(np.isfinite(nm))
     order = known[np.argsort(nm[known], kind="stable")]
     at, found = nm[order], {}
-    if len(at) < 2:
+    if not len(at):
         return {}
     for k, (label, centre) in enumerate(zip(second.labels, second.wavelengths, strict=True)):
+        if len(same := _same_band(first, centre, second.fwhm[k])):
+            found[k] = np.tile(np.arange(len(nm)) == same[0], (2, 1)).astype(float)
+            continue
         grid, weights = sensitivities.get(label, (np.array([centre]), np.ones(1)))
         if not np.isfinite(grid).all():
             continue
         weights = weights / weights.sum()
+        if len(at) < 2:
+            continue
         inside = (grid >= at[0]) & (grid <= at[-1])
         gaps = np.diff(at)[np.clip(np.searchsorted(at, grid) - 1, 0, len(at) - 2)]
         if weights[inside & (gaps <= 2 * settings.reach_nm)].sum() < 0.99:
@@ -319,6 +326,14 @@ def weigh_bands(
         rows[1, order] = [np.interp(within, at, one) @ weights for one in each]
         found[k] = rows
     return found
+
+
+def _same_band(layer: PatchMeans, centre: float, width: float) -> np.ndarray:
+    """Return the numbers of the bands that see what a band of some centre and width does."""
+    with np.errstate(invalid="ignore"):
+        near = np.abs(layer.wavelengths - centre) <= SAME_NM
+        wider = np.abs(layer.fwhm - width) > SAME_WIDTH * width
+    return np.flatnonzero(near & ~wider)
 
 
 def compare_layers(
