@@ -126,3 +126,15 @@ def test_uncertainties_that_are_none_are_refused(campaign, tmp_path, keys, field
     with pytest.raises(Refused) as refused:
         summarise(build(folder))
     assert [p.field for p in refused.value.problems] == [field]
+
+
+def test_the_dataset_of_a_layer_has_the_budget_as_obsarray_reads_it(campaign, tmp_path):
+    made = levkas.open(campaign / "database")["panel"].dataset("cam")
+    assert made["values"].attrs["unc_comps"][0] == "sigma"
+    lamp = made["u_lamp_between_white_and_object"]
+    assert lamp.dims == ("band",) and lamp.attrs["units"] == "%"
+    rows = rows_of(campaign)["lamp between white and object"]["size"]
+    assert lamp.values == pytest.approx([100 * rows[str(b)] for b in made.band.values])
+    forms = {lamp.attrs[f"err_corr_{n}_dim"]: lamp.attrs[f"err_corr_{n}_form"] for n in (1, 2, 3)}
+    assert forms == {"y": "systematic", "x": "systematic", "band": "random"}
+    assert "u_photons_and_read_noise" not in made

@@ -134,14 +134,24 @@ class Object(Mapping[Any, "LayerArray"]):
     def dataset(self, camera: str, setup: str = "") -> xarray.Dataset:
         """Return a layer as one `xarray.Dataset`, lazily: ``values``, ``flags`` and, where it is known, ``sigma``.
 
-        Attributes are those of the CF conventions.
+        Attributes are those of the CF conventions; ``u_SOURCE`` (band) are the rows of its uncertainty budget that are known, with
+        their correlation as obsarray's conventions have it, and ``unc_comps`` of the values names them.
         """
+        from levkas.database.region_uncertainty import budget_variables, read_budget
+
         values = self[camera, setup]
         parts = {"values": values, "flags": values.flags, "sigma": values.sigma}
         known = {name: xarray.DataArray(part) for name, part in parts.items() if part is not None}
-        return xarray.Dataset(
-            known, attrs={"Conventions": "CF-1.11", "title": f"{self.name}, {values.name}"}
+        budget = read_budget(self.path, self._layer((camera, setup)))
+        rows = budget_variables(budget, values.band)
+        made = xarray.Dataset(
+            {**known, **rows},
+            attrs={"Conventions": "CF-1.11", "title": f"{self.name}, {values.name}"},
         )
+        components = ["sigma"] if "sigma" in known else []
+        if components or rows:
+            made["values"].attrs["unc_comps"] = [*components, *rows]
+        return made
 
     def position_sigma(
         self, camera: str, band: str | None = None, setup: str = ""

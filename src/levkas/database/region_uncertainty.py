@@ -87,6 +87,40 @@ def _budget_in(record: Mapping[str, Any], layer: LayerId) -> LayerBudget:
     )
 
 
+def budget_variables(budget: LayerBudget, band: xarray.DataArray) -> dict[str, xarray.DataArray]:
+    """Return the known rows of a budget as arrays over `band`, named and described after obsarray's conventions.
+
+    ``err_corr_N_form`` says of each dimension whether one draw of the error holds along it ("systematic") or each place has its
+    own ("random"). Rows of single pixels are what sigma is made of, and are left out.
+    """
+    found = {}
+    for row in budget.sources:
+        if not row.size or row.common_to == "pixel":
+            continue
+        sizes = np.array([row.size.get(str(label), np.nan) for label in np.atleast_1d(band.values)])
+        percent = row.unit == "relative"
+        attributes: dict[str, Any] = {
+            "long_name": f"standard uncertainty by {row.name}",
+            "units": {"relative": "%", "reflectance": "1"}.get(row.unit, row.unit),
+            "pdf_shape": "gaussian",
+            "common_to": row.common_to,
+            "basis": row.basis,
+        }
+        line = row.common_to == "line"
+        forms = {"y": line, "x": False, "band": not row.all_bands}
+        for n, (dim, random) in enumerate(forms.items(), 1):
+            form = "random" if random else "systematic"
+            attributes |= {f"err_corr_{n}_dim": dim, f"err_corr_{n}_form": form}
+            attributes |= {f"err_corr_{n}_params": [], f"err_corr_{n}_units": []}
+        name = "u_" + row.name.replace(" ", "_")
+        if name in found:  # a second part of the same source, in another unit
+            name += f"_{row.unit}"
+        found[name] = xarray.DataArray(
+            100 * sizes if percent else sizes, {"band": band}, ("band",), attrs=attributes
+        )
+    return found
+
+
 def position_sigmas(
     root: Path, layer: LayerId, labels: Sequence[str], places: np.ndarray
 ) -> np.ndarray:
