@@ -80,8 +80,7 @@ def work(folder: Path, memory: float) -> None:
 
     from levkas.campaign.campaign import load_campaign
     from levkas.campaign.discovery.find_captures import find_captures
-    from levkas.database.layers import Layer
-    from levkas.database.streaming_writer import write_rows
+    from levkas.database.layers import Layer, write_layer
     from levkas.geometry.transforms import Affine, Composed, Lens
     from levkas.stages.scans import open_scan
     from levkas.stages.streaming import resample_scan
@@ -106,18 +105,10 @@ def work(folder: Path, memory: float) -> None:
     lens = Lens(np.array([samples / 2, lines / 2]), lines / 2.0, (1e-4, 0.0))
     one = Composed(Affine(np.array([[2.0, 0.002, 0.5], [0.0001, 2.0, 0.5]])), lens)
     start = time.perf_counter()
-    blocks = resample_scan(scan, [one] * bands, size, spool=folder)
-    made = write_rows(
-        folder / "database",
-        Layer("panel", "scan"),
-        blocks,
-        size=size,
-        bands=scan.bands,
-        quantity=scan.quantity,
-        sigma=scan.has_sigma,
-    )
+    rows = resample_scan(scan, [one] * bands, size, spool=folder)
+    _, files = write_layer(folder / "database", Layer("panel", "scan"), rows)
     seconds = time.perf_counter() - start
-    written = sum(path.stat().st_size for path in made.files)
+    written = sum(path.stat().st_size for path in files)
     print(json.dumps({"seconds": seconds, "peak": peak[0] * 1024, "written": written}))
 
 

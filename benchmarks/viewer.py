@@ -57,7 +57,7 @@ def write_database(root: Path, count: int, width: int) -> None:
             values.astype(np.float32), np.zeros(values.shape, np.uint8), None, bands, "reflectance"
         )
         layer = Layer(f"panel{number:03d}", "d80")
-        entries.append(write_layer(root, layer, cube, zarr=False)[0])
+        entries.append(write_layer(root, layer, cube)[0])
     write_catalogue(root, entries)
 
 
@@ -74,7 +74,7 @@ def write_one(root: Path) -> None:
         sigma = np.full(values.shape, 0.01, np.float32)
         bands = tuple(Band(n, float(n.split()[0]), 10.0) if "nm" in n else Band(n) for n in names)
         cube = Cube(values.astype(np.float32), flags, sigma, bands, "reflectance")
-        entries.append(write_layer(root, Layer("panel", camera), cube, zarr=False)[0])
+        entries.append(write_layer(root, Layer("panel", camera), cube)[0])
     write_catalogue(root, entries)
 
 

@@ -10,9 +10,7 @@ import levkas
 HOUSE = Path(levkas.__file__).parent
 FILES = sorted(HOUSE.rglob("*.py"))
 MOST_BODY, MOST_PARAMETERS, MOST_DEPTH, MOST_ENTRIES = 60, 8, 5, 19
-WIDE = {
-    "levkas.database.streaming_writer.write_rows",
-}
+WIDE: set = set()
 PUBLIC = {"levkas.simulation.campaigns.simulate_campaign"}
 """Functions of `levkas.__all__`: programs of others call them, and their parameters may only grow."""
 DEEP: set = set()

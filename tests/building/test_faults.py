@@ -492,10 +492,10 @@ def test_a_failed_write_leaves_no_threads_to_be_collected(tmp_path, monkeypatch)
 
     monkeypatch.setattr(spectral_tiff, "ThreadPoolExecutor", Pool)
     monkeypatch.setattr(files, "fault", Fault(3, "failing"))
-    planes = [np.zeros((40, 50), np.float32)] * 5
+    cube = np.zeros((40, 50, 5), np.float32)
     with pytest.raises(Refused) as refused:
         header = spectral_tiff.TiffHeader((40, 50), range(5))
-        spectral_tiff.write_spectral_tiff(tmp_path / "a.tif", planes, header)
+        spectral_tiff.write_pages(tmp_path / "a.tif", [cube], header)
     assert refused.value.problems[0].code == "E_IO"
     assert pools and all(pool._shutdown for pool in pools)
 

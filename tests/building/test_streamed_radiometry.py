@@ -111,7 +111,7 @@ def two_setups(tmp_path):
     paint = np.kron(rng.uniform(0.05, 0.7, (12, 15, 3)), np.ones((8, 8, 1))).astype(np.float32)
     bands = tuple(Band(str(b)) for b in range(3))
     default = Cube(paint, np.zeros(paint.shape, np.uint8), None, bands, "reflectance")
-    write_layer(tmp_path, Layer("icon", "scan"), default, zarr=False)
+    write_layer(tmp_path, Layer("icon", "scan"), default)
     base = tmp_path / "objects" / "icon" / "icon_scan"
     layer = DefaultLayer.open(base.with_suffix(".tif"), base.with_suffix(".flags.tif"), paint.shape)
     shown = paint * np.array([1.1, 1.05, 0.95], np.float32)

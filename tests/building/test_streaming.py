@@ -1,5 +1,6 @@
 """Line scans, calibrated by blocks of lines; those larger than memory are shown with lowered limits."""
 
+import json
 import shutil
 
 import numpy as np
@@ -11,10 +12,10 @@ from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core import disk
-from levkas.core.cube import Band, Cube, Flag
+from levkas.core.cube import Band, Cube, CubeRows, Flag
 from levkas.core.digests import hash_tree
 from levkas.database.layers import Layer, write_layer
-from levkas.database.streaming_writer import write_rows
+from levkas.database.spectral_tiff import read_stiff
 from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Affine
 from levkas.stages import register, scan_templates, scans, streaming
@@ -78,7 +79,7 @@ def test_rows_are_resampled_as_the_whole_is(scan_and_cube, monkeypatch, tmp_path
     )
     held = 9 * len(cube.bands) * w * 30
     monkeypatch.setattr(streaming, "HELD_BYTES", held)
-    blocks = list(streaming.resample_scan(scan, maps, size, spool=tmp_path))
+    blocks = list(streaming.resample_scan(scan, maps, size, spool=tmp_path).blocks)
     assert len(blocks) > 2
     values = np.concatenate([b.values for b in blocks])
     flags = np.concatenate([b.flags for b in blocks])
@@ -88,7 +89,7 @@ def test_rows_are_resampled_as_the_whole_is(scan_and_cube, monkeypatch, tmp_path
     assert np.nanmax(np.abs(sigma / np.sqrt(whole.variance) - 1)) < 1e-3
     for tile in ("11", "whole"):  # neither a part of a strip nor a multiple of it
         monkeypatch.setenv("LEVKAS_TILE", tile)
-        others = list(streaming.resample_scan(scan, maps, size, spool=tmp_path))
+        others = list(streaming.resample_scan(scan, maps, size, spool=tmp_path).blocks)
         assert len(others) != len(blocks)
         assert np.array_equal(np.concatenate([b.values for b in others]), values, equal_nan=True)
         assert np.array_equal(np.concatenate([b.flags for b in others]), flags)
@@ -122,14 +123,14 @@ def test_of_a_scan_that_lies_askew_many_lines_are_held_and_a_very_large_one_is_r
     scan, cube = scan_and_cube
     maps = [Affine(np.array([[0.7, -0.7, 20], [0.7, 0.7, 0]]))] * len(cube.bands)
     monkeypatch.setattr(streaming, "HELD_BYTES", 9 * len(cube.bands) * cube.values.shape[1] * 30)
-    blocks = list(streaming.resample_scan(scan, maps, (40, 40), spool=tmp_path))
+    blocks = list(streaming.resample_scan(scan, maps, (40, 40), spool=tmp_path).blocks)
     whole = warp(cube.values, maps, (40, 40), flags=cube.flags)
     values = np.concatenate([block.values for block in blocks])
     assert np.isfinite(values).any()
     np.testing.assert_allclose(values, whole.values, atol=1e-4)
     monkeypatch.setattr(streaming, "ASKEW_BYTES", streaming.HELD_BYTES)
     with pytest.raises(streaming.ScanRefused, match="tilted relative to the grid"):
-        next(streaming.resample_scan(scan, maps, (40, 40), spool=tmp_path))
+        next(streaming.resample_scan(scan, maps, (40, 40), spool=tmp_path).blocks)
 
 
 @pytest.mark.parametrize("step", [1, 7, 64, 1000])
@@ -142,7 +143,7 @@ def test_rows_are_written_as_the_whole_is(tmp_path, step):
     cube = Cube(values, flags, (values / 50).astype(np.float32), bands, "reflectance")
     layer = Layer("icon", "v10")
     write_layer(tmp_path / "whole", layer, cube)
-    blocks = (
+    blocks = [
         Cube(
             values[y : y + step],
             flags[y : y + step],
@@ -151,18 +152,21 @@ def test_rows_are_written_as_the_whole_is(tmp_path, step):
             "reflectance",
         )
         for y in range(0, shape[0], step)
-    )
-    made = write_rows(
-        tmp_path / "rows",
-        layer,
-        blocks,
-        size=(90, 150),
-        bands=bands,
-        quantity="reflectance",
-        sigma=True,
-    )
+    ]
+    rows = CubeRows(blocks, shape, bands, "reflectance", has_sigma=True)
+    entry, files = write_layer(tmp_path / "rows", layer, rows)
     assert hash_tree(tmp_path / "rows") == hash_tree(tmp_path / "whole")
-    assert made.entry.bands == 12 and all(path.is_file() for path in made.files)
+    assert entry.bands == 12 and all(path.is_file() for path in files)
+
+
+def test_the_count_that_is_shown_as_white_is_stated_in_the_file(tmp_path):
+    values = np.full((50, 50, 1), 3000, np.float32)
+    values[:25] = 30
+    cube = Cube(values, np.zeros(values.shape, np.uint8), None, (Band("xray"),), "counts")
+    _, files = write_layer(tmp_path, Layer("icon", "x"), cube)
+    _, _, rgb, text = read_stiff(files[0])
+    assert rgb[40, 0].tolist() == [255, 255, 255]
+    assert json.loads(text)["rendering"] == "greyscale: xray; counts, 3000 shown as white"
 
 
 @pytest.fixture(scope="module")

@@ -10,15 +10,15 @@ from levkas.colour.observer import tables
 from levkas.colour.srgb import (
     SRGB_TO_XYZ,
     camera_matrix,
+    counts_white,
     encode_srgb,
     find_rendering,
     observer_under,
-    preview,
     srgb_profile,
     visible_coverage,
     xyz_weights,
 )
-from levkas.core.cube import Band, Cube
+from levkas.core.cube import Band
 from levkas.database.preview import encode_png
 
 OBSERVER = science.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
@@ -121,10 +121,9 @@ def test_letters_of_channels_make_the_colours_of_figure_13():
     names = ["R1", "G1", "B1", "R2", "G2", "B2", "IR"]
     values = np.zeros((1, 1, 7), np.float32)
     values[..., [0, 3]] = 0.5, 1.0
-    cube = Cube(values, np.zeros((1, 1, 7), np.uint8), None, tuple(map(Band, names)))
-    rgb, text = preview(cube)
-    assert rgb[0, 0].tolist() == [encode_srgb(np.array(0.75)), 0, 0]
-    assert text == "pseudo-colour: R1+R2 / G1+G2 / B1+B2 as red/green/blue"
+    rendering = find_rendering([Band(name) for name in names])
+    assert rendering(values)[0, 0].tolist() == [encode_srgb(np.array(0.75)), 0, 0]
+    assert rendering.description == "pseudo-colour: R1+R2 / G1+G2 / B1+B2 as red/green/blue"
     assert (
         find_rendering([Band(f"B{i}") for i in range(1, 10)]).description
         == "greyscale: mean of 9 bands"
@@ -165,22 +164,16 @@ def test_an_infrared_camera_with_sensitivities_is_not_called_colour():
     assert not find_rendering([Band("a"), Band("b"), Band("c")], sensitivity=(nm, table)).colour
 
 
-def test_counts_are_scaled_and_this_is_said():
+def test_counts_are_scaled_and_photographs_are_not():
     values = np.full((50, 50, 1), 3000, np.float32)
     values[:25] = 30
-    cube = Cube(values, np.zeros(values.shape, np.uint8), None, (Band("xray"),), "counts")
-    rgb, text = preview(cube)
-    assert rgb[40, 0].tolist() == [255, 255, 255]
-    assert text == "greyscale: xray; counts, 3000 shown as white"
-    photo = Cube(
-        np.float32([[[10, 100, 255]]]),
-        np.zeros((1, 1, 3), np.uint8),
-        None,
-        tuple(map(Band, "RGB")),
-        "counts",
-    )
-    rgb, text = preview(photo, encoded=True, white=255)
-    assert (rgb[0, 0].tolist(), text) == ([10, 100, 255], "the camera's RGB as it is")
+    rendering = find_rendering([Band("xray")])
+    white = counts_white(values, rendering)
+    assert white == 3000
+    assert rendering(values, white=white)[40, 0].tolist() == [255, 255, 255]
+    photo = find_rendering([Band(name) for name in "RGB"], encoded=True)
+    assert photo(np.float32([[[10, 100, 255]]]), white=255)[0, 0].tolist() == [10, 100, 255]
+    assert photo.description == "the camera's RGB as it is"
 
 
 def test_a_preview_in_blocks_is_the_whole_and_the_input_stays():

@@ -16,11 +16,10 @@ from levkas.database.credits import Credits
 from levkas.database.spectral_tiff import (
     TiffHeader,
     encode_strip,
-    planes_of,
     read_mtiff,
     read_stiff,
     read_tiff_pages,
-    write_spectral_tiff,
+    write_pages,
     write_stiff,
 )
 from levkas.database.tiff_pages import TiffRefused, open_pages
@@ -34,9 +33,10 @@ def smooth_cube(height=150, width=700, bands=5, seed=0):
 
 
 def write(path, cube, **options):
-    threads, centres = options.pop("threads", None), range(400, 400 + 10 * cube.shape[2], 10)
+    centres, step = range(400, 400 + 10 * cube.shape[2], 10), options.pop("step", len(cube))
     facts = {"wavelengths": centres, "dtype": cube.dtype, "rgb": RGB} | options
-    write_spectral_tiff(path, planes_of(cube), TiffHeader(cube.shape[:2], **facts), threads=threads)
+    blocks = (cube[y : y + step] for y in range(0, len(cube), step))
+    write_pages(path, blocks, TiffHeader(cube.shape[:2], **facts))
 
 
 cubes = hnp.arrays(
@@ -92,21 +92,25 @@ def test_tifffile_reads_the_bands_and_the_tags_are_as_agreed(tmp_path):
         assert render.software.startswith("levkas")
 
 
-def test_the_bytes_do_not_depend_on_threads_or_on_what_is_kept_of_a_plane(tmp_path):
+def test_the_bytes_do_not_depend_on_threads_or_on_how_rows_come(tmp_path, monkeypatch):
     cube = smooth_cube()
-    buffer = np.empty(cube.shape[:2], np.float32)
+    for threads, step in ((1, 150), (3, 150), (3, 7), (3, 100)):
+        monkeypatch.setenv("LEVKAS_THREADS", str(threads))
+        write(tmp_path / f"{threads} {step}.tif", cube, step=step)
+    assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
+
+
+def test_rows_whose_memory_is_used_again_are_written_as_they_came(tmp_path):
+    cube = smooth_cube()
+    buffer = np.empty((50, *cube.shape[1:]), np.float32)
 
     def reused():
-        for band in range(cube.shape[2]):
-            buffer[...] = cube[:, :, band]
+        for row in range(0, 150, 50):
+            buffer[...] = cube[row : row + 50]
             yield buffer
 
-    for threads in (1, 3):
-        write(tmp_path / f"{threads}.tif", cube, threads=threads)
-    header = TiffHeader(cube.shape[:2], range(400, 450, 10), rgb=RGB)
-    write_spectral_tiff(tmp_path / "reused.tif", reused(), header)
-    first, second, third = (p.read_bytes() for p in sorted(tmp_path.iterdir()))
-    assert first == second == third
+    write_pages(tmp_path / "a.tif", reused(), TiffHeader(cube.shape[:2], range(5)))
+    np.testing.assert_array_equal(read_tiff_pages(tmp_path / "a.tif"), cube)
 
 
 def test_rows_and_bands_are_read_alone(tmp_path):
@@ -168,17 +172,14 @@ def test_lists_that_differ_are_refused(tmp_path):
         read_stiff(tmp_path / "a.tif")
 
 
-def test_bands_of_another_number_or_size_leave_no_file(tmp_path):
-    planes = [np.zeros((4, 5), np.float32)] * 3
-    for count, more, code in (
-        (2, [], "E_BAND_COUNT"),
-        (4, [], "E_BAND_COUNT"),
-        (4, [planes[0].T], "E_SIZE"),
-    ):
+def test_bands_of_another_number_and_missing_rows_leave_no_file(tmp_path):
+    cube = np.zeros((4, 5, 3), np.float32)
+    for count in (2, 4):
         with pytest.raises(TiffRefused) as info:
-            header = TiffHeader((4, 5), range(count))
-            write_spectral_tiff(tmp_path / "a.tif", planes + more, header)
-        assert info.value.problems[0].code == code
+            write_stiff(tmp_path / "a.tif", cube, range(count), None)
+        assert info.value.problems[0].code == "E_BAND_COUNT"
+    with pytest.raises(ValueError, match="4 rows of 5"):
+        write_pages(tmp_path / "a.tif", [cube], TiffHeader((5, 5), range(3)))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from levkas.core.files import spooling
-from levkas.database.spectral_tiff import encode_strip, strip_rows
-from levkas.database.streaming_writer import PageSpool
+from levkas.database.spectral_tiff import PageSpool, encode_strip, strip_rows
 
 
 @pytest.fixture

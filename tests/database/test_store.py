@@ -11,7 +11,7 @@ from levkas.core.cube import Band, Cube, Flag
 from levkas.core.digests import hash_tree
 from levkas.core.disk import WriteRefused
 from levkas.database import store
-from levkas.database.store import chunks_of, write_index, write_layer_store, writing_layer
+from levkas.database.store import chunks_of, write_index, writing_layer
 
 
 def cube_of(height=70, width=90, bands=5, *, seed=0, sigma=True):
@@ -21,6 +21,15 @@ def cube_of(height=70, width=90, bands=5, *, seed=0, sigma=True):
     labels = tuple(Band(f"{400 + 10 * i} nm", 400.0 + 10 * i, 7.0) for i in range(bands))
     flags = rng.integers(0, 128, values.shape, dtype=np.uint8)
     return Cube(values, flags, np.abs(values) if sigma else None, labels)
+
+
+def write_layer_store(root, name, cube, *, attributes=None):
+    facts = {"quantity": cube.quantity, **(attributes or {})}
+    shape, noisy = cube.values.shape, cube.sigma is not None
+    with writing_layer(
+        root, name, shape=shape, bands=cube.bands, attributes=facts, sigma=noisy
+    ) as layer:
+        layer.write_rows(cube.values, cube.flags, cube.sigma)
 
 
 def opened(root, name="cam", **options):

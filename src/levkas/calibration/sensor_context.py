@@ -60,7 +60,7 @@ SAMPLED, PERIODS = 1 << 18, 20
 
 
 class Averages(Protocol):
-    """Templates that are kept from one average to the next, as `building.template_cache` does."""
+    """Templates that are kept from one average to the next, as `stages.template_cache` does."""
 
     def template(
         self, frames: Sequence[FrameRef], average: Callable[[], Template], **parameters: object

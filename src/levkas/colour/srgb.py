@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from levkas.colour.illuminants import Light
-    from levkas.core.cube import Band, Cube
+    from levkas.core.cube import Band
 
 SRGB_TO_XYZ = np.array(
     [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
@@ -200,40 +200,6 @@ def find_rendering(
     if len(bands) >= 3 and np.all(np.isfinite(wavelengths)):
         return _in_colour(wavelengths) or _false_colour(bands, wavelengths)
     return _by_letters(bands, encoded) or _grey(bands, encoded)
-
-
-def preview(
-    cube: Cube,
-    *,
-    sensitivity: tuple[np.ndarray, np.ndarray] | None = None,
-    encoded: bool = False,
-    white: float | None = None,
-) -> tuple[np.ndarray, str]:
-    """Render a cube for the eye.
-
-    Parameters
-    ----------
-    cube : Cube
-    sensitivity, encoded
-        As in `find_rendering`.
-    white : float, optional
-        Value shown as white. Default: 1.0 for reflectance; for counts, their 99.5 % point.
-
-    Returns
-    -------
-    rgb : ndarray, (height, width, 3), uint8
-        sRGB.
-    description : str
-        What is shown.
-    """
-    rendering = find_rendering(cube.bands, sensitivity=sensitivity, encoded=encoded)
-    text = rendering.description
-    if white is None and cube.quantity == "reflectance":
-        white = 1.0
-    elif white is None:
-        white = counts_white(cube.values, rendering)
-        text += f"; counts, {white:g} shown as white"
-    return rendering(cube.values, white=white), text
 
 
 def counts_white(values: np.ndarray, rendering: Rendering, *, step: int = 4) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from levkas.core.problems import Problem, Refused, closest_match
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     import xarray
 
@@ -140,6 +140,22 @@ class Cube:
         """Band labels in order."""
         return [band.label for band in self.bands]
 
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(height, width, bands)."""
+        height, width, bands = self.values.shape
+        return height, width, bands
+
+    @property
+    def has_sigma(self) -> bool:
+        """Whether the noise is known."""
+        return self.sigma is not None
+
+    @property
+    def blocks(self) -> tuple[Cube]:
+        """The cube itself, as the one block of its rows."""
+        return (self,)
+
     def to_xarray(self, **attributes: Any) -> xarray.DataArray:
         """Return a labelled array, dims ``("y", "x", "band")``."""
         import xarray
@@ -151,6 +167,29 @@ class Cube:
         }
         attributes = {"quantity": self.quantity, **attributes}
         return xarray.DataArray(self.values, coords, ("y", "x", "band"), attrs=attributes)
+
+
+@dataclass(frozen=True)
+class CubeRows:
+    """A cube that comes some rows at a time, from top to bottom; a `Cube` is its own one block.
+
+    Parameters
+    ----------
+    blocks : iterable of Cube
+        Any number of rows each; taken once.
+    shape : (height, width, bands)
+        Of all rows together.
+    bands, quantity
+        As of `Cube`.
+    has_sigma : bool
+        Whether every block has sigma.
+    """
+
+    blocks: Iterable[Cube]
+    shape: tuple[int, int, int]
+    bands: tuple[Band, ...]
+    quantity: str
+    has_sigma: bool
 
 
 def band_labels(wavelengths: Sequence[float]) -> list[str]:

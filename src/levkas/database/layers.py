@@ -1,8 +1,10 @@
-"""Writing the files of one layer together: spectral TIFF, flags, sigma, preview, Zarr."""
+"""Writing the files of one layer together, row by row: spectral TIFF, flags, sigma, preview, Zarr."""
 
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from math import isnan, nan
 from pathlib import Path
@@ -10,21 +12,32 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.colour.srgb import preview
+from levkas.colour.srgb import counts_white, find_rendering
 from levkas.core.digests import hash_file
-from levkas.core.files import remove, together
+from levkas.core.files import remove, spooling, together
+from levkas.core.machine import count_threads
 from levkas.core.rounding import SIGMA_DROP, is_rounded, round_sigma
+from levkas.core.threads import made_ahead
 from levkas.database.catalogue import ESTIMATED, MEASURED, Entry
 from levkas.database.credits import Credits
 from levkas.database.layout import SIGMA, LayerId, layer_name
 from levkas.database.preview import write_preview
-from levkas.database.spectral_tiff import TiffHeader, planes_of, write_spectral_tiff
-from levkas.database.store import write_layer_store
+from levkas.database.spectral_tiff import (
+    THREADS,
+    PageSpool,
+    TiffHeader,
+    write_encoded_pages,
+)
+from levkas.database.store import writing_layer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from levkas.core.cube import Band, Cube
+    from levkas.colour.srgb import Rendering
+    from levkas.core.cube import Band, Cube, CubeRows
+
+KINDS = {"values": "", "flags": ".flags", "sigma": ".sigma"}
+DTYPES = {"values": np.float32, "flags": np.uint8, "sigma": np.float32}
 
 
 @dataclass(frozen=True)
@@ -77,33 +90,43 @@ class Layer:
         return {key: value for key, value in facts.items() if value is not None}
 
 
+def entry_of_layer(
+    layer: Layer, shape: tuple[int, int, int], quantity: str, verdict: str, tiff: Path
+) -> Entry:
+    """Return the layer's row of the catalogue."""
+    height, width, count = shape
+    return Entry(
+        *(layer.object, layer.camera, layer.setup, count, width, height, layer.px_per_mm),
+        *(quantity, verdict, hash_file(tiff), MEASURED if layer.estimate is None else ESTIMATED),
+    )
+
+
 def write_layer(
     database: str | Path,
     layer: Layer,
-    cube: Cube,
+    rows: Cube | CubeRows,
     *,
     verdict: str = "accept",
     encoded: bool = False,
-    zarr: bool = True,
-    threads: int | None = None,
+    white: float | None = None,
     before: Callable[[], object] | None = None,
 ) -> tuple[Entry, tuple[Path, ...]]:
-    """Write all files of one registered layer.
+    """Write all files of one registered layer, its rows from top to bottom as they come.
+
+    The bytes are the same for any number of rows at a time, and only a few are in memory.
 
     Parameters
     ----------
     database : path
     layer : Layer
-    cube : Cube
+    rows : Cube or CubeRows
         On the grid.
     verdict : str
         For the catalogue.
     encoded : bool
         Whether the values are encoded as sRGB, for the picture.
-    zarr : bool
-        Whether the Zarr layer is written too.
-    threads : int, optional
-        For compression; the bytes are the same for any number.
+    white : float, optional
+        Count shown as white; default: by what is brightest in the first rows that come.
     before : callable, optional
         As of `levkas.core.files.together`.
 
@@ -120,79 +143,136 @@ def write_layer(
         Where the disk refuses; all files are then the old ones, unless it refuses a name.
     """
     database = Path(database)
-    picture, description = preview(cube, encoded=encoded)
-    cube = rounded(cube)
     base = database / "objects" / layer.object / layer.stem
-    png = base.with_name(base.name + ".png")
     root = database / "zarr" / f"{layer.object}.zarr"
-    scale = None if isnan(layer.px_per_mm) else layer.px_per_mm
-    with together(before):
-        written = write_tiffs(
-            base, layer, cube, rgb=picture, rendering=description, threads=threads
-        )
-        write_preview(png, picture, description=description, px_per_mm=scale)
+    picture = _Picture(rows, find_rendering(rows.bands, encoded=encoded), white)
+    with (
+        together(before),
+        _SpooledTiffs(base, rows) as tiffs,
+        writing_layer(
+            root,
+            layer.name,
+            shape=rows.shape,
+            bands=rows.bands,
+            attributes={"quantity": rows.quantity, **layer.attributes(rows.quantity, rows.bands)},
+            sigma=rows.has_sigma,
+        ) as store,
+        ThreadPoolExecutor(1, thread_name_prefix="store") as beside,
+    ):
+        for block in made_ahead(rows.blocks):
+            part = rounded(block)
+            stored = beside.submit(store.write_rows, part.values, part.flags, part.sigma)
+            tiffs.write_rows(part)
+            picture.paint(part.values)
+            stored.result()
+            del block, part  # before the rows after the next are made
+        written = tiffs.finish(layer, rgb=picture.rgb, rendering=picture.description)
+        png = base.with_name(base.name + ".png")
+        scale = None if isnan(layer.px_per_mm) else layer.px_per_mm
+        write_preview(png, picture.rgb, description=picture.description, px_per_mm=scale)
         written.append(png)
-        if zarr:
-            write_layer_store(
-                root, layer.name, cube, attributes=layer.attributes(cube.quantity, cube.bands)
-            )
-    if zarr:
-        written += sorted(p for p in (root / layer.name).rglob("*") if p.is_file())
-    height, width, count = cube.values.shape
-    entry = entry_of_layer(layer, (height, width, count), cube.quantity, verdict, written[0])
-    return entry, tuple(written)
+    written += sorted(p for p in (root / layer.name).rglob("*") if p.is_file())
+    return entry_of_layer(layer, rows.shape, rows.quantity, verdict, written[0]), tuple(written)
 
 
-def entry_of_layer(
-    layer: Layer, shape: tuple[int, int, int], quantity: str, verdict: str, tiff: Path
-) -> Entry:
-    """Return the layer's row of the catalogue."""
-    height, width, count = shape
-    return Entry(
-        *(layer.object, layer.camera, layer.setup, count, width, height, layer.px_per_mm),
-        *(quantity, verdict, hash_file(tiff), MEASURED if layer.estimate is None else ESTIMATED),
-    )
-
-
-def write_tiffs(
-    base: Path,
-    layer: Layer,
-    cube: Cube,
-    *,
-    rgb: np.ndarray | None = None,
-    rendering: str = "",
-    threads: int | None = None,
-) -> list[Path]:
+def write_tiffs(base: Path, layer: Layer, rows: Cube | CubeRows) -> list[Path]:
     """Write `base`.tif, .flags.tif and, where the noise is known, .sigma.tif; raises WriteRefused.
 
-    An older .sigma.tif goes where the noise is not known any more.
     Also for the native files of single sensors.
     """
-    facts = layer.attributes(cube.quantity, cube.bands)
-    of_values = facts_of_values(facts, rendering, sigma=cube.sigma is not None)
-    parts: list[tuple[str, np.ndarray, dict[str, Any]]] = [
-        (".tif", cube.values, of_values),
-        (".flags.tif", cube.flags, {**facts, "quantity": "flags"}),
-    ]
-    if cube.sigma is not None:
-        parts.append((".sigma.tif", cube.sigma, {**facts, "quantity": f"sigma of {cube.quantity}"}))
-    elif (stale := base.with_name(base.name + ".sigma.tif")).is_file():
-        remove(stale)
-    written = []
-    for suffix, values, more in parts:
-        path = base.with_name(base.name + suffix)
-        header = TiffHeader(
-            (values.shape[0], values.shape[1]),
-            centres_of(cube.bands, layer.centroids),
-            describe_bands(cube.bands, more),
-            dtype=values.dtype,
-            rgb=rgb if suffix == ".tif" else None,
-            px_per_mm=facts.get("px_per_mm"),
-            credits=layer.credits,
-        )
-        write_spectral_tiff(path, planes_of(values), header, threads=threads)
-        written.append(path)
-    return written
+    with _SpooledTiffs(base, rows) as tiffs:
+        for block in made_ahead(rows.blocks):
+            tiffs.write_rows(block)
+            del block
+        return tiffs.finish(layer)
+
+
+class _Picture:
+    """The rows of a layer, painted in sRGB as they pass; `white` is the count shown as white."""
+
+    def __init__(self, rows: Cube | CubeRows, rendering: Rendering, white: float | None) -> None:
+        self.rgb = np.zeros((*rows.shape[:2], 3), np.uint8)
+        self._rendering, self._row = rendering, 0
+        self._white = 1.0 if rows.quantity == "reflectance" else white
+        self._counts = rows.quantity != "reflectance"
+
+    def paint(self, values: np.ndarray) -> None:
+        if self._white is None:
+            self._white = counts_white(values, self._rendering)
+        end = self._row + len(values)
+        self.rgb[self._row : end] = self._rendering(values, white=self._white)
+        self._row = end
+
+    @property
+    def description(self) -> str:
+        shown = f"; counts, {self._white:g} shown as white" if self._counts else ""
+        return self._rendering.description + shown
+
+
+class _SpooledTiffs:
+    """Values, flags and, where it is known, sigma of one layer or sensor, written row by row.
+
+    To be used as a context; `finish` writes the files.
+    """
+
+    def __init__(self, base: Path, rows: Cube | CubeRows) -> None:
+        self._base, self._rows = base, rows
+        self._spools: dict[str, PageSpool] = {}
+
+    def __enter__(self) -> _SpooledTiffs:
+        with ExitStack() as stack:
+            pool = stack.enter_context(ThreadPoolExecutor(count_threads(THREADS)))
+            for kind in KINDS:
+                if kind != "sigma" or self._rows.has_sigma:
+                    path = self._path(kind)
+                    handle = stack.enter_context(spooling(path.parent, path.name))
+                    self._spools[kind] = PageSpool(handle, self._rows.shape, DTYPES[kind], pool)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+
+    def _path(self, kind: str) -> Path:
+        return self._base.with_name(f"{self._base.name}{KINDS[kind]}.tif")
+
+    def write_rows(self, block: Cube) -> None:
+        """Take rows of all arrays."""
+        for kind, spool in self._spools.items():
+            spool.write_rows(getattr(block, kind))
+
+    def finish(
+        self, layer: Layer, *, rgb: np.ndarray | None = None, rendering: str = ""
+    ) -> list[Path]:
+        """Write the files and return them; raises WriteRefused.
+
+        An older .sigma.tif goes where the noise is not known any more.
+        """
+        bands, quantity = self._rows.bands, self._rows.quantity
+        facts = layer.attributes(quantity, bands)
+        more = {
+            "values": facts_of_values(facts, rendering, sigma=self._rows.has_sigma),
+            "flags": {**facts, "quantity": "flags"},
+            "sigma": {**facts, "quantity": f"sigma of {quantity}"},
+        }
+        written = []
+        for kind, spool in self._spools.items():
+            path = self._path(kind)
+            header = TiffHeader(
+                self._rows.shape[:2],
+                centres_of(bands, layer.centroids),
+                describe_bands(bands, more[kind]),
+                dtype=DTYPES[kind],
+                rgb=rgb if kind == "values" else None,
+                px_per_mm=facts.get("px_per_mm"),
+                credits=layer.credits,
+            )
+            write_encoded_pages(path, spool.pages(), header)
+            spool.drop()  # the next pages may need its space
+            written.append(path)
+        if (stale := self._path("sigma")) not in written and stale.is_file():
+            remove(stale)
+        return written
 
 
 def facts_of_values(facts: dict[str, Any], rendering: str, *, sigma: bool) -> dict[str, Any]:

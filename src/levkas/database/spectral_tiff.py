@@ -7,18 +7,19 @@ page of a mask file its label. Float pages are zlib with predictor 3, which ever
 from __future__ import annotations
 
 import contextlib
+import errno
 import warnings
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from levkas import __version__
 from levkas.colour.srgb import srgb_profile
-from levkas.core.files import replacing
+from levkas.core.files import replacing, spooling
 from levkas.core.machine import count_threads
 from levkas.core.problems import Problem
 from levkas.core.transpose import transpose
@@ -35,8 +36,8 @@ STRIP_BYTES = 1 << 18
 LEVEL = 1
 GROUP = 16
 """Bands that are gathered in one passage over the memory: a line of the cache of float32."""
-AHEAD = 8
-"""Planes that are compressed ahead: as many as are gathered at a time."""
+AHEAD, THREADS = 8, 2
+"""Groups of strips that are compressed ahead of what is written, and threads that do it."""
 CLASSIC_LIMIT = 4_000_000_000
 PREDICTORS = {"f": 3, "u": 2, "i": 2}
 
@@ -82,33 +83,20 @@ class TiffHeader:
         return np.dtype(self.dtype).itemsize * samples > CLASSIC_LIMIT
 
 
-def write_spectral_tiff(
-    path: str | Path,
-    planes: Iterable[np.ndarray],
-    header: TiffHeader,
-    *,
-    threads: int | None = None,
-) -> None:
-    """Write one page a band as the planes arrive; the same bytes for any number of threads.
+def write_pages(path: Path, blocks: Iterable[np.ndarray], header: TiffHeader) -> None:
+    """Write one page a band from rows of all bands, (rows, width, bands), as they come from top to bottom.
 
-    Parameters
-    ----------
-    path : path
-    planes : iterable of ndarray, (height, width)
-        One a wavelength, in order; each is written before the next is requested.
-    header : TiffHeader
-    threads : int, optional
-        For compression.
-
-    Raises
-    ------
-    TiffRefused
-        ``E_BAND_COUNT`` or ``E_SIZE`` where the planes are not what was announced.
-    WriteRefused
-        Where the disk refuses.
+    Raises ValueError where rows are missing, WriteRefused where the disk refuses.
     """
-    checked = _checked(Path(path), planes, header)
-    write_encoded_pages(path, _compressed(checked, header.strip_rows, threads), header)
+    shape = (*header.shape, len(header.wavelengths))
+    with (
+        ThreadPoolExecutor(count_threads(THREADS)) as pool,
+        spooling(path.parent, path.name) as handle,
+    ):
+        spool = PageSpool(handle, shape, header.dtype, pool)
+        for block in blocks:
+            spool.write_rows(block)
+        write_encoded_pages(path, spool.pages(), header)
 
 
 def strip_rows(width: int, dtype: Any) -> int:
@@ -119,7 +107,7 @@ def strip_rows(width: int, dtype: Any) -> int:
 def write_encoded_pages(
     path: str | Path, pages: Generator[list[bytes], None, None], header: TiffHeader
 ) -> None:
-    """Write pages whose strips `encode_strip` has made; otherwise as `write_spectral_tiff`."""
+    """Write pages whose strips `encode_strip` has made; raises WriteRefused where the disk refuses."""
     from tifffile import TiffWriter
 
     dtype, credits = np.dtype(header.dtype), header.credits
@@ -194,32 +182,90 @@ def _write_render(
     )
 
 
-def _checked(path: Path, planes: Iterable[np.ndarray], header: TiffHeader) -> Iterator[np.ndarray]:
-    shape, found, count = tuple(header.shape), 0, len(header.wavelengths)
-    for plane in planes:
-        if plane.shape != shape:
-            _refuse("E_SIZE", path, f"band {found} has another size", plane.shape, shape)
-        found += 1
-        if found <= count:
-            yield np.ascontiguousarray(plane, header.dtype)
-    if found != count:
-        _refuse("E_BAND_COUNT", path, "bands and wavelengths do not fit", found, count)
+class PageSpool:
+    """Strips of band pages: taken from rows of all bands, given back band by band.
+
+    Parameters
+    ----------
+    handle : binary file, for reading and writing
+    shape : (height, width, bands)
+    dtype : numpy dtype
+    pool : ThreadPoolExecutor
+        For compression; the bytes are the same for any number of threads.
+    """
+
+    def __init__(
+        self,
+        handle: BinaryIO,
+        shape: tuple[int, int, int],
+        dtype: Any,
+        pool: ThreadPoolExecutor,
+    ) -> None:
+        self._handle, self.shape, self._pool = handle, shape, pool
+        self._rows = strip_rows(shape[1], dtype)
+        self._places: list[tuple[int, int]] = []
+        self._begun = np.empty((0, *shape[1:]), dtype)
+        self._row = self._end = 0
+
+    def write_rows(self, block: np.ndarray) -> None:
+        """Take rows, (rows, width, bands), from top to bottom; some strips are compressed while others are written."""
+        bands, coming = self.shape[2], deque[Future[list[bytes]]]()
+        for strip in self._strips(np.asarray(block, self._begun.dtype)):
+            for start in range(0, bands, GROUP):
+                stop = min(start + GROUP, bands)
+                coming.append(self._pool.submit(encode_strips, strip, start, stop))
+                if len(coming) > AHEAD:
+                    self._keep(coming.popleft().result())
+        while coming:
+            self._keep(coming.popleft().result())
+
+    def _strips(self, block: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield the strips that some rows complete."""
+        while len(block):
+            height = min(self._rows, self.shape[0] - self._row)
+            missing = height - len(self._begun)
+            part, block = block[:missing], block[missing:]
+            strip = np.concatenate([self._begun, part]) if len(self._begun) else part
+            if len(part) < missing:
+                self._begun = strip.copy()
+                return
+            self._begun, self._row = self._begun[:0], self._row + height
+            yield strip
+
+    def _keep(self, group: Sequence[bytes]) -> None:
+        for encoded in group:
+            self._handle.write(encoded)
+            self._places.append((self._end, len(encoded)))
+            self._end += len(encoded)
+
+    def pages(self) -> Generator[list[bytes], None, None]:
+        """Yield the strips of each band.
+
+        Raises ValueError where rows are missing.
+        """
+        if self._row != self.shape[0]:
+            found = self._row + len(self._begun)
+            raise ValueError(f"{found} rows of {self.shape[0]} were written")
+        # The strips of a page lie far apart: a buffer would read all between them, for each page anew.
+        self._handle.flush()
+        plain = getattr(self._handle, "raw", self._handle)
+        for band in range(self.shape[2]):
+            yield [_read(plain, *place) for place in self._places[band :: self.shape[2]]]
+
+    def drop(self) -> None:
+        """Give the disk back what was spooled; no page can be had any more."""
+        self._handle.seek(0)
+        self._handle.truncate()
 
 
-def _compressed(
-    planes: Iterable[np.ndarray], rows: int, threads: int | None
-) -> Generator[list[bytes], None, None]:
-    """Yield the encoded strips of each plane; some are compressed while others are gathered."""
-    begun: deque[list[Future[bytes]]] = deque()
-    with ThreadPoolExecutor(threads or count_threads(2)) as pool:
-        for plane in planes:
-            cuts = range(0, len(plane), rows)
-            # Copies: who hands out planes may use the same memory for the next one.
-            begun.append([pool.submit(encode_strip, plane[y : y + rows].copy()) for y in cuts])
-            if len(begun) > AHEAD:
-                yield [job.result() for job in begun.popleft()]
-        while begun:
-            yield [job.result() for job in begun.popleft()]
+def _read(handle: BinaryIO, start: int, size: int) -> bytes:
+    handle.seek(start)
+    found = handle.read(size)
+    while len(found) < size:
+        if not (more := handle.read(size - len(found))):
+            raise OSError(errno.EIO, f"{len(found)} bytes of {size} could be read back")
+        found += more
+    return found
 
 
 def encode_strip(strip: Any) -> bytes:
@@ -245,12 +291,6 @@ def encode_strip(strip: Any) -> bytes:
 def encode_strips(rows: np.ndarray, start: int, stop: int) -> list[bytes]:
     """Return `encode_strip` of bands `start` to `stop` of some rows, (rows, width, bands)."""
     return [encode_strip(plane) for plane in _turned(rows, start, stop)]
-
-
-def planes_of(values: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield the bands of a (height, width, bands) array as planes of their own."""
-    for start in range(0, values.shape[2], GROUP):
-        yield from _turned(values, start, min(start + GROUP, values.shape[2]))
 
 
 def _turned(values: np.ndarray, start: int, stop: int) -> np.ndarray:
@@ -316,7 +356,10 @@ def write_stiff(
         dtype=cube.dtype if keep else np.float32,
         rgb=rgb,
     )
-    write_spectral_tiff(path, planes_of(cube), header)
+    if len(header.wavelengths) != cube.shape[2]:
+        message, count = "bands and wavelengths do not fit", len(header.wavelengths)
+        _refuse("E_BAND_COUNT", Path(path), message, count, cube.shape[2])
+    write_pages(Path(path), [cube], header)
 
 
 def read_stiff(

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.core.cube import Band, Cube, Flag
+from levkas.core.cube import Band, Flag
 from levkas.core.files import Folder, publishing, write_changed
 from levkas.core.json_safe import to_json
 from levkas.database.layout import SIGMA
@@ -184,23 +184,6 @@ def writing_layer(
         writer = LayerWriter(arrays, shape, shards[0])
         yield writer
         writer.close()
-
-
-def write_layer_store(
-    root: str | Path, name: str, cube: Cube, *, attributes: Mapping[str, Any] | None = None
-) -> None:
-    """Write a whole cube as a layer; raises WriteRefused."""
-    facts = {"quantity": cube.quantity, **(attributes or {})}
-    height, width, count = cube.values.shape
-    with writing_layer(
-        root,
-        name,
-        shape=(height, width, count),
-        bands=cube.bands,
-        attributes=facts,
-        sigma=cube.sigma is not None,
-    ) as layer:
-        layer.write_rows(cube.values, cube.flags, cube.sigma)
 
 
 def write_root(root: Path) -> None:

@@ -8,7 +8,6 @@ of. A pixel that a flag makes unusable in a band that is needed has no value (Na
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,16 +17,13 @@ import numpy as np
 
 from levkas import __version__
 from levkas.core.digests import hash_file
-from levkas.core.files import spooling
 from levkas.core.json_safe import to_json
-from levkas.core.machine import count_threads
 from levkas.core.problems import Problem
 from levkas.database.catalogue import ESTIMATED, Entry, read_catalogue
 from levkas.database.components import Components, ComponentsRefused, find_components
 from levkas.database.opening import open_pixels, open_tiff
 from levkas.database.regions import TRUSTED
-from levkas.database.spectral_tiff import TiffHeader, write_encoded_pages
-from levkas.database.streaming_writer import PageSpool
+from levkas.database.spectral_tiff import TiffHeader, write_pages
 from levkas.database.tiff_pages import open_pages
 from levkas.publish.analysis_names import COMPONENTS, INFRARED, Analysis, find_band, near_bands
 from levkas.publish.publication import PublishRefused
@@ -307,14 +303,7 @@ def _write_pages(
     """Write one float page a picture; the same bytes for any number of threads."""
     facts = {"bands": labels, "quantity": work.title, "object": work.entry.object}
     header = TiffHeader(shape[:2], list(range(shape[2])), to_json(facts))
-    with (
-        ThreadPoolExecutor(count_threads(2)) as pool,
-        spooling(path.parent, f"{path.name}.spool") as handle,
-    ):
-        spool = PageSpool(handle, shape, np.float32, pool)
-        for block in rows:
-            spool.write_rows(block)
-        write_encoded_pages(path, spool.pages(), header)
+    write_pages(path, rows, header)
 
 
 def _shown(path: Path, number: int, label: str, facts: dict[str, Any]) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import nan
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,6 @@ from levkas.database.credits import credits_of
 from levkas.database.grey import grey_of, read_grey
 from levkas.database.layers import Layer, write_layer
 from levkas.database.preview import encode_png
-from levkas.database.streaming_writer import write_rows
 from levkas.geometry.grid import Grid
 from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Composed, Transform
@@ -152,22 +151,17 @@ def stream_resampled(
     grid, default = target.grid, target.default
     maps = [Composed(grid.transform, target.transforms[band.label]) for band in scan.bands]
     passing = Passing(default, gains_of_scan(default, scan, maps) if default else None)
-    made = write_rows(
+    rows = resample_scan(scan, maps, grid.size, spool=frame.places.kept)
+    entry, files = write_layer(
         frame.places.output,
         target.layer,
-        passing.noting(resample_scan(scan, maps, grid.size, spool=frame.places.kept)),
-        size=grid.size,
-        bands=scan.bands,
-        quantity=scan.quantity,
-        sigma=scan.has_sigma,
+        replace(rows, blocks=passing.noting(rows.blocks)),
         verdict=target.verdict,
         white=white_of(scan),
         before=before,
     )
-    notes = _notes(made.entry, similarity(frame, target.capture, passing.grey), passing.flags)
-    return Written(
-        made.files, {**notes, "glare": passing.glare, "ranges": passing.ranges(scan.bands)}
-    )
+    notes = _notes(entry, similarity(frame, target.capture, passing.grey), passing.flags)
+    return Written(files, {**notes, "glare": passing.glare, "ranges": passing.ranges(scan.bands)})
 
 
 def _notes(entry: Entry, similar: dict[str, Any], flags: np.ndarray) -> dict[str, Any]:

@@ -15,12 +15,10 @@ from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.sensor_context import SensorContext, placing
 from levkas.calibration.sensor_notes import describe_sensor, doubts_of
 from levkas.calibration.stated_exposures import require_black, require_exposures
-from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
+from levkas.core.cube import UNRELIABLE, Band, Cube, CubeRows, is_flagged
 from levkas.core.files import make_folder
 from levkas.core.rounding import round_root
-from levkas.core.threads import made_ahead
-from levkas.database.layers import Layer
-from levkas.database.streaming_writer import SpooledTiffs
+from levkas.database.layers import Layer, write_tiffs
 from levkas.readers.frames import read_facts
 from levkas.registration.bands import BandImage
 from levkas.stages.above_white import COUNTS, count_above, describe_above, require_light
@@ -377,7 +375,5 @@ def write_scan(
     layer = Layer(
         capture.object, capture.camera, capture.setup, credits=credits, centroids=centroids
     )
-    with SpooledTiffs(base, scan.shape, sigma=scan.has_sigma) as tiffs:
-        for cube in made_ahead(scan.passed()):
-            tiffs.write_rows(cube)
-        return tiffs.finish(layer, scan.bands, scan.quantity)
+    rows = CubeRows(scan.passed(), scan.shape, scan.bands, scan.quantity, scan.has_sigma)
+    return write_tiffs(base, layer, rows)

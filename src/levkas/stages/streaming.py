@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from levkas.colour.srgb import counts_white, find_rendering
-from levkas.core.cube import Band, Cube, Flag
+from levkas.core.cube import Band, Cube, CubeRows, Flag
 from levkas.core.files import spooling
 from levkas.core.machine import tile_rows
 from levkas.core.problems import Problem, Refused
@@ -169,8 +169,8 @@ def white_of(scan: Scan) -> float | None:
 
 def resample_scan(
     scan: Scan, maps: Sequence[Transform], size: tuple[int, int], *, spool: Path
-) -> Iterator[Cube]:
-    """Yield the grid's rows from top to bottom, each pixel and band interpolated once.
+) -> CubeRows:
+    """Return the grid's rows, each pixel and band interpolated once, as they are taken.
 
     Where the scan lies on its side, columns are interpolated and turned by way of a file. The strips
     that maps are laid on follow from sizes and maps alone, never from the machine: so the values are
@@ -188,8 +188,16 @@ def resample_scan(
     Raises
     ------
     ScanRefused
-        ``E_SIZE`` where a few rows, or columns, need more lines than may be held.
+        ``E_SIZE`` where a few rows, or columns, need more lines than may be held; with the first rows.
     """
+    shape = (size[1], size[0], len(scan.bands))
+    blocks = _grid_rows(scan, maps, size, spool)
+    return CubeRows(blocks, shape, scan.bands, scan.quantity, scan.has_sigma)
+
+
+def _grid_rows(
+    scan: Scan, maps: Sequence[Transform], size: tuple[int, int], spool: Path
+) -> Iterator[Cube]:
     swap = Affine(np.array([[0.0, 1, 0], [1, 0, 0]]))
     turned = {id(one): Composed(swap, one) for one in maps}
     sideways, across = [turned[id(one)] for one in maps], (size[1], size[0])

@@ -1,6 +1,7 @@
 """A small database with everything the viewer shows, written without a build."""
 
 import csv
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -107,8 +108,9 @@ def write_database(root: Path, objects: dict[str, str]) -> Path:
                 continue
             layer = Layer(name, camera, px_per_mm=1.25)
             cube = make_cube(rng, camera, SIZE, labels)
-            entries.append(write_layer(root, layer, cube, zarr=False)[0])
+            entries.append(write_layer(root, layer, cube)[0])
         _write_rest(root, name, title)
+    shutil.rmtree(root / "zarr")
     write_catalogue(root, entries)
     table = [["wavelength", "R", "G", "B"]]
     table += [[w, int(w > 580), int(480 < w <= 580), int(w <= 480)] for w in range(400, 701, 10)]
@@ -126,8 +128,9 @@ def write_hostile_database(root: Path, texts: list[str], names: list[str]) -> Pa
         labels = [text, "G", "B"]
         write_record(root, name, "rgb", labels, "warn", text)
         cube = make_cube(rng, "rgb", (24, 20), labels)
-        entries.append(write_layer(root, Layer(name, "rgb"), cube, zarr=False)[0])
+        entries.append(write_layer(root, Layer(name, "rgb"), cube)[0])
         _write_rest(root, name, text)
+    shutil.rmtree(root / "zarr")
     write_catalogue(root, entries)
     return root
 
