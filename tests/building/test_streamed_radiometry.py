@@ -5,17 +5,22 @@ import pytest
 
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
-from levkas.core.cube import Band, Cube, Flag
+from levkas.core.cube import Band, Cube, CubeRows, Flag
 from levkas.database.layers import Layer, write_layer
 from levkas.geometry.transforms import Affine
 from levkas.quality.image_quality import sharpness
 from levkas.registration.bands import BandImage
-from levkas.stages import capture_statistics, streaming
+from levkas.stages import capture_statistics
 from levkas.stages.calibrate import develop
-from levkas.stages.capture_statistics import Middle, flag_and_count, focus_of
+from levkas.stages.capture_statistics import (
+    DefaultLayer,
+    LayerStatistics,
+    Middle,
+    flag_and_count,
+    focus_of,
+)
 from levkas.stages.exposures import mark_glare_in
-from levkas.stages.native_cubes import Native
-from levkas.stages.resample import DefaultLayer, gains_of_scan
+from levkas.stages.streaming import gains_of_scan
 from levkas.stages.template_cache import TemplateCache
 
 CAMPAIGN = """
@@ -83,7 +88,7 @@ def test_focus_of_lines_that_pass_by_is_that_of_the_whole_cube(monkeypatch, rows
     for y in range(0, len(values), rows):
         part = slice(y, y + rows)
         middle.add(Cube(values[part], flags[part], None, bands, "reflectance"))
-    whole = focus_of(Native({"": Cube(values, flags, None, bands, "reflectance")}))
+    whole = focus_of([Cube(values, flags, None, bands, "reflectance")])
     assert middle.focus() == whole
     assert [one["band"] for one in whole] == ["0", "2", "4"]
     blurs = [one["blur_px"] for one in whole]
@@ -146,7 +151,7 @@ def test_rows_of_another_setup_are_compared_with_the_default_ones(two_setups, ro
     planted[30:50, 40:80] = True
     assert told["veiled"] == 800
     np.testing.assert_array_equal((whole.flags & Flag.VEILED) != 0, planted)
-    passing = streaming.Passing(layer, gains)
+    statistics = LayerStatistics(layer, gains)
     blocks = [
         Cube(
             cube.values[y : y + rows],
@@ -157,6 +162,7 @@ def test_rows_of_another_setup_are_compared_with_the_default_ones(two_setups, ro
         )
         for y in range(0, 96, rows)
     ]
-    flags = np.concatenate([block.flags for block in passing.noting(blocks)])
+    parts = CubeRows(blocks, whole.shape, cube.bands, cube.quantity, has_sigma=False)
+    flags = np.concatenate([block.flags for block in statistics.flagged(parts).blocks])
     np.testing.assert_array_equal(flags, whole.flags)
-    assert passing.glare == told
+    assert statistics.glare == told

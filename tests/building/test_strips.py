@@ -16,12 +16,10 @@ from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.cube import Flag
 from levkas.core.digests import hash_tree
 from levkas.core.problems import Refused
-from levkas.geometry.grid import Grid
 from levkas.geometry.transforms import Affine
 from levkas.stages import scan_templates, scans
 from levkas.stages.calibrate import develop
-from levkas.stages.native_cubes import Native, PackedSigma
-from levkas.stages.resample import resample
+from levkas.stages.native_cubes import Native
 from levkas.stages.scans import open_scan
 from levkas.stages.template_cache import TemplateCache
 
@@ -316,16 +314,14 @@ def test_sigma_of_strips_holds_when_they_are_resampled_again(tmp_path, larger):
     smooth = paint(soft=6.0)
     folder = write_campaign(tmp_path / "c", [strip(smooth, 0, 0), strip(smooth, 110.5, 0.5)])
     native = developed(folder)
-    cube, seams = native.cubes[""], native.learnt[""]["strips"]
+    cube = native.cubes[""]
     turn = np.deg2rad(5)
     move = np.array([[np.cos(turn), np.sin(turn), 3.0], [-np.sin(turn), np.cos(turn), 22.0]])
     move[:, :2] /= larger
     there = [Affine(move)] * BANDS
     shape = (int(200 * larger), int(250 * larger))
-    grid = Grid(shape[::-1])
     maps = dict(zip(cube.labels, there, strict=True))
-    sigmas = {"": PackedSigma(cube.sigma)}
-    made = resample(native, maps, grid, sigmas, {}, {}, seams)
+    made = native.on_grid(maps, shape[::-1])
     y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
     places = there[0](np.stack([x.ravel(), y.ravel()], 1)).T.reshape(2, *shape)
     pull = (made.values - look(smooth, *places)) / made.sigma

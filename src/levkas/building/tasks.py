@@ -19,10 +19,9 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
-    from levkas.stages.native_cubes import FiledSigma, Native, PackedSigma
+    from levkas.stages.native_cubes import CalibratedCapture
     from levkas.stages.reference import ReferenceFrame
     from levkas.stages.register import Measured
-    from levkas.stages.scans import Scan
     from levkas.stages.template_cache import TemplateCache
 
     Write = Callable[[Callable[[], object]], Written]
@@ -45,71 +44,53 @@ class Held:
         self.campaign, self.places, self.records = campaign, places, records
         self.templates = templates
         self._capture: Capture | None = None
-        self._native: Native | Scan | None = None
-        self._sigmas: dict[str, PackedSigma] = {}
+        self._native: CalibratedCapture | None = None
         self._frame: ReferenceFrame | None = None
         self.streams = False
-        """Whether the capture is a scan, which is calibrated as it is written and read."""
+        """Whether the capture is calibrated as it is written and read."""
 
-    def calibrate(self, capture: Capture) -> Native | Scan:
-        """Calibrate a capture; all but sigma, which is packed, is kept for the next stages."""
+    def calibrate(self, capture: Capture) -> CalibratedCapture:
+        """Calibrate a capture, which is kept, packed, for the next stages."""
         from levkas.stages.calibrate import calibrate
-        from levkas.stages.native_cubes import Native, PackedSigma
 
         self.let_go()
         self.templates.used.clear()
         made = calibrate(capture, self.campaign, self.templates)
-        self.streams = not isinstance(made, Native)
-        self._capture, self._native = capture, made.without_sigma()
-        if isinstance(made, Native):
-            self._sigmas = {
-                name: PackedSigma(cube.sigma)
-                for name, cube in made.cubes.items()
-                if cube.sigma is not None
-            }
+        self._keep(capture, made.packed())
         return made
 
-    def native(self, capture: Capture) -> Native | Scan:
-        """Return the calibrated cubes of a capture, without sigma."""
-        from levkas.stages.native_cubes import Native
-
+    def native(self, capture: Capture) -> CalibratedCapture:
+        """Return a calibrated capture."""
         if self._native is None or self._capture is not capture:
             self.let_go()
-            self._capture, self._native = capture, self._read(capture)
-            self.streams = not isinstance(self._native, Native)
+            return self._keep(capture, self._read(capture))
         return self._native
 
-    def sigmas(self, capture: Capture) -> dict[str, PackedSigma | FiledSigma]:
-        """Return the sigma of every sensor of a capture that has one."""
-        from levkas.stages.native_cubes import sigmas_of
-
-        if self._sigmas and self._capture is capture:
-            return {**self._sigmas}
-        return {**sigmas_of(capture, self.places)}
+    def _keep(self, capture: Capture, native: CalibratedCapture) -> CalibratedCapture:
+        self._capture, self._native, self.streams = capture, native, native.is_streamed
+        return native
 
     def frame(self, task: Task, graph: Graph) -> ReferenceFrame:
         """Return the reference that a capture is registered to."""
-        from levkas.stages.native_cubes import Native
         from levkas.stages.reference import ReferenceFrame
 
         _, lead = captures_of(task)
         if self._frame is None or self._frame.capture is not lead:
             self._frame = None
             native = self.native(lead) if task.leads else self._read(lead)
-            assert isinstance(native, Native)
             mine = [t.capture for t in graph.values() if t.key.object == lead.object and t.capture]
             self._frame = ReferenceFrame(self.campaign, self.places, [lead, *mine], native)
         return self._frame
 
     def let_go(self) -> None:
         """Let go of the capture's cubes."""
-        self._capture, self._native, self._sigmas = None, None, {}
+        self._capture, self._native = None, None
 
     def let_go_of_frame(self) -> None:
         """Let go of the reference, which is read back when it is needed."""
         self._frame = None
 
-    def _read(self, capture: Capture) -> Native | Scan:
+    def _read(self, capture: Capture) -> CalibratedCapture:
         from levkas.stages.calibrate import load_calibrated
 
         notes = self.records.notes(key_of(capture, "calibrate"))
@@ -211,38 +192,18 @@ class Stages:
             raise Damaged(key, problem) from error
 
     def _resample(self, task: Task) -> Write:
-        from levkas.calibration.chart_light import LIGHT_SIGMA
         from levkas.core.files import make_folder
         from levkas.stages.reference import record_of
-        from levkas.stages.resample import (
-            flag_glare_in,
-            mosaics_of,
-            resample,
-            stream_resampled,
-            target_of,
-            write_resampled,
-        )
-        from levkas.stages.scans import Scan
+        from levkas.stages.resample import resample, target_of, write_resampled
 
         capture, _ = captures_of(task)
         frame = self.held.frame(task, self.graph)
         native = self.held.native(capture)
-        notes = self.records.notes(key_of(capture, "calibrate"))
-        captured = notes.get("captured", "")
-        target = target_of(capture, native, frame, record_of(self.places, capture), captured)
+        target = target_of(capture, native, frame, record_of(self.places, capture))
         for folder in (self.places.folder(capture.object), self.places.store(capture.object)):
             make_folder(folder)
-        if isinstance(native, Scan):
-            return partial(stream_resampled, native, target, frame)
-        sigmas = self.held.sigmas(capture)
-        mosaics = mosaics_of(capture, self.campaign)
         self.held.let_go()
-        learnt = notes.get("learnt", {})
-        lights = {name: one.get(LIGHT_SIGMA, {}) for name, one in learnt.items()}
-        seams = next((one["strips"] for one in learnt.values() if "strips" in one), ())
-        cube = resample(native, target.transforms, target.grid, sigmas, mosaics, lights, seams)
-        del native
-        return partial(write_resampled, cube, flag_glare_in(cube, target), target, frame)
+        return partial(write_resampled, resample(native, target, frame), target, frame)
 
 
 def _with_notes(made: Written, **notes: Any) -> Written:

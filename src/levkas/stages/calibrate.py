@@ -32,7 +32,6 @@ from levkas.calibration.white_area import WhiteArea, joined_area
 from levkas.calibration.whites import WhiteBoard
 from levkas.calibration.wiener_mosaic import correlate_channels, wiener_method
 from levkas.core.cube import Cube, Flag
-from levkas.core.disk import require_space
 from levkas.core.files import together
 from levkas.core.problems import Problem, Refused, gathered
 from levkas.core.rounding import round_root
@@ -40,7 +39,7 @@ from levkas.core.threads import each
 from levkas.database.credits import credits_of
 from levkas.readers.frames import UnreadableCapture, read_facts
 from levkas.stages.above_white import count_above, describe_above, require_light
-from levkas.stages.capture_statistics import describe_lamp, focus_of, note_light, note_sensels
+from levkas.stages.capture_statistics import describe_lamp, note_light, note_sensels
 from levkas.stages.chart_white import lights_by_chart
 from levkas.stages.exposures import (
     average_shots,
@@ -57,14 +56,9 @@ from levkas.stages.exposures import (
     white_of,
     whites_of,
 )
-from levkas.stages.native_cubes import (
-    Native,
-    least_bytes,
-    read_native,
-    require_memory,
-    write_native,
-)
-from levkas.stages.scans import Scan, is_streamed, open_scan, write_scan
+from levkas.stages.native_cubes import Native, read_native, require_memory, write_native
+from levkas.stages.scans import is_streamed, open_scan
+from levkas.stages.shared_noise import Mosaic
 from levkas.stages.spectra import board_of, broad_centroids, read_sensitivity
 from levkas.stages.written import Written
 
@@ -75,6 +69,7 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera, Campaign
     from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
     from levkas.database.layout import Places
+    from levkas.stages.native_cubes import CalibratedCapture
     from levkas.stages.template_cache import TemplateCache
 
 MOST_PROBLEMS = 50
@@ -82,7 +77,7 @@ Noted = tuple[Cube, list[str]]
 """Of one sensor, and what a person should know of it."""
 
 
-def calibrate(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Native | Scan:
+def calibrate(capture: Capture, campaign: Campaign, templates: TemplateCache) -> CalibratedCapture:
     """Calibrate a capture; a scan that is larger than memory is opened, and calibrated as it is written.
 
     Raises
@@ -97,7 +92,7 @@ def calibrate(capture: Capture, campaign: Campaign, templates: TemplateCache) ->
 
 
 def write_calibrated(
-    made: Native | Scan,
+    made: CalibratedCapture,
     capture: Capture,
     campaign: Campaign,
     places: Places,
@@ -107,20 +102,13 @@ def write_calibrated(
     credits = credits_of(campaign, capture.object, made.captured or "")
     centroids = broad_centroids(campaign, capture.camera, capture.bands)
     with together(before):
-        if isinstance(made, Native):
-            for cube in made.cubes.values():
-                noisy = cube.sigma is not None
-                least = least_bytes(cube.values.size, cube.quantity, noisy=noisy)
-                require_space(places.output, least)
-            files = write_native(made, capture, places, credits, centroids)
-        else:
-            files = write_scan(made, capture, places, credits, centroids)
+        files = write_native(made, capture, places, credits, centroids)
     notes = {
         "quantity": made.quantity,
         "warnings": list(made.warnings),
         "captured": made.captured or "",
         "learnt": dict(made.learnt),
-        "focus": focus_of(made) if isinstance(made, Native) else made.summary.focus,
+        "focus": made.focus,
     }
     return Written(files, notes, warnings=made.warnings)
 
@@ -131,12 +119,23 @@ def load_calibrated(
     places: Places,
     notes: Mapping[str, Any],
     templates: TemplateCache,
-) -> Native | Scan:
-    """Read back what `write_calibrated` wrote, without sigma; `notes` as it returned them."""
+) -> CalibratedCapture:
+    """Read back what `write_calibrated` wrote; `notes` as it returned them."""
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
-    warnings = tuple(notes.get("warnings", ()))
-    return read_native(capture, places, notes.get("quantity", "counts"), warnings)
+    return read_native(capture, places, notes, mosaics_of(capture, campaign))
+
+
+def mosaics_of(capture: Capture, campaign: Campaign) -> dict[str, Mosaic]:
+    """Return the sensors of a capture whose values were demosaiced."""
+    camera = campaign.cameras[capture.camera]
+    if not camera.traits.is_demosaiced:
+        return {}
+    return {
+        s.name: Mosaic(s.pattern, demosaicing_of(campaign, camera, s), [b.label for b in s.bands])
+        for s in capture.sensors
+        if s.pattern is not None
+    }
 
 
 def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Native:
@@ -193,7 +192,7 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
     aligns = {sensor.name: sensor.align for sensor in capture.sensors}
     where = f"{capture.object}/{capture.layer}"
     told = tuple(dict.fromkeys(f"{where}: {note}" for note in notes if note))
-    return Native(cubes, aligns, captured, told, learnt)
+    return Native(cubes, aligns, captured, told, learnt, mosaics_of(capture, campaign))
 
 
 def _compare_all(contexts: Sequence[SensorContext]) -> list[str]:

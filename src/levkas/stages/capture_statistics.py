@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -11,19 +11,18 @@ import numpy as np
 
 from levkas.calibration.clipped_darks import MANY_ZEROS
 from levkas.calibration.drift import LAMP
-from levkas.core.cube import Flag, is_flagged
+from levkas.core.cube import Cube, CubeRows, Flag, is_flagged
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from levkas.calibration.drift import LampChange
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.calibration.templates import Template
-    from levkas.core.cube import Band, Cube
+    from levkas.core.cube import Band
     from levkas.database.tiff_pages import TiffPages
     from levkas.quality.image_quality.light import LightField
-    from levkas.stages.native_cubes import Native
 
 FEW_BANDS = 5
 """Bands of a line scan or photograph whose light is looked at."""
@@ -347,13 +346,80 @@ class DefaultLayer:
         return self.values.read(start, stop), self.flags.read(start, stop)
 
 
-def ranges_of(cube: Cube) -> list[dict[str, Any]]:
-    """Return range, noise and signal-to-noise of every band of a layer."""
-    from levkas.quality.image_quality.dynamic_range import scene_ranges
+@dataclass
+class LayerStatistics:
+    """What is noted of a layer's rows on their way to its files: grey, where all was observed, flags, glare, ranges.
 
-    counts = cube.quantity == "counts"
-    found = scene_ranges(cube.values, cube.flags, cube.sigma, cube.labels, counts=counts)
-    return [{name: as_number(value) for name, value in one._asdict().items()} for one in found]
+    Parameters
+    ----------
+    default : DefaultLayer, optional
+        The same camera under its default setup.
+    gains : ndarray, optional
+        Of both, by band; None where they are found in the rows, which are then all in one block.
+    step : int
+        Every so-many-th pixel a side is kept in mind for range and noise.
+    """
+
+    default: DefaultLayer | None = None
+    gains: np.ndarray | None = None
+    step: int = 1
+    mean: list[np.ndarray] = field(default_factory=list)
+    seen: list[np.ndarray] = field(default_factory=list)
+    flags: np.ndarray = field(default_factory=lambda: np.zeros(256, np.int64))
+    glare: dict[str, int] = field(default_factory=dict)
+    thin: list[Cube] = field(default_factory=list)
+    _rows: int = 0
+
+    def flagged(self, rows: Cube | CubeRows) -> CubeRows:
+        """Return the rows as they are taken, with glare flagged and noted."""
+        blocks = self._flagged(rows.blocks)
+        return CubeRows(blocks, rows.shape, rows.bands, rows.quantity, rows.has_sigma)
+
+    def _flagged(self, blocks: Iterable[Cube]) -> Iterator[Cube]:
+        from levkas.database.grey import grey_of
+
+        for cube in blocks:
+            first, self._rows = self._rows, self._rows + len(cube.values)
+            other = self.default.rows(first, self._rows) if self.default else None
+            add_counts(self.glare, flag_and_count(cube, other, self.gains))
+            self.thin.append(self._thinned(cube, first))
+            mean, seen = grey_of(cube.values, cube.flags)
+            self.mean.append(mean)
+            self.seen.append(seen)
+            self.flags += count_flags(cube.flags)
+            yield cube
+
+    def _thinned(self, cube: Cube, first: int) -> Cube:
+        """Return every so-many-th pixel a side of some rows, of which the layer's row `first` is the first."""
+        if self.step == 1:
+            return cube
+        part = np.s_[-first % self.step :: self.step, :: self.step]
+        sigma = None if cube.sigma is None else cube.sigma[part].copy()
+        return replace(
+            cube, values=cube.values[part].copy(), flags=cube.flags[part].copy(), sigma=sigma
+        )
+
+    @property
+    def grey(self) -> tuple[np.ndarray, np.ndarray]:
+        """As `database.grey.grey_of` gives it for all rows."""
+        return np.concatenate(self.mean), np.concatenate(self.seen)
+
+    def ranges(self) -> list[dict[str, Any]]:
+        """Return range, noise and signal-to-noise of every band of the layer."""
+        from levkas.quality.image_quality.dynamic_range import scene_ranges
+
+        one = self.thin[0] if len(self.thin) == 1 else _stacked(self.thin)
+        counts = one.quantity == "counts"
+        found = scene_ranges(one.values, one.flags, one.sigma, one.labels, counts=counts)
+        return [{name: as_number(value) for name, value in r._asdict().items()} for r in found]
+
+
+def _stacked(parts: Sequence[Cube]) -> Cube:
+    values, flags = (np.concatenate([getattr(c, n) for c in parts]) for n in ("values", "flags"))
+    known = [cube.sigma for cube in parts if cube.sigma is not None]
+    return replace(
+        parts[0], values=values, flags=flags, sigma=np.concatenate(known) if known else None
+    )
 
 
 def as_number(value: Any) -> Any:
@@ -368,11 +434,11 @@ MOST_BANDS = 24
 LOST = Flag.GLARE | Flag.SATURATED | Flag.OUTSIDE
 
 
-def focus_of(native: Native) -> list[dict[str, Any]]:
+def focus_of(cubes: Iterable[Cube]) -> list[dict[str, Any]]:
     """Return the blur of the sharpest edges, band by band, before anything is resampled."""
     return [
         one
-        for cube in native.cubes.values()
+        for cube in cubes
         for one in _focus_of(cube.values, cube.flags, cube.labels, step_of(len(cube.bands)))
     ]
 

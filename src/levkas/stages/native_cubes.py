@@ -1,50 +1,139 @@
-"""Calibrated cubes of one capture in native pixels, in memory and in the database."""
+"""A capture calibrated in native pixels, and one whose cubes are held whole: in memory, in files, on the grid."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from math import prod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
+from levkas.calibration.chart_light import (
+    LIGHT_SIGMA,
+    LightNodes,
+    light_variance,
+    variance_under_light,
+)
 from levkas.campaign.camera_kinds import KINDS
 from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
+from levkas.core.disk import require_space
 from levkas.core.files import make_folder
 from levkas.core.machine import memory_bound
 from levkas.core.problems import Problem, Refused
+from levkas.core.rounding import round_root, round_values
 from levkas.core.threads import each
 from levkas.database.layers import Layer, write_tiffs
 from levkas.database.spectral_tiff import read_tiff_pages
+from levkas.geometry.resample import warp
 from levkas.readers.frames import read_facts
 from levkas.registration.bands import BandImage, share_of_most
+from levkas.stages.capture_statistics import focus_of
+from levkas.stages.shared_noise import shared_by_strips, shared_noise
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from levkas.campaign.discovery.captures import Capture
+    from levkas.core.cube import CubeRows
     from levkas.database.credits import Credits
     from levkas.database.layout import Places
+    from levkas.geometry.transforms import Transform
+    from levkas.stages.capture_statistics import DefaultLayer
+    from levkas.stages.shared_noise import Mosaic
 
 PACKED_ROWS = 64
+LIGHT_NODES = 97
+"""Places a side of the grid at which the sigma of a chart's light is looked up."""
+
+
+class CalibratedCapture(Protocol):
+    """One capture, calibrated and not resampled: held whole, or calibrated whenever its lines are needed."""
+
+    @property
+    def bands(self) -> tuple[Band, ...]:
+        """All bands, sensor by sensor."""
+
+    @property
+    def quantity(self) -> str:
+        """``"reflectance"`` where every sensor has it, else ``"counts"``."""
+
+    @property
+    def aligns(self) -> Mapping[str, object]:
+        """Native px of the first sensor → each, as declared: ``"measure"`` or a matrix."""
+
+    @property
+    def captured(self) -> str | None:
+        """Date of the first frame that states one, ISO 8601."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Of a scan complete when all lines have been calibrated once."""
+
+    @property
+    def learnt(self) -> Mapping[str, dict[str, Any]]:
+        """What was learnt of each sensor and its light on the way, for the reports."""
+
+    @property
+    def focus(self) -> list[dict[str, Any]]:
+        """Blur of the sharpest edges, band by band."""
+
+    @property
+    def is_streamed(self) -> bool:
+        """Whether lines are calibrated while they are written."""
+
+    @property
+    def factor(self) -> int:
+        """Side, px, of the blocks that make a pixel of `images`."""
+
+    @property
+    def thinning(self) -> int:
+        """Every so-many-th pixel a side of the layer makes its range and noise."""
+
+    @property
+    def white(self) -> float | None:
+        """Count that pictures of the layer show as white; None where the rows that come first show it."""
+
+    def images(self) -> list[BandImage]:
+        """Return every band as registration takes it."""
+
+    def size_of(self, label: str) -> list[int]:
+        """Return [width, height] of the sensor that recorded a band."""
+
+    def sensors(self) -> Iterator[tuple[str, Cube | CubeRows]]:
+        """Yield each sensor's name, empty for a camera of one sensor, and its pixels."""
+
+    def packed(self) -> CalibratedCapture:
+        """Return the capture as it is kept for the next stages, in less memory."""
+
+    def setup_gains(
+        self, default: DefaultLayer, maps: Mapping[str, Transform]
+    ) -> np.ndarray | None:
+        """Return the gains of this setup over the default one, by band; None where all rows come in one block."""
+
+    def on_grid(
+        self, maps: Mapping[str, Transform], size: tuple[int, int], *, spool: Path
+    ) -> Cube | CubeRows:
+        """Return the layer of (width, height) `size`, each pixel interpolated once; sigma can be taken once.
+
+        `maps` are grid px → native px by band; `spool` is a folder for what does not fit in memory.
+        """
 
 
 @dataclass(frozen=True)
 class Native:
-    """One capture, calibrated and not resampled: a cube a sensor.
+    """A `CalibratedCapture` that is held whole: a cube a sensor.
 
     Parameters
     ----------
     cubes : dict of str to Cube
         Sensor name → cube; the name is empty for a camera of one sensor.
-    aligns : dict of str to ("measure" or matrix)
-        Native px of the first sensor → this one, as declared.
-    captured : str or None
-        Date of the first frame that says one, ISO 8601.
-    warnings : tuple of str
-    learnt : dict of str to dict
-        What was learnt of each sensor and its light on the way, for the reports.
+    aligns, captured, warnings, learnt
+        As of `CalibratedCapture`.
+    mosaics : dict of str to Mosaic
+        Of the sensors whose values were demosaiced.
+    sigmas : dict of str to PackedSigma or FiledSigma
+        Of the sensors whose cubes are without.
     """
 
     cubes: dict[str, Cube]
@@ -52,6 +141,12 @@ class Native:
     captured: str | None = None
     warnings: tuple[str, ...] = ()
     learnt: Mapping[str, dict[str, Any]] = field(default_factory=dict)
+    mosaics: Mapping[str, Mosaic] = field(default_factory=dict)
+    sigmas: dict[str, PackedSigma | FiledSigma] = field(default_factory=dict)
+    factor: ClassVar[int] = 1
+    thinning: ClassVar[int] = 1
+    white: ClassVar[float | None] = None
+    is_streamed: ClassVar[bool] = False
 
     @property
     def bands(self) -> tuple[Band, ...]:
@@ -65,22 +160,27 @@ class Native:
         return "reflectance" if quantities == {"reflectance"} else "counts"
 
     @property
-    def factor(self) -> int:
-        """Side, px, of the blocks that make a pixel of `images`."""
-        return 1
+    def focus(self) -> list[dict[str, Any]]:
+        """Blur of the sharpest edges, band by band."""
+        return focus_of(self.cubes.values())
 
     def images(self) -> list[BandImage]:
-        """Return every band as registration sees it; reflectance in the memory of the cubes."""
+        """Return every band as registration takes it; reflectance in the memory of the cubes."""
         return [
             BandImage(band.label, band.wavelength, values, valid, sensor)
             for sensor, cube in self.cubes.items()
             for band, (values, valid) in zip(cube.bands, _pictures(cube), strict=True)
         ]
 
-    def without_sigma(self) -> Native:
-        """Return the cubes without sigma: it is on the disk, and only resampling asks for it."""
+    def sensors(self) -> Iterator[tuple[str, Cube | CubeRows]]:
+        """Yield each sensor's name and its pixels."""
+        yield from self.cubes.items()
+
+    def packed(self) -> Native:
+        """Return the cubes without sigma, which only resampling needs: packed."""
         cubes = {name: replace(cube, sigma=None) for name, cube in self.cubes.items()}
-        return replace(self, cubes=cubes)
+        sigmas = {n: PackedSigma(c.sigma) for n, c in self.cubes.items() if c.sigma is not None}
+        return replace(self, cubes=cubes, sigmas={**self.sigmas, **sigmas})
 
     def size_of(self, label: str) -> list[int]:
         """Return [width, height] of the sensor that recorded a band."""
@@ -88,6 +188,82 @@ class Native:
             if label in cube.labels:
                 return [cube.values.shape[1], cube.values.shape[0]]
         raise KeyError(label)
+
+    def setup_gains(self, default: DefaultLayer, maps: Mapping[str, Transform]) -> None:
+        """Return None: all rows come in one block."""
+
+    def on_grid(
+        self, maps: Mapping[str, Transform], size: tuple[int, int], *, spool: Path | None = None
+    ) -> Cube:
+        """Return all bands on the grid; sensor by sensor, so that the memory of sigma goes.
+
+        Neighbours of a demosaiced sensor share noise, and those of strips that were moved by a fraction of a
+        pixel do; the sigma of a light known by a chart is shared by all neighbours: no interpolation makes it smaller.
+        """
+        on_grid = [
+            self._on_grid(name, [maps[b.label] for b in cube.bands], size)
+            for name, cube in self.cubes.items()
+        ]
+        sigmas = [one.sigma for one in on_grid if one.sigma is not None]
+        return Cube(
+            _joined([one.values for one in on_grid]),
+            _joined([one.flags for one in on_grid]),
+            _joined(sigmas) if len(sigmas) == len(on_grid) else None,
+            self.bands,
+            self.quantity,
+        )
+
+    def _on_grid(self, sensor: str, maps: Sequence[Transform], size: tuple[int, int]) -> Cube:
+        cube, shape, learnt = self.cubes[sensor], size[::-1], self.learnt.get(sensor, {})
+        variance, light = self._take_variance(sensor), learnt.get(LIGHT_SIGMA)
+        if variance is not None:
+            if light:
+                variance -= light_variance(cube.values, light, cube.labels)
+                np.maximum(variance, 0, out=variance)
+            if sensor in self.mosaics:
+                variance *= shared_noise(self.mosaics[sensor], maps, shape)
+            if strips := learnt.get("strips"):
+                variance *= shared_by_strips(strips, cube.values.shape[1], maps, shape)[:, None]
+        warped = warp(cube.values, maps, shape, flags=cube.flags, variance=variance)
+        found = warped.variance
+        if found is not None:
+            if light:
+                found += _light_on_grid(warped.values, light, cube.labels, maps)
+            found = round_root(found, out=found)
+        values = round_values(warped.values, out=warped.values)
+        return Cube(values, warped.flags, found, cube.bands, cube.quantity)
+
+    def _take_variance(self, sensor: str) -> np.ndarray | None:
+        """Return the square of a sensor's sigma, in place of it: of a scan it is most of a gigabyte."""
+        packed = self.sigmas.pop(sensor, None)
+        if packed is None:
+            sigma = self.cubes[sensor].sigma
+            return None if sigma is None else np.square(sigma)
+        sigma = packed.unpack()
+        return np.square(sigma, out=sigma)
+
+
+def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
+
+
+def _light_on_grid(
+    values: np.ndarray,
+    sigmas: Mapping[str, Any],
+    labels: Sequence[str],
+    maps: Sequence[Transform],
+) -> np.ndarray:
+    """Return the variance that the light of a chart gives to resampled values; `maps` are grid px → native px."""
+    rows, columns = (np.arange(n) for n in values.shape[:2])
+    y, x = (np.linspace(0, n - 1, LIGHT_NODES) for n in values.shape[:2])
+    points = np.stack([part.ravel() for part in np.meshgrid(x, y)], 1)
+    found = np.empty(values.shape, np.float32)
+    for i, (label, one) in enumerate(zip(labels, maps, strict=True)):
+        there = np.nan_to_num(one(points), nan=-1.0)
+        share = LightNodes.from_record(sigmas[label]).near(there).reshape(len(y), len(x))
+        share = LightNodes(x, y, share).at(rows, columns)
+        found[..., i] = variance_under_light(values[..., i], share, sigmas[label])
+    return found
 
 
 def _pictures(cube: Cube) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -133,17 +309,6 @@ class FiledSigma:
         return read_tiff_pages(self.path)
 
 
-def sigmas_of(capture: Capture, places: Places) -> dict[str, FiledSigma]:
-    """Return the sigma of every sensor of a capture that has one in the database."""
-    paths = {
-        s.name: places.native(
-            capture.object, capture.camera, capture.setup, s.name, kind=".sigma.tif"
-        )
-        for s in capture.sensors
-    }
-    return {name: FiledSigma(path) for name, path in paths.items() if path.is_file()}
-
-
 def _pack(part: np.ndarray) -> bytes:
     import imagecodecs
 
@@ -168,46 +333,47 @@ def least_bytes(samples: int, quantity: str, *, noisy: bool) -> int:
 
 
 def write_native(
-    native: Native,
+    native: CalibratedCapture,
     capture: Capture,
     places: Places,
     credits: Credits,
     centroids: Mapping[str, float],
 ) -> list[Path]:
-    """Write the cubes, their flags and, where known, their sigma; return the files."""
-
-    made = []
+    """Write the pixels of every sensor, their flags and, where known, their sigma; return the files."""
     layer = Layer(
         capture.object, capture.camera, capture.setup, credits=credits, centroids=centroids
     )
-    for sensor, cube in native.cubes.items():
+    for _, rows in native.sensors():
+        least = least_bytes(prod(rows.shape), rows.quantity, noisy=rows.has_sigma)
+        require_space(places.output, least)
+    made = []
+    for sensor, rows in native.sensors():
         path = places.native(capture.object, capture.camera, capture.setup, sensor, kind="")
         make_folder(path.parent)
-        made += write_tiffs(path, layer, cube)
+        made += write_tiffs(path, layer, rows)
     return made
 
 
 def read_native(
-    capture: Capture, places: Places, quantity: str, warnings: tuple[str, ...]
+    capture: Capture, places: Places, notes: Mapping[str, Any], mosaics: Mapping[str, Mosaic]
 ) -> Native:
-    """Read back what `write_native` wrote, without sigma."""
-    cubes, aligns = {}, {}
+    """Read back what `write_native` wrote, sigma when it is needed; `notes` are those of its record."""
+    cubes, aligns, sigmas = {}, {}, {}
     for sensor in capture.sensors:
-        values = _read(capture, places, sensor.name, "")
-        flags = _read(capture, places, sensor.name, ".flags")
-        if values is None or flags is None:
-            raise FileNotFoundError(
-                places.native(capture.object, capture.camera, capture.setup, sensor.name)
+        name, quantity = sensor.name, notes.get("quantity", "counts")
+        paths = {
+            kind: places.native(
+                capture.object, capture.camera, capture.setup, name, kind=f"{kind}.tif"
             )
-        cubes[sensor.name] = Cube(values, flags, None, sensor.bands, quantity)
-        aligns[sensor.name] = sensor.align
-    return Native(cubes, aligns, None, warnings)
-
-
-def _read(capture: Capture, places: Places, sensor: str, kind: str) -> np.ndarray | None:
-
-    path = places.native(capture.object, capture.camera, capture.setup, sensor, kind=f"{kind}.tif")
-    return read_tiff_pages(path) if path.is_file() else None
+            for kind in ("", ".flags", ".sigma")
+        }
+        values, flags = (read_tiff_pages(paths[kind]) for kind in ("", ".flags"))
+        cubes[name] = Cube(values, flags, None, sensor.bands, quantity)
+        aligns[name] = sensor.align
+        if paths[".sigma"].is_file():
+            sigmas[name] = FiledSigma(paths[".sigma"])
+    facts = notes.get("captured"), tuple(notes.get("warnings", ())), notes.get("learnt", {})
+    return Native(cubes, aligns, *facts, mosaics, {**sigmas})
 
 
 CUBE_BYTES = 9

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from levkas.database.layout import Places
     from levkas.registration import BandImage
     from levkas.registration.predictors import PreparedReference
-    from levkas.stages.native_cubes import Native
+    from levkas.stages.native_cubes import CalibratedCapture
 
     Grey = tuple[np.ndarray, np.ndarray]
     Region = tuple[float, float, float, float]
@@ -45,12 +45,16 @@ class ReferenceFrame:
     places : Places
     captures : sequence of Capture
         Of the object, the reference camera's own first.
-    native : Native
+    native : CalibratedCapture
         Its calibrated bands.
     """
 
     def __init__(
-        self, campaign: Campaign, places: Places, captures: Sequence[Capture], native: Native
+        self,
+        campaign: Campaign,
+        places: Places,
+        captures: Sequence[Capture],
+        native: CalibratedCapture,
     ) -> None:
         self.campaign, self.places, self.captures = campaign, places, captures
         self.capture = captures[0]

@@ -37,16 +37,15 @@ if TYPE_CHECKING:
     from levkas.geometry.grid import Grid
     from levkas.registration import BandImage
     from levkas.registration.predictors import PreparedReference
-    from levkas.stages.native_cubes import Native
+    from levkas.stages.native_cubes import CalibratedCapture
     from levkas.stages.reference import ReferenceFrame
-    from levkas.stages.scans import Scan
 
 _COLUMNS = tuple(column.name for column in fields(Matches))
 _WORDS = ("state", "reason")
 
 
 def measure(
-    capture: Capture, native: Native | Scan, frame: ReferenceFrame, campaign: Campaign
+    capture: Capture, native: CalibratedCapture, frame: ReferenceFrame, campaign: Campaign
 ) -> Measured:
     """Register a capture by itself; `frame` takes the registration of the reference camera's own."""
     leads = capture is frame.capture
@@ -165,7 +164,7 @@ def verdict_problems(
 
 
 def register_capture(
-    native: Native | Scan,
+    native: CalibratedCapture,
     reference: Sequence[BandImage],
     reference_band: str,
     own: Registration | None,
@@ -283,7 +282,7 @@ def _refusal(refused: RegistrationRefused | None) -> dict[str, Any]:
     }
 
 
-def _results(registration: Registration, native: Native | Scan) -> dict[str, Any]:
+def _results(registration: Registration, native: CalibratedCapture) -> dict[str, Any]:
     """Return the part of the record that holds maps, verdict and evidence."""
     record = registration.to_dict()
     bands = {

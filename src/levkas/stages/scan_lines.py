@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,9 +35,6 @@ from levkas.stages.scan_templates import (
     gaps_marked,
     lines_of,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 class FlatLines(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -15,10 +15,9 @@ from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.sensor_context import SensorContext, placing
 from levkas.calibration.sensor_notes import describe_sensor, doubts_of
 from levkas.calibration.stated_exposures import require_black, require_exposures
+from levkas.colour.srgb import counts_white, find_rendering
 from levkas.core.cube import UNRELIABLE, Band, Cube, CubeRows, is_flagged
-from levkas.core.files import make_folder
 from levkas.core.rounding import round_root
-from levkas.database.layers import Layer, write_tiffs
 from levkas.readers.frames import read_facts
 from levkas.registration.bands import BandImage
 from levkas.stages.above_white import COUNTS, count_above, describe_above, require_light
@@ -27,6 +26,7 @@ from levkas.stages.exposures import cube_of, mark_glare_in
 from levkas.stages.scan_lines import FlatLines, Strip, describe_loss
 from levkas.stages.scan_templates import block_lines
 from levkas.stages.spectra import board_of
+from levkas.stages.streaming import gains_of_scan, resample_scan
 from levkas.stages.strips import JoinedStrips, lines_of_scan
 
 if TYPE_CHECKING:
@@ -35,16 +35,16 @@ if TYPE_CHECKING:
 
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
-    from levkas.database.credits import Credits
-    from levkas.database.layout import Places
+    from levkas.geometry.transforms import Transform
+    from levkas.stages.capture_statistics import DefaultLayer
     from levkas.stages.template_cache import TemplateCache
 
 STREAMED_SAMPLES = 100_000_000
 """A scan of more samples, of a mirror scanner of a third as many, is not held in memory. Layers, maps and
 records end in the same bytes either way but for the last bits of resampled values; the range on the report's
 page is then that of every sixteenth pixel. A constant, so that results do not hang on the machine's memory."""
-LOOKED_AT_PX = 1_000_000
-"""Most pixels of a band as registration sees it."""
+LOOKED_AT_PX, THINNED = 1_000_000, 16
+"""Most pixels of a band as registration takes it; every sixteenth a side is kept in mind for range and noise."""
 PASSING_BYTES, STRIPS_BYTES, PICTURE_BYTES = 1e8, 8e5, 7
 """Of what passes by at a time, of strips of a band that are gathered, and of a pixel of a band's picture."""
 
@@ -90,7 +90,7 @@ class ScanSummary(NamedTuple):
 
 @dataclass(eq=False)
 class Scan:
-    """One line scan whose lines are calibrated whenever they are needed, in place of `Native`.
+    """A `CalibratedCapture` whose lines are calibrated whenever they are needed: a line scan.
 
     Parameters
     ----------
@@ -99,8 +99,8 @@ class Scan:
         Of its flat-fielded lines.
     where : str
         Object and layer, for warnings.
-    aligns, captured
-        As of `Native`.
+    captured, aligns
+        As of `CalibratedCapture`.
     stated : tuple of str
         Notes on what its files state.
     """
@@ -111,11 +111,13 @@ class Scan:
     captured: str | None = None
     aligns: Mapping[str, object] = field(default_factory=dict)
     stated: tuple[str, ...] = ()
+    is_streamed: ClassVar[bool] = True
+    thinning: ClassVar[int] = THINNED
     _summary: ScanSummary | None = field(default=None, init=False)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """As of `Native`; complete when all lines have been calibrated once."""
+        """Complete when all lines have been calibrated once."""
         seen = self._summary.notes if self._summary else ()
         return tuple(dict.fromkeys(f"{self.where}: {note}" for note in (*self._doubts, *seen)))
 
@@ -162,10 +164,20 @@ class Scan:
 
     @property
     def learnt(self) -> dict[str, dict[str, Any]]:
-        """What was learnt of the sensor, as of `Native`."""
+        """What was learnt of the sensor."""
         return {self.context.sensor.name: self.context.told}
 
-    def without_sigma(self) -> Scan:
+    @property
+    def focus(self) -> list[dict[str, Any]]:
+        """Blur of the sharpest edges, band by band."""
+        return self.summary.focus
+
+    def sensors(self) -> Iterator[tuple[str, CubeRows]]:
+        """Yield the sensor's name and its lines, from which `summary` follows."""
+        rows = CubeRows(self.passed(), self.shape, self.bands, self.quantity, self.has_sigma)
+        yield self.context.sensor.name, rows
+
+    def packed(self) -> Scan:
         """Return the scan itself: it holds nothing."""
         return self
 
@@ -202,9 +214,13 @@ class Scan:
 
         Raises CalibrationRefused where a band has no finite value at all.
         """
-        seen = LinesSeen(self)
-        yield from seen.blocks()
-        self._summary = seen.summary()
+        calibration, pictures = ScanPass(self), Pictures(self)
+        middle = Middle(self.shape, self.bands)
+        for cube in calibration.blocks():
+            pictures.add(cube)
+            middle.add(cube)
+            yield cube
+        self._summary = ScanSummary(calibration.notes(), pictures.images(), middle.focus())
 
     @property
     def summary(self) -> ScanSummary:
@@ -216,8 +232,27 @@ class Scan:
         return self._summary
 
     def images(self) -> list[BandImage]:
-        """Return every band as registration sees it: means of blocks of `factor` x `factor` px."""
+        """Return every band as registration takes it: means of blocks of `factor` x `factor` px."""
         return self.summary.pictures
+
+    @property
+    def white(self) -> float | None:
+        """Count that pictures show as white, of the whole scan; None for reflectance, where it is 1."""
+        if self.quantity == "reflectance":
+            return None
+        shown = [np.where(i.valid, i.values, np.float32(np.nan))[::4, ::4] for i in self.images()]
+        return counts_white(np.stack(shown, -1), find_rendering(self.bands), step=1)
+
+    def setup_gains(self, default: DefaultLayer, maps: Mapping[str, Transform]) -> np.ndarray:
+        """Return the gains of this setup over the default one, by band, of the scan's pictures."""
+        return gains_of_scan(default, self, [maps[band.label] for band in self.bands])
+
+    def on_grid(
+        self, maps: Mapping[str, Transform], size: tuple[int, int], *, spool: Path
+    ) -> CubeRows:
+        """Return the layer's rows, each pixel interpolated once, as they are taken."""
+        with placing(self.context.sensor.object):
+            return resample_scan(self, [maps[band.label] for band in self.bands], size, spool=spool)
 
     def _flat_blocks(self, start: int, stop: int) -> Iterator[FlatLines]:
         step = block_lines(self.shape)
@@ -266,32 +301,8 @@ class ScanPass:
         return (*notes, *describe_above(self.above, labels))
 
 
-class LinesSeen:
-    """What the lines of a scan show while they pass by: values that were lost, pictures, the middle.
-
-    Parameters
-    ----------
-    scan : Scan
-    """
-
-    def __init__(self, scan: Scan) -> None:
-        self._pass, self._pictures = ScanPass(scan), Pictures(scan)
-        self._middle = Middle(scan.shape, scan.bands)
-
-    def blocks(self) -> Iterator[Cube]:
-        """Yield the lines, calibrated, some at a time."""
-        for cube in self._pass.blocks():
-            self._pictures.add(cube)
-            self._middle.add(cube)
-            yield cube
-
-    def summary(self) -> ScanSummary:
-        """Return what all lines have shown; raises CalibrationRefused where a band has no finite value."""
-        return ScanSummary(self._pass.notes(), self._pictures.images(), self._middle.focus())
-
-
 class Pictures:
-    """Every band of a scan as registration sees it, gathered while its lines pass by."""
+    """Every band of a scan as registration takes it, gathered while its lines pass by."""
 
     def __init__(self, scan: Scan) -> None:
         self._bands, self._factor = scan.bands, scan.factor
@@ -359,21 +370,3 @@ def develop_scan(context: SensorContext) -> tuple[Cube, list[str]]:
     """
     cube, notes = Scan(context, lines_of_scan(context)).whole()
     return cube, [*notes]
-
-
-def write_scan(
-    scan: Scan,
-    capture: Capture,
-    places: Places,
-    credits: Credits,
-    centroids: Mapping[str, float],
-) -> list[Path]:
-    """Write the calibrated lines of a scan as `native_cubes.write_native` would."""
-    sensor = capture.sensors[0].name
-    base = places.native(capture.object, capture.camera, capture.setup, sensor, kind="")
-    make_folder(base.parent)
-    layer = Layer(
-        capture.object, capture.camera, capture.setup, credits=credits, centroids=centroids
-    )
-    rows = CubeRows(scan.passed(), scan.shape, scan.bands, scan.quantity, scan.has_sigma)
-    return write_tiffs(base, layer, rows)

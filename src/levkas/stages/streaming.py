@@ -2,45 +2,59 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import ceil
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, Protocol
 
 import numpy as np
 
-from levkas.colour.srgb import counts_white, find_rendering
-from levkas.core.cube import Band, Cube, CubeRows, Flag
+from levkas.calibration.templates import CalibrationRefused
+from levkas.core.cube import UNRELIABLE, Cube, CubeRows, Flag, is_flagged
 from levkas.core.files import spooling
 from levkas.core.machine import tile_rows
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem
 from levkas.core.rounding import round_root, round_values
 from levkas.core.threads import made_ahead
-from levkas.database.grey import grey_of
 from levkas.geometry.pixel_maps import PixelMap, lay
 from levkas.geometry.resample import Warped, source_rows, warp
 from levkas.geometry.transforms import Affine, Composed
-from levkas.stages.capture_statistics import add_counts, count_flags, flag_and_count, ranges_of
+from levkas.quality.image_quality.glare import setup_gains
+from levkas.stages.native_cubes import CalibratedCapture
 from levkas.stages.shared_noise import shared_by_strips
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from levkas.geometry.transforms import Transform
     from levkas.stages.capture_statistics import DefaultLayer
-    from levkas.stages.scans import Scan
 
 HELD_BYTES, ASKEW_BYTES = 300_000_000, 3_600_000_000
 """Of calibrated lines and of grid rows, together, the next ones being read meanwhile; and of a scan that lies askew."""
 SAMPLE_BYTES = 9
-THINNED = 16
-"""Of a large scan every sixteenth pixel a side is kept in mind for its range and noise."""
 MOST_ROWS, LEAST_ROWS, TURNED_ROWS = 256, 8, 32
 """Of the grid: in a strip whose maps are laid at once, and in a piece on the disk."""
+COMPARED = 20_000
+"""Pixels of a scan's pictures from which the ratio of two setups is taken, evenly over the layer."""
 
 
-class ScanRefused(Refused):
+class ScanRefused(CalibrationRefused):
     """A scan that lies so that it cannot be streamed."""
+
+
+class CalibratedLines(CalibratedCapture, Protocol):
+    """A line scan of one sensor whose lines are calibrated whenever they are needed."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(lines, samples, bands)."""
+
+    @property
+    def has_sigma(self) -> bool:
+        """Whether the noise is known."""
+
+    def blocks(self, start: int, stop: int) -> Iterator[Cube]:
+        """Yield lines `start` to `stop`, some at a time."""
 
 
 class HeldLines:
@@ -50,7 +64,7 @@ class HeldLines:
     written over. `shared`, (samples,), is how much more variance columns keep when they are resampled.
     """
 
-    def __init__(self, scan: Scan, shared: np.ndarray | None = None) -> None:
+    def __init__(self, scan: CalibratedLines, shared: np.ndarray | None = None) -> None:
         self._scan, self._shared = scan, shared
         self._rooms: list[Cube] = []
         self._last: tuple[int, int, Cube] | None = None
@@ -100,75 +114,64 @@ def _rows_of(cube: Cube, start: int, stop: int) -> Cube:
     return replace(cube, values=cube.values[rows], flags=cube.flags[rows], sigma=sigma)
 
 
-@dataclass
-class Passing:
-    """What is noted of a layer's rows while they pass by: grey, where all was seen, flags, glare.
+def gains_of_scan(
+    layer: DefaultLayer, scan: CalibratedCapture, maps: Sequence[Transform]
+) -> np.ndarray:
+    """Return `setup_gains` of a scan before its rows are resampled: of its pictures.
+
+    A pixel of the pictures is compared with the mean of as many grid pixels as it covers.
 
     Parameters
     ----------
-    default : DefaultLayer, optional
-        The same camera under its default setup.
-    gains : ndarray, optional
-        `default_setup.gains_of_scan` of both.
+    maps : sequence of Transform
+        Grid px → native px, one a band.
     """
-
-    default: DefaultLayer | None = None
-    gains: np.ndarray | None = None
-    mean: list[np.ndarray] = field(default_factory=list)
-    seen: list[np.ndarray] = field(default_factory=list)
-    flags: np.ndarray = field(default_factory=lambda: np.zeros(256, np.int64))
-    glare: dict[str, int] = field(default_factory=dict)
-    thin: list[Cube] = field(default_factory=list)
-    _rows: int = 0
-
-    def noting(self, blocks: Iterable[Cube]) -> Iterator[Cube]:
-        """Flag glare in the rows, and pass them on."""
-        for cube in blocks:
-            first, self._rows = self._rows, self._rows + len(cube.values)
-            other = self.default.rows(first, self._rows) if self.default else None
-            add_counts(self.glare, flag_and_count(cube, other, self.gains))
-            self.thin.append(_thinned(cube, -first % THINNED))
-            mean, seen = grey_of(cube.values, cube.flags)
-            self.mean.append(mean)
-            self.seen.append(seen)
-            self.flags += count_flags(cube.flags)
-            yield cube
-
-    @property
-    def grey(self) -> tuple[np.ndarray, np.ndarray]:
-        """As `resampling.grey_of` gives it for all rows."""
-        return np.concatenate(self.mean), np.concatenate(self.seen)
-
-    def ranges(self, bands: Sequence[Band]) -> list[dict[str, Any]]:
-        """As `ranges_of` gives it, of every sixteenth pixel a side."""
-        values, flags = (
-            np.concatenate([getattr(c, n) for c in self.thin]) for n in ("values", "flags")
-        )
-        sigmas = [cube.sigma for cube in self.thin if cube.sigma is not None]
-        sigma = np.concatenate(sigmas) if len(sigmas) == len(self.thin) else None
-        return ranges_of(Cube(values, flags, sigma, tuple(bands), self.thin[0].quantity))
+    height, width, _ = layer.values.shape
+    side = _side(maps[0], (height, width), scan.factor)
+    tall, wide = height // side, width // side
+    step = max(1, int(np.sqrt(tall * wide / COMPARED)))
+    across, down = np.arange(0, wide, step), np.arange(0, tall, step)
+    paint, known = _means(layer, down, across, side)
+    x, y = np.meshgrid(*(n * side + (side - 1) / 2 for n in (across, down)))
+    places = np.stack([x.ravel(), y.ravel()], 1)
+    values, flags = np.zeros(paint.shape, np.float32), np.full(paint.shape, Flag.OUTSIDE, np.uint8)
+    for band, (one, image) in enumerate(zip(maps, scan.images(), strict=True)):
+        # NaN, where a place is not known, is beyond any edge.
+        spots = np.rint(np.nan_to_num((one(places) + 0.5) / scan.factor - 0.5, nan=-9)).astype(int)
+        inside = ((spots >= 0) & (spots < image.values.shape[::-1])).all(1)
+        column, row = spots[inside].T
+        mask = inside.reshape(paint.shape[:2])
+        values[mask, band] = image.values[row, column]
+        flags[mask, band] = np.where(image.valid[row, column], 0, Flag.OUTSIDE)
+    return setup_gains(values, flags, paint, known)
 
 
-def _thinned(cube: Cube, first: int) -> Cube:
-    """Every sixteenth pixel a side of some rows, from the row `first` on, in memory of its own."""
-    rows = np.s_[first::THINNED, ::THINNED]
-    sigma = None if cube.sigma is None else cube.sigma[rows].copy()
-    return Cube(cube.values[rows].copy(), cube.flags[rows].copy(), sigma, cube.bands, cube.quantity)
+def _side(one: Transform, shape: tuple[int, int], factor: int) -> int:
+    """Return how many grid pixels a pixel of the pictures is wide, in the grid's middle."""
+    x, y = shape[1] / 2, shape[0] / 2
+    a, b, c = one(np.array([[x, y], [x + 1, y], [x, y + 1]]))
+    pixels = float(np.sqrt(np.linalg.norm(b - a) * np.linalg.norm(c - a)))
+    most = min(shape)
+    return int(np.clip(round(factor / pixels), 1, most)) if pixels > 0 else 1
 
 
-def white_of(scan: Scan) -> float | None:
-    """Return the count that pictures of a scan show as white; None for reflectance, where it is 1.
-
-    It is found in the picture of the whole scan, whatever rows come first.
-    """
-    if scan.quantity == "reflectance":
-        return None
-    seen = [np.where(i.valid, i.values, np.float32(np.nan))[::4, ::4] for i in scan.images()]
-    return counts_white(np.stack(seen, -1), find_rendering(scan.bands), step=1)
+def _means(
+    layer: DefaultLayer, down: np.ndarray, across: np.ndarray, side: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the means of blocks of `side` x `side` px, and flags; one is not known where a pixel is not."""
+    values, flags = [], []
+    wide = (int(across[-1]) + 1) * side
+    for row in down:
+        part, marks = layer.rows(row * side, (row + 1) * side)
+        shape = (side, wide // side, side, part.shape[2])
+        lost = is_flagged(marks[:, :wide], UNRELIABLE).reshape(shape).any((0, 2))
+        values.append(np.nan_to_num(part[:, :wide]).reshape(shape).mean((0, 2))[across])
+        flags.append(np.where(lost, np.uint8(Flag.OUTSIDE), np.uint8(0))[across])
+    return np.stack(values), np.stack(flags)
 
 
 def resample_scan(
-    scan: Scan, maps: Sequence[Transform], size: tuple[int, int], *, spool: Path
+    scan: CalibratedLines, maps: Sequence[Transform], size: tuple[int, int], *, spool: Path
 ) -> CubeRows:
     """Return the grid's rows, each pixel and band interpolated once, as they are taken.
 
@@ -178,7 +181,7 @@ def resample_scan(
 
     Parameters
     ----------
-    scan : Scan
+    scan : CalibratedLines
     maps : sequence of Transform
         Grid px → native px, one a band.
     size : (width, height) of the grid
@@ -188,16 +191,8 @@ def resample_scan(
     Raises
     ------
     ScanRefused
-        ``E_SIZE`` where a few rows, or columns, need more lines than may be held; with the first rows.
+        ``E_SIZE`` where a few rows, or columns, need more lines than may be held.
     """
-    shape = (size[1], size[0], len(scan.bands))
-    blocks = _grid_rows(scan, maps, size, spool)
-    return CubeRows(blocks, shape, scan.bands, scan.quantity, scan.has_sigma)
-
-
-def _grid_rows(
-    scan: Scan, maps: Sequence[Transform], size: tuple[int, int], spool: Path
-) -> Iterator[Cube]:
     swap = Affine(np.array([[0.0, 1, 0], [1, 0, 0]]))
     turned = {id(one): Composed(swap, one) for one in maps}
     sideways, across = [turned[id(one)] for one in maps], (size[1], size[0])
@@ -205,22 +200,23 @@ def _grid_rows(
     columns = 0 if rows else _rows_at_once(scan, sideways, across, HELD_BYTES)
     if not rows and not columns:
         rows = _rows_at_once(scan, maps, size, ASKEW_BYTES)
-    seams = scan.context.told.get("strips")
-    shared = shared_by_strips(seams, scan.shape[1], maps, across) if seams else None
-    if rows:
-        yield from _in_rows(scan, maps, size, rows, shared)
-        return
-    if not columns:
+    if not rows and not columns:
         raise ScanRefused(
             Problem(
                 "E_SIZE",
                 "the scan is tilted relative to the grid: some rows or columns of the grid need too many of its lines",
-                str(scan.context.sensor.object[0].path),
-                "grid.rotate",
+                field="grid.rotate",
                 fix="Rotate the grid so that the lines of the scan follow its rows or columns.",
             )
         )
-    yield from _turned(_in_rows(scan, sideways, across, columns, shared), scan, size[1], spool)
+    seams = next((one["strips"] for one in scan.learnt.values() if "strips" in one), ())
+    shared = shared_by_strips(seams, scan.shape[1], maps, across) if seams else None
+    if rows:
+        blocks = _in_rows(scan, maps, size, rows, shared)
+    else:
+        blocks = _in_rows(scan, sideways, across, columns, shared)
+        blocks = _turned(blocks, scan, size[1], spool)
+    return CubeRows(blocks, (*across, len(scan.bands)), scan.bands, scan.quantity, scan.has_sigma)
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +234,7 @@ class _Tile:
 
 
 def _in_rows(
-    scan: Scan,
+    scan: CalibratedLines,
     maps: Sequence[Transform],
     size: tuple[int, int],
     strip: int,
@@ -264,7 +260,7 @@ def _in_rows(
 
 
 def _tile(
-    scan: Scan,
+    scan: CalibratedLines,
     maps: Sequence[Transform],
     size: tuple[int, int],
     rows: tuple[int, int],
@@ -289,7 +285,7 @@ def _tile(
     return _Tile(top, stop, low, high, tuple(parts))
 
 
-def _resampled(scan: Scan, lines: Cube, tile: _Tile, width: int) -> Cube:
+def _resampled(scan: CalibratedLines, lines: Cube, tile: _Tile, width: int) -> Cube:
     """Resample; in place of sigma `lines` have its square."""
     shape = (tile.stop - tile.top, width, scan.shape[2])
     variance = lines.sigma
@@ -312,7 +308,9 @@ def _resampled(scan: Scan, lines: Cube, tile: _Tile, width: int) -> Cube:
     return Cube(round_values(values, out=values), flags, sigma, scan.bands, scan.quantity)
 
 
-def _rows_at_once(scan: Scan, maps: Sequence[Transform], size: tuple[int, int], most: int) -> int:
+def _rows_at_once(
+    scan: CalibratedLines, maps: Sequence[Transform], size: tuple[int, int], most: int
+) -> int:
     """Return how many grid rows make a strip; 0 where even a few need lines of more than `most` bytes."""
     width, height = size
     _, samples, bands = scan.shape
@@ -329,7 +327,9 @@ def _rows_at_once(scan: Scan, maps: Sequence[Transform], size: tuple[int, int], 
         rows = ceil(rows / 2)
 
 
-def _turned(columns: Iterator[Cube], scan: Scan, height: int, spool: Path) -> Iterator[Cube]:
+def _turned(
+    columns: Iterator[Cube], scan: CalibratedLines, height: int, spool: Path
+) -> Iterator[Cube]:
     """Put columns on the disk in pieces, and yield rows."""
     bands, step = scan.shape[2], tile_rows(TURNED_ROWS, height)
     pieces: list[list[tuple[int, tuple[int, int, int], bool]]] = []
@@ -381,7 +381,7 @@ def _lay(maps: Sequence[Transform], shape: tuple[int, int], top: int) -> PixelMa
     return lay([shifted[id(one)] for one in maps], shape)
 
 
-def _nothing(scan: Scan, rows: int, width: int) -> Cube:
+def _nothing(scan: CalibratedLines, rows: int, width: int) -> Cube:
     shape = (rows, width, scan.shape[2])
     empty = np.full(shape, np.nan, np.float32)
     sigma = empty.copy() if scan.has_sigma else None
