@@ -12,7 +12,7 @@ from levkas.building import fingerprints
 from levkas.building.build_records import BuildRecords, Key, key_of
 from levkas.building.fingerprints import digest, written
 from levkas.building.graph import cameras_with_pages, page_key
-from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA
+from levkas.calibration.chart_light import CHART_WHITE
 from levkas.calibration.drift import LAMP, NOTICED
 from levkas.campaign.discovery.find_captures import find_charts
 from levkas.core.disk import WriteRefused
@@ -386,7 +386,7 @@ def _bands(bands: Sequence[Band]) -> list[dict[str, Any]]:
 def _without_pictures(told: Mapping[str, Any]) -> dict[str, Any]:
     return {
         sensor: {
-            **{k: v for k, v in facts.items() if k not in ("light", LIGHT_SIGMA)},
+            **{k: v for k, v in facts.items() if k != "light"},
             "light": {
                 band: {k: v for k, v in light.items() if k not in PICTURES}
                 for band, light in facts.get("light", {}).items()

@@ -179,7 +179,9 @@ def _agreement(
         if not written or notes.get("quantity") != "reflectance":
             continue
         layers.append(layer)
-        budgets[layer.name] = LayerBudget(budget_of(campaign, capture, notes.get("learnt", {})))
+        rows = budget_of(campaign, capture, notes.get("learnt", {}))
+        shared = records.notes(key_of(capture, "resample")).get("noise_correlation", [[1.0]])
+        budgets[layer.name] = LayerBudget(rows, np.array(shared))
         bands = [band for sensor in capture.sensors for band in sensor.bands]
         found = weights_of_bands(campaign, capture, bands)
         weights[layer.name] = {
@@ -326,8 +328,6 @@ def _want_of_marks(errors: dict[str, Any]) -> str:
 
 def _band_rows(record: dict[str, Any]) -> list[list[str]]:
     """Where the middle of the reference lies in each band, against the camera's reference channel."""
-    import numpy as np
-
     from levkas.geometry import from_dict
 
     bands = record.get("bands", {})
@@ -463,6 +463,7 @@ def _step(records: BuildRecords, key: Key) -> dict[str, Any]:
         "parameters": parameters,
         "inputs": inputs,
         "products": {n: sha for n, sha in products.items() if not n.startswith("zarr/")},
+        **{k: v for k, v in records.notes(key).items() if k == "noise_correlation"},
     }
 
 

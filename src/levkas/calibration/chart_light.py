@@ -8,19 +8,18 @@ patches that are left out in turn come out best.
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.templates import Template
 
-CHART_WHITE, LIGHT_SIGMA = "chart_white", "chart_light_sigma"
-"""Names, among what is learnt of a sensor, of the record of its chart and of maps of the light's sigma."""
+CHART_WHITE = "chart_white"
+"""Name, among what is learnt of a sensor, of the record of its chart."""
 HIGHEST_ORDER = 3
 """Of the polynomial; ten terms."""
 PATCHES_A_TERM = 2
@@ -31,7 +30,7 @@ patches alone makes it 5 to 10 % smaller by chance, and beyond the chart a term 
 RELATIVE, ABSOLUTE = 0.02, 0.004
 """What a patch may differ from its published reflectance, a share and a reflectance; weights alone hang on them.
 BabelColor's thirty charts scatter by about that much. Half or twice as much changes weights of dark patches only."""
-NODES, THIRD = 97, 3
+NODES = 97
 """Places a side at which the light is worked out; between them it is interpolated."""
 LEAST, MOST = 0.5, 2.0
 """Beyond the chart the light is kept between these parts of its least and greatest level on the chart."""
@@ -381,29 +380,6 @@ class LightNodes(NamedTuple):
         across = across.astype(np.float32)
         return np.asarray((1 - part) * across[places] + part * across[after])
 
-    def near(self, points: np.ndarray) -> np.ndarray:
-        """Interpolate at (n, 2) px; beyond the picture as at its edge."""
-        from scipy.ndimage import map_coordinates
-
-        places = [
-            np.interp(points[:, k], axis, np.arange(len(axis)))
-            for k, axis in ((1, self.y), (0, self.x))
-        ]
-        return np.asarray(map_coordinates(self.values, places, order=1, mode="nearest"))
-
-    def to_record(self) -> dict[str, Any]:
-        """Return every third node, which is enough for sigma."""
-        thin = np.ascontiguousarray(self.values[::THIRD, ::THIRD], "<f4")
-        text = base64.b64encode(thin.tobytes()).decode("ascii")
-        return {"x": self.x[::THIRD].tolist(), "y": self.y[::THIRD].tolist(), "values": text}
-
-    @classmethod
-    def from_record(cls, record: Mapping[str, Any]) -> LightNodes:
-        """Return the nodes that `to_record` gave."""
-        x, y = (np.array(record[axis], float) for axis in ("x", "y"))
-        values = np.frombuffer(base64.b64decode(record["values"]), "<f4").astype(float)
-        return cls(x, y, values.reshape(len(y), len(x)))
-
 
 class LightMap(NamedTuple):
     """Light of a perfect diffuser, counts, and its relative sigma; `beyond` is the share beyond the chart."""
@@ -472,33 +448,3 @@ class ChartLight:
             variance[y :: table.shape[0], x :: table.shape[1]] = part
         none = np.zeros(size, bool)
         return Template(mean, variance, 1, none, none, self.times[labels[0]], above_dark=True)
-
-    def sigmas(self) -> dict[str, dict[str, Any]]:
-        """Return the relative sigma of the light of each band as records of `LightNodes`, with its `PatchScatter`."""
-        return {
-            label: {**light.sigma.to_record(), "patches": list(self.scatter[label])}
-            for label, light in self.maps.items()
-        }
-
-
-def light_variance(
-    values: np.ndarray, sigmas: Mapping[str, Any], labels: Sequence[str]
-) -> np.ndarray:
-    """Return the variance that the light gives to reflectance in native pixels, (height, width, bands) float32.
-
-    `sigmas` are records by band, as of `ChartLight.sigmas`. Neighbours share it: no mean makes it smaller.
-    """
-    rows, columns = (np.arange(n) for n in values.shape[:2])
-    found = np.empty(values.shape, np.float32)
-    for i, label in enumerate(labels):
-        share = LightNodes.from_record(sigmas[label]).at(rows, columns)
-        found[..., i] = variance_under_light(values[..., i], share, sigmas[label])
-    return found
-
-
-def variance_under_light(
-    values: np.ndarray, share: np.ndarray, record: Mapping[str, Any]
-) -> np.ndarray:
-    """Return the variance of reflectances (h, w) of one band under light of relative sigma `share`, and by its patches."""
-    relative, absolute = record["patches"]
-    return np.asarray(values**2 * (share**2 + np.float32(relative**2)) + np.float32(absolute**2))

@@ -108,7 +108,14 @@ def _white(
             {label: one["sigma_of_patches"][k] for label, one in found.items()} for k in (0, 1)
         )
         light = {b: float(np.hypot(found[b]["sigma_in_frame"], relative[b])) for b in found}
-        yield ErrorSource(CHART, "relative", light, "frame", all_bands=False)
+        most = max(one["sigma_most"] for one in found.values())
+        beyond = max(float(chart["beyond_the_chart"]) for chart in charts.values())
+        advice = (
+            f"the light is known to {100 * most:.2g} % in places beyond the chart: a chart as large as the object"
+            if beyond
+            else ""
+        )
+        yield ErrorSource(CHART, "relative", light, "frame", all_bands=False, advice=advice)
         yield ErrorSource(CHART, "reflectance", absolute, "frame", all_bands=False)
         return
     row = ErrorSource(WHITE, "relative", {}, "campaign", all_bands=True)

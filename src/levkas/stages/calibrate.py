@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.calibration.agreement import compare_facts
-from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA, light_variance
+from levkas.calibration.chart_light import CHART_WHITE
 from levkas.calibration.code_checks import CodesRefused
 from levkas.calibration.defects import replace_defects
 from levkas.calibration.equalising import equalise_phases
@@ -34,7 +34,6 @@ from levkas.calibration.wiener_mosaic import correlate_channels, wiener_method
 from levkas.core.cube import Cube, Flag
 from levkas.core.files import together
 from levkas.core.problems import Problem, Refused, gathered
-from levkas.core.rounding import round_root
 from levkas.core.threads import each
 from levkas.database.credits import credits_of
 from levkas.readers.frames import UnreadableCapture, read_facts
@@ -173,11 +172,7 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
             if light is not None:
                 _require_chart_of_size(context, light)
                 context.told[CHART_WHITE] = dict(light.record)
-                context.told[LIGHT_SIGMA] = light.sigmas()
             cube, found = developer_of(camera)(context)
-            if light is not None and cube.sigma is not None:
-                shared = light_variance(cube.values, light.sigmas(), cube.labels)
-                cube = replace(cube, sigma=round_root(cube.sigma**2 + shared))
             cube = cubes[sensor.name] = mark_glare_in(cube)
             notes += [*found, *describe_sensor(context)]
             if not camera.traits.is_scanned:  # of a scan it is among what its lines show

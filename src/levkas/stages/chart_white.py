@@ -445,7 +445,7 @@ def _record(fitted: SensorLight, label: str, light: LightMap) -> dict[str, Any]:
         "sigma_of_level": _digits(fit.level_sigma),
         "sigma_at_edge_of_chart": _digits(float(on_chart.max())),
         "sigma_most": _digits(float(light.sigma.values.max())),
-        "sigma_in_frame": _digits(float(np.sqrt(np.mean(light.sigma.values**2)))),
+        "sigma_in_frame": _digits(float(np.median(light.sigma.values))),
         "uneven_sensels": _digits(fitted.unevenness[label]),
         "sigma_of_patches": [_digits(part) for part in fitted.scatter[label]],
         "light_of": fitted.lent.get(label, ""),
@@ -484,7 +484,7 @@ def _notes(fitted: SensorLight, record: Mapping[str, Any], reference: ChartRefer
         told = "unknown in some places" if most >= 1 else f"known to {100 * most:.2g} % or better"
         notes.append(
             f"{100 * record['beyond_the_chart']:.0f} % of the frame is beyond the chart: the light is extrapolated "
-            f"there, and {told}; sigma includes this"
+            f"there, and {told}; the uncertainty budget has the median over the frame"
         )
     if left_out := record["left_out"]:
         first, last = reference.wavelengths[0], reference.wavelengths[-1]

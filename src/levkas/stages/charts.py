@@ -343,7 +343,7 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
     common = {
         name: found
         for name, cube in whole.cubes.items()
-        if (found := _common_variance(cube, first, second, whole.learnt, name)) is not None
+        if (found := _common_variance(cube, first, second, name)) is not None
     }
     count = 2 * min(_shots_of(parts[0]))
     steps = _steps_of(whole)
@@ -360,24 +360,16 @@ def _joined(first: Capture, second: Capture) -> Capture:
     return replace(first, sensors=tuple(sensors))
 
 
-def _common_variance(
-    cube: Cube, first: Native, second: Native, learnt: Mapping[str, Any], name: str
-) -> np.ndarray | None:
+def _common_variance(cube: Cube, first: Native, second: Native, name: str) -> np.ndarray | None:
     """Return the variance that all shots of a chart share, of white and dark; None where noise is not known.
 
-    Half of the shots have the variance o + c, all of them o/2 + c. The light of a chart that is the white is
-    no noise of pixels.
+    Half of the shots have the variance o + c, all of them o/2 + c.
     """
-    from levkas.calibration.chart_light import LIGHT_SIGMA, light_variance
-
     halves = [one.cubes[name].sigma for one in (first, second)]
     if cube.sigma is None or any(sigma is None for sigma in halves):
         return None
     squares = [np.square(sigma, dtype=np.float64) for sigma in halves if sigma is not None]
-    common = 2 * np.square(cube.sigma, dtype=np.float64) - (squares[0] + squares[1]) / 2
-    if light := learnt.get(name, {}).get(LIGHT_SIGMA):
-        common -= light_variance(cube.values, light, cube.labels)
-    return common
+    return np.asarray(2 * np.square(cube.sigma, dtype=np.float64) - (squares[0] + squares[1]) / 2)
 
 
 def edges_of(campaign: Campaign, capture: Capture) -> dict[str, tuple[EdgePlace, ...]]:

@@ -8,12 +8,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
-from levkas.calibration.chart_light import (
-    LIGHT_SIGMA,
-    LightNodes,
-    light_variance,
-    variance_under_light,
-)
 from levkas.campaign.camera_kinds import KINDS
 from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
 from levkas.core.disk import require_space
@@ -28,7 +22,7 @@ from levkas.geometry.resample import warp
 from levkas.readers.frames import read_facts
 from levkas.registration.bands import BandImage, share_of_most
 from levkas.stages.capture_statistics import focus_of
-from levkas.stages.shared_noise import shared_by_strips, shared_noise
+from levkas.stages.shared_noise import neighbour_correlation, shared_by_strips, shared_noise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -43,8 +37,6 @@ if TYPE_CHECKING:
     from levkas.stages.shared_noise import Mosaic
 
 PACKED_ROWS = 64
-LIGHT_NODES = 97
-"""Places a side of the grid at which the sigma of a chart's light is looked up."""
 
 
 class CalibratedCapture(Protocol):
@@ -110,6 +102,9 @@ class CalibratedCapture(Protocol):
         self, default: DefaultLayer, maps: Mapping[str, Transform]
     ) -> np.ndarray | None:
         """Return the gains of this setup over the default one, by band; None where all rows come in one block."""
+
+    def noise_correlation(self, maps: Mapping[str, Transform], size: tuple[int, int]) -> np.ndarray:
+        """Return `shared_noise.neighbour_correlation` of the layer, by its first sensor."""
 
     def on_grid(
         self, maps: Mapping[str, Transform], size: tuple[int, int], *, spool: Path
@@ -192,13 +187,18 @@ class Native:
     def setup_gains(self, default: DefaultLayer, maps: Mapping[str, Transform]) -> None:
         """Return None: all rows come in one block."""
 
+    def noise_correlation(self, maps: Mapping[str, Transform], size: tuple[int, int]) -> np.ndarray:
+        """Return the correlation of the noise of neighbours on the grid, by the first sensor."""
+        name, cube = next(iter(self.cubes.items()))
+        own = [maps[band.label] for band in cube.bands]
+        return neighbour_correlation(own, size[::-1], self.mosaics.get(name))
+
     def on_grid(
         self, maps: Mapping[str, Transform], size: tuple[int, int], *, spool: Path | None = None
     ) -> Cube:
         """Return all bands on the grid; sensor by sensor, so that the memory of sigma goes.
 
-        Neighbours of a demosaiced sensor share noise, and those of strips that were moved by a fraction of a
-        pixel do; the sigma of a light known by a chart is shared by all neighbours: no interpolation makes it smaller.
+        Neighbours of a demosaiced sensor share noise, and those of strips that were moved by a fraction of a pixel.
         """
         on_grid = [
             self._on_grid(name, [maps[b.label] for b in cube.bands], size)
@@ -215,11 +215,8 @@ class Native:
 
     def _on_grid(self, sensor: str, maps: Sequence[Transform], size: tuple[int, int]) -> Cube:
         cube, shape, learnt = self.cubes[sensor], size[::-1], self.learnt.get(sensor, {})
-        variance, light = self._take_variance(sensor), learnt.get(LIGHT_SIGMA)
+        variance = self._take_variance(sensor)
         if variance is not None:
-            if light:
-                variance -= light_variance(cube.values, light, cube.labels)
-                np.maximum(variance, 0, out=variance)
             if sensor in self.mosaics:
                 variance *= shared_noise(self.mosaics[sensor], maps, shape)
             if strips := learnt.get("strips"):
@@ -227,8 +224,6 @@ class Native:
         warped = warp(cube.values, maps, shape, flags=cube.flags, variance=variance)
         found = warped.variance
         if found is not None:
-            if light:
-                found += _light_on_grid(warped.values, light, cube.labels, maps)
             found = round_root(found, out=found)
         values = round_values(warped.values, out=warped.values)
         return Cube(values, warped.flags, found, cube.bands, cube.quantity)
@@ -245,25 +240,6 @@ class Native:
 
 def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
-
-
-def _light_on_grid(
-    values: np.ndarray,
-    sigmas: Mapping[str, Any],
-    labels: Sequence[str],
-    maps: Sequence[Transform],
-) -> np.ndarray:
-    """Return the variance that the light of a chart gives to resampled values; `maps` are grid px → native px."""
-    rows, columns = (np.arange(n) for n in values.shape[:2])
-    y, x = (np.linspace(0, n - 1, LIGHT_NODES) for n in values.shape[:2])
-    points = np.stack([part.ravel() for part in np.meshgrid(x, y)], 1)
-    found = np.empty(values.shape, np.float32)
-    for i, (label, one) in enumerate(zip(labels, maps, strict=True)):
-        there = np.nan_to_num(one(points), nan=-1.0)
-        share = LightNodes.from_record(sigmas[label]).near(there).reshape(len(y), len(x))
-        share = LightNodes(x, y, share).at(rows, columns)
-        found[..., i] = variance_under_light(values[..., i], share, sigmas[label])
-    return found
 
 
 def _pictures(cube: Cube) -> Iterator[tuple[np.ndarray, np.ndarray]]:

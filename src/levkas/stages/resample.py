@@ -96,11 +96,14 @@ class Resampled:
         Of the rows that have passed.
     white : float or None
         Count shown as white, as of `database.layers.write_layer`.
+    correlation : ndarray or None
+        Of the noise of neighbours, `neighbour_correlation`; None where noise is not known.
     """
 
     rows: Cube | CubeRows
     statistics: LayerStatistics
     white: float | None
+    correlation: np.ndarray | None = None
 
 
 def resample(native: CalibratedCapture, target: GridTarget, frame: ReferenceFrame) -> Resampled:
@@ -114,7 +117,11 @@ def resample(native: CalibratedCapture, target: GridTarget, frame: ReferenceFram
     }
     gains = native.setup_gains(default, maps) if default else None
     rows = native.on_grid(maps, grid.size, spool=frame.places.kept)
-    return Resampled(rows, LayerStatistics(default, gains, native.thinning), native.white)
+    correlation = None
+    if rows.has_sigma and native.quantity == "reflectance":
+        correlation = native.noise_correlation(maps, grid.size)
+    statistics = LayerStatistics(default, gains, native.thinning)
+    return Resampled(rows, statistics, native.white, correlation)
 
 
 def write_resampled(
@@ -140,6 +147,8 @@ def write_resampled(
         "glare": statistics.glare,
         "ranges": statistics.ranges(),
     }
+    if made.correlation is not None:
+        notes["noise_correlation"] = made.correlation.tolist()
     return Written(files, notes)
 
 

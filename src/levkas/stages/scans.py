@@ -25,6 +25,7 @@ from levkas.stages.capture_statistics import Middle, describe_lamp
 from levkas.stages.exposures import cube_of, mark_glare_in
 from levkas.stages.scan_lines import FlatLines, Strip, describe_loss
 from levkas.stages.scan_templates import block_lines
+from levkas.stages.shared_noise import neighbour_correlation
 from levkas.stages.spectra import board_of
 from levkas.stages.streaming import gains_of_scan, resample_scan
 from levkas.stages.strips import JoinedStrips, lines_of_scan
@@ -246,6 +247,10 @@ class Scan:
     def setup_gains(self, default: DefaultLayer, maps: Mapping[str, Transform]) -> np.ndarray:
         """Return the gains of this setup over the default one, by band, of the scan's pictures."""
         return gains_of_scan(default, self, [maps[band.label] for band in self.bands])
+
+    def noise_correlation(self, maps: Mapping[str, Transform], size: tuple[int, int]) -> np.ndarray:
+        """Return the correlation of the noise of neighbours on the grid."""
+        return neighbour_correlation([maps[band.label] for band in self.bands], size[::-1])
 
     def on_grid(
         self, maps: Mapping[str, Transform], size: tuple[int, int], *, spool: Path

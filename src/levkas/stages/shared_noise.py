@@ -19,6 +19,9 @@ NOISE_PX = 320
 """Side of the noise that is resampled to see what neighbours share: it tells variances to 1 %."""
 LEAST_SHARED = 1.04
 """Less is chance."""
+NOISES, REACH, MOST_REACH, CHANCE = 4, 4.0, 16, 0.006
+"""Fields of noise whose products are averaged; pixels of the sensor, and most of the grid, over which noise is shared; a correlation
+that is one of chance, three of its standard deviations."""
 COURSE = (-0.8, -0.3, 0.3, 0.8)
 """Of the swing of a strip's course, where its lines lie at several fractions of a pixel."""
 
@@ -53,6 +56,43 @@ def shared_noise(mosaic: Mosaic, maps: Sequence[Transform], shape: tuple[int, in
     values, _, variance = interpolate(noise, none, np.ones_like(noise), table, method)
     assert variance is not None
     return _over_independent(values, variance, maps, shape)
+
+
+def neighbour_correlation(
+    maps: Sequence[Transform], shape: tuple[int, int], mosaic: Mosaic | None = None
+) -> np.ndarray:
+    """Return the correlation of the noise of a pixel of the grid with that of its neighbours, (2r + 1, 2r + 1), 1 in the middle.
+
+    White noise of the sensor is made what the values are, demosaiced and warped as in the middle of the grid; the mean of its products.
+    r is as many pixels as four of the sensor span, 16 at most.
+
+    Parameters
+    ----------
+    maps : sequence of Transform
+        Grid px → native px, one a band: the middle one is taken.
+    shape : (rows, columns) of the grid
+    mosaic : Mosaic, optional
+    """
+    one = [maps[len(maps) // 2]]
+    slope = one[0].jacobian(np.array([[shape[1], shape[0]]]) / 2)[0]
+    scale = float(np.sqrt(abs(np.linalg.det(slope))))
+    reach = int(np.clip(np.ceil(REACH / max(scale, 1e-6)), 1, MOST_REACH))
+    total = np.zeros((2 * reach + 1, 2 * reach + 1))
+    for seed in range(NOISES):
+        noise = _white_noise(seed)
+        if mosaic is not None:
+            table, method = method_of(*mosaic)
+            noise = interpolate(noise, np.zeros(noise.shape, np.uint8), None, table, method)[0]
+            noise = np.ascontiguousarray(noise[..., noise.shape[2] // 2])
+        seen = _warped_locally(noise[..., None], one, shape)[0][..., 0]
+        seen = np.nan_to_num(seen)
+        inner = seen[reach:-reach, reach:-reach]
+        height, width = inner.shape
+        for dy, dx in np.ndindex(total.shape):
+            total[dy, dx] += np.vdot(inner, seen[dy : dy + height, dx : dx + width]).real
+    found = np.round(total / total[reach, reach], 4)
+    found[np.abs(found) < CHANCE] = 0.0
+    return np.asarray(found)
 
 
 def shared_by_strips(
@@ -93,8 +133,8 @@ def shared_by_strips(
     return factors
 
 
-def _white_noise() -> np.ndarray:
-    return np.random.default_rng(0).standard_normal((NOISE_PX, NOISE_PX)).astype(np.float32)
+def _white_noise(seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal((NOISE_PX, NOISE_PX)).astype(np.float32)
 
 
 def _moved_noise(
@@ -117,6 +157,23 @@ def _over_independent(
     values: np.ndarray, variance: np.ndarray, maps: Sequence[Transform], shape: tuple[int, int]
 ) -> np.ndarray:
     """Return the mean square of noise (h, w, bands) warped as in the middle of a grid over that of Σw²u², (bands,)."""
+    warped, made = _warped_locally(values, maps, shape, variance)
+    told = np.nan_to_num(np.asarray(made))
+    seen = np.isfinite(warped) & (told > 0)
+    squares, expected = (
+        np.where(seen, part, 0).sum((0, 1), dtype=np.float64) for part in (warped**2, told)
+    )
+    ratio = squares / np.maximum(expected, 1e-12)
+    return np.where(ratio > LEAST_SHARED, ratio, 1.0).astype(np.float32)
+
+
+def _warped_locally(
+    values: np.ndarray,
+    maps: Sequence[Transform],
+    shape: tuple[int, int],
+    variance: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Warp noise (h, w, bands) as maps do in the middle of a grid; return it and its Σw²u²."""
     middle = np.array([[shape[1], shape[0]]]) / 2
     slopes = [one.jacobian(middle)[0] for one in maps]
     starts = [np.modf(one(middle)[0])[0] + NOISE_PX // 2 for one in maps]
@@ -128,10 +185,4 @@ def _over_independent(
         for slope, start in zip(slopes, starts, strict=True)
     ]
     made = warp(values, local, (side, side), variance=variance)
-    told = np.nan_to_num(np.asarray(made.variance))
-    seen = np.isfinite(made.values) & (told > 0)
-    squares, expected = (
-        np.where(seen, part, 0).sum((0, 1), dtype=np.float64) for part in (made.values**2, told)
-    )
-    ratio = squares / np.maximum(expected, 1e-12)
-    return np.where(ratio > LEAST_SHARED, ratio, 1.0).astype(np.float32)
+    return made.values, made.variance
