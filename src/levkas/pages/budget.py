@@ -110,7 +110,9 @@ def _in_short(
 def _with_parts(
     shared: Mapping[str, np.ndarray], known: Sequence[ErrorSource], mean: MeanSpectrum
 ) -> dict[str, np.ndarray]:
-    """Return sources with noise in its parts; what these leave of it is interpolation."""
+    """Return sources with noise in its parts, where these are known; what they leave of it is interpolation."""
+    if not any(row.common_to == "pixel" for row in known):
+        return dict(shared)
     parts = {
         row.name: np.array([row.size.get(label, 0.0) for label in mean.labels])
         for row in known
