@@ -21,7 +21,7 @@ from levkas.calibration.templates import Template
 CURVED = 0.003  # of the light, relative: reflectance may be off by as much before a curve counts
 STRAIGHT = 0.005  # rms that a curve may leave
 BETTER = 0.7  # of the rms that wrong times leave, that of a curve
-SURE = 0.003  # relative error of a curve, at most: it is part of sigma
+SURE = 0.003  # relative error of a curve, at most: it is in the budget, as all pixels share it
 TERMS = 2  # of the polynomial, at most
 SIGMAS = 4.0  # of a curve, or of an offset, to be one
 ALIKE = 1.15  # contrast of the pixels of a group whose mean is a point of a curve

@@ -13,7 +13,7 @@ from levkas.calibration.darks import SAME_TIME, level_under
 from levkas.calibration.defects import find_defects
 from levkas.calibration.drift import black_between, lamp_between
 from levkas.calibration.exposures import best_exposure, merge_exposures
-from levkas.calibration.flatfield import Calibrated, flat_field, less_sure, pair_darks
+from levkas.calibration.flatfield import Calibrated, flat_field, pair_darks
 from levkas.calibration.linearity import check_linearity, require_reciprocity
 from levkas.calibration.motion import find_moved
 from levkas.calibration.noise_fit import fit_noise_of_frames, level_of, smooth_groups
@@ -336,8 +336,6 @@ def flatten(
     if moved is None:
         moved = _moved(context, shot, dark, noise)
     flat = _with_movement(context, flat, moved)
-    if context.response is not None:
-        flat = less_sure(flat, np.array(context.response.error, np.float32))
     return _with_gaps(context, flat, (shot, *dark, white), list(board.labels or ()))
 
 
