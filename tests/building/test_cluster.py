@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import dask
 import distributed.comm.tcp
@@ -27,14 +28,16 @@ from levkas.building import (
     summarise,
     worker,
 )
+from levkas.building.build_records import BuildRecords, Key
 from levkas.cli import app
-from levkas.core.digests import hash_tree
+from levkas.core.digests import hash_tree, stamp_of
 from levkas.core.files import PARTIAL
 from levkas.core.problems import Refused
 from levkas.core.progress import FRAMES
 from levkas.stages import scans, streaming
 
-LARGEST_MESSAGE = 64_000
+LARGEST_MESSAGE = 256_000
+"""Bytes: what the page of a registration shows passes, and no pixels."""
 BUILD = "from levkas.cli import main; main()"
 
 
@@ -156,19 +159,12 @@ def test_the_line_names_what_waits_for_memory_while_a_worker_is_idle(plates, tmp
         "memory_needed",
         lambda task, _: 2e9 if task.key.camera == "infrared" else 1e8,
     )
-    each = {"nthreads": 1, "host": "127.0.0.1"}
-    workers = {
-        name: {"cls": Nanny, "options": {**each, "memory_limit": limit}}
-        for name, limit in (("small", "1GB"), ("large", "4GB"))
-    }
-    scheduler = {
-        "cls": Scheduler,
-        "options": {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"},
-    }
-    with SpecCluster(workers, scheduler, silence_logs=50) as machines:
-        address = machines.scheduler_address
+    with machines("1GB", "4GB") as there:
+        address = there.scheduler_address
         steps = list(build(folder, output=tmp_path / "database", cluster=address))
-    assert {s.where for s in steps} >= {"2 workers, two/infrared waits for memory"}
+    names = ("one", "two")
+    told = {f"2 workers, {name}/infrared waits for memory" for name in names}
+    assert told & {s.where for s in steps}
     assert hash_tree(tmp_path / "database") == expected
 
 
@@ -261,31 +257,133 @@ def test_a_scheduler_that_drips_is_refused_in_bounded_time(campaign, drips, tmp_
     assert problem.code == "E_CLUSTER" and "does not answer" in problem.message
 
 
-@pytest.mark.slow
-def test_a_scheduler_without_workers_is_said_to_be_so_and_refused(plates, tmp_path, monkeypatch):
-    monkeypatch.setattr(cluster_executor, "SAID_S", 0.5)
-    scheduler = {
-        "cls": Scheduler,
-        "options": {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"},
+@contextlib.contextmanager
+def machines(*limits, preload=(), **settings):
+    """A scheduler of this machine with a worker for each limit of memory."""
+    settings = {f"distributed.{name.replace('_', '-')}": value for name, value in settings.items()}
+    host = {"host": "127.0.0.1"}
+    scheduler = {"cls": Scheduler, "options": {**host, "dashboard_address": "127.0.0.1:0"}}
+    workers = {
+        n: {"cls": Nanny, "options": {**host, "nthreads": 1, "memory_limit": limit}}
+        for n, limit in enumerate(limits)
     }
-    worker = {"cls": Nanny, "options": {"nthreads": 1, "host": "127.0.0.1"}}
+    settings["distributed.worker.preload"] = [str(one) for one in preload]
+    with dask.config.set(settings), SpecCluster(workers, scheduler, silence_logs=50) as there:
+        yield there
+
+
+@pytest.mark.slow
+def test_a_scheduler_whose_workers_have_gone_is_said_to_be_so_and_refused(
+    plates, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(cluster_executor, "SAID_S", 0.5)
     steps = []
     with (
-        dask.config.set({"distributed.scheduler.no-workers-timeout": "3s"}),
-        SpecCluster({"one": worker}, scheduler, silence_logs=50) as machines,
+        machines("4GB", **{"scheduler.no_workers_timeout": "3s"}) as there,
         pytest.raises(Refused) as refused,
     ):
-        address = machines.scheduler_address
+        address = there.scheduler_address
         for step in build(plates[0], output=tmp_path / "database", cluster=address):
             steps.append(step)
             if step.state == "done":
-                machines.scale(0)
+                there.scale(0)
     (problem,) = refused.value.problems
     assert problem.code == "E_CLUSTER" and f"dask worker {address}" in problem.fix
     assert "waiting" in {step.state for step in steps}
     report = summarise(build(plates[0], output=tmp_path / "database", workers=0))
     assert report.ok and "fresh" in {step.state for step in report.stages}
     assert hash_tree(tmp_path / "database") == plates[1]
+
+
+def test_a_scheduler_that_never_had_a_worker_is_said_to_be_so_and_refused(
+    campaign, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(cluster_executor, "SAID_S", 0.2)
+    monkeypatch.setattr(cluster_executor, "LOOK_S", 0.1)
+    steps = []
+    with (
+        machines(**{"scheduler.no_workers_timeout": "1s"}) as there,
+        pytest.raises(Refused) as refused,
+    ):
+        for step in build(campaign, output=tmp_path / "d", cluster=there.scheduler_address):
+            steps.append(step)
+    (problem,) = refused.value.problems
+    assert (problem.code, problem.field) == ("E_CLUSTER", "--cluster")
+    assert [step.state for step in steps] == ["waiting"]
+
+
+@pytest.mark.slow
+def test_what_waits_for_a_worker_that_has_gone_is_refused_in_the_end_and_the_rest_goes_on(
+    plates, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(
+        cluster_executor,
+        "memory_needed",
+        lambda task, _: 2e9 if task.key.camera == "infrared" else 1e8,
+    )
+    steps = []
+    with machines("1GB", "4GB", **{"scheduler.no_workers_timeout": "3s"}) as there:
+        for step in build(plates[0], output=tmp_path / "d", cluster=there.scheduler_address):
+            steps.append(step)
+            if step.state == "running" and step.key.camera == "infrared":
+                there.sync(there.workers[1].close)
+    problems = {p.message: p for step in steps for p in step.problems}
+    assert {p.code for p in problems.values()} == {"E_MEMORY"} and len(problems) == 2
+    assert all("1.0 GB" in p.found and "2.0 GB" in p.expected for p in problems.values())
+    ended = {(s.key.layer, s.key.stage): s.state for s in steps if s.finished}
+    assert ended["photo", "resample"] == "done"
+
+
+@pytest.mark.slow
+def test_two_builds_share_the_workers_of_one_scheduler(plates, tmp_path):
+    outputs = [tmp_path / "first", tmp_path / "second"]
+
+    with machines("4GB", "4GB") as there, ThreadPoolExecutor(2) as clients:
+        address = there.scheduler_address
+        runs = [
+            clients.submit(lambda o: summarise(build(plates[0], output=o, cluster=address)), output)
+            for output in outputs
+        ]
+        assert all(run.result().ok for run in runs)
+    assert [hash_tree(output) for output in outputs] == [plates[1]] * 2
+
+
+@pytest.mark.slow
+def test_a_task_that_ends_every_worker_is_refused_by_name_and_the_rest_goes_on(plates, tmp_path):
+    preload = tmp_path / "preload.py"
+    preload.write_text(
+        "import os\n"
+        "from levkas.building.tasks import Stages\n"
+        "Stages.register = getattr(Stages, 'register', Stages._register)  # dask runs this twice\n"
+        "def ends(self, task):\n"
+        "    if task.key.layer == 'infrared' and task.key.object == 'one':\n"
+        "        os._exit(1)\n"
+        "    return self.register(task)\n"
+        "Stages._register = ends\n"
+    )
+    output = tmp_path / "database"
+    with machines("4GB", preload=[preload], **{"scheduler.allowed_failures": 1}) as there:
+        steps = list(build(plates[0], output=output, cluster=there.scheduler_address))
+    ended = {(s.key.object, s.key.layer, s.key.stage): s for s in steps if s.finished}
+    step = ended["one", "infrared", "register"]
+    assert step.state == "refused" and step.problems[0].code == "E_WORKER"
+    assert str(step.problems[0].found).count("it was lost") == 2
+    assert ended["two", "infrared", "resample"].state == "done"
+    assert summarise(build(plates[0], output=output, workers=0)).ok
+    assert hash_tree(output) == plates[1]
+
+
+@pytest.mark.slow
+def test_a_worker_that_does_not_see_what_another_wrote_says_so(plates, tmp_path):
+    preload = tmp_path / "preload.py"
+    preload.write_text(
+        "from levkas.building import worker\nworker.digest_of = lambda task: 'another'\n"
+    )
+    with machines("4GB", preload=[preload]) as there:
+        steps = list(build(plates[0], output=tmp_path / "d", cluster=there.scheduler_address))
+    problems = [p for s in steps for p in s.problems if p.code != "E_NO_REFERENCE"]
+    assert {p.code for p in problems} == {"E_WORKER"}
+    assert all(str(p.found).count("reads different files") == 4 for p in problems)
 
 
 @pytest.mark.slow
@@ -373,3 +471,28 @@ def test_unlike_workers_are_said_to_be_so_and_another_levkas_is_refused():
         found.learn({**one, "worker": "tcp://c:1", "code": "0", "levkas": "0.0.9"})
     (problem,) = refused.value.problems
     assert (problem.code, problem.found) == ("E_VERSION", "levkas 0.0.9")
+
+
+@pytest.mark.slow
+def test_what_a_task_reads_and_is_damaged_is_made_again_first(plates, tmp_path):
+    preload = tmp_path / "preload.py"
+    preload.write_text("from levkas.building import worker\nworker.PATIENCE_S = 0.2\n")
+    output = tmp_path / "database"
+    assert summarise(build(plates[0], output=output, workers=0)).ok
+    records = BuildRecords(output.with_name("database.kept"), output)
+    (name,) = [
+        n for n in records.products(Key("one", "photo", "", "resample")) if n.endswith("photo.tif")
+    ]
+    with (output / name).open("r+b") as handle:
+        handle.seek(-100, os.SEEK_END)
+        handle.write(b"damaged")
+    stamp = [*stamp_of(output / name)]
+    records.hashes.take(output / name, [*stamp, plates[1][name]])  # as if nobody had noticed
+    records.hashes.save()
+    infrared = output / "objects/one/one_infrared.tif"
+    infrared.unlink()
+    with machines("4GB", preload=[preload]) as there:
+        steps = list(build(plates[0], output=output, cluster=there.scheduler_address))
+    why = {step.why for step in steps if step.key.layer == "photo" and step.state == "done"}
+    assert why == {f"{name} was damaged"}
+    assert hash_tree(output) == plates[1]

@@ -22,7 +22,7 @@ from levkas.database.containment import stays_inside
 from levkas.database.layout import layer_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from levkas.building.records_file import Change
@@ -131,13 +131,17 @@ class BuildRecords:
         """Return what a finished stage noted for later ones."""
         return dict(self._record(key).get("notes", {}))
 
-    def check(self, key: Key) -> str:
-        """Return the hash of the record of a finished stage; empty where it is not finished."""
-        return str(self._record(key).get("sha256", ""))
+    def sent(self, key: Key) -> dict[str, Any]:
+        """Return what later stages read of the record of a finished stage, for the worker of a cluster."""
+        if not (record := self._record(key)):
+            return {}
+        read = ("products", "aside", *(("notes",) if key.stage == "calibrate" else ()))
+        own = {"record": record["sha256"]}
+        return {"fingerprint": own, **{part: record.get(part, {}) for part in read}}
 
-    def reread(self, key: Key) -> None:
-        """Read a record again when it is needed: another process may have written it since."""
-        self._known.pop(key, None)
+    def take(self, key: Key, record: Mapping[str, Any]) -> None:
+        """Take what `sent` gave in the process that keeps the records."""
+        self._known[key] = {DONE: dict(record)} if record else {}
 
     def recorded(self) -> list[Key]:
         """Return the stages that are recorded, or were being done anew when a build was interrupted."""
@@ -193,6 +197,10 @@ class BuildRecords:
                 return name
         return ""
 
+    def hashes_of(self, key: Key) -> dict[str, str]:
+        """Return paths and hashes of everything that a finished stage made."""
+        return {path: digest for path, _, digest in self._made(self._record(key))}
+
     def _made(self, record: dict[str, Any]) -> Iterator[tuple[str, str, str]]:
         """Yield path, name and hash of everything that a stage made."""
         for part, folder in (("products", self.output), ("aside", self.folder)):
@@ -230,7 +238,7 @@ class BuildRecords:
 
     def _write(self, key: Key, *changes: Change) -> None:
         write_rows(self._file, *changes)
-        self.reread(key)
+        self._known.pop(key, None)
 
     def forget(self, key: Key) -> None:
         """Record that a stage is about to be done anew; what it does not make any more is still known then."""

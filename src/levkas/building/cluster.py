@@ -6,33 +6,30 @@ import asyncio
 import logging
 import queue
 import secrets
-import threading
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import partial
 from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 import dask
 from dask.utils import parse_timedelta
-from distributed import Client, Future, LocalCluster, WorkerPlugin, get_worker
-from distributed.core import rpc
+from distributed import Client, Future, LocalCluster, Worker, get_worker
+from distributed.core import Status, rpc
 from distributed.security import Security
 
 from levkas.core.machine import THREADS, count_threads, memory_bound
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
-    from levkas.building.worker import Job
+    from levkas.building.worker import Job, Made
 
 SLOT, BYTES = "levkas", "levkas-memory"
 """Resources of a worker: one task of ours at a time, and the memory that it may take, bytes."""
 ALONE = {
-    "distributed.scheduler.allowed-failures": 0,
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
@@ -40,7 +37,9 @@ ALONE = {
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
 }
-"""Of workers of this machine: every loss is heard of, nothing that could be spilled is held, no page is served."""
+"""Of workers of this machine: nothing that could be spilled is held, no page is served."""
+RETRIES = 3
+"""Times that dask does a task again that failed; its own setting, 3, counts the workers that a task may lose."""
 NO_WORKERS_S = 300.0
 """How long a build waits for a first or another worker."""
 ANSWER_S, LEAVE_S = 30.0, 5.0
@@ -115,6 +114,8 @@ def connected(address: str | None, workers: int, *, insecure: bool = False) -> I
     ClusterRefused
         Where the address may not be used, or nobody answers there.
     """
+    from levkas.building.worker import facts
+
     if address:
         check_address(address, insecure=insecure)
     logging.getLogger("distributed").setLevel(logging.ERROR)
@@ -125,7 +126,7 @@ def connected(address: str | None, workers: int, *, insecure: bool = False) -> I
             with ThreadPoolExecutor(1, thread_name_prefix="starting") as starter:
                 starting = starter.submit(_start_here, workers)
                 stack.callback(lambda: starting.exception() or starting.result().close())
-                _load()  # while the workers load the same
+                facts()  # while the workers load the same
             try:
                 here = starting.result()
             except Exception as error:  # whatever ends a process as it starts
@@ -144,7 +145,7 @@ def _start_here(workers: int) -> LocalCluster:
     with dask.config.set(ALONE):
         return LocalCluster(
             n_workers=workers,
-            threads_per_worker=threads,
+            threads_per_worker=1,  # what dask balances by: a worker does one task at a time
             memory_limit=int(memory_bound() / workers),
             host="127.0.0.1",
             security=Security.temporary(),
@@ -166,48 +167,10 @@ def _not_started(workers: int, error: Exception) -> Problem:
     )
 
 
-def bounded(call: Callable[..., Any], *given: Any, patience_s: float | None = None) -> Any:
-    """Return what a call to the scheduler returns; raises TimeoutError where it takes too long.
-
-    dask waits for ever for a scheduler that holds the connection and says nothing.
-    """
-    answers: queue.SimpleQueue[tuple[bool, Any]] = queue.SimpleQueue()
-
-    def ask() -> None:
-        try:
-            answers.put((True, call(*given)))
-        except BaseException as error:  # raised where it was asked for
-            answers.put((False, error))
-
-    threading.Thread(target=ask, name="asking", daemon=True).start()
-    try:
-        well, answer = answers.get(timeout=ANSWER_S if patience_s is None else patience_s)
-    except queue.Empty:
-        raise TimeoutError("the scheduler gives no answer") from None
-    if not well:
-        raise answer
-    return answer
-
-
 def no_workers_s() -> float:
     """Return how long, s, a build waits for a first or another worker: dask's own setting, where it is set."""
     found = dask.config.get("distributed.scheduler.no-workers-timeout", None)
     return NO_WORKERS_S if found is None else float(parse_timedelta(found))
-
-
-async def _greet(address: str, security: Security | None) -> None:
-    """Ask a scheduler who it is; a client that does not come about would hold the process for a minute."""
-    arguments = (security or Security()).get_connection_args("client")
-    async with rpc(address, connection_args=arguments) as scheduler:
-        await scheduler.identity()
-
-
-def _load() -> None:
-    """Load what a client of a cluster needs, and read the code of the stages."""
-    from levkas.building.worker import code_digest, facts
-
-    code_digest()
-    facts()
 
 
 @dataclass
@@ -218,78 +181,58 @@ class Cluster:
     ----------
     address : str
     security : Security, optional
-        Certificates; else those of dask's own configuration.
+        Certificates of a scheduler that Levkas has started for this build; else those of dask's own configuration.
     """
 
     address: str
     security: Security | None = None
     build: str = field(default_factory=lambda: secrets.token_hex(6))
     sizes: dict[str, float] = field(default_factory=dict)
-    """Bytes of every worker that was ever seen, by address."""
+    """Bytes of every worker that ever was there, by address."""
     facts: dict[str, dict[str, Any]] = field(default_factory=dict)
-    events: queue.SimpleQueue[Any] = field(default_factory=queue.SimpleQueue)
+    events: queue.SimpleQueue[dict[str, Any]] = field(default_factory=queue.SimpleQueue)
+    """What workers say, and what wakes the thread that waits for that."""
     _client: Client | None = None
-    _scheduler: str = ""
-    _prepared: set[str] = field(default_factory=set)
-
-    @property
-    def is_here(self) -> bool:
-        """Whether Levkas has started it, on this machine and for this build."""
-        return self.security is not None
 
     @property
     def client(self) -> Client:
         """The connection, made anew where it was given up; raises ClusterRefused where nobody answers."""
         if self._client is None or self._client.status in ("closed", "closing"):
             try:
-                bounded(lambda: asyncio.run(_greet(self.address, self.security)))
-                connect = partial(Client, self.address, set_as_default=False)
-                self._client = bounded(partial(connect, security=self.security))
-            except TypeError as error:
-                raise ClusterRefused(
-                    Problem(
-                        "E_CLUSTER",
-                        "a scheduler with TLS needs certificates, and none are set",
-                        field="--cluster",
-                        found=self.address,
-                        expected=" ".join(CERTIFICATES),
-                        fix="Set these variables to the files; see docs/howto/cluster.md.",
-                    )
-                ) from error
+                with ThreadPoolExecutor(1) as apart:  # a notebook has a loop of its own
+                    apart.submit(asyncio.run, self._greet()).result()
+                self._client = Client(
+                    self.address, security=self.security, timeout=ANSWER_S, set_as_default=False
+                )
             except Exception as error:  # whatever comes of the bytes of another server
-                first = next(iter(str(error).splitlines()), type(error).__name__)
-                raise ClusterRefused(
-                    Problem(
-                        "E_CLUSTER",
-                        "the scheduler does not answer",
-                        field="--cluster",
-                        found=f"{self.address}: {first}",
-                        expected="a scheduler of dask",
-                        fix="Start `dask scheduler` and `dask worker` there. Finished stages are kept.",
-                    )
-                ) from error
+                raise ClusterRefused(_no_answer(self.address, error)) from error
         return self._client
 
-    def greet(self) -> None:
-        """Have every worker, also those that come later, limit its threads and say what it is."""
-        topic = f"levkas-{self.build}"
-        client = self.client
-        with suppress(OSError, TimeoutError):  # it is away: asked again in a second
-            scheduler = bounded(partial(client.scheduler_info, n_workers=0)).get("id", "")
-            if scheduler and scheduler != self._scheduler:
-                self._prepared.clear()
-                client.subscribe_topic(topic, self._hear)
-                try:
-                    bounded(partial(client.register_plugin, Greeting(topic), name=topic))
-                except (OSError, TimeoutError):
-                    raise
-                except Exception as error:  # whatever a worker raises that cannot load Levkas
-                    raise ClusterRefused(_not_prepared(self.address, error)) from error
-                self._scheduler = scheduler
+    async def _greet(self) -> None:
+        """Ask a scheduler who it is: a client would wait for ever for one that holds the connection and says nothing."""
+        arguments = (self.security or Security()).get_connection_args("client")
+        async with asyncio.timeout(ANSWER_S), rpc(self.address, connection_args=arguments) as other:
+            await other.identity()
 
-    def _hear(self, event: Any) -> None:
-        told = event[1] if isinstance(event, tuple) else event
-        self.events.put(dict(told))
+    def workers(self) -> list[str]:
+        """Return the addresses of the workers that are prepared; have the others limit their threads and say what they are.
+
+        Raises ClusterRefused where one cannot.
+        """
+        client, topic = self.client, f"levkas-{self.build}"
+        try:
+            identity = client.sync(
+                client.scheduler.identity, n_workers=-1, callback_timeout=ANSWER_S
+            )
+            there = {one: BYTES in of["resources"] for one, of in identity["workers"].items()}
+            if new := [one for one, has in there.items() if not has or one not in self.facts]:
+                client.subscribe_topic(topic, lambda event: self.events.put(dict(event[1])))
+                client.run(_prepare, topic, workers=new, wait=False)
+        except (OSError, TimeoutError):
+            return []  # it is away: asked again in a second
+        except Exception as error:  # whatever a worker raises that cannot load Levkas
+            raise ClusterRefused(_not_prepared(self.address, error)) from error
+        return [one for one in there if one not in new]
 
     def learn(self, told: dict[str, Any]) -> None:
         """Take what a worker says of itself; raises ClusterRefused where its code is another one."""
@@ -297,7 +240,6 @@ class Cluster:
 
         worker = told["worker"]
         self.sizes[worker], self.facts[worker] = float(told["bytes"]), told
-        self._prepared.add(worker)
         if told["code"] != code_digest():
             mine = facts()
             unlike = [n for n in ("levkas", "numpy") if told[n] != mine[n]] or ["levkas"]
@@ -325,60 +267,83 @@ class Cluster:
                 told.append(f"the workers differ in {name}: {each}; this machine has {mine[name]}")
         return tuple(told)
 
-    def workers(self) -> list[str]:
-        """Return the addresses of the workers that are there and prepared."""
-        try:
-            return [one for one in bounded(self.client.nthreads) if one in self._prepared]
-        except (OSError, TimeoutError):
-            return []
-
-    def send(self, job: Job, need: float, attempt: int, worker: str) -> Future:
-        """Send a task to a worker, or another where that one is lost; its result is a few words."""
-        name = "-".join(part for part in (*job.key, job.build, str(attempt)) if part)
-        return self.client.submit(
+    def send(self, name: str, job: Job, need: float, priority: int) -> Future:
+        """Send a task to a worker that has the memory; dask chooses one that is idle, and another where that is lost."""
+        future = self.client.submit(
             _do,
             job,
             key=name,
             resources={SLOT: 1, BYTES: need},
-            workers=[worker],
-            allow_other_workers=True,
-            retries=0,
-            pure=False,
+            retries=RETRIES,
+            priority=priority,
         )
+        future.add_done_callback(lambda _: self.events.put({}))
+        return future
+
+    def heard(self, patience_s: float) -> list[dict[str, Any]]:
+        """Return what workers have said and what has ended; wait for the first of it."""
+        try:
+            told = [self.events.get(timeout=patience_s)]
+        except queue.Empty:
+            return []
+        while not self.events.empty():
+            told.append(self.events.get())
+        return told
+
+    def result(self, future: Future) -> Made | None:
+        """Return what a task has made; None where the scheduler cannot say it now."""
+        try:
+            made: Made = future.result(timeout=ANSWER_S)
+        except (TimeoutError, CancelledError):
+            return None
+        return made
 
     def without_workers(self, patience_s: float) -> ClusterRefused:
         """Return the refusal of a build for which there was no worker for so long."""
+        here = self.security is not None
         fix = (
-            f"Start one: dask worker {self.address}; where jobs wait longer in a queue, set "
-            "DASK_DISTRIBUTED__SCHEDULER__NO_WORKERS_TIMEOUT=2h. Finished stages are kept."
+            "Use fewer workers, or --workers 0 for a single process."
+            if here
+            else f"Start one: dask worker {self.address}; where jobs wait longer in a queue, set "
+            "DASK_DISTRIBUTED__SCHEDULER__NO_WORKERS_TIMEOUT=2h."
         )
-        if self.is_here:
-            fix = (
-                "Use fewer workers, or --workers 0 for a single process. Finished stages are kept."
+        return ClusterRefused(
+            Problem(
+                "E_CLUSTER",
+                "there are no workers",
+                field="--workers" if here else "--cluster",
+                found=f"none at {self.address} for {patience_s:g} s",
+                expected="one or more workers",
+                fix=f"{fix} Finished stages are kept.",
             )
-        problem = Problem(
-            "E_CLUSTER",
-            "there are no workers",
-            field="--workers" if self.is_here else "--cluster",
-            found=f"none at {self.address} for {patience_s:g} s",
-            expected="one or more workers",
-            fix=fix,
         )
-        return ClusterRefused(problem)
-
-    def cancel(self, futures: Iterable[Future]) -> None:
-        """Take back tasks that were sent; a scheduler that is gone has none."""
-        with suppress(Exception):
-            bounded(self.client.cancel, list(futures))
 
     def close(self) -> None:
         """Leave the cluster as it was found."""
-        client = self._client
-        if client is not None:
+        if self._client is not None:
             with suppress(Exception):  # it may have gone first
-                bounded(client.unregister_worker_plugin, f"levkas-{self.build}", patience_s=LEAVE_S)
-            with suppress(Exception):
-                client.close(timeout=LEAVE_S)
+                self._client.close(timeout=LEAVE_S)
+
+
+def _no_answer(address: str, error: Exception) -> Problem:
+    if isinstance(error, TypeError):
+        return Problem(
+            "E_CLUSTER",
+            "a scheduler with TLS needs certificates, and none are set",
+            field="--cluster",
+            found=address,
+            expected=" ".join(CERTIFICATES),
+            fix="Set these variables to the files; see docs/howto/cluster.md.",
+        )
+    first = next(iter(str(error).splitlines()), type(error).__name__)
+    return Problem(
+        "E_CLUSTER",
+        "the scheduler does not answer",
+        field="--cluster",
+        found=f"{address}: {first}",
+        expected="a scheduler of dask",
+        fix="Start `dask scheduler` and `dask worker` there. Finished stages are kept.",
+    )
 
 
 def _not_prepared(address: str, error: Exception) -> Problem:
@@ -392,32 +357,40 @@ def _not_prepared(address: str, error: Exception) -> Problem:
     )
 
 
-class Greeting(WorkerPlugin):  # type: ignore[misc]
-    """Prepares a worker: threads, memory, resources; and says what it is."""
-
-    def __init__(self, topic: str) -> None:
-        self.topic = topic
-
-    async def setup(self, worker: Any) -> None:
-        """Prepare a worker that is there, or that has just come."""
-        from levkas.building.worker import facts, prepare
-
-        size = prepare(worker.state.nthreads, worker.memory_manager.memory_limit)
-        told = await asyncio.to_thread(facts)
-        await worker.set_resources(**{SLOT: 1, BYTES: size})
-        worker.log_event(self.topic, {"worker": worker.address, "bytes": size, **told})
+# --- on a worker --------------------------------------------------------------------------------
 
 
-def _do(job: Job) -> dict[str, Any]:
-    """Do a task on a worker, and say there that it has begun and how far it is."""
+async def _prepare(topic: str, dask_worker: Worker) -> None:
+    """Prepare a worker: threads, memory, resources; and have it say what it is."""
+    from levkas.building.worker import facts, prepare
+
+    size = prepare(dask_worker.state.nthreads, dask_worker.memory_manager.memory_limit)
+    told = await asyncio.to_thread(facts)
+    await dask_worker.set_resources(**{SLOT: 1, BYTES: size})
+    if dask_worker.status == Status.running:
+        # dask gives a worker what waits for one as it begins to run, which was before it had resources.
+        dask_worker.status = Status.paused
+        dask_worker.status = Status.running
+    dask_worker.log_event(topic, {"worker": dask_worker.address, "bytes": size, **told})
+
+
+def _do(job: Job) -> Made:
+    """Do a task on a worker, and say there that it has begun and how far it is; raises RuntimeError."""
     from levkas.building.worker import work
 
     worker = get_worker()
-    topic, name = f"levkas-{job.build}", list(job.key)
+    name = worker.get_current_task()
 
     def say(peak: int, frames: int) -> None:
         told = {"begun": name, "on": worker.address, "peak": peak, "frames": frames}
-        worker.log_event(topic, told)
+        worker.log_event(f"levkas-{job.build}", told)
 
-    say(0, 0)
-    return {**work(job, say), "on": worker.address}
+    def is_wanted() -> bool:
+        state = worker.state.tasks.get(name)
+        return state is not None and state.state == "executing"
+
+    try:
+        return work(job, say, is_wanted)
+    except Exception as error:
+        # As words: an error that cannot be pickled ends the thread of the client that hears of it.
+        raise RuntimeError(f"{type(error).__name__}: {error}") from None

@@ -1,46 +1,35 @@
-"""The executor of a graph on a cluster: a task is sent when all that it reads has ended.
+"""The executor of a graph on a cluster: a task is sent when all that it reads has ended and a worker is idle.
 
-It is sent with the memory that it needs as a resource, to the idle worker that holds most of what it reads;
-dask finds another one where that is lost. The worker leaves a receipt, and this process alone records
-what was made. Frames are hashed ahead, and pages written, in a thread each.
+`graphlib` keeps what waits for what. dask chooses the worker, keeps the memory of each, gives a task another
+where one is lost, and tries it again where it failed. No more tasks are sent than workers are idle: a worker
+begins at once with the next that it has, and would let go of the cubes that one not yet sent reads.
+dask's hints (`workers=`, `allow_other_workers`) are not used: where the worker is lost dask overlooks what memory the
+task needs, and gives it to no worker that comes later. This process alone records what was made; frames are
+hashed ahead, and pages written, in a thread each.
 """
 
 from __future__ import annotations
 
-import queue
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future as Running
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import count
+from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from distributed import Future
-from distributed.scheduler import KilledWorker
+from distributed.scheduler import KilledWorker, NoValidWorkerError, NoWorkerError
 
 from levkas.building.build_records import CATALOGUE
 from levkas.building.cluster import Cluster, no_workers_s
-from levkas.building.fingerprints import digest, of_calibration
-from levkas.building.graph import Step, Task, captures_of
-from levkas.building.outcomes import Due, Outcomes, refusal_of
-from levkas.building.task_queue import TaskQueue, hash_key
-from levkas.building.worker import (
-    ASKED,
-    RECEIPT,
-    Job,
-    NotShared,
-    code_digest,
-    digest_of,
-    is_refused,
-    read_receipt,
-    refusal_in,
-    written_of,
-)
-from levkas.core.files import make_folder, remove, write_text
+from levkas.building.fingerprints import of_calibration
+from levkas.building.graph import Graph, Step, Task, captures_of
+from levkas.building.outcomes import Due, Outcomes
+from levkas.building.worker import PATIENCE_S, Job, Made, code_digest, digest_of
 from levkas.core.instructions import instructions_in_use
 from levkas.core.problems import Problem, Refused
 from levkas.core.progress import FRAMES
@@ -53,16 +42,16 @@ if TYPE_CHECKING:
     from levkas.building.build_records import Key
     from levkas.campaign.campaign import Campaign
 
-RETRIES, LOSSES = 3, 20
-"""Times that a task is sent again where it failed or ran out of memory, and where its worker vanished."""
+REDONE = 3
+"""Times that a task is done again because its products are damaged."""
 NEAR = 0.8
 """Share of a worker's memory from which its end is put down to want of memory; dask ends it at 0.95."""
 BASE, STREAMED = 200e6, 1.5e9
 """Bytes that a process takes before it reads a frame, and those of a scan whose rows are resampled."""
 SAID_S = 10.0
 """How long there may be no worker before that is said; a restart takes seconds."""
-LOOK_S, STUCK_S = 1.0, 15.0
-"""How long to wait for news before the workers are counted, and for a worker that is idle to begin."""
+LOOK_S = 1.0
+"""How long to wait for news before the workers are counted."""
 
 
 def memory_needed(task: Task, campaign: Campaign) -> float:
@@ -78,9 +67,39 @@ def memory_needed(task: Task, campaign: Campaign) -> float:
     )
 
 
+def hash_key(key: Key) -> Key:
+    """Return the key under which a calibration waits for its frames to be hashed."""
+    return replace(key, stage="hash")
+
+
+def sorter_of(graph: Graph, tasks: Iterable[Task]) -> TopologicalSorter[Key]:
+    """Return what each task waits for.
+
+    That is what it reads, what comes before it of its capture and of its object's reference, and of a
+    calibration `hash_key`. Where the reference is lost nothing else of its object is begun, as in
+    one process.
+    """
+    wanted = {task.key for task in tasks}
+    sorter: TopologicalSorter[Key] = TopologicalSorter()
+    before: dict[tuple[str, str], list[Key]] = {}
+    for key, task in graph.items():
+        if key not in wanted:
+            continue
+        ahead = [k for k in (*task.needs, *task.uses) if k in wanted]
+        if task.capture is not None:
+            for capture in captures_of(task):
+                ahead += before.get((capture.object, capture.layer), ())
+            before.setdefault((key.object, key.layer), []).append(key)
+        if key.stage == "calibrate":
+            ahead.append(hash_key(key))
+        sorter.add(key, *ahead)
+    sorter.prepare()
+    return sorter
+
+
 @dataclass
 class Flight:
-    """A task that is sent, or waits for memory, and its attempts: worker, peak of private memory, reason.
+    """A task that waits for a worker, or is sent to one.
 
     Parameters
     ----------
@@ -92,32 +111,19 @@ class Flight:
     due: Due
     need: float
     future: Future | None = None
-    to: str = ""
-    """The worker that it was sent to; dask may have taken another one."""
     on: str = ""
     """The worker that has begun it."""
-    peak: int = 0
     frames: int = 0
     sent: int = 0
-    since: float = 0.0
+    landed: float = 0.0
+    """When its result was first here."""
     attempts: list[dict[str, Any]] = field(default_factory=list)
-    failed: int = 0
-    lost: int = 0
+    """Worker and peak of private memory, bytes, of every time that it was begun."""
 
     @property
     def key(self) -> Key:
         """Of the task."""
         return self.due.task.key
-
-    def ended(self, why: str) -> None:
-        """Log an attempt."""
-        self.attempts.append({"worker": self.on, "peak": self.peak, "why": why})
-        self.on, self.peak, self.frames = "", 0, 0
-
-    def is_of(self, name: Iterable[str]) -> bool:
-        """Tell whether it is the task of which a worker speaks."""
-        key = self.key
-        return [key.object, key.camera, key.setup, key.stage] == [*name]
 
 
 class ClusterExecutor:
@@ -127,15 +133,17 @@ class ClusterExecutor:
         self._outcomes, self._records, self._cluster = outcomes, outcomes.records, cluster
         self._graph, self._places = outcomes.graph, outcomes.places
         self._path, self._verify = path, verify
-        self._queue = TaskQueue(self._graph)
+        self._order = {key: place for place, key in enumerate(self._graph)}
+        self._waiting: dict[Key, Flight] = {}
         self._flying: dict[Key, Flight] = {}
-        self._sent = count(1)
+        self._behind: dict[Key, list[Key]] = {}
+        """Tasks that wait for another to be done again."""
         self._redone: Counter[Key] = Counter()
+        self._last: dict[str, Key] = {}
+        """What each worker has done last, and may hold cubes of."""
         self._there: list[str] = []
-        self._untidy = False
         self._counted = 0.0
-        self._alone_since: float | None = None
-        self._said_so = False
+        self._alone_since, self._said_so = time.monotonic(), False
 
     def run(
         self, tasks: Sequence[Task], write_page: Callable[[Task], Iterable[Step]]
@@ -145,33 +153,27 @@ class ClusterExecutor:
         `write_page` writes the page of an object or of a camera.
         """
         self._write_page = write_page
+        self._sorter = sorter_of(self._graph, tasks)
         with (
             ThreadPoolExecutor(1, thread_name_prefix="pages") as self._pages,
             ThreadPoolExecutor(1, thread_name_prefix="hashing") as self._hasher,
         ):
             try:
-                self._lay(tasks)
-                self._cluster.greet()
+                self._alone_since = time.monotonic()
                 said = ""
-                while self._queue.open:
-                    if (waiting := self._waiting_for_workers()) is not None:
-                        yield waiting
-                    for step in (*self._send_ready(), *self._heard()):
+                while self._sorter.is_active():
+                    for step in (*self._take_up(), *self._send(), *self._heard(), *self._alone()):
                         said = self.where
                         of_capture = step.key.object and step.key.camera
                         yield replace(step, where=said) if of_capture else step
-                    if said != self.where and self._flying:
+                    if said != self.where and (first := next(iter(self._flying.values()), None)):
                         said = self.where
-                        first = next(iter(self._flying.values())).due
-                        yield Step(first.task.key, "running", first.why, where=said)
+                        yield Step(first.key, "running", first.due.why, where=said)
             finally:
                 for pool in (self._hasher, self._pages):
                     pool.shutdown(wait=False, cancel_futures=True)
-                if futures := [f.future for f in self._flying.values() if f.future is not None]:
-                    self._cluster.cancel(futures)
-        if self._untidy:
-            for folder in (self._places.output, self._places.kept):
-                sweep(folder)
+        for folder in (self._places.output, self._places.kept):
+            sweep(folder)  # what lost workers have left
         ended = self._outcomes.ended
         order = {key: ended[key] for key in self._graph if key in ended}
         ended |= {key: ended.pop(key) for key in order}
@@ -184,106 +186,146 @@ class ClusterExecutor:
     @property
     def where(self) -> str:
         """How many workers there are, and which task waits for memory while one of them is idle."""
-        count = len(self._there)
-        told = counted(count, "worker")
-        idle = self._idle()
-        if not idle:
+        told = counted(len(self._there), "worker")
+        room = self._room(self._idle())
+        large = [flight.key for flight in self._unbegun() if flight.need > room]
+        if not room or not large:
             return told
-        room = max(self._cluster.sizes[worker] for worker in idle)
-        names = [
-            f"{f.key.object}/{f.key.layer}"
-            for f in self._flying.values()
-            if f.future is None and f.need > room
-        ]
-        more = f" and {len(names) - 1} more wait" if len(names) > 1 else " waits"
-        return f"{told}, {names[0]}{more} for memory" if names else told
-
-    def _waiting_for_workers(self) -> Step | None:
-        """Say, once, that there is no worker; raises ClusterRefused where none has come for too long."""
-        now = time.monotonic()
-        if self._there or self._alone_since is None:
-            self._alone_since, self._said_so = now, False
-        alone = now - self._alone_since
-        patience = no_workers_s()
-        if alone > patience:
-            raise self._cluster.without_workers(patience)
-        if alone < SAID_S or self._said_so:
-            return None
-        self._said_so = True
-        key = next((k for k in self._graph if k in self._queue.open), CATALOGUE)
-        return Step(key, "waiting", f"there is no worker; it ends after {patience:g} s without one")
+        more = f" and {len(large) - 1} more wait" if len(large) > 1 else " waits"
+        return f"{told}, {large[0].object}/{large[0].layer}{more} for memory"
 
     def _idle(self) -> list[str]:
-        """Return the workers that are there and have no task."""
-        busy = {f.on or f.to for f in self._flying.values() if f.future is not None}
+        """Return the workers that are there and have no task that has begun."""
+        busy = {flight.on for flight in self._flying.values()}
         return [worker for worker in self._there if worker not in busy]
 
-    def _lay(self, tasks: Sequence[Task]) -> None:
-        """Queue the tasks; a calibration waits until its frames are hashed."""
-        for key in self._queue.lay(tasks):
-            self._let_go(key)
-        for task in tasks:
-            if task.key.stage == "calibrate":
-                capture, hashes = captures_of(task)[0], self._records.hashes
-                job = self._hasher.submit(of_calibration, self._outcomes.campaign, capture, hashes)
-                job.add_done_callback(partial(self._report, {"hashed": hash_key(task.key)}))
+    def _unbegun(self) -> list[Flight]:
+        return [f for f in (*self._waiting.values(), *self._flying.values()) if not f.on]
 
-    def _report(self, event: dict[str, Any], ended: Running[Any]) -> None:
-        """Wake the thread that runs the graph."""
-        self._cluster.events.put({**event, "ended": ended})
+    def _room(self, workers: Iterable[str]) -> float:
+        """Return the memory, bytes, of the largest of some workers."""
+        return max((self._cluster.sizes[worker] for worker in workers), default=0.0)
+
+    # --- tasks that wait for no other -----------------------------------------------------------
+
+    def _take_up(self) -> Iterator[Step]:
+        """Take up what waits for no other any more, until all that is left waits for workers or threads."""
+        while ready := self._sorter.get_ready():
+            for key in ready:
+                if key in self._graph:
+                    yield from self._take(key)
+                else:
+                    self._beside(self._hasher, key, partial(self._hash, key))
+
+    def _beside(self, pool: ThreadPoolExecutor, key: Key, make: Callable[[], Any]) -> None:
+        """Do something in a thread and wake the one that runs the graph."""
+        put, running = self._cluster.events.put, pool.submit(make)
+        running.add_done_callback(lambda steps: put({"ended": key, "steps": steps}))
+
+    def _hash(self, key: Key) -> list[Step]:
+        """Hash the frames of a calibration; one that cannot be read is met again by that."""
+        capture, _ = captures_of(self._graph[replace(key, stage="calibrate")])
+        with suppress(Exception):
+            of_calibration(self._outcomes.campaign, capture, self._records.hashes)
+        return []
+
+    def _take(self, key: Key) -> Iterator[Step]:
+        """Have a task done that waits for no other; a page is written at once, and what is fresh ends."""
+        task = self._graph[key]
+        if task.capture is None:
+            self._beside(self._pages, key, lambda: list(self._write_page(task)))
+        elif (key.object, key.layer) in self._outcomes.lost:
+            self._done(key)
+        elif (step := self._outcomes.without_reference(task)) is not None:
+            yield self._outcomes.note(step)
+            self._done(key)
+        elif (due := self._outcomes.due(task)).why:
+            self._await_worker(due)
+        else:
+            yield from self._end(task, self._outcomes.fresh(key))
+
+    def _await_worker(self, due: Due) -> None:
+        """Have a task wait until a worker is idle that has the memory."""
+        self._outcomes.begin(due.task)
+        need = memory_needed(due.task, self._outcomes.campaign)
+        self._waiting[due.task.key] = Flight(due, need)
+
+    def _done(self, key: Key) -> None:
+        """Let go what waited for a task; one that is done again was waited for before."""
+        if key not in self._redone:
+            self._sorter.done(key)
+
+    def _end(self, task: Task, step: Step) -> Iterator[Step]:
+        yield self._outcomes.note(self._outcomes.end(task, step))
+        self._waiting.pop(task.key, None)
+        flight = self._flying.pop(task.key, None)
+        if flight is not None and flight.future is not None:
+            flight.future.release()
+        self._done(task.key)
+        for key in self._behind.pop(task.key, ()):
+            yield from self._take(key)
 
     # --- sending --------------------------------------------------------------------------------
 
-    def _send_ready(self) -> Iterator[Step]:
-        """Give every idle worker a task of those that wait for none; what is fresh ends at once."""
-        for flight in self._flying.values():
-            if flight.future is None:
-                self._resend(flight)
-        while self._queue.is_ready and self._held() <= 2 * len(self._there):
-            idle = self._idle()
-            if not idle and self._flying:
-                return
-            worker, key = self._queue.take(idle, self._there)
-            task = self._graph[key]
-            if (key.object, key.layer) in self._outcomes.lost:
-                self._release(key)
-                continue
-            if (step := self._outcomes.without_reference(task)) is not None:
-                yield self._outcomes.note(step)
-                self._release(key)
-                continue
-            due = self._outcomes.due(task)
-            if due.why:
-                yield from self._begin(due, worker)
-            else:
-                yield from self._end(task, self._outcomes.fresh(key))
+    def _send(self) -> Iterator[Step]:
+        """Give every idle worker the task of those that fit it of which it holds most; refuse what fits on none."""
+        most = max(self._cluster.sizes.values(), default=float("inf"))
+        for flight in [f for f in self._waiting.values() if f.need > most]:
+            yield from self._refuse(flight, self._too_large(flight, most))
+        held = {self._last[worker].object for worker in self._there if worker in self._last}
+        idle = self._idle()
+        free = len(idle) - sum(not flight.on for flight in self._flying.values())
+        for worker in idle[: max(free, 0)]:
+            room = self._room([worker])
+            if fit := [flight for flight in self._waiting.values() if flight.need <= room]:
+                flight = min(fit, key=partial(self._rank, self._last.get(worker), held))
+                self._launch(flight)
+                if flight.sent == 1:
+                    yield Step(flight.key, "running", flight.due.why)
 
-    def _held(self) -> int:
-        """Count the tasks that wait for a worker with the memory."""
-        return sum(f.future is None for f in self._flying.values())
+    def _rank(self, last: Key | None, held: set[str], flight: Flight) -> tuple[int, int]:
+        """Order tasks for a worker by what it has done last.
 
-    def _begin(self, due: Due, worker: str) -> Iterator[Step]:
-        """Send a task, or refuse it where no worker has the memory."""
-        task = due.task
-        flight = Flight(due, memory_needed(task, self._outcomes.campaign), to=worker)
-        self._outcomes.begin(task)
-        if refused := self._too_large(flight):
-            yield from self._end(task, self._outcomes.refuse(task, refused))
-            return
-        self._flying[task.key] = flight
-        yield Step(task.key, "running", due.why)
-        self._resend(flight)
+        It goes on with the capture whose cubes it holds, then with the object whose reference it
+        holds, then with an object that no worker holds; after that it helps the others.
+        """
+        key = flight.key
+        if last is not None and last.object == key.object:
+            return int(last.layer != key.layer), self._order[key]
+        return 2 + (key.object in held), self._order[key]
 
-    def _too_large(self, flight: Flight) -> TooLarge | None:
-        """Return the refusal of a task that needs more memory than any worker that was seen has."""
-        most = max(self._cluster.sizes.values(), default=None)
-        if most is None or flight.need <= most:
-            return None
+    def _launch(self, flight: Flight) -> None:
+        task, key = flight.due.task, flight.key
+        reads = {k: self._graph[k] for k in (*task.needs, *task.uses)}
+        job = Job(
+            campaign=str(self._path),
+            output=str(self._places.output),
+            build=self._cluster.build,
+            key=key,
+            task=digest_of(task),
+            reads={k: self._records.sent(k) for k, one in reads.items() if one.capture is not None},
+            code=code_digest(),
+            verify=self._verify,
+        )
+        self._flying[key] = self._waiting.pop(key)
+        flight.sent += 1
+        name = f"levkas-{self._cluster.build}-{self._order[key]}-{flight.sent}"
+        flight.future = self._cluster.send(name, job, flight.need, -self._order[key])
+
+    def _take_back(self, flight: Flight) -> None:
+        """Have a task that was sent wait for a worker again."""
+        flight.future, flight.on = None, ""
+        self._waiting[flight.key] = self._flying.pop(flight.key)
+
+    def _refuse(self, flight: Flight, refused: Refused) -> Iterator[Step]:
+        yield from self._end(flight.due.task, self._outcomes.refuse(flight.due.task, refused))
+
+    def _too_large(self, flight: Flight, most: float) -> TooLarge:
         capture, _ = captures_of(flight.due.task)
         return TooLarge(
             Problem(
                 "E_MEMORY",
-                f"{capture.object}/{capture.layer} {flight.due.task.key.stage} fits on no worker",
+                f"{capture.object}/{capture.layer} {flight.key.stage} fits on no worker",
                 file=str(capture.sensors[0].object[0].path),
                 field=f"cameras.{capture.camera}",
                 found=f"{most / 1e9:.1f} GB on the largest of {len(self._cluster.sizes)} workers",
@@ -292,234 +334,138 @@ class ClusterExecutor:
             )
         )
 
-    def _resend(self, flight: Flight) -> None:
-        """Send a task to an idle worker that has the memory, or wait for one.
-
-        dask looks for a worker when a task comes, and when a worker does, which then has no resources yet.
-        """
-        if flight.future is not None:
-            flight.future.release()
-            flight.future = None
-        sizes = self._cluster.sizes
-        if fit := [worker for worker in self._idle() if flight.need <= sizes[worker]]:
-            flight.to = flight.to if flight.to in fit else min(fit, key=sizes.__getitem__)
-            self._send(flight)
-
-    def _is_stuck(self, flight: Flight) -> bool:
-        """Tell whether a task that was sent is not begun though it could be, or its worker is gone."""
-        waited = time.monotonic() - flight.since
-        if flight.future is None or waited < STUCK_S:
-            return False
-        if flight.on:
-            return flight.on not in self._there
-        return waited > STUCK_S * flight.sent
-
-    def _send(self, flight: Flight) -> None:
-        due = flight.due
-        key, records = due.task.key, self._records
-        made_of = digest(due.prints)
-        asked = records.path_of(key, ASKED)
-        make_folder(asked.parent)
-        write_text(asked, made_of)
-        reads = dict.fromkeys(
-            k for k in (*due.task.needs, *due.task.uses) if self._graph[k].capture is not None
+    def _lost(self, flight: Flight, why: str = "") -> Refused:
+        """Return the refusal of a task that failed wherever it was tried."""
+        sizes, tried = self._cluster.sizes, []
+        for worker, peak in ((one["worker"], one["peak"]) for one in flight.attempts):
+            starved = peak > NEAR * sizes.get(worker, float("inf"))
+            end = why or ("it ran out of memory" if starved else "it was lost")
+            tried.append(f"{worker}, {peak / 1e9:.1f} GB: {end}")
+        key = flight.key
+        return Refused(
+            Problem(
+                "E_WORKER",
+                f"{key.object}/{key.layer} {key.stage} failed on every worker that tried it",
+                found="; ".join(tried) or why or "workers were lost before they began",
+                fix="Check those machines, then build again. Finished stages are kept.",
+            )
         )
-        job = Job(
-            campaign=str(self._path),
-            output=str(self._places.output),
-            build=self._cluster.build,
-            key=(key.object, key.camera, key.setup, key.stage),
-            made_of=made_of,
-            task=digest_of(due.task),
-            reads=tuple(((k.object, k.camera, k.setup, k.stage), records.check(k)) for k in reads),
-            code=code_digest(),
-            verify=self._verify,
-        )
-        flight.sent, flight.since = flight.sent + 1, time.monotonic()
-        self._queue.note(flight.to, key)
-        flight.future = self._cluster.send(job, flight.need, next(self._sent), flight.to)
-        flight.future.add_done_callback(lambda _: self._cluster.events.put({"done": flight.key}))
 
     # --- hearing --------------------------------------------------------------------------------
 
     def _heard(self) -> Iterator[Step]:
         """Take what workers say and what has ended; wait a second at most for the first of it."""
-        try:
-            told = [self._cluster.events.get(timeout=LOOK_S)]
-        except queue.Empty:
-            told = []
-        while not self._cluster.events.empty():
-            told.append(self._cluster.events.get())
+        told = self._cluster.heard(LOOK_S)
         for one in told:
             if "bytes" in one:
                 self._cluster.learn(one)
             elif "begun" in one:
                 self._note_begun(one)
-            elif "hashed" in one:
-                self._release(one["hashed"])
-            elif "page" in one:
-                yield from one["ended"].result()
-                self._release(one["page"])
+            elif "ended" in one:
+                yield from one["steps"].result()
+                self._sorter.done(one["ended"])
         now = time.monotonic()
         if now - self._counted > LOOK_S or any("bytes" in one for one in told):
-            self._cluster.greet()  # where the scheduler was started again
             self._there = self._cluster.workers()
             self._counted = now
         for flight in list(self._flying.values()):
-            refused = None if flight.on else self._too_large(flight)
-            if refused:
-                if flight.future is not None:
-                    self._cluster.cancel([flight.future])
-                yield from self._end(
-                    flight.due.task, self._outcomes.refuse(flight.due.task, refused)
-                )
-            elif flight.future is None:
-                self._resend(flight)
-            elif flight.future.status != "pending":
-                yield from self._landed(flight)
-            elif self._is_stuck(flight):
-                if flight.on:
-                    flight.ended("its worker was lost")
-                self._cluster.cancel([flight.future])
-                self._resend(flight)
+            if self._there and flight.on not in self._there:
+                flight.on = ""  # dask gives it another worker
+            yield from self._look_after(flight, now)
 
     def _note_begun(self, told: dict[str, Any]) -> None:
+        """Note where a task is done and how far it is; each attempt begins without a frame."""
         for key, flight in self._flying.items():
-            if flight.is_of(told["begun"]):
-                if flight.on and flight.on != told["on"]:
-                    flight.ended("its worker was lost")
-                if flight.on != told["on"]:
-                    flight.since = time.monotonic()
-                flight.on, flight.peak = told["on"], max(flight.peak, told["peak"])
-                self._queue.note(flight.on, key)
-                self._count_frames(flight, told["frames"])
+            if flight.future is not None and flight.future.key == told["begun"]:
+                if not told["peak"]:
+                    flight.attempts.append({"worker": told["on"], "peak": 0})
+                    flight.on, flight.frames = told["on"], 0
+                    self._last[flight.on] = key
+                self._note_progress(flight, told["peak"], told["frames"])
 
-    def _count_frames(self, flight: Flight, frames: int) -> None:
-        """Count the frames that a worker has read since it was last heard of."""
+    def _note_progress(self, flight: Flight, peak: int, frames: int) -> None:
+        if flight.attempts:
+            flight.attempts[-1]["peak"] = max(flight.attempts[-1]["peak"], peak)
         FRAMES.add(max(0, frames - flight.frames))
         flight.frames = max(frames, flight.frames)
 
-    def _landed(self, flight: Flight) -> Iterator[Step]:
-        """Take the result of a task, or send it again."""
+    def _look_after(self, flight: Flight, now: float) -> Iterator[Step]:
+        """Take what has ended, and refuse what dask has tried again in vain; have sent again what the scheduler has lost."""
         assert flight.future is not None
-        future, task = flight.future, flight.due.task
-        status, error = future.status, None
-        if status == "error":
-            error = future.exception()
-        told = future.result() if status == "finished" else {}
-        future.release()
-        if "damaged" in told:
-            yield from self._mend(flight, tuple(told["damaged"]), told["name"])
-        elif status == "finished":
-            flight.on, flight.peak = told["on"], told["peak"]
-            self._count_frames(flight, told["frames"])
-            yield from self._commit(flight)
-        elif refused := self._give_up(flight, error):
-            yield from self._end(task, self._outcomes.refuse(task, refused))
-        else:
-            self._resend(flight)
+        status = flight.future.status
+        error = flight.future.exception() if status == "error" else None
+        if status == "finished":
+            yield from self._landed(flight, now)
+        elif error is not None and not isinstance(error, NoWorkerError | NoValidWorkerError):
+            why = "" if isinstance(error, KilledWorker) else str(error)
+            yield from self._refuse(flight, self._lost(flight, why))
+        elif status != "pending":
+            self._take_back(flight)
 
-    def _give_up(self, flight: Flight, error: BaseException | None) -> Refused | None:
-        """Log an attempt that failed; return a refusal where it was the last."""
-        self._untidy = True
-        on, peak = flight.on, flight.peak
-        if error is None or isinstance(error, KilledWorker):
-            starved = peak > NEAR * self._cluster.sizes.get(on, float("inf"))
-            flight.ended("its worker ran out of memory" if starved else "its worker was lost")
-            flight.failed, flight.lost = flight.failed + starved, flight.lost + (not starved)
-        else:
-            flight.ended(f"{type(error).__name__}: {error}"[:200])
-            flight.failed += 1
-        if flight.failed <= RETRIES and flight.lost <= LOSSES:
-            return None
-        if isinstance(error, Exception) and not isinstance(
-            error, (KilledWorker, NotShared, OSError)
-        ):
-            return refusal_of(flight.due.task, error)
-        key = flight.due.task.key
-        return Refused(
-            Problem(
-                "E_WORKER",
-                f"{key.object}/{key.layer} {key.stage} failed on every worker that tried it",
-                found="; ".join(
-                    f"{one['worker']}, {one['peak'] / 1e9:.1f} GB: {one['why']}"
-                    for one in flight.attempts
-                ),
-                fix="Check those machines, then build again. Finished stages are kept.",
-            )
-        )
-
-    def _mend(self, flight: Flight, damaged: tuple[str, ...], name: str) -> Iterator[Step]:
-        """Do a task again whose products are damaged, and then the one that would read them."""
-        key = next(k for k in self._graph if (k.object, k.camera, k.setup, k.stage) == damaged)
-        task = flight.due.task
-        self._redone[key] += 1
-        if self._redone[key] > RETRIES:
-            problem = Problem(
-                "E_DAMAGED", "a file was damaged at every attempt to write it", found=name
-            )
-            yield from self._end(task, self._outcomes.refuse(task, Refused(problem)))
+    def _landed(self, flight: Flight, now: float) -> Iterator[Step]:
+        """Record what a task made, as soon as its files are visible here."""
+        assert flight.future is not None
+        if (made := self._cluster.result(flight.future)) is None:
             return
-        self._queue.wait(task.key, key)
-        del self._flying[flight.key]
-        if key not in self._flying:
-            due = self._outcomes.due(self._graph[key])
-            yield from self._begin(due._replace(why=f"{name} was damaged"), "")
-
-    def _commit(self, flight: Flight) -> Iterator[Step]:
-        """Record what a task made, as its receipt says."""
-        task, records = flight.due.task, self._records
-        receipt = read_receipt(records.path_of(task.key, RECEIPT))
-        if receipt.get("made of") != digest(flight.due.prints):
-            if again := self._give_up(
-                flight, NotShared("the result is not visible on this machine")
-            ):
-                yield from self._end(task, self._outcomes.refuse(task, again))
-            else:
-                self._resend(flight)
+        if not made.is_visible:
+            flight.landed = flight.landed or now
+            if now - flight.landed > PATIENCE_S:
+                why = "the result is not visible on this machine"
+                yield from self._refuse(flight, self._lost(flight, why))
             return
-        flight.ended("done")
+        task, hashes = flight.due.task, self._records.hashes
+        self._note_progress(flight, made.peak, made.frames)
+        if made.damaged is not None:
+            yield from self._mend(flight, made)
+            return
         try:
-            if is_refused(receipt):
-                step = self._outcomes.refuse(task, refusal_in(receipt))
-            else:
-                for part, folder in (
-                    ("files", self._places.output),
-                    ("aside", self._places.kept),
-                ):
-                    for name, entry in receipt[part].items():
-                        records.hashes.take(folder / name, entry)
-                other = receipt["instructions"] != instructions_in_use()
-                step = self._outcomes.keep(
-                    flight.due,
-                    written_of(receipt, self._places),
-                    seconds=receipt["seconds"],
-                    attempts=flight.attempts,
-                    **({"instructions": receipt["instructions"]} if other else {}),
-                )
+            if made.refused is not None:
+                raise made.refused
+            assert made.written is not None
+            for path, entry in made.entries.items():
+                hashes.take(path, entry)
+            other = made.instructions != instructions_in_use()
+            notes = {"seconds": made.seconds, "attempts": flight.attempts}
+            notes |= {"instructions": made.instructions} if other else {}
+            step = self._outcomes.keep(flight.due, made.written, **notes)
         except Refused as error:
             step = self._outcomes.refuse(task, error)
-        for suffix in (RECEIPT, ASKED):
-            remove(records.path_of(task.key, suffix))
         yield from self._end(task, step)
 
-    def _end(self, task: Task, step: Step) -> Iterator[Step]:
-        yield self._outcomes.note(self._outcomes.end(task, step))
-        flight = self._flying.pop(task.key, None)
-        if flight is not None and flight.future is not None and flight.future.status == "pending":
-            self._cluster.cancel([flight.future])
-        self._release(task.key)
-
-    def _release(self, key: Key) -> None:
-        """Let go what waited for a task."""
-        for other in self._queue.release(key):
-            self._let_go(other)
-
-    def _let_go(self, key: Key) -> None:
-        """Have a task done when there is a worker; a page is written at once."""
-        task = self._graph[key]
-        if task.capture is not None:
-            self._queue.put(key)
+    def _mend(self, flight: Flight, made: Made) -> Iterator[Step]:
+        """Do a task again whose products are damaged, and then the one that would read them."""
+        key, refused = made.damaged, made.refused
+        assert key is not None and refused is not None
+        self._redone[key] += 1
+        if self._redone[key] > REDONE:
+            yield from self._refuse(flight, refused)
             return
-        page = self._pages.submit(lambda: list(self._write_page(task)))
-        page.add_done_callback(partial(self._report, {"page": key}))
+        self._take_back(flight)
+        del self._waiting[flight.key]
+        self._behind.setdefault(key, []).append(flight.key)
+        if key not in self._waiting and key not in self._flying:
+            why = f"{refused.problems[0].found} was damaged"
+            self._await_worker(self._outcomes.due(self._graph[key])._replace(why=why))
+
+    def _alone(self) -> Iterator[Step]:
+        """Say once that no worker can go on; after a time refuse what waits for memory.
+
+        Raises ClusterRefused where there was no worker at all for so long.
+        """
+        now, room = time.monotonic(), self._room(self._there)
+        begun, unbegun = any(f.on for f in self._flying.values()), self._unbegun()
+        large = [flight for flight in unbegun if flight.need > room]
+        if room and (begun or not large or len(large) < len(unbegun)):
+            self._alone_since, self._said_so = now, False
+            return
+        alone, patience = now - self._alone_since, no_workers_s()
+        if alone > patience and not room:
+            raise self._cluster.without_workers(patience)
+        if alone > patience:
+            for flight in large:
+                yield from self._refuse(flight, self._too_large(flight, room))
+        elif alone >= SAID_S and not self._said_so:
+            self._said_so = True
+            key = next((k for k in self._graph if k not in self._outcomes.ended), CATALOGUE)
+            lacking = "there is no worker with the memory" if room else "there is no worker"
+            yield Step(key, "waiting", f"{lacking}; it ends after {patience:g} s without one")
