@@ -322,7 +322,7 @@ def test_what_waits_for_a_worker_that_has_gone_is_refused_in_the_end_and_the_res
         lambda task, _: 2e9 if task.key.camera == "infrared" else 1e8,
     )
     steps = []
-    with machines("1GB", "4GB", **{"scheduler.no_workers_timeout": "3s"}) as there:
+    with machines("1GB", "4GB", **{"scheduler.no_workers_timeout": "12s"}) as there:
         for step in build(plates[0], output=tmp_path / "d", cluster=there.scheduler_address):
             steps.append(step)
             if step.state == "running" and step.key.camera == "infrared":

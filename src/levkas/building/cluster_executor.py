@@ -129,10 +129,10 @@ class Flight:
 class ClusterExecutor:
     """Runs the tasks of captures on a cluster, and says how each ends; as `Executor` does in one process."""
 
-    def __init__(self, outcomes: Outcomes, cluster: Cluster, path: Path, *, verify: bool) -> None:
+    def __init__(self, outcomes: Outcomes, cluster: Cluster, path: Path) -> None:
         self._outcomes, self._records, self._cluster = outcomes, outcomes.records, cluster
         self._graph, self._places = outcomes.graph, outcomes.places
-        self._path, self._verify = path, verify
+        self._path = path
         self._order = {key: place for place, key in enumerate(self._graph)}
         self._waiting: dict[Key, Flight] = {}
         self._flying: dict[Key, Flight] = {}
@@ -305,7 +305,6 @@ class ClusterExecutor:
             task=digest_of(task),
             reads={k: self._records.sent(k) for k, one in reads.items() if one.capture is not None},
             code=code_digest(),
-            verify=self._verify,
         )
         self._flying[key] = self._waiting.pop(key)
         flight.sent += 1

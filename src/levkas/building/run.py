@@ -128,7 +128,7 @@ def build(
         digests = records.hashes.of_frame if len(plan.names) > 1 else None
         templates = TemplateCache(places.kept / "templates", digests)
         outcomes = Outcomes(campaign, places, records, plan.graph)
-        with _executor(where, outcomes, templates, verify=verify) as executor:
+        with _executor(where, outcomes, templates) as executor:
             steps = _steps(plan, outcomes, executor, templates, gone, whole=not objects)
             yield from _numbered(steps, plan.graph, total)
         if not objects:
@@ -184,7 +184,7 @@ def _chosen(cluster: str | None, workers: int | None, insecure: bool) -> Where |
 
 @contextmanager
 def _executor(
-    where: Where | None, outcomes: Outcomes, templates: TemplateCache, *, verify: bool
+    where: Where | None, outcomes: Outcomes, templates: TemplateCache
 ) -> Iterator[Executor | ClusterExecutor]:
     """Yield what does the tasks of captures."""
     if where is None:
@@ -195,7 +195,7 @@ def _executor(
     with connected(where.address, where.workers, insecure=where.insecure) as cluster:
         from levkas.building.cluster_executor import ClusterExecutor  # loaded beside the workers
 
-        yield ClusterExecutor(outcomes, cluster, outcomes.campaign.path, verify=verify)
+        yield ClusterExecutor(outcomes, cluster, outcomes.campaign.path)
 
 
 def _steps(
