@@ -220,7 +220,7 @@ def uncertain_mean(
     ----------
     mean : MeanSpectrum
     sources : iterable of ErrorSource
-        Those common to a pixel are in `mean.random` and are left out.
+        Those common to a pixel are in `mean.random` and are left out. Two rows of one name in two units are two errors.
     layer, camera : str
         Whose errors they are: a capture's, and its camera's in all captures.
     region : hashable
@@ -252,11 +252,11 @@ def uncertain_mean(
             if not row.any():
                 continue
             if source.all_bands:
-                parts[source.name, owner, (draw, axis)] = row
+                parts[source.name, owner, (draw, source.unit, axis)] = row
                 continue
             for k in np.flatnonzero(row).tolist():
                 alone = np.where(np.arange(n) == k, row, 0.0)
-                parts[source.name, owner, (draw, axis, mean.labels[k])] = alone
+                parts[source.name, owner, (draw, source.unit, axis, mean.labels[k])] = alone
     return Uncertain(np.asarray(mean.values, float), parts)
 
 

@@ -112,6 +112,10 @@ def budget_variables(budget: LayerBudget, band: xarray.DataArray) -> dict[str, x
             form = "random" if random else "systematic"
             attributes |= {f"err_corr_{n}_dim": dim, f"err_corr_{n}_form": form}
             attributes |= {f"err_corr_{n}_params": [], f"err_corr_{n}_units": []}
+        if row.zero_at:
+            attributes["zero_at"] = [
+                row.zero_at.get(str(b), np.nan) for b in np.atleast_1d(band.values)
+            ]
         name = "u_" + row.name.replace(" ", "_")
         if name in found:  # a second part of the same source, in another unit
             name += f"_{row.unit}"
