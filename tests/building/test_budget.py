@@ -10,6 +10,7 @@ import pytest
 
 import levkas
 from levkas.building import build, status, summarise
+from levkas.stages.budget import budget_of
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from sigma_of_builds import Camera, scene, write_campaign
@@ -100,7 +101,12 @@ def test_what_is_declared_is_in_every_number_and_rebuilds_the_report_alone(campa
         assert by_source.loc["angle of the light", band] == pytest.approx(
             value * np.deg2rad(2), rel=1e-3
         )
-        assert by_source.loc["stray light", band] == pytest.approx(0.002)
+        mean_of_view = rows["stray light"]["zero_at"][band]  # what the camera's whole frame shows
+        assert mean_of_view == pytest.approx(scene(SHAPE)[0].mean(), rel=0.02)
+        away = abs(value - mean_of_view)
+        assert by_source.loc["stray light", band] == pytest.approx(0.002 * away, rel=0.01, abs=1e-6)
+        bent = 0.005 * value * (1 - value)
+        assert by_source.loc["linearity", band] == pytest.approx(bent, rel=1e-3)
     (unlit,) = [source for source in ("black level",) if source in rows]
     assert rows[unlit]["common_to"] == "frame"
 
@@ -138,3 +144,26 @@ def test_the_dataset_of_a_layer_has_the_budget_as_obsarray_reads_it(campaign, tm
     forms = {lamp.attrs[f"err_corr_{n}_dim"]: lamp.attrs[f"err_corr_{n}_form"] for n in (1, 2, 3)}
     assert forms == {"y": "systematic", "x": "systematic", "band": "random"}
     assert "u_photons_and_read_noise" not in made
+
+
+@pytest.mark.parametrize(
+    ("kind", "own"),
+    [
+        ("bands", {"wavelength", "lamp between white and object", "black level"}),
+        ("mosaic", {"wavelength"}),
+        ("sensors", {"wavelength", "black level", "linearity"}),
+        ("cube", set()),
+    ],
+)
+def test_bands_share_what_they_have_in_common_by_their_kind(tmp_path, kind, own):
+    """Sensors have a black level and a curve each, a tunable filter sees the lamp at other times, a prism moves all bands."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "promises"))
+    import camera as promises
+
+    folder = promises.write_campaign(tmp_path / "c", kind, promises.Habits(), (80, 60))
+    with (folder / "campaign.toml").open("a") as file:
+        file.write(DECLARED)
+    campaign = levkas.load_campaign(folder)
+    (capture,), _ = levkas.find_captures(campaign)
+    rows = {row.name: row for row in budget_of(campaign, capture, {})}
+    assert {name for name, row in rows.items() if not row.all_bands} == own

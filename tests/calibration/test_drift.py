@@ -1,7 +1,13 @@
 import numpy as np
 import pytest
 
-from levkas.calibration.drift import CellMeans, average_steady, lamp_between, measure_drift
+from levkas.calibration.drift import (
+    CellMeans,
+    average_steady,
+    black_between,
+    lamp_between,
+    measure_drift,
+)
 from levkas.calibration.motion import find_moved
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
 from levkas.calibration.templates import ShotLevels, average
@@ -185,3 +191,19 @@ def test_noise_changes_the_lamp_in_none_of_many_bands():
     sinking = still * np.linspace(1.01, 0.99, 64)[:, None]
     found = lamp_between(ShotLevels(sinking, noise), single).white
     assert found == pytest.approx(-0.02, abs=0.006)
+
+
+def test_a_black_level_that_wanders_goes_on_until_the_object_is_captured():
+    """A random walk of the level, one step a shot: four darks, and an object after 20 shots, or amid them."""
+    rng, shots = np.random.default_rng(6), 24
+    missed, stated = [], []
+    for _ in range(2000):
+        walk = 0.3 * np.cumsum(rng.standard_normal(shots))
+        darks = walk[:4] - walk[:4].mean()
+        levels = ShotLevels(darks[:, None], np.array([1e-3]), tuple(map(float, range(4))))
+        object_shot = ShotLevels(np.ones((1, 1)), np.array([1e-3]), (shots - 1.0,))
+        missed.append(walk[-1] - walk[:4].mean())
+        stated.append(black_between(levels, object_shot).sigma[0])
+        assert stated[-1] >= black_between(levels).sigma[0]
+    rms_missed, rms_stated = (np.sqrt(np.mean(np.square(one))) for one in (missed, stated))
+    assert 0.7 < rms_stated / rms_missed < 1.4

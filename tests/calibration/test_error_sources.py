@@ -88,6 +88,30 @@ def test_two_cameras_share_the_white_of_the_campaign_and_nothing_else():
     assert rows["white"].max() < 1e-9 and rows["lamp"][2] == pytest.approx(0.016 * 2**0.5)
 
 
+@pytest.mark.parametrize("source", ["linearity", "stray light"])
+def test_what_bends_or_veils_the_picture_does_not_leave_a_ratio(source):
+    """Counts are drawn, not reflectances: both sides of a ratio, and the white, are bent by one curve or lie under one veil."""
+    size, view = 0.005, 0.35
+    draws = size * np.random.default_rng(5).standard_normal(DRAWS)[:, None]
+
+    def seen(light, around):
+        return light - draws * light**2 if source == "linearity" else light + draws * around
+
+    both = np.concatenate([FIRST, SECOND])
+    measured = seen(both, view) / seen(1.0, 1.0)
+    unit = "relative" if source == "linearity" else "reflectance"
+    zero = of_all(1.0 if source == "linearity" else view)
+    row = ErrorSource(source, unit, of_all(size), "camera", all_bands=True, zero_at=zero)
+    assert ErrorSource.from_dict(row.to_dict()) == row
+    found = join([
+        uncertain_mean(MeanSpectrum(LABELS, v, np.zeros(3), NM), [row], layer="a", region=k)
+        for k, v in enumerate((FIRST, SECOND))
+    ])  # fmt: skip
+    assert np.allclose(found.sigma, measured.std(0), rtol=0.03)
+    for function in (lambda v: v[..., :3] / v[..., 3:], lambda v: v[..., :3] - v[..., 3:]):
+        assert np.allclose(found.through(function).sigma, function(measured).std(0), rtol=0.03)
+
+
 def test_another_certificate_is_another_error():
     mean = mean_of(FIRST)
     whites = [
@@ -98,6 +122,15 @@ def test_another_certificate_is_another_error():
     same, other = (join([found[0], one]).through(lambda v: v[:3] - v[3:]) for one in found[1:])
     assert np.allclose(other.by_source()["white"], 0.01 * 2**0.5 * FIRST)
     assert np.allclose(same.by_source()["white"], 0, atol=1e-12)
+
+
+def test_two_rows_of_one_source_in_two_units_are_two_errors():
+    rows = [
+        ErrorSource("chart as white", unit, of_all(size), "frame", all_bands=False)
+        for unit, size in (("relative", 0.01), ("reflectance", 0.002))
+    ]
+    found = uncertain_mean(MeanSpectrum(LABELS, FIRST, np.zeros(3), NM), rows, layer="a")
+    assert np.allclose(found.sigma, np.hypot(0.01 * FIRST, 0.002))
 
 
 def test_lines_of_a_scan_average_their_own_error():

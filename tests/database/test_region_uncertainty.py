@@ -71,6 +71,19 @@ def test_flagged_pixels_do_not_count_and_empty_regions_are_refused():
         mean_of_region(*arrays, make_region(None, (500, 20, 529, 29), None))
 
 
+@pytest.mark.parametrize("region", [(40, 30, 40, 30), (40, 30, 49, 39), (0, 0, 0, 0)])
+def test_a_slope_of_the_picture_is_known_up_to_the_rim_of_a_region(region):
+    y, x = np.indices((120, 130))
+    values = np.repeat((0.3 + 0.002 * x - 0.001 * y)[..., None], 3, 2)
+    arrays = layer_of(values), layer_of(blank().astype(np.uint8)), layer_of(blank() + 0.01)
+    found = mean_of_region(*arrays, make_region(None, region, None))
+    assert np.allclose(found.gradient, [[0.002] * 3, [-0.001] * 3])
+    assert found.lines == region[3] - region[1] + 1
+    x0, y0, x1, y1 = region
+    assert found.values == pytest.approx(values[y0 : y1 + 1, x0 : x1 + 1].mean((0, 1)))
+    assert found.random == pytest.approx([0.01 / (x1 - x0 + 1)] * 3)
+
+
 def budget_of(**sizes):
     return LayerBudget(
         tuple(

@@ -487,15 +487,25 @@ def lamp_between(white: ShotLevels, shot: ShotLevels) -> LampChange:
     )
 
 
-def black_between(dark: ShotLevels) -> LampChange:
+def black_between(dark: ShotLevels, shot: ShotLevels | None = None) -> LampChange:
     """Estimate how the black level changed between darks, whose levels are counts, and one shot of an object.
+
+    Where files state when both were captured, it wanders on as the lamp does; from darks before and after the object nothing is
+    interpolated, and what changed between them counts whole.
 
     >>> wander = ShotLevels(np.array([[-1.0], [0.5], [0.5]]), np.array([0.01]))
     >>> black_between(wander).sigma.round(2).tolist()
     [0.71]
+    >>> timed = ShotLevels(np.array([[-0.5], [0.5]]), np.array([0.01]), (0.0, 10.0))
+    >>> later = ShotLevels(np.ones((1, 1)), np.array([0.01]), (45.0,))
+    >>> black_between(timed, later).sigma.round(2).tolist()
+    [2.0]
     """
     one = np.zeros((1, dark.levels.shape[1]))
-    return lamp_between(replace(dark, times_s=None), ShotLevels(one, one[0]))
+    taken = ShotLevels(one, one[0], None if shot is None else shot.times_s)
+    if _bridge(dark, taken) is not None:
+        dark = replace(dark, times_s=None)
+    return lamp_between(dark, taken)
 
 
 class Trend(NamedTuple):

@@ -44,6 +44,9 @@ class ErrorSource:
         Of an unknown one: what to capture or to declare, to know it.
     owner : str
         Which camera or campaign has the error in common where that is not where it stands: the file of a white's certificate.
+    zero_at : mapping of str to float
+        Value of each band at which the error is nil, the other side of which it has the other sign: a bent curve leaves
+        what is as bright as the white, stray light what is as bright as the mean of the view. None: at no value.
 
     Examples
     --------
@@ -59,6 +62,7 @@ class ErrorSource:
     basis: Basis = "measured"
     advice: str = ""
     owner: str = ""
+    zero_at: Mapping[str, float] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the row, JSON-ready; without what is empty."""
@@ -71,13 +75,14 @@ class ErrorSource:
             "basis": self.basis,
             "advice": self.advice,
             "owner": self.owner,
+            "zero_at": {band: float(f"{at:.4g}") for band, at in self.zero_at.items()},
         }
         return {key: value for key, value in row.items() if value not in ("", {})}
 
     @classmethod
     def from_dict(cls, row: Mapping[str, Any]) -> ErrorSource:
         """Read what `to_dict` gave; raises KeyError where it is none."""
-        more = {key: row[key] for key in ("basis", "advice", "owner") if key in row}
+        more = {key: row[key] for key in ("basis", "advice", "owner", "zero_at") if key in row}
         size = row.get("size", {})
         return cls(
             row["source"], row["unit"], size, row["common_to"], all_bands=row["all_bands"], **more
@@ -215,7 +220,7 @@ def uncertain_mean(
     ----------
     mean : MeanSpectrum
     sources : iterable of ErrorSource
-        Those common to a pixel are in `mean.random` and are left out.
+        Those common to a pixel are in `mean.random` and are left out. Two rows of one name in two units are two errors.
     layer, camera : str
         Whose errors they are: a capture's, and its camera's in all captures.
     region : hashable
@@ -243,29 +248,30 @@ def uncertain_mean(
             sizes = sizes / np.sqrt(mean.lines)
         owner = source.owner or owners[source.common_to]
         draw: Hashable = region if source.common_to == "line" else ""
-        for axis, row in enumerate(_coefficients(mean, source.unit) * sizes):
+        for axis, row in enumerate(_coefficients(mean, source) * sizes):
             if not row.any():
                 continue
             if source.all_bands:
-                parts[source.name, owner, (draw, axis)] = row
+                parts[source.name, owner, (draw, source.unit, axis)] = row
                 continue
             for k in np.flatnonzero(row).tolist():
                 alone = np.where(np.arange(n) == k, row, 0.0)
-                parts[source.name, owner, (draw, axis, mean.labels[k])] = alone
+                parts[source.name, owner, (draw, source.unit, axis, mean.labels[k])] = alone
     return Uncertain(np.asarray(mean.values, float), parts)
 
 
-def _coefficients(mean: MeanSpectrum, unit: Unit) -> np.ndarray:
+def _coefficients(mean: MeanSpectrum, source: ErrorSource) -> np.ndarray:
     """Return by how much an error of one unit moves the values, (1 or 2, n)."""
-    if unit == "px":
-        return np.zeros((2, len(mean.values))) if mean.gradient is None else mean.gradient
-    if unit == "nm":
+    values = np.asarray(mean.values, float)
+    if source.unit == "px":
+        return np.zeros((2, len(values))) if mean.gradient is None else mean.gradient
+    if source.unit == "nm":
         return mean.slope[None]
-    return (
-        np.asarray(mean.values, float)[None]
-        if unit == "relative"
-        else np.ones((1, len(mean.values)))
-    )
+    zero = np.array([source.zero_at.get(label, np.nan) for label in mean.labels])
+    known = np.isfinite(zero) & (zero > 0)
+    if source.unit == "relative":
+        return (values * np.where(known, 1 - values / np.where(known, zero, 1.0), 1.0))[None]
+    return np.where(known, zero - values, 1.0)[None]
 
 
 def expected_ratio(first: Uncertain, second: Uncertain) -> np.ndarray:

@@ -112,6 +112,10 @@ def budget_variables(budget: LayerBudget, band: xarray.DataArray) -> dict[str, x
             form = "random" if random else "systematic"
             attributes |= {f"err_corr_{n}_dim": dim, f"err_corr_{n}_form": form}
             attributes |= {f"err_corr_{n}_params": [], f"err_corr_{n}_units": []}
+        if row.zero_at:
+            attributes["zero_at"] = [
+                row.zero_at.get(str(b), np.nan) for b in np.atleast_1d(band.values)
+            ]
         name = "u_" + row.name.replace(" ", "_")
         if name in found:  # a second part of the same source, in another unit
             name += f"_{row.unit}"
@@ -188,18 +192,21 @@ def mean_of_region(
                 expected=f"a region on the grid, x 0 to {layer.sizes['x'] - 1}, y 0 to {layer.sizes['y'] - 1}",
             )
         )
+    # One pixel around, so that the picture has a slope at the rim too.
+    rows, columns, inside = _widened(rows, columns, inside, (layer.sizes["y"], layer.sizes["x"]))
     part = {"y": slice(rows[0], rows[-1] + 1), "x": slice(columns[0], columns[-1] + 1)}
     values, marks, noise = (
         None if one is None else one.isel(part).transpose("y", "x", "band").values
         for one in (layer, flags, sigma)
     )
     assert values is not None and marks is not None
-    sound = inside[..., None] & ((marks & ~TRUSTED) == 0) & np.isfinite(values)
+    good = ((marks & ~TRUSTED) == 0) & np.isfinite(values)
+    sound = inside[..., None] & good
     count = sound.sum((0, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
         mean, *slopes = (
             np.where(sound, part, 0.0).sum((0, 1), dtype=float) / count
-            for part in (values, *_slopes(values, sound))
+            for part in (values, *_slopes(values, good))
         )
     random = np.zeros(len(count))
     if noise is not None:
@@ -207,7 +214,23 @@ def mean_of_region(
         random = np.array([_of_mean(spread[..., k], correlation) for k in range(len(count))])
     labels = [str(label) for label in np.atleast_1d(layer.band.values)]
     wavelengths = np.atleast_1d(layer.wavelength.values).astype(float)
-    return MeanSpectrum(labels, mean, random, wavelengths, np.nan_to_num(slopes), lines=len(rows))
+    return MeanSpectrum(
+        labels, mean, random, wavelengths, np.nan_to_num(slopes), lines=int(inside.any(1).sum())
+    )
+
+
+def _widened(
+    rows: np.ndarray, columns: np.ndarray, inside: np.ndarray, shape: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return rows, columns and what lies inside with one pixel more on every side that the grid has."""
+    wide = []
+    for axis, (at, size) in enumerate(zip((rows, columns), shape, strict=True)):
+        first, last = max(0, at[0] - 1), min(size - 1, at[-1] + 1)
+        more = [(0, 0), (0, 0)]
+        more[axis] = (int(at[0] - first), int(last - at[-1]))
+        inside = np.pad(inside, more)
+        wide.append(np.arange(first, last + 1))
+    return wide[0], wide[1], inside
 
 
 def _slopes(values: np.ndarray, sound: np.ndarray) -> list[np.ndarray]:

@@ -16,8 +16,8 @@ from levkas.calibration.chart_light import CHART_WHITE
 from levkas.calibration.drift import LAMP
 from levkas.calibration.error_sources import ErrorSource
 from levkas.calibration.sensor_context import RESPONSE
-from levkas.stages.capture_statistics import NOISE, ROUNDING
-from levkas.stages.spectra import read_board_uncertainty
+from levkas.stages.capture_statistics import NOISE, ROUNDING, VIEW
+from levkas.stages.spectra import levels_of_board, read_board_uncertainty
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
@@ -50,18 +50,21 @@ def budget_of(
         return ()
     bands = [band for sensor in capture.sensors for band in sensor.bands]
     at_once = camera.traits.bands_in != "files"
-    declared = camera.uncertainty
+    one_sensor, declared = len(capture.sensors) == 1, camera.uncertainty
     rows = [
         *_noise(bands, learnt),
         *_white(campaign, capture, learnt),
-        *_light(bands, learnt, at_once=at_once),
+        *_light(bands, learnt, at_once=at_once, one_sensor=one_sensor),
         _declared(
             *(LINEARITY, "relative", bands, declared.linearity, _response_errors(capture, learnt)),
             "frames of the white at three exposures or more, or declare `uncertainty.linearity` of the camera",
+            zero_at=levels_of_board(campaign, capture),
+            all_bands=one_sensor,
         ),
         _declared(
             *(STRAY, "reflectance", bands, declared.stray_light, {}),
             "a chart with black patches, or declare `uncertainty.stray_light` of the camera",
+            zero_at={b: at for told in learnt.values() for b, at in told.get(VIEW, {}).items()},
         ),
         _declared(
             *(
@@ -72,7 +75,8 @@ def budget_of(
                 {},
             ),
             "a wavelength standard, or declare `uncertainty.wavelength_nm` of the camera",
-            all_bands=False,
+            # One prism disperses all bands of a scanner; filters are made one by one.
+            all_bands=camera.traits.is_scanned,
         ),
         _angle(campaign, capture, bands),
     ]
@@ -130,11 +134,16 @@ def _white(
 
 
 def _light(
-    bands: Sequence[Band], learnt: Mapping[str, Mapping[str, Any]], *, at_once: bool
+    bands: Sequence[Band],
+    learnt: Mapping[str, Mapping[str, Any]],
+    *,
+    at_once: bool,
+    one_sensor: bool,
 ) -> Iterator[ErrorSource]:
     """Yield how far the lamp and the black level are known between white, dark and object.
 
-    Bands that are exposed at once share the lamp; those of a tunable filter do not see it at one time.
+    Bands that are exposed at once share the lamp; those of a tunable filter do not see it at one time. Each sensor has a black
+    level of its own.
     """
     found = {label: one for told in learnt.values() for label, one in told.get(LAMP, {}).items()}
     several = {
@@ -156,7 +165,7 @@ def _light(
         for label, one in found.items()
         if one["black"] is not None
     }
-    row = ErrorSource(BLACK_ROW, "reflectance", black, "frame", all_bands=at_once)
+    row = ErrorSource(BLACK_ROW, "reflectance", black, "frame", all_bands=at_once and one_sensor)
     if not black:
         row = replace(
             row, basis="unknown", advice="two darks or more, before the object and after it"
@@ -183,9 +192,12 @@ def _declared(
     advice: str,
     *,
     all_bands: bool = True,
+    zero_at: Mapping[str, float] | None = None,
 ) -> ErrorSource:
     """Return a row that is measured, else declared, else not known; it is the camera's in all its captures."""
     row = ErrorSource(name, unit, measured, "camera", all_bands=all_bands)
+    if measured or size is not None:
+        row = replace(row, zero_at=zero_at or {})
     if measured:
         return row
     if size is None:

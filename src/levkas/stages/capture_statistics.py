@@ -31,6 +31,8 @@ SENSELS = "sensels"
 """Among what is learnt of a sensor: of the object's picture, not of the camera."""
 NOISE, ROUNDING = "noise_shares", "rounding"
 """The same: what shots, white and darks add to the noise of each band, and the step of its codes, reflectance."""
+VIEW = "mean_of_view"
+"""The same: mean of all that each band shows, reflectance; stray light is a share of it."""
 
 
 # --- the sensor ---------------------------------------------------------------------------------
@@ -218,6 +220,9 @@ def note_lamp(
             "black_sigma": 0.0 if dark is None else dark.sigma[i] * per_count[i],
         }
         notes[label] = {name: as_number(float(value)) for name, value in numbers.items()}
+        if dark is not None:
+            within = np.hypot(*np.nan_to_num([dark.white[i], dark.flicker[i]]))
+            notes[label]["black_within"] = as_number(float(within * per_count[i]))
         notes[label]["interpolated"] = lamp.timed
         if lamp.reach:
             notes[label] |= {"reach": as_number(lamp.reach), "unseen": as_number(lamp.unseen)}
@@ -262,8 +267,9 @@ def describe_lamp(learnt: Mapping[str, Mapping[str, Any]]) -> list[str]:
             f"pixels; {worst}), because it changed by {' and '.join(changes)}; sigma of pixels does not include this. Let "
             f"lamps warm up, and {advice}"
         )
-    dark = max(bands, key=lambda label: bands[label]["black_sigma"], default="")
-    if bands and bands[dark]["black_sigma"] >= BLACK_DOUBT:
+    wandered = [b for b, one in bands.items() if one.get("black_within", 0.0) >= BLACK_DOUBT]
+    dark = max(wandered, key=lambda label: bands[label]["black_sigma"], default="")
+    if dark and bands[dark]["black_sigma"] >= BLACK_DOUBT:
         notes.append(
             f"the black level wanders from dark to dark: values are known to {bands[dark]['black_sigma']:.2g} by it (one "
             f"standard deviation, common to all pixels; {dark}), which sigma of pixels does not include"

@@ -36,7 +36,7 @@ from levkas.core.cube import Cube, Flag, is_flagged
 from levkas.core.problems import Problem
 from levkas.core.rounding import round_root, round_values
 from levkas.quality.image_quality.glare import mark_glare
-from levkas.stages.capture_statistics import NOISE, ROUNDING, note_lamp, note_noise
+from levkas.stages.capture_statistics import NOISE, ROUNDING, VIEW, note_lamp, note_noise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -333,6 +333,11 @@ def flatten(
         context.told.setdefault(ROUNDING, {}).update(found)
     if white is not None and noise is not None and not context.camera.traits.is_scanned:
         _note_shares(context, shot, dark, white, board, noise)
+    if white is not None and not context.camera.traits.is_scanned:
+        context.told.setdefault(VIEW, {}).update(
+            (label, float(f"{_mean_of(_phase(flat.values, phase)):.4g}"))
+            for label, phase in _phases(board, list(board.labels or ())).items()
+        )
     if moved is None:
         moved = _moved(context, shot, dark, noise)
     flat = _with_movement(context, flat, moved)
@@ -414,7 +419,7 @@ def _with_lamp(
         which = channel_table(board.pattern, labels).ravel()
     lamp = lamp.in_groups(which, len(labels))
     wander = [
-        black_between(one.shots).in_groups(which, len(labels))
+        black_between(one.shots, shot.shots).in_groups(which, len(labels))
         for one in dark
         if one.shots is not None and one.count > 1
     ]
@@ -459,6 +464,12 @@ def _variance_of(frames: Template, phase: Phase, noise: NoiseModel, signal: floa
     if frames.above_dark and frames.variance is not None:
         return level_of(_phase(frames.variance, phase)) / frames.count
     return float(noise.variance(signal)) / frames.count
+
+
+def _mean_of(values: np.ndarray) -> float:
+    """Return the mean of what is known, 0 of nothing."""
+    known = np.isfinite(values)
+    return float(values.mean(where=known, dtype=float)) if known.any() else 0.0
 
 
 Phase = tuple[slice, slice, int | None]

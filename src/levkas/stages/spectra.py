@@ -284,6 +284,19 @@ def board_of(campaign: Campaign, capture: Capture, sensor: SensorFrames) -> Boar
     return BoardInBands(np.array(found), tuple(notes))
 
 
+def levels_of_board(campaign: Campaign, capture: Capture) -> dict[str, float]:
+    """Return the reflectance of the white board in every band of a capture; raises as `board_of`."""
+    return {
+        band.label: float(level)
+        for sensor in capture.sensors
+        for band, level in zip(
+            sensor.bands,
+            np.broadcast_to(board_of(campaign, capture, sensor).reflectance, len(sensor.bands)),
+            strict=True,
+        )
+    }
+
+
 def read_board_uncertainty(campaign: Campaign, capture: Capture) -> dict[str, float] | None:
     """Return the relative standard uncertainty of the white board in every band of a capture; None where none is stated.
 
@@ -297,15 +310,7 @@ def read_board_uncertainty(campaign: Campaign, capture: Capture) -> dict[str, fl
     white = campaign.targets.white
     if white is None:
         return None
-    boards = {
-        band.label: float(level)
-        for sensor in capture.sensors
-        for band, level in zip(
-            sensor.bands,
-            np.broadcast_to(board_of(campaign, capture, sensor).reflectance, len(sensor.bands)),
-            strict=True,
-        )
-    }
+    boards = levels_of_board(campaign, capture)
     if isinstance(white.reflectance, str):
         table = read_table(campaign.root / white.reflectance, columns=3)
         if table.shape[1] == 3 and np.isfinite(table[:, 2]).all():

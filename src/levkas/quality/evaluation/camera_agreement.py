@@ -129,6 +129,8 @@ class BandAgreement:
         Median of |Eₙ|.
     values : ndarray, (p,)
         Ratio of every patch; NaN where one is not known.
+    expected : ndarray, (p,)
+        |Eₙ| of every patch; the same.
     """
 
     band: str
@@ -137,6 +139,7 @@ class BandAgreement:
     spread: float
     expected_ratio: float
     values: np.ndarray
+    expected: np.ndarray
 
     @property
     def contradicts(self) -> bool:
@@ -397,7 +400,9 @@ def _centre(layer: PatchMeans, k: int, sensitivities: Sensitivities) -> float:
 def _band(label: str, centre: float, ratios: np.ndarray, expected: np.ndarray) -> BandAgreement:
     ratio = float(np.nanmedian(ratios))
     spread = 1.4826 * float(np.nanmedian(np.abs(ratios - ratio)))
-    return BandAgreement(label, centre, ratio, spread, float(np.nanmedian(expected)), ratios)
+    return BandAgreement(
+        label, centre, ratio, spread, float(np.nanmedian(expected)), ratios, expected
+    )
 
 
 def compare_all(

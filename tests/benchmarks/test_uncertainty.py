@@ -1,0 +1,39 @@
+"""Intervals hold the truth of simulated captures with planted errors, and laboratories agree within them."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+import uncertainty
+
+
+def test_intervals_hold_the_truth_of_frames_with_all_errors():
+    found = uncertainty.coverage([uncertainty.draw_arrays(seed, shots=2) for seed in range(10)])
+    for name, (
+        share,
+        spread,
+    ) in found.items():  # 10 draws of what bands share: chance is a fifth of the spread
+        assert 0.7 < spread < 1.35, name
+        assert share >= 0.8, name
+
+
+@pytest.mark.slow
+def test_one_wrong_white_is_named_by_every_laboratory_and_no_other_pair_is():
+    pairs = uncertainty.compare_laboratories(3, uncertainty.CAREFUL, wrong=4)
+    named = {frozenset((p.first.name[-1], p.second.name[-1])) for p in pairs if p.contradictions}
+    assert len(pairs) == 45
+    assert {frozenset(("4", str(k))) for k in range(10) if k != 4} <= named
+    assert len(named) <= 11
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_of_whole_builds():
+    builds = [uncertainty.draw_build(seed) for seed in (3, 14, 27, 38)]
+    found = uncertainty.coverage_of_builds(builds)
+    for name, (_, spread) in found.items():
+        assert 0.4 < spread < 1.8, name
+    rows = builds[0][1]
+    assert np.isclose(rows["linearity"]["size"]["550 nm"], uncertainty.SIZES["linearity"])
