@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-import xarray
 from scipy import ndimage
 
 from levkas.calibration.error_sources import ErrorSource
+from levkas.core.cube import Band
+from levkas.database.described import Pixels
 from levkas.database.layout import LayerId
 from levkas.database.region_uncertainty import (
     LayerBudget,
@@ -20,11 +21,7 @@ LAYER = LayerId("icon1", "cam")
 BANDS, NM = ["450 nm", "550 nm", "650 nm"], [450.0, 550.0, 650.0]
 
 
-def layer_of(values, kind="values"):
-    return xarray.DataArray(
-        values, dims=("y", "x", "band"), name=kind,
-        coords={"band": BANDS, "wavelength": ("band", NM)},
-    )  # fmt: skip
+SEEN = [Band(label, nm) for label, nm in zip(BANDS, NM, strict=True)]
 
 
 def blank(height=120, width=130):
@@ -47,8 +44,8 @@ def test_the_mean_of_pixels_that_share_noise_scatters_as_is_said(side, share):
         means.append(noise[10 : 10 + side, 15 : 15 + side].mean())
     region = make_region(None, (15, 10, 14 + side, 9 + side), None)
     found = mean_of_region(
-        layer_of(blank() + 0.3), layer_of(blank().astype(np.uint8)),
-        layer_of(blank() + sigma), region, correlation,
+        Pixels(blank() + 0.3, blank().astype(np.uint8), blank() + sigma),
+        SEEN, region, correlation,
     )  # fmt: skip
     assert found.random == pytest.approx([np.std(means)] * 3, rel=0.08)
     alone = sigma / side
@@ -62,7 +59,7 @@ def test_the_mean_of_pixels_that_share_noise_scatters_as_is_said(side, share):
 def test_flagged_pixels_do_not_count_and_empty_regions_are_refused():
     values, flags = blank() + 0.5, blank().astype(np.uint8)
     values[20:25, 20:25], flags[20:25, 20:25] = 9.0, 4
-    arrays = layer_of(values), layer_of(flags), layer_of(blank() + 0.01)
+    arrays = Pixels(values, flags, blank() + 0.01), SEEN
     found = mean_of_region(*arrays, make_region(None, (20, 20, 29, 29), None))
     assert found.values.tolist() == pytest.approx([0.5] * 3)
     assert found.random == pytest.approx([0.01 / np.sqrt(75)] * 3)
@@ -75,7 +72,7 @@ def test_flagged_pixels_do_not_count_and_empty_regions_are_refused():
 def test_a_slope_of_the_picture_is_known_up_to_the_rim_of_a_region(region):
     y, x = np.indices((120, 130))
     values = np.repeat((0.3 + 0.002 * x - 0.001 * y)[..., None], 3, 2)
-    arrays = layer_of(values), layer_of(blank().astype(np.uint8)), layer_of(blank() + 0.01)
+    arrays = Pixels(values, blank().astype(np.uint8), blank() + 0.01), SEEN
     found = mean_of_region(*arrays, make_region(None, region, None))
     assert np.allclose(found.gradient, [[0.002] * 3, [-0.001] * 3])
     assert found.lines == region[3] - region[1] + 1
@@ -96,7 +93,7 @@ def budget_of(**sizes):
 def test_what_two_regions_share_leaves_their_ratio_and_stays_in_their_difference():
     values = blank() + 0.4
     values[:, 65:] = 0.2
-    arrays = layer_of(values), layer_of(blank().astype(np.uint8)), layer_of(blank() + 0.002)
+    arrays = Pixels(values, blank().astype(np.uint8), blank() + 0.002), SEEN
     first, second = (
         uncertain_region(mean_of_region(*arrays, region), budget_of(white=0.01), LAYER, str(k))
         for k, region in enumerate(make_region(None, (x, 10, x + 9, 19), None) for x in (10, 80))
@@ -124,7 +121,7 @@ def test_what_two_regions_share_leaves_their_ratio_and_stays_in_their_difference
     ],
 )
 def test_what_cannot_be_made_of_the_bands_is_refused(of, bands, two):
-    arrays = layer_of(blank() + 0.4), layer_of(blank().astype(np.uint8)), None
+    arrays = Pixels(blank() + 0.4, blank().astype(np.uint8), None), SEEN
     region = make_region(None, (1, 1, 5, 5), None)
     one = uncertain_region(mean_of_region(*arrays, region), LayerBudget(), LAYER, "a")
     nm = np.array(NM[: len(bands)])

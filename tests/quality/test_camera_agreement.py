@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-import xarray
 
 from levkas.calibration.error_sources import ErrorSource, MeanSpectrum, uncertain_mean
+from levkas.database.described import Pixels
 from levkas.database.layout import LayerId
 from levkas.pages.agreement import describe_agreement
 from levkas.quality.evaluation.camera_agreement import (
@@ -112,6 +112,13 @@ def test_patches_are_even_and_without_flags():
     values[:, :100] += rng.choice([-0.4, 0.4], (120, 100, 1))
     flags = np.zeros(values.shape, np.uint8)
     flags[:, 200:] = 4
-    arrays = (xarray.DataArray(one, dims=("y", "x", "band")) for one in (values, flags))
-    places = choose_patches(*arrays)
+
+    class Rows:
+        shape = values.shape
+
+        @staticmethod
+        def read(start, stop):
+            return Pixels(values[start:stop], flags[start:stop], None)
+
+    places = choose_patches(Rows)
     assert len(places) and (places[:, 0] >= 88).all() and (places[:, 0] < 200).all()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -294,7 +295,9 @@ def _uncertain_means(
     array: xarray.DataArray, root: Path, layer: LayerId, regions: Sequence[Region]
 ) -> tuple[list[Uncertain], list[str]]:
     """Return the means of regions with their errors, and the sources that nothing is known of."""
+    from levkas.core.cube import Band
     from levkas.database import region_uncertainty as found
+    from levkas.database.described import Pixels
 
     budget = found.read_budget(root, layer)
     beside = array.levkas
@@ -305,12 +308,27 @@ def _uncertain_means(
     labels = [str(label) for label in array.band.values]
     centres = np.array([_centre(array, region) for region in regions])
     known = found.position_sigmas(root, layer, labels, centres)
+    nm = np.atleast_1d(array.wavelength.values).astype(float)
+    bands = [Band(label, float(at)) for label, at in zip(labels, nm, strict=True)]
     means = []
     for region, sigmas in zip(regions, known, strict=True):
-        mean = found.mean_of_region(array, flags, sigma, region, budget.correlation)
+        x0, y0, x1, y1 = region.bounds
+        left, top = max(0, int(np.floor(x0)) - 1), max(0, int(np.floor(y0)) - 1)
+        part = {
+            "x": slice(left, max(left, int(np.ceil(x1)) + 2)),
+            "y": slice(top, max(top, int(np.ceil(y1)) + 2)),
+        }
+        noise = None if sigma is None else _rows_of(sigma, part)
+        pixels = Pixels(_rows_of(array, part), _rows_of(flags, part), noise)
+        moved = replace(region, vertices=region.vertices - (left, top))
+        mean = found.mean_of_region(pixels, bands, moved, budget.correlation)
         here = found.with_place(budget, labels, sigmas)
         means.append(found.uncertain_region(mean, here, layer, region.vertices.tolist()))
     return means, [row.name for row in budget.sources if row.basis == "unknown"]
+
+
+def _rows_of(array: xarray.DataArray, part: Mapping[str, slice]) -> np.ndarray:
+    return np.asarray(array.isel(part).transpose("y", "x", "band").values)
 
 
 def _centre(array: xarray.DataArray, region: Region) -> tuple[float, float]:

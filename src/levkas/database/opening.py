@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +9,15 @@ import numpy as np
 import xarray
 from xarray.core import indexing
 
-from levkas.core.cube import Band, band_labels
 from levkas.core.problems import Problem
-from levkas.core.text import parse_bounded
 from levkas.database.catalogue import DatabaseRefused
 from levkas.database.containment import check_inside
+from levkas.database.described import describe_pages
 from levkas.database.layout import KINDS, SIGMA, LayerId
 from levkas.database.lazy_array import LazyArray, TiffPixels, ZarrArray, is_described
 from levkas.database.remote import is_remote, place
-from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.store import DIMENSIONS, flag_attributes
-from levkas.database.tiff_pages import TiffPages, open_pages
+from levkas.database.tiff_pages import open_pages
 
 
 def open_layer(root: Path, layer: LayerId, kind: str = "values") -> xarray.DataArray:
@@ -87,24 +83,6 @@ def _from_zarr(group: Path, kind: str, root: Path) -> xarray.DataArray:
     return _labelled(pixels, columns, facts, kind)
 
 
-@dataclass(frozen=True)
-class Described:
-    """What a layer's TIFF says of itself: its bands, and its other facts."""
-
-    bands: tuple[Band, ...]
-    facts: dict[str, Any]
-
-    @property
-    def quantity(self) -> str:
-        """``"reflectance"``, ``"counts"``, ``"flags"`` …; ``"values"`` where it is not stated."""
-        return str(self.facts.get("quantity", "values"))
-
-
-def open_tiff(path: Path) -> Described:
-    """Read what the spectral TIFF of a layer says of its bands; raises TiffRefused."""
-    return describe_pages(open_pages(path))
-
-
 def open_pixels(path: Path) -> xarray.DataArray:
     """Open one spectral TIFF, lazily, (y, x, band)."""
     if not path.is_file():
@@ -116,24 +94,6 @@ def open_pixels(path: Path) -> xarray.DataArray:
     bands = described.bands
     columns = [b.label for b in bands], [b.wavelength for b in bands], [b.fwhm for b in bands]
     return _labelled(TiffPixels(pages), columns, described.facts, name)
-
-
-def describe_pages(pages: TiffPages) -> Described:
-    """Return what the pages' tags say."""
-    text = next((t for t in pages.tags(METADATA) if t), "")
-    centres = next((t for t in pages.tags(WAVELENGTHS) if t is not None), None)
-    record = _json(decode_text(str(text)))
-    labels, widths = record.pop("bands", None), record.pop("fwhm", None) or [None] * len(pages)
-    known = record.pop("wavelength", None)
-    bad = record.get("bad_bands") or ()
-    if not labels or len(labels) != len(pages):
-        values = [centres] if isinstance(centres, float) else list(centres or range(len(pages)))
-        labels, known = band_labels(values), values
-    bands = [
-        Band(str(label), nan if nm is None else nm, nan if width is None else width, label in bad)
-        for label, nm, width in zip(labels, known, widths, strict=True)
-    ]
-    return Described(tuple(bands), record)
 
 
 def _labelled(
@@ -186,14 +146,6 @@ def _described(kind: str, quantity: str) -> dict[str, Any]:
     if kind == "sigma":
         return {"long_name": "one standard deviation of the random part", **units}
     return {"long_name": quantity, "ancillary_variables": "flags sigma", **units} if known else {}
-
-
-def _json(text: str) -> dict[str, Any]:
-    try:
-        record = parse_bounded(text)
-    except ValueError:
-        return {"metadata": text} if text else {}
-    return record if isinstance(record, dict) else {"metadata": text}
 
 
 def _missing(path: Path, what: str) -> DatabaseRefused:

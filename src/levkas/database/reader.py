@@ -15,9 +15,10 @@ import xarray
 from levkas.core.problems import Problem
 from levkas.database.catalogue import NAME, DatabaseRefused, Entry, read_catalogue
 from levkas.database.containment import check_inside, check_plain_names
+from levkas.database.described import open_tiff
 from levkas.database.layer_array import LayerArray
 from levkas.database.layout import LayerId, layer_name
-from levkas.database.opening import open_layer, open_tiff
+from levkas.database.opening import open_layer
 from levkas.database.remote import place
 from levkas.database.spectral_tiff import METADATA
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
-import xarray
 
 from levkas.calibration.error_sources import (
     COVERAGE,
@@ -24,6 +23,10 @@ from levkas.database.catalogue import DatabaseRefused
 from levkas.database.regions import TRUSTED, Region, RegionRefused
 
 if TYPE_CHECKING:
+    import xarray
+
+    from levkas.core.cube import Band
+    from levkas.database.described import Pixels
     from levkas.database.layout import LayerId
 
 Of = Literal["mean", "difference", "ratio", "delta_e"]
@@ -93,6 +96,8 @@ def budget_variables(budget: LayerBudget, band: xarray.DataArray) -> dict[str, x
     ``err_corr_N_form`` says of each dimension whether one draw of the error holds along it ("systematic") or each place has its
     own ("random"). Rows of single pixels are what sigma is made of, and are left out.
     """
+    import xarray
+
     found = {}
     for row in budget.sources:
         if not row.size or row.common_to == "pixel":
@@ -153,19 +158,16 @@ def with_place(budget: LayerBudget, labels: Sequence[str], sigmas_px: np.ndarray
 
 
 def mean_of_region(
-    layer: xarray.DataArray,
-    flags: xarray.DataArray,
-    sigma: xarray.DataArray | None,
-    region: Region,
-    correlation: np.ndarray = NONE,
+    pixels: Pixels, bands: Sequence[Band], region: Region, correlation: np.ndarray = NONE
 ) -> MeanSpectrum:
     """Return the mean of a region's sound pixels, its random uncertainty and its slopes, band by band.
 
     Parameters
     ----------
-    layer, flags, sigma : DataArray, (y, x, band)
-        Of the same pixels.
+    pixels : Pixels, (h, w, bands)
+    bands : sequence of Band
     region : Region
+        In px of `pixels`.
     correlation : ndarray, (2r + 1, 2r + 1)
         Of the noise of neighbours.
 
@@ -179,9 +181,10 @@ def mean_of_region(
     The variance of the mean of n pixels is Σₚ Σₗ ρ(l) σₚ σₚ₊ₗ / n². With σ of 0.01, ρ of 0.5 to the four nearest and many
     pixels it is three times σ²/n.
     """
+    height, width, _ = pixels.values.shape
     x0, y0, x1, y1 = region.bounds
-    rows = np.arange(max(0, int(np.ceil(y0))), min(layer.sizes["y"], int(np.floor(y1)) + 1))
-    columns = np.arange(max(0, int(np.ceil(x0))), min(layer.sizes["x"], int(np.floor(x1)) + 1))
+    rows = np.arange(max(0, int(np.ceil(y0))), min(height, int(np.floor(y1)) + 1))
+    columns = np.arange(max(0, int(np.ceil(x0))), min(width, int(np.floor(x1)) + 1))
     inside = region.contains(columns[None], rows[:, None])
     if not inside.any():
         raise RegionRefused(
@@ -189,17 +192,13 @@ def mean_of_region(
                 "E_REGION",
                 "this is not a region of the layer",
                 found="no pixel within",
-                expected=f"a region on the grid, x 0 to {layer.sizes['x'] - 1}, y 0 to {layer.sizes['y'] - 1}",
+                expected=f"a region on the grid, x 0 to {width - 1}, y 0 to {height - 1}",
             )
         )
     # One pixel around, so that the picture has a slope at the rim too.
-    rows, columns, inside = _widened(rows, columns, inside, (layer.sizes["y"], layer.sizes["x"]))
-    part = {"y": slice(rows[0], rows[-1] + 1), "x": slice(columns[0], columns[-1] + 1)}
-    values, marks, noise = (
-        None if one is None else one.isel(part).transpose("y", "x", "band").values
-        for one in (layer, flags, sigma)
-    )
-    assert values is not None and marks is not None
+    rows, columns, inside = _widened(rows, columns, inside, (height, width))
+    within = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    values, marks, noise = pixels.part(*within)
     good = ((marks & ~TRUSTED) == 0) & np.isfinite(values)
     sound = inside[..., None] & good
     count = sound.sum((0, 1))
@@ -212,10 +211,11 @@ def mean_of_region(
     if noise is not None:
         spread = np.where(sound, noise, 0.0).astype(float)
         random = np.array([_of_mean(spread[..., k], correlation) for k in range(len(count))])
-    labels = [str(label) for label in np.atleast_1d(layer.band.values)]
-    wavelengths = np.atleast_1d(layer.wavelength.values).astype(float)
+    wavelengths = np.array([band.wavelength for band in bands])
     return MeanSpectrum(
-        labels, mean, random, wavelengths, np.nan_to_num(slopes), lines=int(inside.any(1).sum())
+        *([band.label for band in bands], mean, random, wavelengths),
+        gradient=np.nan_to_num(slopes),
+        lines=int(inside.any(1).sum()),
     )
 
 
@@ -331,6 +331,8 @@ def _unfit(found: str, expected: str) -> RegionRefused:
 
 def to_dataset(made: Uncertain, names: Sequence[str], unknown: Sequence[str]) -> xarray.Dataset:
     """Return numbers with their uncertainties: `u` standard, `U` expanded, its random and common part, and every source's."""
+    import xarray
+
     rows = made.by_source()
     random = rows.get("noise", np.zeros(len(made.values)))
     common = np.sqrt(np.maximum(made.sigma**2 - random**2, 0))

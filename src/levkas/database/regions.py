@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray
 
 from levkas.core.flags import MARKS
 from levkas.core.problems import Problem, Refused
+
+if TYPE_CHECKING:
+    import xarray
 
 BLOCK_SAMPLES = 16_000_000
 """Read at a time."""
@@ -118,6 +121,8 @@ def region_statistics(
     RegionRefused
         ``E_REGION`` where no pixel of the layer lies within.
     """
+    import xarray
+
     if set(layer.dims) != {"y", "x", "band"}:
         raise _refused(f"dimensions {', '.join(map(str, layer.dims))}", "an array of y, x and band")
     height, width = layer.sizes["y"], layer.sizes["x"]

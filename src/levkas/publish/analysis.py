@@ -21,7 +21,8 @@ from levkas.core.json_safe import to_json
 from levkas.core.problems import Problem
 from levkas.database.catalogue import ESTIMATED, Entry, read_catalogue
 from levkas.database.components import Components, ComponentsRefused, find_components
-from levkas.database.opening import open_pixels, open_tiff
+from levkas.database.described import open_tiff
+from levkas.database.opening import open_pixels
 from levkas.database.regions import TRUSTED
 from levkas.database.spectral_tiff import TiffHeader, write_pages
 from levkas.database.tiff_pages import open_pages

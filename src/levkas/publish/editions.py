@@ -116,7 +116,7 @@ def shrink(source: Path, size: tuple[int, int]) -> Cube:
         Values of 16 significant bits, as the build writes them.
     """
     from levkas.core.rounding import round_root, round_values
-    from levkas.database.opening import open_tiff
+    from levkas.database.described import open_tiff
     from levkas.database.tiff_pages import open_pages
     from levkas.geometry.resample import warp
 
@@ -182,7 +182,7 @@ def _write_layer(publication: Publication, root: Path, entry: Entry) -> Entry:
 
 def centroids_of(path: Path) -> dict[str, float]:
     """Return the centroids that tag 65000 of a TIFF holds of channels without a centre wavelength, by label."""
-    from levkas.database.opening import describe_pages
+    from levkas.database.described import describe_pages
     from levkas.database.spectral_tiff import WAVELENGTHS
     from levkas.database.tiff_pages import open_pages
 

@@ -175,7 +175,7 @@ def _layers(publication: Publication, name: str) -> list[Entry]:
 
 def _picture(publication: Publication, entry: Entry) -> tuple[np.ndarray, str]:
     """The layer's picture, and what it shows."""
-    from levkas.database.opening import describe_pages
+    from levkas.database.described import describe_pages
     from levkas.database.tiff_pages import open_pages
 
     pages = open_pages(publication.root / f"{entry.layer.path}.tif")

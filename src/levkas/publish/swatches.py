@@ -138,7 +138,7 @@ def _view(
 
 def _shows_colour(publication: Publication, entry: Entry) -> bool:
     """Whether a layer is the reference camera's, in reflectance, and its bands cover the visible."""
-    from levkas.database.opening import open_tiff
+    from levkas.database.described import open_tiff
 
     camera = publication.facts.reference.partition(":")[0]
     if entry.camera != camera or entry.setup or entry.quantity != "reflectance":
@@ -150,7 +150,7 @@ def _shows_colour(publication: Publication, entry: Entry) -> bool:
 
 
 def _cells_of(publication: Publication, entry: Entry) -> np.ndarray:
-    from levkas.database.opening import describe_pages
+    from levkas.database.described import describe_pages
     from levkas.database.tiff_pages import open_pages
 
     path = publication.root / f"{entry.layer.path}.tif"

@@ -265,7 +265,7 @@ def greatest_code(facts: Facts) -> float:
 
 
 def _read_tiff(path: Path) -> tuple[np.ndarray, tuple[Band, ...]]:
-    from levkas.database.opening import describe_pages
+    from levkas.database.described import describe_pages
     from levkas.database.spectral_tiff import open_pages
     from levkas.readers.facts import check_expansion, check_memory
 

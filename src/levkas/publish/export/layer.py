@@ -56,7 +56,7 @@ class ExportLayer:
     @classmethod
     def read(cls, database: Path, name: str, camera: str, setup: str) -> ExportLayer:
         """Open a layer; raises TiffRefused."""
-        from levkas.database.opening import open_tiff
+        from levkas.database.described import open_tiff
 
         stem = LayerId(name, camera, setup).stem
         path = database / "objects" / name / f"{stem}.tif"

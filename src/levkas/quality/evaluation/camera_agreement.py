@@ -8,6 +8,7 @@ the panel.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from levkas.calibration.error_sources import COVERAGE, MeanSpectrum, Uncertain, join
+from levkas.database.described import LayerRows
 from levkas.database.region_uncertainty import (
     LayerBudget,
     mean_of_region,
@@ -28,8 +30,8 @@ from levkas.database.regions import TRUSTED, Region, RegionRefused
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import xarray
-
+    from levkas.core.cube import Band
+    from levkas.database.described import Pixels
     from levkas.database.layout import LayerId
     from levkas.geometry.transforms import Transform
 
@@ -194,36 +196,25 @@ class PairAgreement:
         }
 
 
-def choose_patches(
-    layer: xarray.DataArray, flags: xarray.DataArray, settings: AgreementSettings = SETTINGS
-) -> np.ndarray:
-    """Return the corners of even patches of a layer, (p, 2) px, some strips of the grid over.
-
-    Parameters
-    ----------
-    layer, flags : DataArray, (y, x, band)
-    """
-    height, width, side = layer.sizes["y"], layer.sizes["x"], settings.side
+def choose_patches(rows: LayerRows, settings: AgreementSettings = SETTINGS) -> np.ndarray:
+    """Return the corners of even patches of a layer, (p, 2) px, some strips of the grid over."""
+    (height, width, _), side = rows.shape, settings.side
     tops = np.unique(np.linspace(side, height - 2 * side, settings.rows).astype(int))
     starts = np.unique(np.linspace(side, width - 2 * side, settings.columns).astype(int))
     found = []
-    for top in tops[tops >= 0]:
-        part = {"y": slice(int(top), int(top) + side)}
-        values = layer.isel(part).transpose("y", "x", "band").values
-        marks = flags.isel(part).transpose("y", "x", "band").values
-        sound = ((marks & ~TRUSTED) == 0).all((0, 2))
-        for start in starts[starts >= 0]:
+    for top in tops[tops >= 0].tolist():
+        values, flags, _ = rows.read(top, top + side)
+        sound = ((flags & ~TRUSTED) == 0).all((0, 2))
+        for start in starts[starts >= 0].tolist():
             patch = values[:, start : start + side].mean(-1)
             even = patch.std() < settings.uneven * max(float(patch.mean()), settings.dark)
             if even and sound[start : start + side].all():
-                found.append((int(start), int(top)))
+                found.append((start, top))
     return np.array(found, int).reshape(-1, 2)
 
 
 def measure_patches(
-    array: xarray.DataArray,
-    root: Path,
-    layer: LayerId,
+    rows: LayerRows,
     places: np.ndarray,
     budget: LayerBudget,
     *,
@@ -234,9 +225,7 @@ def measure_patches(
 
     Parameters
     ----------
-    array : DataArray, (y, x, band)
-    root, layer
-        Where it stands.
+    rows : LayerRows
     places : ndarray, (p, 2)
         Corners of the patches, px.
     budget : LayerBudget
@@ -245,50 +234,43 @@ def measure_patches(
     owner : str
         Of what errors of a camera belong to, where several databases are compared.
     """
-    beside = array.levkas
-    flags, sigma = beside.flags, beside.sigma
-    labels = [str(label) for label in array.band.values]
+    labels = [band.label for band in rows.bands]
     places = places[np.lexsort((places[:, 0], places[:, 1]))]
     corners = places[:, None] + SETTINGS.side * CORNERS - 0.5
     if at is not None:
         corners = at(corners.reshape(-1, 2)).reshape(corners.shape)
-    known = position_sigmas(root, layer, labels, corners.mean(1))
+    known = position_sigmas(rows.root, rows.layer, labels, corners.mean(1))
     means, numbers = [], []
-    for rows in (places[:, 1] == top for top in np.unique(places[:, 1])):
-        height = array.sizes["y"]
-        low, high = (int(np.clip(f(corners[rows, :, 1]), 0, height)) for f in (np.min, np.max))
-        strip = {"y": slice(low, min(high + 2, height))}
-        parts = [None if a is None else a.isel(strip).load() for a in (array, flags, sigma)]
+    for some in (places[:, 1] == top for top in np.unique(places[:, 1])):
+        height = rows.shape[0]
+        low, high = (int(np.clip(f(corners[some, :, 1]), 0, height)) for f in (np.min, np.max))
+        low = max(0, low - 1)
+        strip = rows.read(low, min(high + 2, height)) if low < height else None
         for place, outline, sigmas in zip(
-            places[rows].tolist(), corners[rows], known[rows], strict=True
+            places[some].tolist(), corners[some], known[some], strict=True
         ):
-            mean = _mean_of(parts, outline - (0, low), budget, labels, array)
+            mean = _mean_of(strip, outline - (0, low), budget, rows.bands)
             here = with_place(budget, labels, sigmas)
             means.append(mean)
-            numbers.append(uncertain_region(mean, here, layer, place, owner=owner))
-    fwhm = np.atleast_1d(array.fwhm.values).astype(float)
+            numbers.append(uncertain_region(mean, here, rows.layer, place, owner=owner))
+    fwhm = np.array([band.fwhm for band in rows.bands])
     unknown = tuple(row.name for row in budget.sources if row.basis == "unknown")
-    return PatchMeans(layer, places, tuple(means), tuple(numbers), fwhm, unknown)
+    return PatchMeans(rows.layer, places, tuple(means), tuple(numbers), fwhm, unknown)
 
 
 CORNERS = np.array([(0.0, 0.0), (1, 0), (1, 1), (0, 1)])
 
 
 def _mean_of(
-    parts: Sequence[Any],
-    outline: np.ndarray,
-    budget: LayerBudget,
-    labels: Sequence[str],
-    array: xarray.DataArray,
+    strip: Pixels | None, outline: np.ndarray, budget: LayerBudget, bands: Sequence[Band]
 ) -> MeanSpectrum:
     """Return the mean of a patch; NaN in every band where it lies outside."""
-    values, marks, noise = parts
-    try:
-        return mean_of_region(values, marks, noise, Region(outline), budget.correlation)
-    except RegionRefused:
-        none = np.full(len(labels), np.nan)
-        wavelengths = np.atleast_1d(array.wavelength.values).astype(float)
-        return MeanSpectrum(labels, none, np.zeros(len(labels)), wavelengths)
+    if strip is not None:
+        with suppress(RegionRefused):
+            return mean_of_region(strip, bands, Region(outline), budget.correlation)
+    none = np.full(len(bands), np.nan)
+    nm = np.array([band.wavelength for band in bands])
+    return MeanSpectrum([band.label for band in bands], none, np.zeros(len(bands)), nm)
 
 
 def weigh_bands(
@@ -440,19 +422,15 @@ def agreement_in(
         The reference first.
     budgets, sensitivities : mapping by name of the layer
     """
-    from levkas.database.layer_array import LayerArray
-    from levkas.database.opening import open_layer
-
-    arrays = {layer: LayerArray(open_layer(root, layer)) for layer in layers}
-    arrays = {k: a for k, a in arrays.items() if a.attrs.get("quantity") == "reflectance"}
-    if len(arrays) < 2:
+    opened = [LayerRows.open(root, layer) for layer in layers]
+    opened = [rows for rows in opened if rows.quantity == "reflectance"]
+    if len(opened) < 2:
         return ()
-    reference = next(iter(arrays.values()))
-    places = choose_patches(reference, reference.levkas.flags)
+    places = choose_patches(opened[0])
     if len(places) < SETTINGS.least:
         return ()
     measured = [
-        measure_patches(array, root, layer, places, budgets.get(layer.name, LayerBudget()))
-        for layer, array in arrays.items()
+        measure_patches(rows, places, budgets.get(rows.layer.name, LayerBudget()))
+        for rows in opened
     ]
     return compare_all(measured, sensitivities)

@@ -11,6 +11,7 @@ import numpy as np
 
 from levkas.core.problems import Problem, unknown_name
 from levkas.database.catalogue import DatabaseRefused
+from levkas.database.described import LayerRows
 from levkas.database.layer_array import LayerArray
 from levkas.database.layout import LayerId
 from levkas.database.opening import open_layer
@@ -150,9 +151,9 @@ def _compare(
             )
         )
     (move,) = found.transforms.values()
-    places = choose_patches(sides[0][leads[0]], sides[0][leads[0]].levkas.flags)
+    places = choose_patches(LayerRows.open(first.path, leads[0]))
     measured = [
-        [_measured(database, layer, array, places, at) for layer, array in layers.items()]
+        [_measured(database, layer, places, at) for layer in layers]
         for database, layers, at in zip((first, second), sides, (None, move), strict=True)
     ]
     pairs = [
@@ -214,7 +215,6 @@ def _picture(array: LayerArray) -> np.ndarray:
 def _measured(
     database: Database,
     layer: LayerId,
-    array: LayerArray,
     places: np.ndarray,
     at: Transform | None,
 ) -> PatchMeans:
@@ -226,7 +226,7 @@ def _measured(
         for row in budget.sources
     )
     budget = LayerBudget(rows, budget.correlation)
-    return measure_patches(array, database.path, layer, places, budget, at=at, owner=own)
+    return measure_patches(LayerRows.open(database.path, layer), places, budget, at=at, owner=own)
 
 
 def _pair(mine: PatchMeans, theirs: PatchMeans, first: Path, second: Path) -> PairAgreement | None:

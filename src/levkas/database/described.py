@@ -1,0 +1,124 @@
+"""What the spectral TIFF of a layer says of itself, and its pixels some rows at a time, as plain arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import nan
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from levkas.core.cube import Band, band_labels
+from levkas.core.text import parse_bounded
+from levkas.database.layout import KINDS, LayerId
+from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
+from levkas.database.tiff_pages import TiffPages, open_pages
+
+
+@dataclass(frozen=True)
+class Described:
+    """What a layer's TIFF says of itself: its bands, and its other facts."""
+
+    bands: tuple[Band, ...]
+    facts: dict[str, Any]
+
+    @property
+    def quantity(self) -> str:
+        """``"reflectance"``, ``"counts"``, ``"flags"`` …; ``"values"`` where it is not stated."""
+        return str(self.facts.get("quantity", "values"))
+
+
+def open_tiff(path: Path) -> Described:
+    """Read what the spectral TIFF of a layer says of its bands; raises TiffRefused."""
+    return describe_pages(open_pages(path))
+
+
+def describe_pages(pages: TiffPages) -> Described:
+    """Return what the pages' tags say."""
+    text = next((t for t in pages.tags(METADATA) if t), "")
+    centres = next((t for t in pages.tags(WAVELENGTHS) if t is not None), None)
+    record = _json(decode_text(str(text)))
+    labels, widths = record.pop("bands", None), record.pop("fwhm", None) or [None] * len(pages)
+    known = record.pop("wavelength", None)
+    bad = record.get("bad_bands") or ()
+    if not labels or len(labels) != len(pages):
+        values = [centres] if isinstance(centres, float) else list(centres or range(len(pages)))
+        labels, known = band_labels(values), values
+    bands = [
+        Band(str(label), nan if nm is None else nm, nan if width is None else width, label in bad)
+        for label, nm, width in zip(labels, known, widths, strict=True)
+    ]
+    return Described(tuple(bands), record)
+
+
+def _json(text: str) -> dict[str, Any]:
+    try:
+        record = parse_bounded(text)
+    except ValueError:
+        return {"metadata": text} if text else {}
+    return record if isinstance(record, dict) else {"metadata": text}
+
+
+class Pixels(NamedTuple):
+    """Some rows of a layer, each array (h, w, bands); `sigma` is None where noise is not known."""
+
+    values: np.ndarray
+    flags: np.ndarray
+    sigma: np.ndarray | None
+
+    def part(self, rows: slice, columns: slice) -> Pixels:
+        """Return some rows and columns."""
+        return Pixels(*(None if a is None else a[rows, columns] for a in self))  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False)
+class LayerRows:
+    """A published layer, read off its TIFFs.
+
+    Parameters
+    ----------
+    root : Path
+        The database.
+    layer : LayerId
+    described : Described
+    pages : dict of str to TiffPages
+        Of values, flags and, where noise is known, sigma.
+    """
+
+    root: Path
+    layer: LayerId
+    described: Described
+    pages: dict[str, TiffPages]
+
+    @classmethod
+    def open(cls, root: Path, layer: LayerId) -> LayerRows:
+        """Open a layer without reading a pixel; raises TiffRefused."""
+        paths = {kind: root / (layer.path + ending) for kind, ending in KINDS.items()}
+        pages = {
+            kind: open_pages(path)
+            for kind, path in paths.items()
+            if kind != "sigma" or path.is_file()
+        }
+        return cls(root, layer, describe_pages(pages["values"]), pages)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(height, width, bands)."""
+        return tuple(self.pages["values"].shape)
+
+    @property
+    def quantity(self) -> str:
+        """As of `Described`."""
+        return self.described.quantity
+
+    @property
+    def bands(self) -> tuple[Band, ...]:
+        """Its bands."""
+        return self.described.bands
+
+    def read(self, start: int, stop: int) -> Pixels:
+        """Read rows `start` to `stop`."""
+        bands = list(range(self.shape[2]))
+        known = {kind: pages.read(start, stop, bands) for kind, pages in self.pages.items()}
+        return Pixels(known["values"], known["flags"], known.get("sigma"))
