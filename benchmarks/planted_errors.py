@@ -115,7 +115,11 @@ class Panel:
     def draw(cls, rng, rows, columns, side, *, slope=0.0):
         """Draw spectra; `slope` is the standard deviation of the relative change over a pixel."""
         low, high = [0.03, 0.05, 450, 50], [0.25, 0.65, 650, 110]
-        return cls(rng.uniform(low, high, (rows, columns, 4)), side, slope * rng.standard_normal(2))
+        return cls(
+            rng.uniform(low, high, (rows, columns, 4)),
+            side,
+            slope * rng.uniform(-(3**0.5), 3**0.5, 2),
+        )
 
     @property
     def shape(self):

@@ -43,7 +43,7 @@ from levkas.quality.evaluation.camera_agreement import PatchMeans, compare_all
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "promises"))
 from camera import Habits, write_campaign
 
-DRAWS, ALONE, BUILDS, PANELS = 400, 24, 40, 6
+DRAWS, ALONE, BUILDS, BUILDS_ALONE, PANELS = 400, 24, 40, 8, 6
 
 
 # --- arrays ---------------------------------------------------------------------------------------
@@ -73,20 +73,15 @@ def draw_arrays(seed, sizes=SIZES, *, shots=4, of_all=DRAWS):
         exact = truth[y0:y1, x0:x1].mean((0, 1))
         return uncertain_region(mean, rows, LayerId("panel", "cam"), (side, left)), exact
 
-    def of(what, first, second=None):
-        made = combine(what, labels, NM, first[0], second and second[0])[0]
-        n, v = len(NM), np.concatenate([first[1], *([second[1]] if second else [])])
-        if what == "delta_e":
-            return made, colour_difference(v[:n], v[n:], NM)
-        return made, v[:n] / v[n:]
-
     one, some, many, other = read(1), read(10), read(100), read(10, SIDE)
     numbers = [one, some, many]
     for make in (np.subtract, np.divide):
-        numbers.append(
-            (some[0].through(lambda v, m=make: m(v[3:4], v[1:2])), make(some[1][3:4], some[1][1:2]))
-        )
-    return [*numbers, of("ratio", some, other), of("delta_e", some, other)]
+        made = some[0].through(lambda v, m=make: m(v[3:4], v[1:2]))
+        numbers.append((made, make(some[1][3:4], some[1][1:2])))
+    for of, make in (("ratio", np.divide), ("delta_e", lambda a, b: colour_difference(a, b, NM))):
+        made = combine(of, labels, NM, some[0], other[0])[0]
+        numbers.append((made, make(some[1], other[1])))
+    return numbers
 
 
 def colour_difference(first, second, nm):
@@ -131,7 +126,7 @@ angle_uncertainty_deg = {angle of the light}
 """
 
 
-def draw_build(seed, sizes=SIZES, *, clock=30.0):
+def draw_build(seed, sizes=SIZES, *, of_all=BUILDS):
     """Build a campaign of a new draw; return (quantity, value − truth, U) of every tile, the budget's rows, and the errors.
 
     Whites before and after the object say what the lamp did, several darks what the black level did: nothing is declared of them.
@@ -139,10 +134,10 @@ def draw_build(seed, sizes=SIZES, *, clock=30.0):
     rng = np.random.default_rng(seed)
     panel = Panel.draw(rng, *TILES, SHAPE[0] // TILES[0])
     kind = Kind(np.array(MIDDLES, float))
-    errors = Errors.draw(EvenDraws(seed, BUILDS), sizes, kind)
+    errors = Errors.draw(EvenDraws(seed, of_all), sizes, kind)
     level = (1 + errors.white) * tilt_of(errors.angle)
     habits = Habits(
-        light=LIGHT, seed=seed, shots=(6, 6, 3), after=3, clock=clock, board=(level, level),
+        light=LIGHT, seed=seed, shots=(6, 6, 3), after=3, clock=30.0, board=(level, level),
         drift=float(errors.lamp[0]), wander=float(errors.black[0]), stray=errors.stray,
         curve=float(errors.bend[0]) * TOP / LIGHT,
     )  # fmt: skip
@@ -203,6 +198,20 @@ def coverage_of_builds(builds):
     for name in QUANTITIES:
         miss = np.array([e / (u / 2) for rows, *_ in builds for n, e, u in rows if n == name])
         found[name] = (float(np.mean(np.abs(miss) <= 2)), float(np.sqrt(np.mean(miss**2))))
+    return found
+
+
+def rows_of_builds(count):
+    """Return (error over row, rms) of what builds measure, each drawn alone, in the mean of 10⁴ pixels."""
+    found = {}
+    for name in ("lamp between white and object", "black level"):
+        errors, stated = [], []
+        for seed in range(count):
+            read, rows, _ = draw_build(seed, NONE | {name: SIZES[name]}, of_all=count)
+            errors += [e for what, e, _ in read if what == "mean of 10⁴"]
+            middle = 0.3 if rows[name]["unit"] == "relative" else 1.0  # mean of the panel
+            stated += [middle * size for size in rows[name]["size"].values()]
+        found[name] = float(np.sqrt(np.mean(np.square(errors)) / np.mean(np.square(stated))))
     return found
 
 
@@ -313,6 +322,8 @@ def run_builds(path):
     """Measure the coverage of intervals over whole builds."""
     found = coverage_of_builds([draw_build(seed) for seed in range(BUILDS)])
     tell(path, "coverage", {(n, "builds"): 100 * share for n, (share, _) in found.items()})
+    alone = rows_of_builds(BUILDS_ALONE)
+    tell(path, "budget-rows", {(name, "builds"): ratio for name, ratio in alone.items()})
 
 
 def run_agreement(path):
