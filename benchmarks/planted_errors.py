@@ -8,11 +8,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import xarray
 from scipy.stats import norm
 
 import levkas
 from levkas.calibration.error_sources import ErrorSource
+from levkas.core.cube import Band
+from levkas.database.described import Pixels
 from levkas.database.region_uncertainty import LayerBudget
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "promises"))
@@ -207,9 +208,6 @@ def budget(kind, sizes, cube, white=""):
 
 
 def arrays_of(cube, kind):
-    """Return values, flags and sigma with the coordinates of a layer."""
-    coords = {"band": kind.labels(), "wavelength": ("band", kind.nm)}
-    return [
-        xarray.DataArray(a, dims=("y", "x", "band"), coords=coords)
-        for a in (cube.values, cube.flags, cube.sigma)
-    ]
+    """Return the pixels of a cube, and its bands, as a layer has them."""
+    bands = [Band(label, nm) for label, nm in zip(kind.labels(), kind.nm, strict=True)]
+    return Pixels(cube.values, cube.flags, cube.sigma), bands
