@@ -1,5 +1,6 @@
 import re
 import sys
+import tomllib
 from pathlib import Path
 
 import levkas
@@ -47,6 +48,32 @@ def test_every_page_of_the_documentation_is_in_one_list_of_pages():
             paths = [index.parent / f"{name}.md" for name in names]
             listed += [p.resolve() for path in paths for p in path.parent.glob(path.name)]
     assert sorted(listed) == sorted(pages() - {DOCS / "index.md"})
+
+
+def test_the_pages_on_the_packages_list_them_as_their_imports_are_checked():
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    (contract,) = contracts["tool"]["importlinter"]["contracts"]
+    layers = [{*re.findall(r"levkas\.(\w+)", layer)} for layer in contract["layers"]]
+    place = {name: n for n, layer in enumerate(layers) for name in layer}
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (`\w+`(?: · `\w+`)*) \|", text, re.MULTILINE)
+    named = [name for row in rows for name in re.findall(r"`(\w+)`", row) if name in place]
+    assert sorted(named) == sorted(place)
+    assert [place[name] for name in named] == sorted(place.values())
+    drawn = (DOCS / "development/architecture.md").read_text(encoding="utf-8").split("```")[1]
+    assert {*place} <= {*re.findall(r"\w+", drawn)}
+
+
+def test_pages_for_developers_name_files_that_are_there():
+    for page in (ROOT / "CONTRIBUTING.md", DOCS / "development/architecture.md"):
+        names = re.findall(r"`(\w+(?:/\w+)+\.py)`", page.read_text(encoding="utf-8"))
+        roots = (ROOT, ROOT / "src", ROOT / "src/levkas", ROOT / "tests")
+        there = [n for n in names if any((root / n).is_file() for root in roots)]
+        assert [n for n in names if n not in there and not re.search("[A-Z]", n)] == []
+        folders = [Path(n).parent for n in names if n not in there]
+        assert all(any((root / folder).is_dir() for root in roots) for folder in folders)
+        rows = re.findall(r"`FORMS` of `([\w/]+\.py)`", page.read_text(encoding="utf-8"))
+        assert all((ROOT / "src/levkas" / row).is_file() for row in rows)
 
 
 def anchors(page):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib
+import inspect
 import re
 import shutil
 import sys
@@ -10,12 +11,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 from PIL import Image
 
 import levkas
 from levkas.building import build, summarise
+from levkas.calibration.sensor_context import SensorContext
+from levkas.calibration.sensor_notes import doubts_of
 from levkas.campaign import camera_kinds
+from levkas.campaign.discovery.find_captures import find_captures
 from levkas.campaign.schema.cross_checks import check_pattern
+from levkas.readers.frames import read_facts
+from levkas.stages.sources import STAGES, files_of
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/howto/add_camera_kind.md"
 
@@ -24,7 +31,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs/howto/add_camera_kind.md"
 def film(monkeypatch):
     """The kind of the docs' example."""
     function, row = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
-    module = types.ModuleType("levkas.building.films")
+    module = types.ModuleType("levkas.stages.films")
     exec(function, module.__dict__)
     monkeypatch.setitem(sys.modules, module.__name__, module)
     monkeypatch.setitem(camera_kinds.KINDS, "film", None)  # taken away again after the test
@@ -58,19 +65,56 @@ def test_an_unknown_kind_is_refused_with_those_that_there_are(plates, tmp_path):
     with pytest.raises(levkas.Refused) as refused:
         levkas.load_campaign(tmp_path)
     message = refused.value.problems[0].message
-    assert "'mosaic', 'bands', 'sensors', 'cube' or 'image'" in message
+    assert all(repr(kind) in message for kind in camera_kinds.KINDS)
     assert "Did you mean 'mosaic'?" in message
 
 
 @pytest.mark.parametrize("kind", camera_kinds.KINDS.values(), ids=camera_kinds.KINDS.keys())
-def test_every_row_names_a_function(kind):
+def test_every_row_names_a_function_whose_change_makes_calibrated_layers_stale(kind):
     module, _, name = kind.develop.partition(":")
-    assert callable(getattr(importlib.import_module(module), name))
+    function = getattr(importlib.import_module(module), name)
+    assert Path(inspect.getfile(function)) in files_of(STAGES["calibrate"])
+
+
+def test_the_function_of_the_page_lies_where_its_change_makes_layers_stale(film):
+    module = camera_kinds.KINDS["film"].develop.partition(":")[0].split(".")
+    assert module[1] in STAGES["calibrate"]
+
+
+def test_every_kind_is_described_where_users_look():
+    page = PAGE.parents[1] / "campaign.md"
+    described = page.read_text(encoding="utf-8").partition("Kinds:")[2]
+    assert [kind for kind in camera_kinds.KINDS if f"\n`{kind}`\n: " not in described] == []
+
+
+def test_a_kind_that_reads_all_pages_of_a_file_has_no_warning_of_unread_ones(
+    monkeypatch, make_every_kind, tmp_path
+):
+    folder = make_every_kind(tmp_path / "campaign", ("one",), ("photo", "colour"))
+    for path in (folder / "colour").iterdir():
+        page = tifffile.imread(path)
+        tifffile.imwrite(path, np.stack([page, page]), photometric="minisblack")
+
+    def unread():
+        campaign = levkas.load_campaign(folder)
+        (capture,) = (
+            c for c in find_captures(campaign)[0] if c.camera == "colour" and c.object == "one"
+        )
+        camera, sensor = campaign.cameras["colour"], capture.sensors[0]
+        facts = read_facts(sensor.object[0].path)
+        context = SensorContext(campaign, camera, sensor, facts, None)
+        return [note for note in doubts_of(context) if "of 2 pages" in note]
+
+    assert len(unread()) == 1
+    row = dataclasses.replace(camera_kinds.KINDS["mosaic"], reads_pages=True)
+    monkeypatch.setitem(camera_kinds.KINDS, "mosaic", row)
+    assert unread() == []
 
 
 def test_kinds_may_share_a_field_and_a_key(monkeypatch):
-    row = dataclasses.replace(camera_kinds.KINDS["bands"], keys=("bands", "scan"))
-    monkeypatch.setitem(camera_kinds.KINDS, "filters", row)
+    rows = {kind: camera_kinds.KINDS[kind] for kind in ("bands", "cube")}
+    rows["filters"] = dataclasses.replace(rows["bands"], keys=("bands", "scan"))
+    monkeypatch.setattr(camera_kinds, "KINDS", rows)
     assert "wavelength" not in camera_kinds.fields_of_others("bands")
     assert camera_kinds.fields_of_others("cube")["wavelength"] == ("bands", "filters")
     assert "scan" not in camera_kinds.keys_of_others("filters")

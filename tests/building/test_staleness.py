@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from levkas.building import build, status, summarise
+from levkas.campaign import methods
 
 sys.path.insert(0, str(Path(__file__).parent))
 from every_kind import make
@@ -251,3 +252,25 @@ def test_exactly_what_depends_on_a_change_is_stale(tmp_path):
         assert found == stale, (kind, name)
         assert done <= found, (kind, name)
         shutil.rmtree(copy)
+
+
+def test_changed_code_of_an_installed_method_makes_what_it_registered_stale(
+    plates, tmp_path, monkeypatch
+):
+    module = tmp_path / "my_method.py"
+    module.write_text("STEP = 1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setitem(methods._MODULES, methods.DEFAULT_METHOD, "my_method")
+    found = []
+    for text in ("STEP = 1\n", "STEP = 2\n"):
+        module.write_text(text)
+        methods.code_of.cache_clear()
+        found.append(methods.code_of(methods.DEFAULT_METHOD))
+    stale = {step.label: step.why for step in status(plates).stages if step.state == "stale"}
+    methods.code_of.cache_clear()
+    assert found[0] != found[1]
+    assert {label for label in stale if label.endswith("register")} == {
+        "one/photo register", "one/infrared register"
+    }  # fmt: skip
+    assert "code of the registration method" in stale["one/photo register"]
+    assert not any(label.endswith("calibrate") for label in stale)

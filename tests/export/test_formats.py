@@ -1,6 +1,7 @@
 import csv
 import json
 import sys
+from typing import get_args, get_type_hints
 
 import h5py
 import numpy as np
@@ -14,6 +15,7 @@ from typer.testing import CliRunner
 
 import levkas
 from levkas.cli import app
+from levkas.cli.publish import export as command
 from levkas.core.digests import hash_tree
 from levkas.database.spectral_tiff import read_tiff_pages
 from levkas.publish.export import export
@@ -154,6 +156,10 @@ def test_a_large_layer_is_sampled_evenly(database, tmp_path, monkeypatch):
     rows = (tmp_path / "icon1_vis.csv").read_text().splitlines()[1:]
     assert 30 <= len(rows) <= 50
     assert {int(r.split(",")[0]) % 4 for r in rows} == {2}
+
+
+def test_the_command_offers_every_form():
+    assert get_args(get_type_hints(command)["form"]) == tuple(FORMS)
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -1,4 +1,6 @@
 import os
+import sys
+import types
 
 import cv2
 import numpy as np
@@ -9,7 +11,8 @@ from hypothesis import strategies as st
 
 from levkas.core.problems import Refused
 from levkas.readers import frames
-from levkas.readers.frames import UnreadableCapture, kind_of, read_facts, read_frame
+from levkas.readers.facts import Facts
+from levkas.readers.frames import Reader, UnreadableCapture, kind_of, read_facts, read_frame
 
 RNG = np.random.default_rng(1)
 CODES = RNG.integers(0, 4096, (24, 30)).astype(np.uint16)
@@ -51,6 +54,20 @@ def test_the_content_decides_and_not_the_suffix(tmp_path):
     (tmp_path / "photo.png").rename(path)
     assert kind_of(path) == read_facts(path).kind == "png"
     assert np.array_equal(read_frame(str(path)), CODES)
+
+
+def test_a_reader_is_added_by_a_row(tmp_path, monkeypatch):
+    np.save(tmp_path / "frame.npy", CODES)
+    with pytest.raises(UnreadableCapture, match="NumPy array is not supported"):
+        read_facts(tmp_path / "frame.npy")
+    module = types.ModuleType("levkas.readers.npy")
+    module.facts = lambda path: Facts(path, "npy", np.load(path, mmap_mode="r").shape, "uint16")
+    module.frame = np.load
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    row = Reader(module.__name__, "facts", "frame", (b"\x93NUMPY",))
+    monkeypatch.setitem(frames.READERS, "npy", row)
+    assert kind_of(tmp_path / "frame.npy") == read_facts(tmp_path / "frame.npy").kind == "npy"
+    assert np.array_equal(read_frame(tmp_path / "frame.npy"), CODES)
 
 
 def test_only_a_tiff_has_pages(tmp_path):

@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+from levkas.campaign.campaign import CampaignInvalid, load_campaign
+
 METADATA = "Metadata-Version: 2.1\nName: fancy\nVersion: 1.0\n"
 MODULE = """
 import numpy as np
@@ -94,6 +96,36 @@ def run_with(tmp_path, module, script):
     return subprocess.run(
         [sys.executable, "-c", script, str(toml)], capture_output=True, text=True, check=False
     )
+
+
+LACKING = """
+import sys
+
+import numpy as np
+
+from levkas.campaign.methods import code_of
+from levkas.registration import BandImage, RegistrationRefused, register
+
+image, other = (BandImage.of(name, np.ones((20, 20))) for name in "ab")
+try:
+    register([image, other], [image, other], reference_band="a", method="fancy")
+except RegistrationRefused as refused:
+    print(refused.problems[0])
+print(len(code_of("fancy")), code_of("levkas"))
+"""
+
+
+def test_a_method_that_returns_no_map_of_a_band_is_named(tmp_path):
+    done = run_with(tmp_path, MODULE.replace("request.target}", "request.target[:1]}"), LACKING)
+    refused, codes = done.stdout.splitlines()
+    assert refused.startswith("the registration method 'fancy' returns no map for 1 of 2 bands")
+    assert "found: b" in refused and codes == "16 ", done.stderr
+
+
+def test_a_method_that_is_not_installed_is_refused_with_what_to_install(tmp_path):
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN.replace("shift = 2.5", ""))
+    with pytest.raises(CampaignInvalid, match="that of a package which is installed beside Levkas"):
+        load_campaign(tmp_path / "campaign.toml")
 
 
 def test_an_installed_package_adds_a_method(tmp_path):

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     Layer = tuple[str, str]
 
 
+FROM_MEMORY = frozenset(("calibrate", "measure", "register", "resample"))
+"""Stages that take what they read of their capture from memory, while it may still be written; others wait for the files."""
+
+
 class Executor:
     """Runs the tasks of captures, and says how each ends.
 
@@ -123,6 +127,10 @@ class Executor:
             if registers:
                 # Two cubes at once are enough; the one of the capture before goes first.
                 yield from self._written(but=layer)
+            elif task.key.stage not in FROM_MEMORY:
+                yield from self._written(of=layer)
+                if layer in self._lost:
+                    return
             if not why:
                 yield from self._written(of=layer)
                 if layer not in self._lost:

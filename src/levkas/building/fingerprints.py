@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.building.build_records import UNREADABLE, Key, key_of
+from levkas.campaign.methods import DEFAULT_METHOD, code_of
 from levkas.core.internal_errors import CODE as INTERNAL
 from levkas.stages.control_points import told_points
 from levkas.stages.sources import made_with
@@ -242,8 +243,10 @@ def of_registration(
         prints["region in the reference"] = [grid[key] for key in told]
     if keys.sensitivity and any(isnan(band.wavelength) for band in capture.bands):
         prints[f"file {keys.sensitivity}"] = hashes(campaign.root / keys.sensitivity)
-    for key, value in campaign.registration_of(capture.camera).items():
-        prints[f"registration.{key}"] = value
+    options = campaign.registration_of(capture.camera)
+    prints |= {f"registration.{key}": value for key, value in options.items()}
+    if code := code_of(options.get("method") or DEFAULT_METHOD):
+        prints["code of the registration method"] = code
     for sensor in capture.sensors:
         prints[f"sensors.{sensor.name}.align"] = sensor.align
     for band, edits in campaign.edits.of_layer(capture.object, capture.layer).items():

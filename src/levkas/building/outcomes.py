@@ -230,9 +230,11 @@ def withdraw(
     from levkas.core.files import remove
 
     keys = [Key(capture.object, capture.camera, capture.setup, s) for s in STAGES]
-    for key in keys[STAGES.index(stage) : -1]:
+    for key in keys[STAGES.index(stage) :]:
         if key.stage == stage and records.notes(key).get("refused"):
             continue  # a registration that is refused has a record
+        if key.stage == "resample":
+            continue  # by name, below
         for name in sorted(records.made_by(key)):
             remove(places.output / name)
         records.drop(key)

@@ -99,7 +99,7 @@ def _notes_of_files(context: SensorContext) -> list[str]:
         if frame.path.suffix.lower() in RAW_SUFFIXES:
             continue
         facts = read_facts(frame.path)
-        unread = facts.pages > 1 and frame.page is None and not context.camera.traits.is_scanned
+        unread = facts.pages > 1 and frame.page is None and not context.camera.traits.reads_pages
         more = [f"the first of {facts.pages} pages is used, the others are not"] if unread else []
         if facts.encoded and context.camera.traits.is_calibrated:
             more.append(f"by the file its codes have a tone curve ({facts.encoded}); {AS_LIGHT}")

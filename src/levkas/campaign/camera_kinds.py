@@ -25,6 +25,8 @@ class CameraKind:
         Whether its lines are exposed one after another, so that dark and white are lines and files are strips.
     by_chart : bool
         Whether a colour chart may take the place of a white frame.
+    reads_pages : bool
+        Whether it takes all pages of a file, and not the first alone.
     declares_shots : bool
         Whether several files of one band are a mistake unless they are declared to be shots.
     keys : tuple of str
@@ -40,6 +42,7 @@ class CameraKind:
     is_calibrated: bool = True
     is_scanned: bool = False
     by_chart: bool = False
+    reads_pages: bool = False
     declares_shots: bool = False
     keys: tuple[str, ...] = ()
     fields: tuple[str, ...] = ()
@@ -91,6 +94,7 @@ KINDS: dict[str, CameraKind] = {
         bands_in="file",
         develop="levkas.stages.scans:develop_scan",
         is_scanned=True,
+        reads_pages=True,
         keys=("bands", "scan"),
         rank=2,
     ),

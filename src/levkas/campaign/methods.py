@@ -8,10 +8,14 @@ cannot be loaded is named in a warning; only campaigns that choose it are refuse
 
 from __future__ import annotations
 
+import hashlib
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -97,11 +101,30 @@ METHODS = {
 
 #: Method of an installed package → why it cannot be used.
 UNUSABLE: dict[str, str] = {}
+#: Method of an installed package → its module.
+_MODULES: dict[str, str] = {}
 
 
 def method_of(keys: dict[str, Any]) -> Method:
     """Return the method that keys of [registration] name, else the default one."""
     return METHODS[keys.get("method") or DEFAULT_METHOD]
+
+
+@cache
+def code_of(name: str) -> str:
+    """Return the hash of the code of an installed package's method: all modules of its top package; empty of a built-in one.
+
+    >>> code_of("levkas")
+    ''
+    """
+    if name not in _MODULES:
+        return ""
+    path = Path(str(import_module(_MODULES[name].partition(".")[0]).__file__))
+    files = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.relative_to(path.parent).as_posix().encode() + file.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def owners_of(option: str) -> list[str]:
@@ -126,7 +149,8 @@ def _load_installed() -> None:
             UNUSABLE[entry.name] = f"{entry.value} raises {type(error).__name__}: {error}"
             continue
         if isinstance(row, Method) and callable(row.register):
-            METHODS.setdefault(entry.name, row)
+            if METHODS.setdefault(entry.name, row) is row:
+                _MODULES[entry.name] = entry.module
         else:
             UNUSABLE[entry.name] = f"{entry.value} is not a Method with a function"
     for name, why in UNUSABLE.items():

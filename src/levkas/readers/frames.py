@@ -7,7 +7,7 @@ from functools import lru_cache
 from importlib import import_module
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -46,18 +46,46 @@ FOREIGN = {
 """Formats of cubes that are not read, by their first bytes."""
 MOST_SEEN, BLOCKS, BLOCK = 16 << 20, 8, 60
 """Samples of a glimpse of a frame; blocks they are taken from, and what their sides are multiples of."""
-ALONE = frozenset([".tif", ".tiff", ".png", ".jpg", ".jpeg", *RAW_SUFFIXES]) - {*DATA_SUFFIXES}
-"""Suffixes of files that hold a frame by themselves."""
 MOST_FACTS = 1 << 15
 """Files whose facts are kept in memory, about 1 kB each."""
+EXPECTED = "TIFF, PNG, JPEG, camera raw or ENVI with its header"
+
+
+class Reader(NamedTuple):
+    """The reader of a format; its module is imported when first needed.
+
+    Parameters
+    ----------
+    module, facts, frame : str
+        Module, function of the facts, function of the frame.
+    signatures : tuple of bytes
+        With which its files begin; none where the name decides.
+    suffixes : tuple of str
+        Of files that hold a frame and its facts by themselves, lower case.
+    """
+
+    module: str
+    facts: str
+    frame: str
+    signatures: tuple[bytes, ...] = ()
+    suffixes: tuple[str, ...] = ()
+
+
 READERS = {
-    "tiff": ("levkas.readers.tiff", "read_tiff_facts", "read_tiff_page"),
-    "png": ("levkas.readers.images", "read_png_facts", "read_png"),
-    "jpeg": ("levkas.readers.images", "read_jpeg_facts", "read_jpeg"),
-    "raw": ("levkas.readers.raw", "read_raw_facts", "read_raw_mosaic"),
-    "envi": ("levkas.readers.envi", "read_envi_facts", "read_envi"),
+    "tiff": Reader(
+        "levkas.readers.tiff", "read_tiff_facts", "read_tiff_page", TIFF, (".tif", ".tiff")
+    ),
+    "png": Reader("levkas.readers.images", "read_png_facts", "read_png", (images.PNG,), (".png",)),
+    "jpeg": Reader(
+        "levkas.readers.images", "read_jpeg_facts", "read_jpeg", (images.JPEG,), (".jpg", ".jpeg")
+    ),
+    "raw": Reader("levkas.readers.raw", "read_raw_facts", "read_raw_mosaic"),
+    "envi": Reader("levkas.readers.envi", "read_envi_facts", "read_envi"),
 }
-"""Module, function of the facts, function of the frame, by kind; imported when first needed."""
+RENDERED = frozenset(suffix for reader in READERS.values() for suffix in reader.suffixes)
+"""Suffixes of files whose first bytes name the format."""
+ALONE = (RENDERED | {*RAW_SUFFIXES}) - {*DATA_SUFFIXES}
+"""Suffixes of files that hold a frame by themselves."""
 
 
 def kind_of(path: str | Path) -> str:
@@ -74,26 +102,23 @@ def kind_of(path: str | Path) -> str:
     path = Path(path)
     suffix = path.suffix.lower()
     head = _first_bytes(path)
+    named = next((kind for kind, row in READERS.items() if head.startswith(row.signatures)), "")
     for signature, name in FOREIGN.items():
-        if head.startswith(signature):
+        if not named and head.startswith(signature):
             raise _foreign(path, name)
     if suffix == ".hdr" or (suffix in DATA_SUFFIXES and find_header(path)):
         return "envi"
-    if head.startswith(images.PNG):
-        return "png"
-    if head.startswith(images.JPEG):
-        return "jpeg"
-    if suffix in RAW_SUFFIXES:
+    if suffix in RAW_SUFFIXES and named in ("", "tiff"):
         return "raw"
-    if head[:4] in TIFF:
-        return "tiff"
+    if named:
+        return named
     if find_header(path):
         return "envi"
     raise unreadable(
         path,
         "the file format is not supported",
         found=f"first bytes {head[:8].hex(' ')}",
-        expected="TIFF, PNG, JPEG, camera raw or ENVI with its header",
+        expected=EXPECTED,
         fix="Remove it from `files`, or put the header of the cube beside it.",
     )
 
@@ -128,7 +153,7 @@ def _foreign(path: Path, name: str) -> UnreadableCapture:
         f"{name} is not supported",
         field="format",
         found=name,
-        expected="TIFF, PNG, JPEG, camera raw or ENVI with its header",
+        expected=EXPECTED,
         fix="Save the cube as ENVI (spectral.envi.save_image in Python, enviwrite in MATLAB), or "
         "as a TIFF with one page per band, and name that file in `files`.",
     )
@@ -151,12 +176,12 @@ def read_facts(path: str | Path) -> Facts:
         stamp = stamp_of(path) if path.suffix.lower() in ALONE else None
     except OSError:
         stamp = None
-    return _facts_of(path, stamp) if stamp else _call(kind_of(path), 1, path)
+    return _facts_of(path, stamp) if stamp else _call(kind_of(path), "facts", path)
 
 
 @lru_cache(maxsize=MOST_FACTS)
 def _facts_of(path: Path, _stamp: Stamp) -> Facts:
-    facts: Facts = _call(kind_of(path), 1, path)
+    facts: Facts = _call(kind_of(path), "facts", path)
     return facts
 
 
@@ -203,7 +228,7 @@ def read_frame(path: str | Path, *, page: int | None = None) -> np.ndarray:
     kind = kind_of(path)
     FRAMES.add()
     if kind == "tiff":
-        return _call(kind, 2, Path(path), page)
+        return _call(kind, "frame", Path(path), page)
     if page not in (None, 0):
         raise unreadable(
             path,
@@ -213,7 +238,7 @@ def read_frame(path: str | Path, *, page: int | None = None) -> np.ndarray:
             found="a file of one frame",
             expected="a TIFF of several pages",
         )
-    return _call(kind, 2, Path(path))
+    return _call(kind, "frame", Path(path))
 
 
 def read_plane(path: str | Path, *, page: int | None = None) -> np.ndarray:
@@ -292,11 +317,11 @@ def _spread(length: int, most: int) -> list[tuple[int, int]]:
     return [(start, start + size) for start in starts]
 
 
-def _call(kind: str, which: int, path: Path, *page: int | None) -> Any:
+def _call(kind: str, which: Literal["facts", "frame"], path: Path, *page: int | None) -> Any:
     """Call a function of the readers of a kind; an exception that it does not foresee names the file."""
     row = READERS[kind]
     try:
-        function: Callable[..., Any] = getattr(import_module(row[0]), row[which])
+        function: Callable[..., Any] = getattr(import_module(row.module), getattr(row, which))
         return function(path, *page)
     except (Refused, MemoryError, OSError):
         raise

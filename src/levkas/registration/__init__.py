@@ -149,10 +149,27 @@ def register(
         if placed:
             raise
         raise _with_advice(refused, pairs_given) from None
+    _require_maps(found, request, method)
     if not placed:
         step = advise(found.verdict.next_step, pairs_given, found.verdict.decision)
         found = replace(found, verdict=replace(found.verdict, next_step=step))
     return _with_checks(found, target, given)
+
+
+def _require_maps(found: Registration, request: Request, method: str) -> None:
+    """Refuse a registration that lacks the map of a band: a fault of its method, not of the pictures."""
+    lacking = [band.label for band in request.target if band.label not in found.transforms]
+    if lacking:
+        raise RegistrationRefused(
+            Problem(
+                "E_METHOD",
+                f"the registration method {method!r} returns no map for {len(lacking)} of {len(request.target)} bands",
+                field="registration.method",
+                found=", ".join(lacking[:12]),
+                expected="a transform of every band of the target, by its label",
+                fix="Report this to the author of the method, or choose another one.",
+            )
+        )
 
 
 def _with_advice(refused: RegistrationRefused, pairs: int) -> RegistrationRefused:

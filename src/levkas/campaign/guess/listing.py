@@ -9,8 +9,9 @@ from pathlib import Path
 from levkas.campaign.discovery.file_index import DEEPEST, FolderListings, composed, walk_folders
 from levkas.core.problems import Refused
 from levkas.readers.facts import Facts
+from levkas.readers.frames import RENDERED
 
-IMAGES = frozenset([".tif", ".tiff", ".png", ".jpg", ".jpeg", ".hdr"])
+IMAGES = RENDERED | {".hdr"}
 MOST_READ = 3000
 """Headers that are read; of more files, and of camera raws, a few of each folder stand for all."""
 FEW = 3

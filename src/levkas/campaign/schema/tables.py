@@ -131,9 +131,14 @@ class GridKeys(Table):
 
 
 def _usable(name: Any) -> Any:
-    """Refuse the method of an installed package that cannot be loaded."""
+    """Refuse the method of a package that cannot be loaded, or is not installed."""
     if isinstance(name, str) and name in UNUSABLE and name not in METHODS:
         raise ValueError(f"be another one: {name!r} cannot be used, {UNUSABLE[name]}")
+    if isinstance(name, str) and name not in METHODS:
+        *most, last = map(repr, METHODS)
+        raise ValueError(
+            f"be {', '.join(most)} or {last}, or that of a package which is installed beside Levkas"
+        )
     return name
 
 
