@@ -33,7 +33,9 @@ test("spectra are saved with a line a band", () => {
   const bands = [{ label: "a", wavelength: 500, centroid: null, fwhm: null }];
   const spectrum = { values: new Float32Array([0.25]), sigma: null, flags: new Uint8Array([4]) };
   const text = toCsv([3, 4], [{ layer: { name: "vis", bands } as unknown as Layer, spectrum }]);
-  expect(text).toBe('x,y,layer,band,wavelength_nm,value,sigma,flags\n3,4,"vis","a",500,0.25,,4\n');
+  expect(text).toBe(
+    'x,y,layer,band,wavelength_nm,value,sigma,flags,u,U\n3,4,"vis","a",500,0.25,,4,,\n',
+  );
 });
 
 test("lengths of the scale bar are round", () => {

@@ -6,11 +6,12 @@ import { saveChart } from "../shared/svgfile";
 import { numbersOf, type Address } from "./address";
 import { drawChart, samplesOf, type Curve } from "./chart";
 import { freeName, LONGEST_NAME } from "./names";
-import { csvRows, CSV_HEAD, quoted } from "./numbers";
+import { csvRows, CSV_HEAD, describeU, plusMinus, quoted, uncertainPixel } from "./numbers";
 import type { Layer, PageRecord } from "./record";
 import { parseReference, spectralAngle, type Reference } from "./reference";
 import type { LayerSpectra, Spectra, Spectrum } from "./spectra";
 import type { Pin, State } from "./state";
+import { uOf } from "./uncertainty";
 
 const MOST_PINS = 24;
 const CURVES = 8; // colours of the style sheet, --curve-1 and on
@@ -175,7 +176,11 @@ export class PinList {
     const angles = curves.map((curve) =>
       curve && this.reference ? spectralAngle(samplesOf(curve, flags), this.reference) : null,
     );
-    this.fill(pins, angles);
+    this.fill(
+      pins,
+      angles,
+      spectra.map((spectrum) => (source && spectrum ? describePixel(source.layer, spectrum) : "")),
+    );
     const known: Curve[] = curves.filter((curve) => curve !== null);
     const reflectance = source?.layer.quantity === "reflectance";
     if (this.reference && reflectance) known.push(curveOf(this.reference));
@@ -184,7 +189,8 @@ export class PinList {
     this.drawing.replaceChildren(...(chart ? [chart] : []));
     this.saveDrawing.disabled = !chart;
     this.forget.hidden = !this.reference;
-    this.message.textContent = message || this.explain();
+    const sure = source && pins.length ? describeU(source.layer) : "";
+    this.message.textContent = message || `${this.explain()} ${sure}`.trim();
   }
 
   private explain(): string {
@@ -194,7 +200,7 @@ export class PinList {
     return `Grey: ${name}, ${range}. The spectral angle compares shapes; a small one is not an identification.`;
   }
 
-  private fill(pins: Pin[], angles: (number | null)[]): void {
+  private fill(pins: Pin[], angles: (number | null)[], words: string[]): void {
     // Who types a name stays where they are.
     const held = document.activeElement;
     const typing = held instanceof HTMLInputElement && this.list.contains(held);
@@ -204,10 +210,12 @@ export class PinList {
       });
       return;
     }
-    this.list.replaceChildren(...pins.map((pin, i) => this.row(pin, i, angles[i] ?? null)));
+    this.list.replaceChildren(
+      ...pins.map((pin, i) => this.row(pin, i, angles[i] ?? null, words[i]!)),
+    );
   }
 
-  private row(pin: Pin, number: number, angle: number | null): HTMLElement {
+  private row(pin: Pin, number: number, angle: number | null, words: string): HTMLElement {
     const badge = make("span", { class: "pin-number", "aria-hidden": "true" }, String(number + 1));
     badge.style.background = pinColour(number);
     const name = make("input", {
@@ -225,7 +233,8 @@ export class PinList {
     const remove = make("button", { type: "button", class: "small", "aria-label": label }, "×");
     remove.addEventListener("click", () => this.change(number, null));
     const apart = make("span", { class: "angle" }, describeAngle(angle));
-    return make("li", {}, badge, name, where, apart, remove);
+    const numbers = make("span", { class: "region-words soft" }, words);
+    return make("li", {}, badge, name, where, apart, remove, numbers);
   }
 
   private change(number: number, pin: Pin | null): void {
@@ -269,6 +278,13 @@ const describeAngle = (angle: number | null): string =>
 
 const narrow = ({ bands }: Layer): number =>
   bands.filter(({ wavelength }) => wavelength !== null).length;
+
+/** The value of the reference channel with its uncertainty. */
+function describePixel(layer: Layer, spectrum: Spectrum): string {
+  const [band, sure] = [layer.reference_band, uncertainPixel(layer, spectrum)];
+  const value = plusMinus(spectrum.values[band] ?? NaN, sure ? uOf(sure, band) : undefined);
+  return `${layer.bands[band]?.label ?? ""}: ${value}`;
+}
 
 function read(spectra: Spectra, pin: Pin): Promise<Spectrum | null> {
   return spectra.read(...pixelOf(pin)).catch(() => null);

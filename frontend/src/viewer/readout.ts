@@ -9,6 +9,7 @@ import { Lattice } from "./lattice";
 import { describeChannels, numbersTable, toCsv, type Reading } from "./numbers";
 import type { Layer, PageRecord } from "./record";
 import type { LayerSpectra, Spectra } from "./spectra";
+import { COVERAGE } from "./uncertainty";
 
 const CURVES = 8; // colours of the style sheet, --curve-1 and on
 
@@ -28,6 +29,7 @@ export class Readout {
   private range: Range | null = null;
   private readonly key = make("ul", { class: "key" });
   private readonly table = make("table", { class: "numbers" });
+  private readonly note = make("p", { class: "note-line soft" });
   private readonly save = make("button", { type: "button", class: "small" }, "Save as CSV");
   private readonly saveDrawing = make("button", { type: "button", class: "small" }, "Save as SVG");
   private readonly hidden = new Set<Layer>();
@@ -57,6 +59,7 @@ export class Readout {
       { class: "fold numbers-fold" },
       make("summary", {}, "Numbers"),
       make("div", scroll, this.table),
+      this.note,
     );
     const keep = make("label", { class: "keep" }, this.keep, " Keep this range of values");
     host.append(
@@ -129,6 +132,7 @@ export class Readout {
     this.drawing.replaceChildren(chart ?? make("div", { class: "chart blank" }));
     this.key.replaceChildren(...readings.map((reading) => this.keyOf(reading)));
     this.table.replaceChildren(...numbersTable(readings, this.record.flags));
+    this.note.textContent = explainU(readings);
     this.save.disabled = !pixel;
     this.saveDrawing.disabled = !chart;
   }
@@ -192,6 +196,21 @@ export class Readout {
     const name = `${this.record.object.name}_${this.pixel.join("_")}.csv`;
     saveFile(name, toCsv(this.pixel, this.readings), "text/csv");
   }
+}
+
+/** What U has and has not, of the cameras whose errors are recorded. */
+function explainU(readings: Reading[]): string {
+  const known = readings.filter(({ layer, spectrum }) => spectrum && layer.budget);
+  if (!known.length) return "";
+  const missing = new Map<string, string[]>();
+  for (const { layer } of known) {
+    const words = layer.budget!.unknown.join(", ");
+    missing.set(words, [...(missing.get(words) ?? []), layer.name]);
+  }
+  missing.delete("");
+  const each = [...missing].map(([words, names]) => `${words} (${names.join(", ")})`);
+  const not = each.length ? ` Not contained: ${each.join("; ")}.` : "";
+  return `Sigma is the noise of the pixel alone, U with k\u00a0=\u00a0${COVERAGE} also has what all pixels share.${not}`;
 }
 
 async function read(

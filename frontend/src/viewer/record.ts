@@ -58,6 +58,27 @@ export interface LatticeFacts {
   file: string;
 }
 
+/** One source of error that pixels share. */
+export interface BudgetRow {
+  unit: "relative" | "reflectance" | "nm";
+  /** Standard uncertainty of each band. */
+  size: number[];
+  /** Whether one draw of the error holds for all bands. */
+  shared: boolean;
+  /** Whether each line of a scan has a draw of its own. */
+  line: boolean;
+  /** Value of each band at which the error is nil; 0 where there is none. */
+  zero?: number[];
+}
+
+export interface Budget {
+  rows: BudgetRow[];
+  /** Sources whose size nobody knows. */
+  unknown: string[];
+  /** Of the noise of a pixel with its neighbours', itself in the middle. */
+  correlation: number[][];
+}
+
 export interface Layer {
   id: string;
   name: string;
@@ -76,6 +97,8 @@ export interface Layer {
   spectra: SpectraFacts | null;
   lattice: LatticeFacts | null;
   reference_band: number;
+  /** What makes its values uncertain; absent where that is not recorded. */
+  budget?: Budget;
 }
 
 interface Link {

@@ -1,43 +1,31 @@
 // The panel "Regions": mean spectra with their spread, histograms of a band, and numbers to save.
 import { effect } from "@preact/signals-core";
-import { draw, make, saveFile } from "../shared/element";
+import { make, saveFile } from "../shared/element";
 import type { Point } from "../shared/pane";
 import { saveChart } from "../shared/svgfile";
-import {
-  across,
-  clipped,
-  dashOf,
-  footers,
-  joined,
-  level,
-  niceTop,
-  startChart,
-  ticks,
-  titles,
-  upwards,
-  type Box,
-} from "../shared/plot";
 import { drawChart, type Curve } from "./chart";
 import type { Address } from "./address";
 import type { Drawing } from "./drawing";
+import { drawHistograms } from "./histograms";
 import { describeArea } from "./measures";
 import { freeName, LONGEST_NAME } from "./names";
-import { quoted, shortest } from "./numbers";
+import { cellsOfU, describeU, plusMinus, quoted, shortest } from "./numbers";
 import { pinColour } from "./pins";
 import type { Layer, PageRecord } from "./record";
 import { areaOf, fromText, KINDS, toText, type Kind, type Region } from "./shapes";
 import type { LayerSpectra } from "./spectra";
 import type { State } from "./state";
 import { histogram, measure, valuesOf, type Histogram, type Statistics } from "./statistics";
+import { compare, uncertain, uOf, type Uncertain } from "./uncertainty";
 
 const MOST_REGIONS = 12;
 const BINS = 40;
 const MOST_KEPT = 128_000_000; // bytes of values
-const BOX: Box = { width: 360, height: 136, left: 52, right: 16, top: 8, bottom: 32 };
 
 export class RegionPanel {
   private readonly choice = make("select", { "aria-label": "Layer that regions are measured in" });
   private readonly band = make("select", { "aria-label": "Band of the histogram" });
+  private readonly other = make("select", { "aria-label": "Band for ratio and difference" });
   private readonly list = make("ol", { class: "pins" });
   private readonly plots = make("div", { class: "drawing" });
   private readonly bars = make("div", { class: "drawing histogram" });
@@ -68,12 +56,13 @@ export class RegionPanel {
       make("div", { class: "pin-tools" }, ...parts);
     const compared = make("label", { class: "compared" }, "Measured in ", this.choice);
     const shown = make("label", { class: "compared" }, "Histogram of ", this.band);
+    const against = make("label", { class: "compared" }, "Ratio and difference to ", this.other);
     this.files.push(
       this.fileButton("Save spectra of regions as SVG", () => this.saveSpectra()),
       this.fileButton("Save histogram as SVG", () => this.saveHistogram()),
       this.fileButton("Save histogram as CSV", () => this.saveCounts()),
     );
-    const parts = [line(...this.tools, whole), line(compared, shown)];
+    const parts = [line(...this.tools, whole), line(compared, shown, against)];
     host.append(
       ...parts,
       this.list,
@@ -84,6 +73,7 @@ export class RegionPanel {
     );
     this.choice.addEventListener("change", () => this.chooseLayer());
     this.band.addEventListener("change", () => void this.refresh());
+    this.other.addEventListener("change", () => void this.refresh());
     this.save.addEventListener("click", () => void this.saveAll());
     this.offerBands();
     effect(() => {
@@ -137,6 +127,7 @@ export class RegionPanel {
     const [first] = this.spectra.keys();
     address.addChoice("measured", this.choice, () => first?.name ?? "");
     address.addChoice("histogram", this.band, () => String(this.layer?.reference_band ?? 0));
+    address.addChoice("against", this.other, () => "");
     address.add({
       signals: [regions],
       write: (facts) => {
@@ -164,6 +155,11 @@ export class RegionPanel {
     const { layer } = this;
     const labels = layer?.bands.map(({ label }) => label) ?? [];
     this.band.replaceChildren(...labels.map((label, i) => make("option", { value: i }, label)));
+    const none = make("option", { value: "" }, "no other band");
+    this.other.replaceChildren(
+      none,
+      ...labels.map((label, i) => make("option", { value: i }, label)),
+    );
     if (layer) this.band.value = String(layer.reference_band);
   }
 
@@ -171,7 +167,8 @@ export class RegionPanel {
     const key = JSON.stringify([layer.id, region.kind, region.points]);
     let found = this.measured.get(key);
     if (!found) {
-      found = measure(this.spectra.get(layer)!, region, this.record.flags);
+      const wanted = { marks: this.record.flags, noise: layer.budget !== undefined };
+      found = measure(this.spectra.get(layer)!, region, wanted);
       this.measured.set(key, found);
       found.catch(() => this.measured.delete(key));
     }
@@ -205,11 +202,10 @@ export class RegionPanel {
     const { layer } = this;
     if (!layer) return;
     if (regions.length) this.message.textContent = "Measuring …";
-    const band = Number(this.band.value);
     try {
       const found = await Promise.all(regions.map((region) => this.statistics(layer, region)));
       if (turn !== this.turn) return;
-      this.fill(regions, found, band);
+      this.fill(layer, regions, found);
       this.plot(layer, found);
       // Histograms need every value: they come later, where a region is large.
       const bars = await Promise.all(
@@ -220,7 +216,7 @@ export class RegionPanel {
       const drawn = drawHistograms(bars, quantityOf(layer));
       this.bars.replaceChildren(...(drawn ? [drawn] : []));
       this.message.textContent = regions.length
-        ? "Lines are means. The shaded range is one standard deviation of the pixels, not of the mean."
+        ? `Lines are means. The shaded range is one standard deviation of the pixels, not of the mean. ${describeU(layer)}`
         : "";
     } catch (error) {
       if (turn === this.turn) this.message.textContent = String(error);
@@ -243,14 +239,40 @@ export class RegionPanel {
     this.plots.replaceChildren(...(chart ? [chart] : []));
   }
 
-  private fill(regions: Region[], found: Statistics[], band: number): void {
+  private fill(layer: Layer, regions: Region[], found: Statistics[]): void {
     const held = document.activeElement;
     const typing = held instanceof HTMLInputElement && this.list.contains(held);
     if (typing && this.list.childElementCount === regions.length) return;
-    this.list.replaceChildren(...regions.map((region, i) => this.row(region, i, found[i]!, band)));
+    this.list.replaceChildren(
+      ...regions.map((region, i) => this.row(region, i, this.describe(layer, region, found[i]!))),
+    );
   }
 
-  private row(region: Region, number: number, found: Statistics, band: number): HTMLElement {
+  /** Numbers of a region in the chosen band, and beside another one. */
+  private describe(layer: Layer, region: Region, found: Statistics): HTMLElement[] {
+    const [band, other] = [Number(this.band.value), this.other.value];
+    const { means, spreads, counts, pixels } = found;
+    const sure = uncertainMean(layer, found);
+    const [mean, spread, n] = [means[band] ?? NaN, spreads[band] ?? NaN, counts[band] ?? 0];
+    const u = sure ? uOf(sure, band) : undefined;
+    const differing = Number.isFinite(spread) ? ` · spread ${spread.toPrecision(3)}` : "";
+    const numbers = `${plusMinus(mean, u)}${differing} · ${n} of ${pixels} valid px · ${describeArea(areaOf(region), this.record.grid.px_per_mm)}`;
+    const words = make("span", { class: "region-words soft" }, numbers);
+    Object.assign(words.dataset, { mean, spread, n, u: u ?? "" });
+    if (other === "" || Number(other) === band) return [words];
+    const [ratio, difference] = compare(
+      sure ?? { values: means, shared: [], alone: means.map(() => 0) },
+      band,
+      Number(other),
+    );
+    const [a, b] = [band, Number(other)].map((i) => layer.bands[i]!.label.replace(" ", "\u00a0"));
+    const pair = make("span", { class: "region-pair soft" });
+    pair.textContent = `${a}\u00a0/\u00a0${b}: ${plusMinus(...ratio)} · ${a}\u00a0−\u00a0${b}: ${plusMinus(...difference)}`;
+    Object.assign(pair.dataset, { ratio: ratio.join(), difference: difference.join() });
+    return [words, pair];
+  }
+
+  private row(region: Region, number: number, words: HTMLElement[]): HTMLElement {
     const badge = make("span", { class: "pin-number", "aria-hidden": "true" }, String(number + 1));
     badge.style.background = pinColour(number);
     const name = make("input", {
@@ -266,13 +288,7 @@ export class RegionPanel {
       "×",
     );
     remove.addEventListener("click", () => this.change(number, null));
-    const { means, spreads, counts, pixels } = found;
-    const digits = (value: number | undefined): string =>
-      value !== undefined && Number.isFinite(value) ? value.toPrecision(4) : "–";
-    const numbers = `${digits(means[band])} ± ${digits(spreads[band])} · ${counts[band] ?? 0} of ${pixels} valid px · ${describeArea(areaOf(region), this.record.grid.px_per_mm)}`;
-    const words = make("span", { class: "region-words soft" }, numbers);
-    Object.assign(words.dataset, { mean: means[band], spread: spreads[band], n: counts[band] });
-    return make("li", { class: "region-row" }, badge, name, remove, words);
+    return make("li", { class: "region-row" }, badge, name, remove, ...words);
   }
 
   private change(number: number, region: Region | null): void {
@@ -323,16 +339,17 @@ export class RegionPanel {
   }
 
   private async saveAll(): Promise<void> {
-    const lines: string[] = ["region,layer,band,wavelength_nm,mean,std,n,pixels"];
+    const lines: string[] = ["region,layer,band,wavelength_nm,mean,std,n,pixels,u,U"];
     for (const region of this.state.regions.value)
       for (const layer of this.spectra.keys()) {
-        const { means, spreads, counts, pixels } = await this.statistics(layer, region);
+        const found = await this.statistics(layer, region);
+        const { means, spreads, counts, pixels } = found;
+        const sure = uncertainMean(layer, found);
         layer.bands.forEach(({ label, wavelength, centroid }, i) => {
           const names = [region.name, layer.name, label].map(quoted);
           const numbers = [means[i]!, spreads[i]!].map((value) => shortest(Math.fround(value)));
-          lines.push(
-            [...names, wavelength ?? centroid ?? "", ...numbers, counts[i], pixels].join(),
-          );
+          const count = [counts[i], pixels, ...cellsOfU(sure, i)];
+          lines.push([...names, wavelength ?? centroid ?? "", ...numbers, ...count].join());
         });
       }
     const text = [...lines, ""].join("\n");
@@ -340,36 +357,9 @@ export class RegionPanel {
   }
 }
 
+/** Means of a region with their errors; null where these are not recorded. */
+const uncertainMean = (layer: Layer, found: Statistics): Uncertain | null =>
+  uncertain(layer, { ...found, values: found.means });
+
 const quantityOf = ({ quantity }: Layer): string =>
   quantity === "reflectance" ? "Reflectance" : "Counts";
-
-/** Histograms of one band over each other, as steps; null where there is nothing to draw. */
-function drawHistograms(bars: (Histogram | null)[], quantity: string): SVGElement | null {
-  const known = bars.flatMap((one, i) => (one ? [{ ...one, colour: pinColour(i) }] : []));
-  if (!known.length) return null;
-  const low = Math.min(...known.map((one) => one.low));
-  const high = Math.max(...known.map((one) => one.high));
-  const top = niceTop(Math.max(...known.flatMap(({ counts }) => counts)));
-  const [from, to] = low === high ? [low - 0.5, high + 0.5] : [low, high];
-  const [x, y] = [across(BOX, from, to), upwards(BOX, 0, top)];
-  const chart = startChart(BOX, `Pixels over ${quantity.toLowerCase()}`);
-  for (const value of [0, top / 2, top])
-    chart.append(level(BOX, y(value), String(value), value ? "grid" : "axis"));
-  const words = (value: number): string => String(Number(value.toPrecision(3)));
-  chart.append(...footers(BOX, x, ticks(from, to), words), ...titles(BOX, quantity, "Pixels"));
-  const steps = known.map(({ low: first, high: last, counts, colour }) => {
-    const width = (last - first) / counts.length || (to - from) / counts.length;
-    const points = counts.flatMap<Point>((n, i) => [
-      [x(first + i * width), y(n)],
-      [x(first + (i + 1) * width), y(n)],
-    ]);
-    const line = draw("polyline", {
-      points: joined(points),
-      class: "line",
-      "stroke-dasharray": dashOf(colour) || null,
-    });
-    return draw("g", { stroke: colour, fill: colour }, line);
-  });
-  chart.append(clipped(BOX, ...steps));
-  return chart;
-}

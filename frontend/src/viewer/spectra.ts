@@ -15,12 +15,15 @@ export interface Tile extends Spectrum {
   rows: number;
 }
 
-/** Sound values of one band of a tile: how many, their mean, and the sum of squared differences from it. */
+/** Sound values of one band of a tile: how many, their mean, and sums of squares: of differences from it, and of sigma. */
 export interface Sums {
   n: number;
   mean: number;
   squares: number;
+  noise: number;
 }
+
+type Four = [number, number, number, number];
 
 const KEPT = 24; // tiles a layer
 const AHEAD = 12; // of KEPT, while a region is read
@@ -69,6 +72,14 @@ export class Spectra {
     return places;
   }
 
+  /** How many columns and rows of the grid have pixels of a part of it. */
+  sizeWithin([x0, y0, x1, y1]: Bounds): [columns: number, rows: number] {
+    const { width, height } = this.facts;
+    const span = (low: number, high: number, end: number): number =>
+      Math.max(0, Math.min(end - 1, Math.floor(high)) - Math.max(0, Math.ceil(low)) + 1);
+    return [span(x0, x1, width), span(y0, y1, height)];
+  }
+
   /** Where a tile begins on the grid, and its size. */
   shapeOf([column, row]: Point): [left: number, top: number, columns: number, rows: number] {
     const { columns, rows, width, height } = this.facts;
@@ -95,8 +106,9 @@ export class Spectra {
     );
     const [table, across] = [await this.summed, Math.ceil(width / columns)];
     return ([column, row], band) => {
-      const at = 3 * ((row * across + column) * bands + band);
-      return { n: table[at]!, mean: table[at + 1]!, squares: table[at + 2]! };
+      const at = 4 * ((row * across + column) * bands + band);
+      const [n, mean, squares, noise] = [0, 1, 2, 3].map((i) => table[at + i]!) as Four;
+      return { n, mean, squares, noise };
     };
   }
 
@@ -129,7 +141,7 @@ export class Spectra {
       columns,
       rows,
       values: new Float32Array(restored(0, 4).buffer),
-      // Regions do not need it.
+      // Histograms do not need it.
       get sigma(): Float32Array | null {
         spread ??= sigma ? new Float32Array(restored(4 * count, 4).buffer) : null;
         return spread;

@@ -13,6 +13,10 @@ export interface Statistics {
   means: number[];
   /** Standard deviations, n − 1 in the denominator; NaN of fewer than two. */
   spreads: number[];
+  /** Sums of squared sigmas of the sound pixels; 0 where they were not wanted. */
+  noises: number[];
+  /** Columns and rows of the grid that the region spans. */
+  size: [columns: number, rows: number];
   /** Sound values of each band, once they were read, and while they are kept. */
   values: Float32Array[] | null;
 }
@@ -55,70 +59,75 @@ interface Part {
 async function visit(
   spectra: Spectra,
   parts: Part[],
-  { bands, marks }: { bands: number[]; marks: Mark[] },
-  take: (band: number, values: Float32Array) => void,
+  { bands, marks, noise = false }: { bands: number[]; marks: Mark[]; noise?: boolean },
+  take: (band: number, values: Float32Array, noise: number) => void,
 ): Promise<void> {
   const sound = soundness(marks);
   let next = 0;
-  for await (const { values, flags, columns, rows } of spectra.readTiles(
-    parts.map((p) => p.place),
-  )) {
+  for await (const tile of spectra.readTiles(parts.map((p) => p.place))) {
+    const { values, flags, columns, rows } = tile;
+    const sigma = noise ? tile.sigma : null;
     const { places } = parts[next++]!;
     const [size, found] = [columns * rows, new Float32Array(places.length)];
     for (const band of bands) {
-      let n = 0;
+      let [n, squares] = [0, 0];
       for (const place of places) {
         const at = band * size + place;
         const value = values[at]!;
         // Of NaN and infinities the difference from itself is not 0.
-        if (value - value === 0 && (!flags || sound[flags[at]!])) found[n++] = value;
+        if (value - value !== 0 || (flags && !sound[flags[at]!])) continue;
+        found[n++] = value;
+        if (sigma) squares += sigma[at]! * sigma[at]!;
       }
-      take(band, found.subarray(0, n));
+      take(band, found.subarray(0, n), squares);
     }
   }
 }
 
-/** Measure a region in every band; of tiles that lie in it whole the sums were published. */
+/** Measure a region in every band, with its noise if that is wanted; of tiles that lie in it whole the sums were published. */
 export async function measure(
   spectra: Spectra,
   region: Region,
-  marks: Mark[],
+  { marks, noise }: { marks: Mark[]; noise: boolean },
 ): Promise<Statistics> {
   const bands = Array.from({ length: spectra.bands }, (_, band) => band);
-  const all = bands.map((): Sums => ({ n: 0, mean: 0, squares: 0 }));
+  const all = bands.map((): Sums => ({ n: 0, mean: 0, squares: 0, noise: 0 }));
   const parts = tilesOf(spectra, region);
   const known = parts.some(({ whole }) => whole) ? await spectra.sums() : null;
   for (const { place, whole } of parts)
     if (known && whole) for (const band of bands) merge(all[band]!, known(place, band));
   const others = parts.filter(({ whole }) => !known || !whole);
-  await visit(spectra, others, { bands, marks }, (band, values) =>
-    merge(all[band]!, sumsOf(values)),
+  await visit(spectra, others, { bands, marks, noise }, (band, values, squares) =>
+    merge(all[band]!, sumsOf(values, squares)),
   );
   return {
     pixels: parts.reduce((sum, { places }) => sum + places.length, 0),
     counts: all.map(({ n }) => n),
     means: all.map(({ n, mean }) => (n ? mean : NaN)),
     spreads: all.map(({ n, squares }) => (n > 1 ? Math.sqrt(squares / (n - 1)) : NaN)),
+    noises: all.map(({ noise }) => noise),
+    size: spectra.sizeWithin(boundsOf(region)),
     values: null,
   };
 }
 
-/** Number, mean and sum of squared differences from the mean. */
-function sumsOf(values: Float32Array): Sums {
+/** Number, mean and sum of squared differences from the mean, with a sum of squared sigmas. */
+function sumsOf(values: Float32Array, noise: number): Sums {
   let [sum, squares] = [0, 0];
   for (const value of values) sum += value;
   const mean = values.length ? sum / values.length : 0;
   for (const value of values) squares += (value - mean) * (value - mean);
-  return { n: values.length, mean, squares };
+  return { n: values.length, mean, squares, noise };
 }
 
 /** Add the sums of a part to others (Chan, Golub and LeVeque 1983, 10.1080/00031305.1983.10483115). */
-function merge(all: Sums, { n, mean, squares }: Sums): void {
+function merge(all: Sums, { n, mean, squares, noise }: Sums): void {
   if (!n) return;
   const total = all.n + n;
   const apart = mean - all.mean;
   all.mean += (apart * n) / total;
   all.squares += squares + (apart * apart * all.n * n) / total;
+  all.noise += noise;
   all.n = total;
 }
 

@@ -43,7 +43,7 @@ const ZOOM_STEP = 1.4;
 const NEAR_PX = 6; // of the screen
 // Of what addresses carry: what the caption says, and what changes no picture.
 const NO_SETTINGS =
-  "a b c d mode curtain line amplify opacity rate overview grid marks measured histogram spectra range".split(
+  "a b c d mode curtain line amplify opacity rate overview grid marks measured histogram against spectra range".split(
     " ",
   );
 const HINT = "Point at the painting to read its spectrum; click to pin a place.";

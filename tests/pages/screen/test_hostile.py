@@ -80,7 +80,7 @@ def test_a_spectrum_of_a_hostile_layer_is_read_and_saved_as_text(browser, folder
     with page.expect_download() as saved:
         page.get_by_role("button", name="Save as CSV").click()
     text = saved.value.path().read_text(encoding="utf-8")
-    assert text.startswith("x,y,layer,band,wavelength_nm,value,sigma,flags\n")
+    assert text.startswith("x,y,layer,band,wavelength_nm,value,sigma,flags,u,U\n")
     assert '"\'=HYPERLINK(""http' in text
 
 

@@ -18,6 +18,7 @@ from levkas.core.text import counted, parse_bounded, read_text
 from levkas.database.catalogue import ESTIMATED
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.pixel_frames import Frame
+from levkas.database.region_uncertainty import read_budget
 from levkas.database.registrations import describe_pairs, read_registration, unchecked_share
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.tiff_pages import open_pages
@@ -40,6 +41,8 @@ FACTS = {
 LEFT_OUT = "Left out: its registration was refused."
 KINDS = {".tif": "spectral TIFF", ".flags.tif": "flags", ".sigma.tif": "sigma", ".png": "preview"}
 UP = ("..", "..", "..")
+PLACE = "place on the painting"
+NOISE = "noise of the pixels"
 
 
 @dataclass
@@ -268,10 +271,41 @@ def _write_layer(
         "pictures": pictures,
         "thumbnail": thumbnail,
         "spectra": {**spectra, "folder": f"layers/{number}/spectra"},
+        **_budget_of(item, layer, [band.label for band in bands], record, noise=spectra["sigma"]),
         "lattice": {**lattice, "file": script} if lattice else None,
         "reference_band": _reference_band(record, bands),
         "downloads": _downloads(item, tiff),
     }
+
+
+def _budget_of(
+    item: Item, layer: tuple[str, str], labels: list[str], record: dict[str, Any], *, noise: bool
+) -> dict[str, Any]:
+    """Return what a page needs for the uncertainty of a layer's values; {} where its errors are not recorded.
+
+    ``rows`` have unit, size of each band, whether one draw holds for all bands (``shared``) and for one line of a scan alone (``line``),
+    and at which value of each band the error is nil (``zero``), where it is at one. ``unknown`` names what is in no row.
+    """
+    budget = read_budget(item.database, LayerId(item.name, *layer))
+    if not budget.sources:
+        return {}
+    rows: list[dict[str, Any]] = []
+    for source in budget.sources:
+        if source.common_to == "pixel" or source.unit == "px" or not source.size:
+            continue
+        row = {"unit": source.unit, "shared": source.all_bands, "line": source.common_to == "line"}
+        size, zero = (
+            [float(f"{known.get(label, 0.0):.4g}") for label in labels]
+            for known in (source.size, source.zero_at)
+        )
+        rows.append({**row, "size": size, **({"zero": zero} if any(zero) else {})})
+    unknown = list(dict.fromkeys(s.name for s in budget.sources if s.basis == "unknown"))
+    if any("sigma" in band for band in record.get("bands", {}).values()):
+        unknown.append(PLACE)
+    if not noise:
+        unknown.append(NOISE)
+    correlation = budget.correlation.round(4).tolist()
+    return {"budget": {"rows": rows, "unknown": unknown, "correlation": correlation}}
 
 
 def _say_estimate(told: dict[str, Any]) -> dict[str, Any]:

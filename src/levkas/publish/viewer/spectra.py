@@ -81,7 +81,8 @@ def write_spectra(write: Write, folder: str, tiff: Path, *, key: str) -> Iterato
             span = slice(column * across, (column + 1) * across)
             parts = (whole, spread, marks)
             payload = b"".join(encode_block(p[:, span]) for p in parts if p is not None)
-            sums.append(sum_block(whole[:, span], marks[:, span] if marks is not None else None))
+            here = (None if part is None else part[:, span] for part in (marks, spread))
+            sums.append(sum_block(whole[:, span], *here))
             text = base64.b64encode(zlib.compress(payload, ZLIB_LEVEL)).decode("ascii")
             call = f'levkasTile({json.dumps(f"{key}/{column}_{row}")},"{text}");\n'
             write(f"{folder}/{column}_{row}.js", call.encode("ascii"))
@@ -110,22 +111,26 @@ def tile_shape(width: int, height: int, bands: int) -> tuple[int, int]:
     return across, down
 
 
-def sum_block(values: np.ndarray, flags: np.ndarray | None) -> np.ndarray:
-    """Return how many values of each band are sound, their mean, and the sum of squares of their differences from it.
+def sum_block(
+    values: np.ndarray, flags: np.ndarray | None, sigma: np.ndarray | None = None
+) -> np.ndarray:
+    """Return how many values of each band are sound, their mean, and sums of squares: of differences from it, and of sigma.
 
     Parameters
     ----------
     values : ndarray, (rows, columns, bands), float32
     flags : ndarray, (rows, columns, bands), uint8, or None
+    sigma : ndarray, (rows, columns, bands), float32, or None
+        Of noise: 0 where there is none.
 
     Returns
     -------
-    sums : ndarray, (bands, 3), float64
+    sums : ndarray, (bands, 4), float64
 
     Examples
     --------
-    >>> sum_block(np.array([[[1.0], [3.0], [np.nan]]], np.float32), None).tolist()
-    [[2.0, 2.0, 2.0]]
+    >>> sum_block(np.array([[[1.0], [3.0], [np.nan]]], np.float32), None, np.full((1, 3, 1), 0.5)).tolist()
+    [[2.0, 2.0, 2.0, 0.5]]
     """
     sound = np.isfinite(values)
     if flags is not None:
@@ -134,7 +139,8 @@ def sum_block(values: np.ndarray, flags: np.ndarray | None) -> np.ndarray:
     count = sound.sum((0, 1))
     mean = wide.sum((0, 1)) / np.maximum(count, 1)
     squares = np.where(sound, wide - mean, 0.0) ** 2
-    return np.stack([count, mean, squares.sum((0, 1))], -1)
+    noise = np.where(sound, 0 if sigma is None else sigma, 0.0).astype(np.float64) ** 2
+    return np.stack([count, mean, squares.sum((0, 1)), noise.sum((0, 1))], -1)
 
 
 def encode_block(block: np.ndarray) -> bytes:

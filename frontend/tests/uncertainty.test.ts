@@ -1,0 +1,131 @@
+import { expect, test } from "vitest";
+import { describeChannels, describeU, plusMinus, toCsv } from "../src/viewer/numbers";
+import type { BudgetRow, Layer } from "../src/viewer/record";
+import {
+  compare,
+  meanOfPixel,
+  neighbours,
+  slopesOf,
+  uncertain,
+  uOf,
+  type Mean,
+} from "../src/viewer/uncertainty";
+
+const band = (wavelength: number | null): Layer["bands"][number] => ({
+  label: String(wavelength),
+  wavelength,
+  centroid: null,
+  fwhm: null,
+});
+const row = (
+  unit: BudgetRow["unit"],
+  size: number[],
+  { shared = true, line = false } = {},
+): BudgetRow => ({ unit, size, shared, line });
+const layer = (rows: BudgetRow[], nm: (number | null)[] = [500, 600], correlation = [[1]]): Layer =>
+  ({ bands: nm.map(band), budget: { rows, unknown: ["stray light"], correlation } }) as Layer;
+const mean = (values: number[], sigma: number, n: number, size: Mean["size"]): Mean => ({
+  values,
+  noises: values.map(() => n * sigma ** 2),
+  counts: values.map(() => n),
+  size,
+});
+
+// R = 0.495 with 0.0059 of its own; 0.0025 by the white and 0.0015 by the lamp: docs/explanation/how_sure.md.
+const worked = [row("relative", [0.005 / 0.99]), row("relative", [0.003])];
+
+test("a pixel has its noise and what is common; the mean of many keeps what is common", () => {
+  const one = uncertain(layer(worked, [500]), meanOfPixel([0.495], [0.0059]))!;
+  expect(uOf(one, 0)).toBeCloseTo(0.0066, 4);
+  expect(plusMinus(0.495, uOf(one, 0))).toBe("0.495\u00a0±\u00a00.013");
+  const many = uncertain(layer(worked, [500]), mean([0.495], 0.0059, 10_000, [100, 100]))!;
+  expect(uOf(many, 0)).toBeCloseTo(0.0029, 4);
+  expect(plusMinus(0.495, uOf(many, 0))).toBe("0.4950\u00a0±\u00a00.0058");
+});
+
+test("what two bands share leaves their ratio, and not their difference", () => {
+  const one = uncertain(layer([row("relative", [0.1, 0.1])]), mean([0.5, 0.25], 0.02, 4, [2, 2]))!;
+  const [ratio, difference] = compare(one, 0, 1);
+  expect(ratio[0]).toBe(2);
+  // Noise alone: 2 · √((0.01/0.5)² + (0.01/0.25)²).
+  expect(ratio[1]).toBeCloseTo(0.08944, 5);
+  expect(difference[0]).toBe(0.25);
+  // √(0.025² + 0.01² + 0.01²).
+  expect(difference[1]).toBeCloseTo(0.02872, 5);
+});
+
+test("errors that each band has alone add up in the ratio", () => {
+  const rows = [row("relative", [0.03, 0.04], { shared: false })];
+  const [ratio] = compare(uncertain(layer(rows), meanOfPixel([0.5, 0.25], null))!, 0, 1);
+  expect(ratio[1]).toBeCloseTo(2 * 0.05, 9);
+});
+
+test("absolute errors do not grow with the value, and lines of a scan average", () => {
+  const rows = [row("reflectance", [0.004], { line: true })];
+  const one = uncertain(layer(rows, [500]), mean([0.9], 0, 400, [25, 16]))!;
+  expect(uOf(one, 0)).toBeCloseTo(0.001, 9);
+});
+
+test("an error that is nil at a value does not move it, and its mate on the other side oppositely", () => {
+  const bent: BudgetRow = { ...row("relative", [0.01, 0.01]), zero: [1, 1] };
+  const curve = uncertain(layer([bent]), meanOfPixel([1, 0.5], null))!;
+  expect([uOf(curve, 0), uOf(curve, 1)]).toEqual([0, 0.0025]);
+  const stray: BudgetRow = { ...row("reflectance", [0.02, 0.02]), zero: [0.4, 0.4] };
+  const light = uncertain(layer([stray]), meanOfPixel([0.9, 0.1], null))!;
+  // 0.02 · 0.5 downwards and 0.02 · 0.3 upwards: the difference errs by their sum.
+  expect(compare(light, 0, 1)[1][1]).toBeCloseTo(0.016, 9);
+});
+
+test("an error of the wavelength moves a value by the slope of the spectrum", () => {
+  const one = uncertain(layer([row("nm", [1, 1])]), meanOfPixel([0.2, 0.5], null))!;
+  expect(uOf(one, 0)).toBeCloseTo(0.003, 9);
+  expect(slopesOf([400, 410, 430].map(band), [0, 1, 9])).toEqual([0.1, 0.2, 0.4]);
+  // In any order of bands, and none where a band has no wavelength or no value.
+  expect(slopesOf([600, 500, null].map(band), [0.5, 0.2, 1])[2]).toBe(0);
+  expect(slopesOf([600, 500, 550].map(band), [0.5, 0.2, NaN])[1]).toBeCloseTo(0.003, 9);
+  expect(slopesOf([500, 500].map(band), [0.5, 0.2])).toEqual([0, 0]);
+});
+
+test("neighbours that share noise make a mean less sure, a pixel alone not", () => {
+  const share = [
+    [0, 0.5, 0],
+    [0.5, 1, 0.5],
+    [0, 0.5, 0],
+  ];
+  expect(neighbours(share, [1, 1])).toBe(1);
+  // Two pixels: (1 + 1 + 2 · 0.5)/2.
+  expect(neighbours(share, [2, 1])).toBe(1.5);
+  expect(neighbours(share, [1000, 1000])).toBeCloseTo(3, 2);
+  const one = uncertain(layer([], [500], share), mean([0.5], 0.01, 2, [2, 1]))!;
+  expect(uOf(one, 0)).toBeCloseTo(Math.sqrt(3) * 0.005, 9);
+});
+
+test("nothing is stated where the errors of a layer are not recorded", () => {
+  const silent = { bands: [band(500)], name: "vis" } as unknown as Layer;
+  expect(uncertain(silent, meanOfPixel([0.5], [0.01]))).toBeNull();
+  expect(plusMinus(0.5, undefined)).toBe("0.5000");
+  expect(plusMinus(NaN, 0.1)).toBe("–");
+  expect(plusMinus(-0.05, 0.006)).toBe("−0.050\u00a0±\u00a00.012");
+  expect(describeU(silent)).toContain("not recorded");
+  expect(describeU(layer([]))).toMatch(/U with k.=.2 .*; not contained: stray light\.$/);
+});
+
+test("counts have no more digits than their uncertainty", () => {
+  expect(plusMinus(2060.4, 61)).toBe("2060\u00a0±\u00a0122");
+});
+
+test("a pixel is saved with its standard and its expanded uncertainty", () => {
+  const vis = { ...layer([row("relative", [0.02])], [500]), name: "vis" };
+  const spectrum = { values: new Float32Array([0.5]), sigma: null, flags: null };
+  expect(toCsv([3, 4], [{ layer: vis, spectrum }]).split("\n")[1]).toBe(
+    '3,4,"vis","500",500,0.5,,,0.01,0.02',
+  );
+});
+
+test("channels without a wavelength have their uncertainty in the line", () => {
+  const spectrum = { values: new Float32Array([0.5]), sigma: null, flags: null };
+  const rgb = layer([row("relative", [0.02])], [null]);
+  expect(describeChannels(rgb, spectrum)).toBe("null 0.500\u00a0±\u00a00.020");
+  const silent = { bands: [band(null)] } as unknown as Layer;
+  expect(describeChannels(silent, spectrum)).toBe("null 0.500");
+});
