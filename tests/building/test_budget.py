@@ -167,3 +167,14 @@ def test_bands_share_what_they_have_in_common_by_their_kind(tmp_path, kind, own)
     (capture,), _ = levkas.find_captures(campaign)
     rows = {row.name: row for row in budget_of(campaign, capture, {})}
     assert {name for name, row in rows.items() if not row.all_bands} == own
+
+
+def test_a_ratio_of_two_bands_knows_the_slope_of_the_whole_spectrum(campaign):
+    layer = read(campaign)
+    two = [str(band) for band in layer.band.values[1:3]]
+    every = layer.uncertainty(rectangle=REGION)
+    some = layer.uncertainty(rectangle=REGION, bands=two)
+    assert list(some.band.values) == two
+    assert np.allclose(some.u, every.u.sel(band=two))
+    with pytest.raises(KeyError):
+        layer.uncertainty(rectangle=REGION, bands=["no band"])

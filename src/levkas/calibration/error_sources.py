@@ -128,6 +128,11 @@ class Uncertain:
         """Standard uncertainty of each value, (n,)."""
         return np.sqrt(np.diag(self.covariance))
 
+    def pick(self, places: Sequence[int]) -> Uncertain:
+        """Return some of the numbers, (m,)."""
+        some = [*places]
+        return Uncertain(self.values[some], {part: row[some] for part, row in self.parts.items()})
+
     def by_source(self) -> dict[str, np.ndarray]:
         """Return the standard uncertainty of each value by each source, (n,), the largest first."""
         squares: dict[str, np.ndarray] = {}

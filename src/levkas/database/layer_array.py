@@ -177,11 +177,16 @@ class LayerAccessor:
                 make_region(*(beside.get(k) for k in ("polygon", "rectangle", "circle")))
             )
         array = _with_bands(self._array)
-        if bands is not None:
-            array = array.sel(band=[*bands])
         means, unknown = _uncertain_means(array, *self._place, regions)
         labels = [str(label) for label in array.band.values]
         wavelengths = np.atleast_1d(array.wavelength.values).astype(float)
+        if bands is not None:  # of all bands before, which show how steep the spectrum is
+            some = [
+                int(np.flatnonzero(array.band.values == band)[0])
+                for band in array.sel(band=[*bands]).band.values
+            ]
+            means = [one.pick(some) for one in means]
+            labels, wavelengths = [labels[k] for k in some], wavelengths[some]
         made, names = combine(
             of, labels, wavelengths, means[0], means[1] if beside is not None else None
         )
