@@ -329,14 +329,13 @@ def run_builds(path):
 def run_agreement(path):
     """Let laboratories measure panels."""
     found = {}
-    for name, sizes in (("as planted above", SIZES), ("careful", CAREFUL)):
+    for name, sizes in (("errors as above", SIZES), ("careful", CAREFUL)):
         regions, pairs, kinds = run_laboratories(PANELS, sizes)
-        print(kinds)
-        found[f"{name}: regions with Eₙ ≤ 1", ""] = 100 * regions
-        found[f"{name}: pairs not named", ""] = 100 * pairs
+        found[f"{name}: Eₙ ≤ 1", ""] = 100 * regions
+        print(name, pairs, kinds)
     named, others = run_wrong_white(PANELS, CAREFUL)
-    found["careful, one white wrong by 5 %: its pairs named", ""] = 100 * named
-    found["careful, one white wrong by 5 %: other pairs named", ""] = 100 * others
+    found["careful, a white 5 % off: its pairs named", ""] = 100 * named
+    found["careful, a white 5 % off: others named", ""] = 100 * others
     tell(path, "laboratories", found)
 
 

@@ -29,7 +29,7 @@ def test_one_wrong_white_is_named_by_every_laboratory_and_no_other_pair_is():
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth_of_whole_builds():
-    builds = [uncertainty.draw_build(seed) for seed in (3, 14, 27, 38)]
+    builds = [uncertainty.draw_build(seed) for seed in (3, 14, 27)]
     found = uncertainty.coverage_of_builds(builds)
     for name, (_, spread) in found.items():
         assert 0.4 < spread < 1.8, name
