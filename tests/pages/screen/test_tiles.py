@@ -59,12 +59,14 @@ def test_tiles_of_spectra_cover_every_pixel_of_the_file(tmp_path, monkeypatch, m
     whole = open_pages(tiff).read()
     across, down = facts["columns"], facts["rows"]
     seen = np.zeros(whole.shape[:2], int)
-    table = np.frombuffer(b64decode(sums[1]), "<f8").reshape(-1, whole.shape[2], 3)
+    table = np.frombuffer(b64decode(sums[1]), "<f8").reshape(-1, whole.shape[2], 4)
     sound = np.isfinite(whole) & (open_pages(tiff.with_suffix(".flags.tif")).read() & ~TRUSTED == 0)
     np.testing.assert_array_equal(table[..., 0].sum(0), sound.sum((0, 1)))
     mean = np.average(table[..., 1], axis=0, weights=table[..., 0])
     wide = whole.astype(float)
     np.testing.assert_allclose(mean, wide.mean((0, 1), where=sound), rtol=1e-12)
+    noise = open_pages(tiff.with_suffix(".sigma.tif")).read().astype(float)
+    np.testing.assert_allclose(table[..., 3].sum(0), (noise**2).sum((0, 1), where=sound), rtol=1e-12)
     for name, data in files.items():
         column, row = map(int, name.removeprefix("here/").removesuffix(".js").split("_"))
         head, text = data.decode("ascii").removesuffix('");\n').split(',"')
