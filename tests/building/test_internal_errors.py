@@ -120,14 +120,15 @@ def test_whatever_a_reader_raises_names_the_file_and_refuses_its_capture(
     def facts(path):
         if path == folder / "infrared/one.png":
             raise OverflowError("cannot convert float infinity to integer")
-        return frames._call("real", 1, path)
+        return frames._call("real", "facts", path)
 
     module = ModuleType("planted_reader")
     module.facts = facts
     monkeypatch.setitem(sys.modules, "planted_reader", module)
-    monkeypatch.setitem(frames.READERS, "real", real)
-    monkeypatch.setitem(frames.READERS, "png", ("planted_reader", "facts", "frame"))
-    module.frame = lambda path: frames._call("real", 2, path)
+    monkeypatch.setitem(frames.READERS, "real", real._replace(signatures=()))
+    planted = real._replace(module="planted_reader", facts="facts", frame="frame")
+    monkeypatch.setitem(frames.READERS, "png", planted)
+    module.frame = lambda path: frames._call("real", "frame", path)
     frames._facts_of.cache_clear()
     report = summarise(build(folder))
     (step,) = ended(report).values()

@@ -565,8 +565,8 @@ def drag(page, start, end):
 def region_numbers(page):
     page.wait_for_selector("text=one standard deviation")
     return [
-        page.locator(".region-words").nth(i).evaluate("e => ({...e.dataset})")
-        for i in range(page.locator(".region-words").count())
+        page.locator(".region-row .region-words").nth(i).evaluate("e => ({...e.dataset})")
+        for i in range(page.locator(".region-row .region-words").count())
     ]
 
 
@@ -583,7 +583,7 @@ def test_regions_have_the_numbers_of_the_database(browser, viewer, address):
     for x, y in ((20, 80), (70, 85), (45, 110)):
         page.mouse.click(*page.evaluate(f"levkasViewer.stage.left.pageOf({x}, {y})"))
     page.keyboard.press("Enter")
-    page.wait_for_function("() => document.querySelectorAll('.region-words').length === 3")
+    page.wait_for_function("() => document.querySelectorAll('.region-row .region-words').length === 3")
     shapes = page.evaluate("levkasViewer.state.regions.value")
     found = region_numbers(page)
     (a, b), (centre, edge) = shapes[0]["points"], shapes[1]["points"]
