@@ -164,6 +164,6 @@ def test_a_provenance_that_describes_no_steps_is_refused(database, publish):
     for record in ({"steps": [{}]}, {"steps": 3}, {"steps": ["a"]}):
         path.write_text(json.dumps(record))
         write_manifest(database)
-        with pytest.raises(Refused, match="does not describe the steps|were made of cannot be read") as said:
+        with pytest.raises(Refused, match="does not describe the steps") as said:
             publish(database, editions="full", iiif=False)
         assert said.value.problems[0].file == str(path)

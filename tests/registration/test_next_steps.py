@@ -20,7 +20,7 @@ from levkas.registration.advice import (
 from levkas.registration.verdict_rules import RULES
 
 FOLDER = Path(levkas.registration.__file__).parent
-OF_REQUESTS = {
+OF_REQUESTS = {"E_METHOD", 
     "E_BAND_MISSING", "E_BAND_TWICE", "E_SIZE", "E_STRIPS", "E_UNREADABLE", "E_VALUE",
 }  # fmt: skip
 """Codes of what is wrong with files or arguments, which no pair by hand mends."""

@@ -66,7 +66,9 @@ def test_tiles_of_spectra_cover_every_pixel_of_the_file(tmp_path, monkeypatch, m
     wide = whole.astype(float)
     np.testing.assert_allclose(mean, wide.mean((0, 1), where=sound), rtol=1e-12)
     noise = open_pages(tiff.with_suffix(".sigma.tif")).read().astype(float)
-    np.testing.assert_allclose(table[..., 3].sum(0), (noise**2).sum((0, 1), where=sound), rtol=1e-12)
+    np.testing.assert_allclose(
+        table[..., 3].sum(0), (noise**2).sum((0, 1), where=sound), rtol=1e-12
+    )
     for name, data in files.items():
         column, row = map(int, name.removeprefix("here/").removesuffix(".js").split("_"))
         head, text = data.decode("ascii").removesuffix('");\n').split(',"')

@@ -583,7 +583,9 @@ def test_regions_have_the_numbers_of_the_database(browser, viewer, address):
     for x, y in ((20, 80), (70, 85), (45, 110)):
         page.mouse.click(*page.evaluate(f"levkasViewer.stage.left.pageOf({x}, {y})"))
     page.keyboard.press("Enter")
-    page.wait_for_function("() => document.querySelectorAll('.region-row .region-words').length === 3")
+    page.wait_for_function(
+        "() => document.querySelectorAll('.region-row .region-words').length === 3"
+    )
     shapes = page.evaluate("levkasViewer.state.regions.value")
     found = region_numbers(page)
     (a, b), (centre, edge) = shapes[0]["points"], shapes[1]["points"]
