@@ -57,8 +57,9 @@ def make(root: Path) -> None:
             _keep(places, records, key, inputs.of(task, {}), FILES)
             layers[f"{key.layer} {key.stage}"] = inputs.digests[key]
         elif key.stage == "report":
+            captures = [one for one in plan.captures if one.object == key.object]
             prints = fingerprints.of_report(
-                plan.campaign, key.object, layers, plan.layers[key.object]
+                plan.campaign, key.object, layers, captures, records.hashes
             )
             _keep(places, records, key, prints, 1)
             layers = {}

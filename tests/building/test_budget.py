@@ -178,3 +178,20 @@ def test_a_ratio_of_two_bands_knows_the_slope_of_the_whole_spectrum(campaign):
     assert np.allclose(some.u, every.u.sel(band=two))
     with pytest.raises(KeyError):
         layer.uncertainty(rectangle=REGION, bands=["no band"])
+
+
+def test_what_the_bands_see_is_in_the_comparison_of_cameras_and_rebuilds_the_report(
+    campaign, tmp_path
+):
+    folder = shutil.copytree(campaign, tmp_path / "c")
+    with (folder / "campaign.toml").open("a") as file:
+        file.write('\n[setups.default]\nspectrum = "lamp.csv"\n')
+    (folder / "lamp.csv").write_text("nm,power\n400,1\n700,2\n")
+
+    def stale():
+        return {step.key.stage for step in status(folder).stages if step.state == "stale"}
+
+    assert "report" in stale()
+    assert summarise(build(folder)).ok and stale() == set()
+    (folder / "lamp.csv").write_text("nm,power\n400,3\n700,2\n")
+    assert "report" in stale()

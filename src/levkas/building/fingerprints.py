@@ -288,15 +288,23 @@ def of_resampling(
 
 
 def of_report(
-    campaign: Campaign, name: str, layers: dict[str, str], order: Sequence[str]
+    campaign: Campaign,
+    name: str,
+    layers: dict[str, str],
+    captures: Sequence[Capture],
+    hashes: Hashes,
 ) -> dict[str, Any]:
-    """Every layer of the object in their `order`, and its museum facts."""
+    """Every layer of the object in the order of its captures, what their bands see, and its museum facts."""
+    order = [capture.layer for capture in captures]
     prints: dict[str, Any] = {**made_with("report"), "order of layers": order}
     prints.update({f"layer {layer}": value for layer, value in layers.items()})
     for key, value in _facts(campaign, name).items():
         prints[f"objects.{name}.{key}"] = value
     for key in ("title", "date", "licence", "reference"):
         prints[f"campaign.{key}"] = getattr(campaign.campaign, key)
+    for capture in captures:
+        spectra = _spectra_of_bands(campaign, capture, hashes)
+        prints |= {f"bands of {capture.layer}: {key}": value for key, value in spectra.items()}
     return plain(prints | _uncertainties(campaign))
 
 

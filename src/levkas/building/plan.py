@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 
 from levkas.building.build_records import Key, key_of
 from levkas.building.camera_pages import CameraPage, camera_pages
-from levkas.building.graph import Graph, Step, by_object, graph_of, ordered
+from levkas.building.graph import Graph, Step, graph_of, ordered
 from levkas.building.outcomes import NoReference, refused_step
 from levkas.campaign.campaign import Campaign, CampaignInvalid, load_campaign
 from levkas.campaign.discovery.captures import Capture, Refusals
@@ -46,12 +45,6 @@ class Plan:
         return list(
             dict.fromkeys([c.object for c in self.captures] + [key[0] for key in self.refusals])
         )
-
-    @cached_property
-    def layers(self) -> dict[str, list[str]]:
-        """The layers of each object, in the order of its captures."""
-        found = by_object(self.captures)
-        return {name: [capture.layer for capture in mine] for name, mine in found.items()}
 
     def lost(self) -> dict[str, list[Step]]:
         """Return how the captures end that are not in the graph, by object."""

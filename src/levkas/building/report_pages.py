@@ -54,7 +54,7 @@ from levkas.quality.image_quality.light import choose_places
 from levkas.readers.frames import files_of
 from levkas.registration.advice import percent
 from levkas.registration.marks import describe_want_of_marks
-from levkas.stages.budget import budget_of, to_records
+from levkas.stages.budget import budget_of
 from levkas.stages.sources import LIBRARIES, LIBRARIES_OF_PAGES
 from levkas.stages.spectra import weights_of_bands
 
@@ -64,9 +64,12 @@ if TYPE_CHECKING:
 
     from levkas.building.build_records import BuildRecords
     from levkas.building.graph import Step
+    from levkas.calibration.error_sources import ErrorSource
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
+
+    Budgets = Mapping[str, tuple[ErrorSource, ...]]
 
 
 FRAME = "frame "
@@ -95,13 +98,14 @@ def write_report(
     page, facts, made_of = (folder / n for n in ("report.html", "object.toml", PROVENANCE))
     described = campaign.objects.get(name)
     make_folder(folder)
-    pairs = _agreement(campaign, places, records, captures)
+    budgets = {c.layer: _budget_of(campaign, records, c) for c in captures}
+    pairs = _agreement(campaign, places, records, captures, budgets)
     with together(partial(records.forget, Key(name, stage="report"))):
-        write_text(page, report_of(campaign, places, records, name, captures, steps, pairs))
+        write_text(page, report_of(campaign, places, records, captures, steps, budgets, pairs))
         write_text(
             facts, to_toml({"name": name, **(described.museum_facts() if described else {})})
         )
-        record = provenance_of(campaign, records, name, captures)
+        record = provenance_of(campaign, records, captures, budgets)
         write_json(made_of, {**record, "agreement": [pair.to_dict() for pair in pairs]})
     return [page, facts, made_of]
 
@@ -110,14 +114,17 @@ def report_of(
     campaign: Campaign,
     places: Places,
     records: BuildRecords,
-    name: str,
     captures: list[Capture],
     steps: list[Step],
-    pairs: Sequence[PairAgreement] = (),
+    budgets: Budgets,
+    pairs: Sequence[PairAgreement],
 ) -> str:
     """Return the HTML of an object's report; `pairs` are how its layers agree."""
+    name = captures[0].object
     layers = [
-        layer for c in captures if (layer := _layer(campaign, places, records, c)) is not None
+        layer
+        for c in captures
+        if (layer := _layer(campaign, places, records, c, budgets[c.layer])) is not None
     ]
     facts = campaign.objects.get(name)
     told = (
@@ -166,12 +173,24 @@ def report_of(
     )
 
 
+def _budget_of(
+    campaign: Campaign, records: BuildRecords, capture: Capture
+) -> tuple[ErrorSource, ...]:
+    """Return the uncertainty budget of a capture; empty where it was not calibrated."""
+    notes = records.notes(key_of(capture, "calibrate"))
+    return budget_of(campaign, capture, notes["learnt"]) if "learnt" in notes else ()
+
+
 def _agreement(
-    campaign: Campaign, places: Places, records: BuildRecords, captures: Sequence[Capture]
+    campaign: Campaign,
+    places: Places,
+    records: BuildRecords,
+    captures: Sequence[Capture],
+    budgets: Budgets,
 ) -> tuple[PairAgreement, ...]:
     """Compare all layers of an object that hold reflectance, those of the reference first."""
     order = sorted(captures, key=lambda c: (c.camera != campaign.reference.camera, c.setup))
-    layers, budgets, weights = [], {}, {}
+    layers, known, weights = [], {}, {}
     for capture in order:
         notes = records.notes(key_of(capture, "calibrate"))
         layer = LayerId(capture.object, capture.camera, capture.setup)
@@ -179,9 +198,8 @@ def _agreement(
         if not written or notes.get("quantity") != "reflectance":
             continue
         layers.append(layer)
-        rows = budget_of(campaign, capture, notes.get("learnt", {}))
         shared = records.notes(key_of(capture, "resample")).get("noise_correlation", [[1.0]])
-        budgets[layer.name] = LayerBudget(rows, np.array(shared))
+        known[layer.name] = LayerBudget(budgets[capture.layer], np.array(shared))
         bands = [band for sensor in capture.sensors for band in sensor.bands]
         found = weights_of_bands(campaign, capture, bands)
         weights[layer.name] = {
@@ -189,11 +207,15 @@ def _agreement(
             for band, one in zip(bands, found, strict=True)
             if one is not None
         }
-    return agreement_in(places.output, layers, budgets, weights)
+    return agreement_in(places.output, layers, known, weights)
 
 
 def _layer(
-    campaign: Campaign, places: Places, records: BuildRecords, capture: Capture
+    campaign: Campaign,
+    places: Places,
+    records: BuildRecords,
+    capture: Capture,
+    budget: tuple[ErrorSource, ...],
 ) -> LayerReport | None:
     path = places.registration(capture.object, capture.layer)
     calibrated = records.notes(key_of(capture, "calibrate"))
@@ -250,21 +272,17 @@ def _layer(
         ssim_map=f"data:image/png;base64,{ssim_map}" if ssim_map else "",
         columns=("shift at the centre, px", "x", "y"),
         rows=_band_rows(record),
-        budget=_budget(campaign, capture, calibrated, resampled) if shown else None,
+        budget=_describe_budget(capture, budget, resampled) if shown else None,
     )
 
 
-def _budget(
-    campaign: Campaign,
-    capture: Capture,
-    calibrated: Mapping[str, Any],
-    resampled: Mapping[str, Any],
+def _describe_budget(
+    capture: Capture, sources: tuple[ErrorSource, ...], resampled: Mapping[str, Any]
 ) -> UncertaintyBudget | None:
     """Return what the report says of the uncertainty of a layer's values, at its middling pixels."""
     ranges = [r for r in resampled.get("ranges", []) if r.get("snr") and r.get("noise")]
     noise = {r["band"]: float(r["noise"]) for r in ranges}
     levels = {r["band"]: float(r["snr"] * r["noise"]) for r in ranges}
-    sources = budget_of(campaign, capture, calibrated.get("learnt", {}))
     return describe_budget(sources, capture.bands, levels, noise)
 
 
@@ -403,7 +421,7 @@ def _cut(picture: np.ndarray, x: int, y: int, side: int) -> str:
 
 
 def provenance_of(
-    campaign: Campaign, records: BuildRecords, name: str, captures: Sequence[Capture]
+    campaign: Campaign, records: BuildRecords, captures: Sequence[Capture], budgets: Budgets
 ) -> dict[str, Any]:
     """Return what the stages of an object were made of.
 
@@ -426,11 +444,11 @@ def provenance_of(
                 frames = _frames(campaign, capture, step["inputs"])
                 learnt = records.notes(key).get("learnt", {})
                 own = {"frames": frames, **_white_of(learnt)}
-                if key.stage == "calibrate" and (budget := budget_of(campaign, capture, learnt)):
-                    own["uncertainty"] = to_records(budget)
+                if budget := budgets[capture.layer]:
+                    own["uncertainty"] = [row.to_dict() for row in budget]
                 steps.append(step | (own if key.stage == "calibrate" else {}))
     return {
-        "object": name,
+        "object": captures[0].object,
         "levkas": __version__,
         "libraries": _libraries(),
         "instructions": describe_instructions(),

@@ -361,7 +361,9 @@ def _report_prints(plan: Plan, inputs: Inputs, name: str, steps: Sequence[Step])
     for step in lost:
         told = (fingerprints.written(plan.campaign, p) for p in step.problems)
         layers[f"{step.key.layer} refused"] = "\n".join(told)
-    return fingerprints.of_report(plan.campaign, name, layers, plan.layers.get(name, []))
+    captures = [capture for capture in plan.captures if capture.object == name]
+    hashes = inputs.records.hashes
+    return fingerprints.of_report(plan.campaign, name, layers, captures, hashes)
 
 
 def _report(plan: Plan, outcomes: Outcomes, task: Task, steps: list[Step]) -> Iterator[Step]:

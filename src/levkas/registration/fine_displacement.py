@@ -178,7 +178,7 @@ def measure_fine_displacement(
     weight = np.where(counts, 1 / (variance + SETTINGS.floor**2), 0.0)
     shift = shift - _smooth(shift, weight)
     found = _scan(shift, np.where(counts[..., None, None], information, 0.0))
-    size, part = _largest_explained(found, predictor, image)
+    size, part = _largest_explained(found, 1 - shifts.r2.reshape(lattice), predictor, image)
     rms, period = None, None
     shown = float(counts.sum() / known.sum())
     if counts.sum() >= SETTINGS.least_windows and shown >= SETTINGS.least_share:
@@ -353,21 +353,18 @@ def _sum(values: np.ndarray) -> np.ndarray:
 
 
 def _largest_explained(
-    found: _Means, predictor: Predictor, image: np.ndarray
+    found: _Means, here: np.ndarray, predictor: Predictor, image: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """Return the largest displacement of windows that move alike, px, and these windows, (rows, columns) bool.
 
-    Moved back, the picture must be explained there about as well as elsewhere, or better than before. Relief in gold moves in raking
+    `here` is what is not explained of each window as it lies. Moved back, the picture must be explained there about as well as elsewhere, or better than before. Relief in gold moves in raking
     light without being displaced: it is explained neither here nor there.
     """
     none = np.zeros_like(found.sure)
     if not found.sure.any():
         return 0.0, none
     length = np.where(found.sure, np.hypot(*np.moveaxis(found.mean, -1, 0)), 0.0)
-    here, there = (
-        (1 - predictor.compare(one).r2).reshape(none.shape)
-        for one in (image, _moved_back(image, found))
-    )
+    there = (1 - predictor.compare(_moved_back(image, found)).r2).reshape(none.shape)
     usual = np.median(here[found.known])
     while size := float(length.max()):
         part = _part_of(found, np.unravel_index(int(length.argmax()), length.shape))

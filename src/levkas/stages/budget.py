@@ -214,8 +214,3 @@ def _angle(campaign: Campaign, capture: Capture, bands: Sequence[Band]) -> Error
         return replace(row, basis="unknown", advice=advice)
     size = float(tan(radians(setup.angle_deg)) * radians(setup.angle_uncertainty_deg))
     return replace(row, size={band.label: size for band in bands}, basis="declared")
-
-
-def to_records(rows: Sequence[ErrorSource]) -> list[dict[str, Any]]:
-    """Return rows JSON-ready."""
-    return [row.to_dict() for row in rows]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.core.cube import Flag, is_flagged
 from levkas.core.problems import Problem, unknown_name
 from levkas.database.catalogue import DatabaseRefused
 from levkas.database.described import LayerRows
@@ -208,7 +209,7 @@ def _picture(array: LayerArray) -> np.ndarray:
     part = array.isel(band=np.sort(some))
     values, flags = part.transpose("y", "x", "band").values, part.flags.transpose("y", "x", "band")
     picture = values.mean(-1, dtype=np.float32)
-    picture[(flags.values & 1).any(-1)] = np.nan
+    picture[is_flagged(flags.values, Flag.OUTSIDE).any(-1)] = np.nan
     return np.ascontiguousarray(picture)
 
 
