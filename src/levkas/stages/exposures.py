@@ -336,7 +336,7 @@ def flatten(
     if white is not None and not context.camera.traits.is_scanned:
         context.told.setdefault(VIEW, {}).update(
             (label, float(f"{_mean_of(_phase(flat.values, phase)):.4g}"))
-            for label, phase in _phases(board, list(board.labels or ())).items()
+            for label, phase in _phases(board).items()
         )
     if moved is None:
         moved = _moved(context, shot, dark, noise)
@@ -440,19 +440,21 @@ def _note_shares(
 ) -> None:
     """Note in `told` what shots, white and darks add to the noise of each band where its signal is middling, reflectance."""
     under, white_under, *_ = pair_darks(shot, dark or None, white, context.black_level)
-    labels, notes = list(board.labels or ()), context.told.setdefault(NOISE, {})
+    notes = context.told.setdefault(NOISE, {})
     per_count = _per_count(context, shot, dark, white, board)
-    for label, phase in _phases(board, labels).items():
+    for label, phase in _phases(board).items():
         signal, light = (
             max(level_of(_phase(one.mean, phase)) - level_of(_phase(back.mean, phase)), 1e-9)
             for one, back in ((shot, under), (white, white_under))
         )
         ratio = signal / light
-        of_dark = under.share * noise.read_under(under)
+        of_dark, of_other = (d.share * noise.read_under(d) for d in (under, white_under))
+        if white_under is under:
+            of_dark, of_other = (1 - ratio) ** 2 * of_dark, 0.0
         counts = {
             "photons and read noise": _variance_of(shot, phase, noise, signal),
             "white frames": ratio**2 * _variance_of(white, phase, noise, light),
-            "dark frames": (1 - ratio) ** 2 * of_dark if white_under is under else of_dark,
+            "dark frames": of_dark + ratio**2 * of_other,
         }
         notes[label] = {
             name: float(f"{per_count[label] * found**0.5:.4g}") for name, found in counts.items()
@@ -472,33 +474,27 @@ def _mean_of(values: np.ndarray) -> float:
     return float(values.mean(where=known, dtype=float)) if known.any() else 0.0
 
 
-Phase = tuple[slice, slice, int | None]
+Phase = tuple[slice, slice]
 
 
-def _phases(board: WhiteBoard, labels: Sequence[str]) -> dict[str, Phase]:
-    """Return where the sensels of each band of a board lie: one phase of a mosaic, or a band of a cube."""
-    every = slice(None)
-    if board.pattern is None:
-        several = len(labels) > 1
-        return {label: (every, every, k if several else None) for k, label in enumerate(labels)}
-    table = channel_table(board.pattern, list(labels))
+def _phases(board: WhiteBoard) -> dict[str, Phase]:
+    """Return rows and columns of the first sensels of each band of a frame: all of a sensor without a mosaic."""
+    labels = list(board.labels or ())
+    table = np.zeros((1, 1), int) if board.pattern is None else channel_table(board.pattern, labels)
     firsts = (np.argwhere(table == k)[0].tolist() for k in range(len(labels)))
     rows, columns = table.shape
     return {
-        label: (slice(y, None, rows), slice(x, None, columns), None)
+        label: (slice(y, None, rows), slice(x, None, columns))
         for label, (y, x) in zip(labels, firsts, strict=True)
     }
 
 
 def _phase(frame: np.ndarray, phase: Phase) -> np.ndarray:
-    """Return the sensels of one band of a frame, or of its one number a line or frame."""
-    rows, columns, band = phase
+    """Return the sensels of one band of a frame, or its one number of a line or of all."""
     tall, wide = (
-        part if n > 1 else slice(None)
-        for part, n in zip((rows, columns), frame.shape[:2], strict=True)
+        part if n > 1 else slice(None) for part, n in zip(phase, frame.shape[:2], strict=True)
     )
-    part = frame[tall, wide]
-    return part if band is None or part.ndim == 2 else part[..., min(band, part.shape[2] - 1)]
+    return frame[tall, wide]
 
 
 def _per_count(
@@ -509,20 +505,14 @@ def _per_count(
     board: WhiteBoard,
 ) -> dict[str, float]:
     """Return what a count is of the values of each band, where the light is middling."""
-    labels, pattern = list(board.labels or ()), board.pattern
     if white is None:
-        return dict.fromkeys(labels, 1.0)
+        return dict.fromkeys(board.labels or (), 1.0)
     pair = pair_darks(shot, dark or None, white, context.black_level)
-    lit, ratio = white.mean - pair[1].mean, pair[2]
-    table = np.zeros((1, 1), int) if pattern is None else channel_table(pattern, labels)
-    reflectance = reflectance_table(board, shot)
-    scale = np.broadcast_to(reflectance, table.shape) * ratio
-    found = {}
-    for i, label in enumerate(labels):
-        y, x = (int(n) for n in np.argwhere(table == i)[0])
-        level = level_of(lit[y :: table.shape[0], x :: table.shape[1]])
-        found[label] = float(scale[y, x] / max(level, 1e-9))
-    return found
+    lit, scale = white.mean - pair[1].mean, reflectance_table(board, shot) * pair[2]
+    return {
+        label: float(level_of(_phase(scale, phase)) / max(level_of(lit[phase]), 1e-9))
+        for label, phase in _phases(board).items()
+    }
 
 
 def _moved(
