@@ -15,7 +15,7 @@ HEAVY = {"white": 1.0, "red lead": 1.0, "vermilion": 0.9, "yellow": 0.9, "gold":
 """Absorption of X-rays by a paint; those mixed with lead white have half of its."""
 
 
-def seen(panel: Painting, centre_nm: float, width_nm: float) -> np.ndarray:
+def reflectance(panel: Painting, centre_nm: float, width_nm: float) -> np.ndarray:
     """Return the reflectance in a band of wavelengths, (rows, columns)."""
     weight = np.exp(-(((WAVELENGTHS - centre_nm) / width_nm) ** 2))
     return (panel.amounts / 255.0) @ (panel.spectra @ weight / weight.sum())
@@ -53,8 +53,8 @@ def write(path: Path, picture: np.ndarray, rng: np.random.Generator) -> None:
 def main(folder: Path) -> None:
     rng = np.random.default_rng(4)
     panel = paint_icon(Panel(), 3.0, rng)
-    colour = np.stack([seen(panel, nm, 30) for nm in (460, 540, 610)], -1)
-    infrared = seen(panel, 980, 40) * (1 - 0.7 * panel.underdrawing / 255)
+    colour = np.stack([reflectance(panel, nm, 30) for nm in (460, 540, 610)], -1)
+    infrared = reflectance(panel, 980, 40) * (1 - 0.7 * panel.underdrawing / 255)
     upright = [np.rot90(p, -1).copy() for p in (colour, infrared, absorption(panel))]
     photograph = encode_srgb(recorded(upright[0], (900, 1200), 0.4, 8e-6)) / 255
     write(folder / "photo/panel.png", photograph, rng)

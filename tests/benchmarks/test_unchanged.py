@@ -176,9 +176,9 @@ def test_limits_of_streamed_scans_are_found_whatever_stands_beside_them(unchange
 
     for module, name in (
         (levkas.stages.scans, "STREAMED_SAMPLES"),
-        (levkas.stages.streaming, "HELD_BYTES"),
+        (levkas.stages.streaming, "BUFFER_BYTES"),
     ):
         monkeypatch.setattr(module, name, getattr(module, name))  # restored in the end
     exec(unchanged.STREAMED, {})
     assert levkas.stages.scans.STREAMED_SAMPLES == 0
-    assert levkas.stages.streaming.HELD_BYTES == 3_000_000
+    assert levkas.stages.streaming.BUFFER_BYTES == 3_000_000

@@ -151,7 +151,7 @@ def test_a_build_makes_reflectance_by_the_chart_and_says_how_well(campaign):
     assert "Reflectance by a chart" in page and "a plane" in page
     assert "only their held-out errors are a test" in page
     camera = json.loads((campaign / "database/cameras/vis/camera.json").read_text())
-    assert camera["learnt"][""][""][KEY]["bands"].keys() == told["bands"].keys()
+    assert camera["measured"][""][""][KEY]["bands"].keys() == told["bands"].keys()
 
 
 def test_what_was_built_is_fresh_and_a_chart_that_changes_is_a_reason_to_redo(campaign, copy):
@@ -170,7 +170,7 @@ def chart_rows(folder, made):
     """What the budget says of the chart, by unit and band."""
     campaign = load_campaign(folder)
     capture = next(c for c in find_captures(campaign)[0] if c.object == "panel")
-    rows = [r for r in budget_of(campaign, capture, made.learnt) if r.name == "chart as white"]
+    rows = [r for r in budget_of(campaign, capture, made.measured) if r.name == "chart as white"]
     return {row.unit: row.size for row in rows}
 
 
@@ -214,7 +214,7 @@ def test_a_chart_measured_into_the_infrared_serves_every_band(copy):
     assert [b.label for b in made.bands] == ["450 nm", "540 nm", "630 nm", "850 nm"]
     off = made.cubes[""].values - panel_picture(len(NM))
     assert np.sqrt(np.mean(off[ON_CHART] ** 2)) < 0.008
-    assert made.learnt[""][KEY]["reference"] == "chart.csv"
+    assert made.measured[""][KEY]["reference"] == "chart.csv"
 
 
 def test_a_chart_in_the_objects_own_frame_is_found_there(copy):
@@ -228,7 +228,7 @@ def test_a_chart_in_the_objects_own_frame_is_found_there(copy):
         text.replace('charts = { macbeth = "ColorChecker24" }\n', "")
     )
     made = developed(copy)
-    assert made.learnt[""][KEY]["target"] == "panel"
+    assert made.measured[""][KEY]["target"] == "panel"
     off = (made.cubes[""].values - scene[..., :3])[~ON_CHART]
     assert np.mean(np.abs(off)) < 0.015
 
@@ -242,7 +242,7 @@ def test_a_leaking_band_is_scaled_by_its_greys_with_the_light_of_another(copy):
     shutil.rmtree(copy / "raw" / "macbeth")
     write_frames(copy, {"macbeth": leak}, rng)
     made = developed(copy)
-    band = made.learnt[""][KEY]["bands"]["450 nm"]
+    band = made.measured[""][KEY]["bands"]["450 nm"]
     assert band["light_of"] == "540 nm" and len(band["patches"]) == band["greys"] == 6
     assert "a leaking filter" in band["why"]
     # Its greys are right, and colours are off by what a leak does to paints: 0.3 rms.
@@ -305,7 +305,7 @@ def test_a_mosaic_is_calibrated_through_its_sensitivities_or_by_its_greys_alone(
     else:
         assert np.sqrt(np.mean(off**2)) < 0.1  # the gradient is left
         assert any("declare `sensitivity`" in w for w in made.warnings)
-        assert made.learnt[""][KEY]["bands"]["G"]["order"] == 0
+        assert made.measured[""][KEY]["bands"]["G"]["order"] == 0
 
 
 def test_a_mosaic_whose_channels_nobody_knows_is_scaled_by_greys_even_in_the_infrared(tmp_path):

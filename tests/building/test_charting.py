@@ -144,7 +144,7 @@ def test_a_build_writes_a_page_a_camera_and_leaves_it_alone_the_second_time(camp
     assert again[-1].done == again[-1].total
 
 
-def test_a_build_keeps_the_chart_the_light_and_what_was_learnt_of_the_camera(campaign, tmp_path):
+def test_a_build_keeps_the_chart_the_light_and_what_was_measured_of_the_camera(campaign, tmp_path):
 
     folder = shutil.copytree(
         campaign, tmp_path / "more", ignore=shutil.ignore_patterns("database*")
@@ -172,7 +172,7 @@ def test_a_build_keeps_the_chart_the_light_and_what_was_learnt_of_the_camera(cam
     assert (database / "setups/proposed/spd.csv").read_text().startswith("wavelength,power")
     assert (database / "cameras/vis/sensitivity.csv").read_text().startswith(f"wavelength,{labels}")
     camera = json.loads((database / "cameras/vis/camera.json").read_text())
-    assert camera["learnt"][""][""]["sensor"]["gain"] == pytest.approx(0.2, rel=0.2)
+    assert camera["measured"][""][""]["sensor"]["gain"] == pytest.approx(0.2, rel=0.2)
     told = tomllib.loads((database / "database.toml").read_text())
     assert told["setups"] == {"proposed": {"cameras": ["vis"]}}
     steps = json.loads((database / "objects/panel/provenance.json").read_text())["steps"]

@@ -109,7 +109,7 @@ def test_what_was_fitted_is_kept_with_the_template_and_recorded(tmp_path):
     first, again = developed(folder, shared=True), developed(folder, shared=True)
     assert np.array_equal(first.cubes[""].values, again.cubes[""].values)
     assert np.array_equal(first.cubes[""].sigma, again.cubes[""].sigma)
-    (found,) = again.learnt[""]["clipped_darks"].values()
+    (found,) = again.measured[""]["clipped_darks"].values()
     assert found["black"][0] == pytest.approx(0.0, abs=0.1)
     assert found["noise"] == pytest.approx(READ, rel=0.05)
 
@@ -118,7 +118,7 @@ def test_a_dark_on_a_pedestal_is_subtracted_sensel_by_sensel_as_before(tmp_path)
     made = developed(write(tmp_path, "bands", 60.0))
     check(made.cubes[""])
     assert not any("clipped" in w for w in made.warnings)
-    assert "clipped_darks" not in made.learnt[""]
+    assert "clipped_darks" not in made.measured[""]
 
 
 def test_darks_of_nothing_but_zeros_are_said_to_show_no_black_level(tmp_path):

@@ -137,10 +137,10 @@ def test_setups_scans_and_captures_adjusted_together_are_those_of_one_process(
     if streamed:
         preload.write_text(
             "from levkas.stages import scans, streaming\n"
-            "scans.STREAMED_SAMPLES, streaming.HELD_BYTES = 0, 100_000\n"
+            "scans.STREAMED_SAMPLES, streaming.BUFFER_BYTES = 0, 100_000\n"
         )
         monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
-        monkeypatch.setattr(streaming, "HELD_BYTES", 100_000)
+        monkeypatch.setattr(streaming, "BUFFER_BYTES", 100_000)
     alone = summarise(build(folder, output=tmp_path / "alone", workers=0))
     with dask.config.set({"distributed.worker.preload": [str(preload)]}):
         report = summarise(build(folder, output=tmp_path / "workers", workers=2))
@@ -169,7 +169,7 @@ def test_the_line_names_what_waits_for_memory_while_a_worker_is_idle(plates, tmp
 
 
 def test_a_task_reports_its_frames_within_the_second(monkeypatch):
-    monkeypatch.setattr(worker, "TOLD_S", 0.0)
+    monkeypatch.setattr(worker, "REPORTED_S", 0.0)
     told = queue.SimpleQueue()
     with worker.Watch(lambda *said: told.put(said)) as watch:
         assert told.get(timeout=10)[1] == 0
@@ -276,7 +276,7 @@ def machines(*limits, preload=(), **settings):
 def test_a_scheduler_whose_workers_have_gone_is_said_to_be_so_and_refused(
     plates, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(cluster_executor, "SAID_S", 0.5)
+    monkeypatch.setattr(cluster_executor, "WITHOUT_WORKER_S", 0.5)
     steps = []
     with (
         machines("4GB", **{"scheduler.no_workers_timeout": "3s"}) as there,
@@ -298,7 +298,7 @@ def test_a_scheduler_whose_workers_have_gone_is_said_to_be_so_and_refused(
 def test_a_scheduler_that_never_had_a_worker_is_said_to_be_so_and_refused(
     campaign, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(cluster_executor, "SAID_S", 0.2)
+    monkeypatch.setattr(cluster_executor, "WITHOUT_WORKER_S", 0.2)
     monkeypatch.setattr(cluster_executor, "LOOK_S", 0.1)
     steps = []
     with (

@@ -95,17 +95,17 @@ def test_the_record_tells_the_course_and_the_matches_what_became_of_them(correct
     places = {(x, y) for x, y in zip(windows["x"], windows["y"], strict=True)}
     assert {tuple(corner) for corner in CORNERS} <= places
     numbers = record["errors"]["sensors"][""]
-    assert sum(sensor["checks"]["found"]) == numbers["borne_out"]["found"]
+    assert sum(sensor["checks"]["found"]) == numbers["verification"]["found"]
     page = (folder / "database/objects/bad/report.html").read_text()
     assert "check windows agree with the map" in page and "Figure 10" not in page
-    assert f"over {percent(checked_share(numbers | numbers['borne_out']))}" in page
+    assert f"over {percent(checked_share(numbers | numbers['verification']))}" in page
     # What an X-ray and a photograph have in common is not likeness.
     assert "SSIM map" not in page and page.index("In short") < page.index('id="evidence"')
     assert "aligned with 4 pairs by hand" in page and record["pairs_by_hand"] == 4
     other = folder / "database/objects/good"
     assert "pairs_by_hand" not in json.loads((other / "registration/xray.json").read_text())
     assert "by hand" not in (other / "report.html").read_text()
-    climbs = record["model"]["sensors"][0]["climbs"]
+    climbs = record["model"]["sensors"][0]["selections"]
     assert climbs and all(c["model"] in c["held_out_px"] for c in climbs)
 
 

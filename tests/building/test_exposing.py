@@ -220,7 +220,7 @@ def test_the_black_level_of_an_exposure_series_serves_to_scale_a_dark(tmp_path):
     more = {"panel": panel, "white": (1.0,), "darks": (0.25,), "current": 60.0}
     made = developed(make(tmp_path / "c", "merge", **more))
     assert any("the black level is 6" in warning for warning in made.warnings), made.warnings
-    assert made.learnt[""]["black"]["counts"] == pytest.approx(BLACK, abs=0.5)
+    assert made.measured[""]["black"]["counts"] == pytest.approx(BLACK, abs=0.5)
     values, dim = made.cubes[""].values[..., 0], SCENE < 0.1
     assert values[dim].mean() == pytest.approx(SCENE[dim].mean(), rel=0.01)
 
@@ -257,7 +257,7 @@ def test_the_curve_of_a_sensor_that_is_not_linear_is_taken_out(tmp_path, kind, h
         assert 0.93 < ((values - SCENE) / sigma)[part].std() < 1.07, low
     assert not any("are left out" in w or "only" in w for w in made.warnings)
     assert any("the sensor is not linear" in w for w in made.warnings)
-    assert made.learnt[""]["response"]["error"] < 0.003
+    assert made.measured[""]["response"]["error"] < 0.003
 
 
 @pytest.mark.parametrize("panel", [(0.25, 0.5, 1.0), (0.25, 1.0)], ids=["three", "two"])
@@ -267,7 +267,7 @@ def test_a_lamp_that_flickers_between_exposures_is_no_curve_and_is_in_the_budget
     assert not any("not linear" in warning for warning in made.warnings), made.warnings
     bright = SCENE > 0.5
     off = made.cubes[""].values[..., 0][bright].mean() / SCENE[bright].mean() - 1
-    assert abs(off) < 3 * made.learnt[""]["lamp"]["550 nm"]["sigma"] < 0.1
+    assert abs(off) < 3 * made.measured[""]["lamp"]["550 nm"]["sigma"] < 0.1
     assert any("the lamp is known between white and object" in w for w in made.warnings)
 
 
@@ -275,9 +275,9 @@ def test_a_lamp_that_flickers_between_exposures_is_no_curve_and_is_in_the_budget
 def test_darks_of_another_temperature_show_in_an_exposure_series(tmp_path, curve):
     more = {"panel": (0.25, 0.5, 1.0), "white": (1.0,), "curve": curve}
     made = developed(make(tmp_path / "warm", "merge", warm=5.0, **more))
-    assert made.learnt[""]["offset"]["counts"] == pytest.approx(-5.0, abs=0.5)
+    assert made.measured[""]["offset"]["counts"] == pytest.approx(-5.0, abs=0.5)
     assert any("without light its exposure series have -" in w for w in made.warnings)
-    assert "offset" not in developed(make(tmp_path / "cold", "merge", **more)).learnt[""]
+    assert "offset" not in developed(make(tmp_path / "cold", "merge", **more)).measured[""]
 
 
 def own_sensels(cube):

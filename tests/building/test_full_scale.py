@@ -93,7 +93,7 @@ def test_what_is_full_below_the_bits_is_flagged_said_and_recorded(tmp_path, kind
     assert flags[GOLD].mean() > 0.98 and flags[~GOLD].mean() < 0.02 + 0.1 * (kind == "mosaic")
     (note,) = [w for w in made.warnings if "full at" in w]
     assert "3600" in note and "12 bits" in note
-    assert made.learnt[""]["full_scale"]["counts"] == 3600
+    assert made.measured[""]["full_scale"]["counts"] == 3600
 
 
 def test_a_full_well_with_noise_behind_it_is_found_by_two_shots(tmp_path):
@@ -116,7 +116,7 @@ def test_a_white_that_is_full_below_its_container_is_refused(tmp_path, kind, ful
 def test_a_sensor_that_is_full_nowhere_keeps_the_full_scale_that_is_stated(tmp_path, kind):
     made = developed(write(tmp_path, kind, full=4095))
     assert not any("full at" in w for w in made.warnings)
-    assert "full_scale" not in made.learnt[""]
+    assert "full_scale" not in made.measured[""]
     assert not (made.cubes[""].flags & Flag.SATURATED).any()
 
 
@@ -135,12 +135,12 @@ def test_a_response_that_flattens_below_its_white_is_named_by_its_shot_noise(
     tmp_path, kind, response, share
 ):
     made = developed(write(tmp_path, kind, shots=4, response=response))
-    (found,) = made.learnt[""]["flattening"].values()
+    (found,) = made.measured[""]["flattening"].values()
     assert found["share"] == pytest.approx(share, abs=0.1)
     (note,) = [w for w in made.warnings if "of the shot noise" in w]
     assert "full" in note and "flattens" in note and "averaged" in note
     assert not (made.cubes[""].flags & Flag.MOVED).any()
-    assert made.learnt[""]["sensor"]["gain"] == pytest.approx(GAIN, rel=0.05)
+    assert made.measured[""]["sensor"]["gain"] == pytest.approx(GAIN, rel=0.05)
 
 
 @pytest.mark.parametrize("kind", ["bands", "mosaic"])
@@ -149,7 +149,7 @@ def test_a_response_that_flattens_below_its_white_is_named_by_its_shot_noise(
 )
 def test_a_linear_sensor_has_the_shot_noise_of_its_light(tmp_path, kind, more):
     made = developed(write(tmp_path, kind, **more))
-    assert "flattening" not in made.learnt[""]
+    assert "flattening" not in made.measured[""]
     assert not any("shot noise" in warning for warning in made.warnings)
 
 
@@ -158,7 +158,7 @@ def test_a_linear_sensor_has_the_shot_noise_of_its_light(tmp_path, kind, more):
 def test_darks_of_another_temperature_show_in_the_shot_noise_of_dim_paint(tmp_path, kind, warm):
     """All of the panel lies well above the dark: no value is negative."""
     made = developed(write(tmp_path, kind, shots=6, warm=warm, paint=DIM))
-    (found,) = made.learnt[""]["dark_offset"].values()
+    (found,) = made.measured[""]["dark_offset"].values()
     assert found["counts"] == pytest.approx(-warm, abs=4 * found["error"])
     (note,) = [w for w in made.warnings if "by their shot noise" in w]
     assert ("too high" if warm > 0 else "too low") in note

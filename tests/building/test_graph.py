@@ -41,7 +41,7 @@ def test_what_is_registered_reads_the_reference_and_what_is_adjusted_the_others(
     alone = tasks_of(folder)[infrared["register"]]
     assert set(alone.needs) == {infrared["calibrate"], photo["calibrate"], photo["register"]}
     together = tasks_of(folder, "[registration]\njoint = true\n")
-    assert together[infrared["register"]].mates == (Key("two", "infrared", "", "measure"),)
+    assert together[infrared["register"]].companions == (Key("two", "infrared", "", "measure"),)
     assert infrared["measure"] in together[infrared["register"]].needs
 
 

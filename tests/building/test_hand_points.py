@@ -7,7 +7,7 @@ import pytest
 
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.registration.control_points import ControlPoints, PointsRefused, write_points
-from levkas.stages.control_points import declared_points, told_points
+from levkas.stages.control_points import declared_points, fingerprint_points
 
 KEYS = """
 [campaign]
@@ -61,7 +61,7 @@ def test_points_marked_as_check_points_never_seed(tmp_path):
 def test_an_object_without_a_file_has_no_points(tmp_path):
     write_points(PAIRS, tmp_path / "icon1.points", "qgis")
     one = campaign(tmp_path, OWN)
-    assert declared_points(one, capture("icon2")) == {} == told_points(one, capture("icon2"))
+    assert declared_points(one, capture("icon2")) == {} == fingerprint_points(one, capture("icon2"))
     assert declared_points(one, capture("icon1", "vis")) == {}
 
 
@@ -92,10 +92,10 @@ def test_points_of_a_band_that_is_not_there_are_refused(tmp_path):
 
 def test_a_changed_file_or_use_is_noticed(tmp_path):
     write_points(PAIRS, tmp_path / "icon1.points", "qgis")
-    first = told_points(campaign(tmp_path, OWN), capture())
+    first = fingerprint_points(campaign(tmp_path, OWN), capture())
     write_points(PAIRS.keep(np.array([0])), tmp_path / "icon1.points", "qgis", overwrite=True)
-    second = told_points(campaign(tmp_path, OWN), capture())
-    third = told_points(campaign(tmp_path, OWN + 'use = "seeds"\n'), capture())
+    second = fingerprint_points(campaign(tmp_path, OWN), capture())
+    third = fingerprint_points(campaign(tmp_path, OWN + 'use = "seeds"\n'), capture())
     assert first != second and second != third and third != first
 
 

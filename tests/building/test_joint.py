@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from levkas.building import build, status
-from levkas.building.graph import NEIGHBOURS, mates_of
+from levkas.building.graph import NEIGHBOURS, companions_of
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.campaign.discovery.captures import Capture
 from levkas.geometry.transforms import Affine
@@ -82,8 +82,8 @@ def test_the_verdict_is_of_the_map_that_is_written(plates):
     assert bad["verdict"]["decision"] == "refuse"
     told = bad["verdict"]["numbers"]["sensor"]
     # Six native px along both axes; 20 native px are 19 reference px.
-    assert told["borne_out"]["window_median"] == pytest.approx(6 * 2**0.5 * 0.95, abs=0.4)
-    assert told["borne_out"]["agreeing"] < 0.1 * told["borne_out"]["found"]
+    assert told["verification"]["window_median"] == pytest.approx(6 * 2**0.5 * 0.95, abs=0.4)
+    assert told["verification"]["agreeing"] < 0.1 * told["verification"]["found"]
     assert told["joint_excess"]["sigmas"] > 3
     assert bad["errors"]["sensors"][""] == told
 
@@ -173,16 +173,17 @@ def test_the_order_of_the_objects_changes_no_byte(plates, tmp_path):
 def test_of_many_captures_the_nearest_by_name_are_mates_and_one_more_changes_few(built):
     campaign = load_campaign(built)
 
-    def mates(names):
+    def companions(names):
         captures = [Capture(name, "infrared", "", ()) for name in names]
         return {
-            c.object: [m.object for m in mates_of(campaign, c, captures[::-1])] for c in captures
+            c.object: [m.object for m in companions_of(campaign, c, captures[::-1])]
+            for c in captures
         }
 
     names = [f"panel {n:02d}" for n in range(40)]
-    before, after = mates(names), mates([*names, "panel 20b"])
+    before, after = companions(names), companions([*names, "panel 20b"])
     assert before["panel 00"] == [f"panel {n:02d}" for n in (1, 2, 3, 4, 5, 6, *range(34, 40))]
-    assert {len(mates) for mates in before.values()} == {2 * NEIGHBOURS}
+    assert {len(found) for found in before.values()} == {2 * NEIGHBOURS}
     assert sum(before[name] != after[name] for name in names) == 2 * NEIGHBOURS
 
 

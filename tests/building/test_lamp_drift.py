@@ -40,7 +40,7 @@ class Built:
         self.report = (folder / "database/objects/panel/report.html").read_text()
         camera = folder / "database/cameras/cam"
         self.camera = (camera / "report.html").read_text()
-        self.gain = json.loads((camera / "camera.json").read_text())["learnt"][""][""]["sensor"][
+        self.gain = json.loads((camera / "camera.json").read_text())["measured"][""][""]["sensor"][
             "gain"
         ]
 

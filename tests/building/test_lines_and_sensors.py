@@ -103,7 +103,7 @@ def lines_built(tmp_path_factory):
 def test_a_wobbling_scan_and_interlaced_halves_are_doubtful_in_a_build(lines_built):
     verdicts = {c: record_of(lines_built, c)["verdict"] for c in ("still", "wobbling", "video")}
     assert [v["decision"] for v in verdicts.values()] == ["accept", "warn", "warn"]
-    evidence = {c: v["numbers"]["sensor"]["borne_out"] for c, v in verdicts.items()}
+    evidence = {c: v["numbers"]["sensor"]["verification"] for c, v in verdicts.items()}
     found = {c: one["line_displacement"] for c, one in evidence.items()}
     assert found["still"]["course"] is None
     assert (found["wobbling"]["course"], found["wobbling"]["lines"]) == ("period", "rows")

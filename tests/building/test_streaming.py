@@ -21,7 +21,7 @@ from levkas.geometry.transforms import Affine
 from levkas.stages import register, scan_templates, scans, streaming
 from levkas.stages.calibrate import develop
 from levkas.stages.scans import Scan, is_streamed, open_scan
-from levkas.stages.streaming import HeldLines
+from levkas.stages.streaming import BufferedLines
 from levkas.stages.template_cache import TemplateCache
 
 
@@ -78,7 +78,7 @@ def test_rows_are_resampled_as_the_whole_is(scan_and_cube, monkeypatch, tmp_path
         cube.values, maps, (size[1], size[0]), flags=cube.flags, variance=np.square(cube.sigma)
     )
     held = 9 * len(cube.bands) * w * 30
-    monkeypatch.setattr(streaming, "HELD_BYTES", held)
+    monkeypatch.setattr(streaming, "BUFFER_BYTES", held)
     blocks = list(streaming.resample_scan(scan, maps, size, spool=tmp_path).blocks)
     assert len(blocks) > 2
     values = np.concatenate([b.values for b in blocks])
@@ -106,7 +106,7 @@ def test_lines_that_two_strips_share_are_calibrated_once(scan_and_cube, monkeypa
         return blocks(self, start, stop)
 
     monkeypatch.setattr(Scan, "blocks", noting)
-    held = HeldLines(scan)
+    held = BufferedLines(scan)
     spans = [(0, 9), (5, 12), (11, 30), (12, 20), (3, 8), (40, 44), (42, 43)]
     for start, stop in spans:
         part = held.hold(start, stop)
@@ -122,13 +122,13 @@ def test_of_a_scan_that_lies_askew_many_lines_are_held_and_a_very_large_one_is_r
 ):
     scan, cube = scan_and_cube
     maps = [Affine(np.array([[0.7, -0.7, 20], [0.7, 0.7, 0]]))] * len(cube.bands)
-    monkeypatch.setattr(streaming, "HELD_BYTES", 9 * len(cube.bands) * cube.values.shape[1] * 30)
+    monkeypatch.setattr(streaming, "BUFFER_BYTES", 9 * len(cube.bands) * cube.values.shape[1] * 30)
     blocks = list(streaming.resample_scan(scan, maps, (40, 40), spool=tmp_path).blocks)
     whole = warp(cube.values, maps, (40, 40), flags=cube.flags)
     values = np.concatenate([block.values for block in blocks])
     assert np.isfinite(values).any()
     np.testing.assert_allclose(values, whole.values, atol=1e-4)
-    monkeypatch.setattr(streaming, "ASKEW_BYTES", streaming.HELD_BYTES)
+    monkeypatch.setattr(streaming, "ASKEW_BYTES", streaming.BUFFER_BYTES)
     with pytest.raises(streaming.ScanRefused, match="tilted relative to the grid"):
         next(streaming.resample_scan(scan, maps, (40, 40), spool=tmp_path).blocks)
 
@@ -200,7 +200,7 @@ def test_a_streamed_scan_is_built_to_the_same_bytes_by_any_rows(
         lines = [line for line in text.splitlines() if not line.startswith("white")]
         (campaign / "campaign.toml").write_text("\n".join(lines))
     monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
-    monkeypatch.setattr(streaming, "HELD_BYTES", 3_000_000)
+    monkeypatch.setattr(streaming, "BUFFER_BYTES", 3_000_000)
     trees = []
     for tile in tiles:
         monkeypatch.setenv("LEVKAS_TILE", tile)
@@ -348,7 +348,7 @@ def test_a_mirror_scan_is_as_exact_as_its_sigma_says(tmp_path, monkeypatch, most
     monkeypatch.setattr(scan_templates, "MOST_VALUES", most)
     cubes, paint = behind_a_mirror(np.random.default_rng(7))
     native = write_scan(tmp_path, cubes, MIRROR)
-    cube, told = native.cubes[""], native.learnt[""]["sensor"]
+    cube, told = native.cubes[""], native.measured[""]["sensor"]
     assert told["gain"] == pytest.approx(0.4, rel=0.05)
     assert told["read_noise"] == pytest.approx(3.0, rel=0.05)
     pull = (cube.values - paint)[cube.flags == 0] / cube.sigma[cube.flags == 0]
@@ -364,7 +364,7 @@ def test_lines_of_a_mirror_scan_do_not_depend_on_those_taken_together(tmp_path, 
     monkeypatch.setenv("LEVKAS_TILE", "whole")
     whole = developed(tmp_path)
     assert same(found.cubes[""], whole.cubes[""])
-    assert found.warnings == whole.warnings and found.learnt == whole.learnt
+    assert found.warnings == whole.warnings and found.measured == whole.measured
 
 
 @pytest.mark.parametrize("missing", ["dark", "white"])
@@ -391,7 +391,7 @@ def test_values_of_a_mirror_scan_that_are_no_numbers_are_flagged(tmp_path, monke
     assert any(f"{len(spoilt)} value" in text for text in native.warnings)
     lost = native.cubes[""].flags & (Flag.DEFECT | Flag.OUTSIDE) == Flag.DEFECT | Flag.OUTSIDE
     assert lost.sum() == len(spoilt) and lost[40, 30 : 30 + len(spoilt), 2].all()
-    told = native.learnt[""]["sensor"]
+    told = native.measured[""]["sensor"]
     assert told["gain"] == pytest.approx(0.4, rel=0.06) and np.isfinite(told["read_noise"])
 
 

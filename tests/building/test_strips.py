@@ -120,7 +120,7 @@ def test_strips_are_joined_to_a_twentieth_of_a_pixel(tmp_path, x, y):
     scene = paint()
     folder = write_campaign(tmp_path / "c", [strip(scene, 0, 4), strip(scene, x, 4 + y)])
     native = developed(folder)
-    (seam,) = native.learnt[""]["strips"]
+    (seam,) = native.measured[""]["strips"]
     assert np.hypot(seam["offset_px"][0] - x, seam["offset_px"][1] - y) < 0.05
     assert 0.9 < seam["difference_over_sigma"] < 1.4, "fine detail leaves a little"
     cube = native.cubes[""]
@@ -175,7 +175,7 @@ def test_a_stage_that_runs_askew_or_wobbles_is_followed(tmp_path, kind, most):
 
     strips = [strip(scene, 0, 2), strip(scene, 108.3, 2.1, course)]
     native = developed(write_campaign(tmp_path / "c", strips))
-    (seam,) = native.learnt[""]["strips"]
+    (seam,) = native.measured[""]["strips"]
     assert seam["course"] == kind
     left, truth = miss(native.cubes[""], np.roll(scene, -6, 0))
     beyond = np.s_[20:-20, SAMPLES + 2 : 250]
@@ -189,7 +189,7 @@ def test_three_strips_are_joined_and_streamed_to_the_same_bytes(tmp_path, monkey
     places = [(0, 0), (112.37, 1.3), (223.9, -0.6)]
     folder = write_campaign(tmp_path / "c", [strip(scene, x, 4 + y) for x, y in places])
     native = developed(folder)
-    offsets = [seam["offset_px"] for seam in native.learnt[""]["strips"]]
+    offsets = [seam["offset_px"] for seam in native.measured[""]["strips"]]
     np.testing.assert_allclose(offsets, np.diff(places, axis=0), atol=0.05)
     campaign = load_campaign(folder)
     (capture,), _ = find_captures(campaign)
@@ -244,7 +244,7 @@ def test_light_that_changed_between_passes_is_warned_of(tmp_path):
     scene = paint()
     strips = [strip(scene, 0, 0), strip(scene, 115.37, 0)]
     native = developed(write_campaign(tmp_path / "c", strips, light=0.94))
-    (seam,) = native.learnt[""]["strips"]
+    (seam,) = native.measured[""]["strips"]
     assert seam["difference_over_sigma"] > 1.5
     assert any("times their sigma" in text for text in native.warnings)
     assert np.abs(seam["offset_px"][0] - 115.37) < 0.05

@@ -54,11 +54,11 @@ def test_a_band_that_drifts_more_than_others_keeps_its_own_change():
     np.testing.assert_allclose(found.sigma, 8 * lean, rtol=0.25)
 
 
-def test_the_unseen_drift_is_what_would_just_have_been_found():
+def test_the_detection_limit_of_drift_is_what_would_just_have_been_found():
     rng = np.random.default_rng(4)
-    unseen = lamp_along(white(rng), 1500).unseen
+    limit = lamp_along(white(rng), 1500).detection_limit
     reach = (32 + 1500) / 64
-    drifts = [unseen / reach * size for size in (0.5, 2.0)]
+    drifts = [limit / reach * size for size in (0.5, 2.0)]
     less, more = (
         [lamp_along(white(rng, drift=d), 1500).white.any() for _ in range(40)] for d in drifts
     )

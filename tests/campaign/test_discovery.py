@@ -390,7 +390,7 @@ def test_an_object_without_a_reference_image_is_refused_and_the_other_is_found(t
             ("icon2", "vis", "")
         ]
         problem = refusals["icon2", "vis", ""].problems[0]
-        assert problem.code == "E_NO_FRAMES" and problem.found == "seen by photo"
+        assert problem.code == "E_NO_FRAMES" and problem.found == "captured by photo"
     targets = 'dark = "dark"\nwhite = "white"\nobjects = ["icon1"]'
     assert [c.camera for c in found_in(tmp_path, VIS + PHOTO, targets)] == ["vis", "photo"]
 

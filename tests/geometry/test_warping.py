@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from levkas.core.cube import Flag
-from levkas.geometry.depth_step import LedgeShift
+from levkas.geometry.depth_step import DepthStepShift
 from levkas.geometry.grid import Grid
-from levkas.geometry.pixel_maps import LEDGE_SHARE, TOLERANCE_PX, _evaluate, lay
+from levkas.geometry.pixel_maps import STEP_SHARE, TOLERANCE_PX, _evaluate, lay
 from levkas.geometry.resample import Warped, source_rows, warp
 from levkas.geometry.transforms import Affine, Composed, Inverse, Lens, Polynomial
 
@@ -461,7 +461,7 @@ def test_importing_the_module_does_not_import_numba():
 
 def test_the_step_of_a_ledge_is_laid_out_as_exactly_as_its_place_is_known():
     lines = np.array([[1, 0.005, -156], [-1, -0.005, 1236], [-0.005, 1, -156], [0.005, -1, 884.0]])
-    ledge = LedgeShift(
+    ledge = DepthStepShift(
         lines, 33.0, np.array([696.0, 520]), 696.0, np.array([[0.6, 0.2], [0, 0], [0, 0]])
     )
     whole = Composed(ledge, Affine.scaling(1.0))
@@ -472,12 +472,12 @@ def test_the_step_of_a_ledge_is_laid_out_as_exactly_as_its_place_is_known():
     laid = _evaluate(lattice.table, (1040, 1392), lattice.segment, x[0], y[:, 0])
     error = np.abs(laid - whole(points)).max()
     # Half again as much as at the places that are checked.
-    assert TOLERANCE_PX < lattice.error <= LEDGE_SHARE * ledge.most
-    assert error < 1.5 * LEDGE_SHARE * ledge.most
+    assert TOLERANCE_PX < lattice.error <= STEP_SHARE * ledge.most
+    assert error < 1.5 * STEP_SHARE * ledge.most
 
 
 def test_bands_are_laid_out_no_more_coarsely_than_the_first_and_each_within_its_tolerance():
-    ledge = LedgeShift(
+    ledge = DepthStepShift(
         np.array([[1.0, 0, -60], [-1, 0, 540], [0, 1, -60], [0, -1, 340]]),
         *(33.0, np.array([300.0, 200]), 300.0, np.array([[0.6, 0.2], [0, 0], [0, 0]])),
     )
@@ -489,4 +489,4 @@ def test_bands_are_laid_out_no_more_coarsely_than_the_first_and_each_within_its_
         lay([plain, bent], (400, 600)).lattices[0].segment
         == lay(plain, (400, 600)).lattices[0].segment
     )
-    assert max(one.error for one in together) <= LEDGE_SHARE * ledge.most
+    assert max(one.error for one in together) <= STEP_SHARE * ledge.most

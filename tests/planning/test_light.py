@@ -164,7 +164,7 @@ def test_claims_of_section_3_1_as_numbers(bench):
     assert flat45.gold > 3 * proposed.gold and flat45.gold_spread > 3 > proposed.gold_spread
     assert soft.varnish > 5 * proposed.varnish and soft.gold > 3 * proposed.gold
     assert soft.drop < 0.13
-    assert proposed.texture_seen > 2 * by_name["crossed"].texture_seen
+    assert proposed.texture_varnished > 2 * by_name["crossed"].texture_varnished
     cost = by_name["proposed"].mean / by_name["d65"].mean
     assert 1.5 <= cost <= 1.65
 

@@ -48,7 +48,7 @@ class Case:
 
 STRAY, STRAY_UNKNOWN = "stray light", "stray light was not measured"
 LAMP = "how the lamp changed was not measured"
-LAMP_UNSEEN = "no change of the lamp was found within the white"
+LAMP_UNDETECTED = "no change of the lamp was found within the white"
 CHART = np.array([
     (0.062, 0.084, 0.179), (0.213, 0.276, 0.595), (0.331, 0.185, 0.147), (0.061, 0.17, 0.112), (0.426, 0.208, 0.313),
     (0.381, 0.488, 0.188), (0.055, 0.199, 0.584), (0.4, 0.096, 0.098), (0.128, 0.093, 0.591), (0.139, 0.051, 0.166),
@@ -76,9 +76,9 @@ def _cases() -> list[Case]:
         ("lamp drifts within the stacks", "bands mosaic sensors cube mirror",
          {"2 %": {"drift": 0.02}, "5 %": {"drift": 0.05}}, {}, LAMP, r"drift|lamp"),
         ("lamp sinks over a scan of 480 lines", "cube",
-         {"2 %": {"drift": 0.02}, "5 %": {"drift": 0.05}}, {"shape": (480, 200)}, LAMP_UNSEEN, r"drift|lamp"),
+         {"2 %": {"drift": 0.02}, "5 %": {"drift": 0.05}}, {"shape": (480, 200)}, LAMP_UNDETECTED, r"drift|lamp"),
         ("lamp sinks over a scan of 1500 lines", "cube",
-         {"2 %": {"drift": 0.02}, "5 %": {"drift": 0.05}}, {"shape": (1500, 200)}, LAMP_UNSEEN, r"drift|lamp"),
+         {"2 %": {"drift": 0.02}, "5 %": {"drift": 0.05}}, {"shape": (1500, 200)}, LAMP_UNDETECTED, r"drift|lamp"),
         ("lamp drifts, whites on both sides, times stated", "bands mosaic sensors",
          {"2 %": {"drift": 0.02, "after": 3, "clock": 10.0}, "5 %": {"drift": 0.05, "after": 3, "clock": 10.0}},
          {}, LAMP, r"drift|lamp"),

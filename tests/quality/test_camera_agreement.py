@@ -96,7 +96,7 @@ def test_another_lighting_is_read_as_another_lighting():
     pair = compare_layers(layer("a", VIS), layer("a", VIS, factor=0.6, setup="raking", seed=1), {})
     assert pair.contradictions
     found = describe_agreement([pair])
-    assert found.rows[0].said == "another lighting" and not found.short
+    assert found.rows[0].finding == "another lighting" and not found.short
 
 
 def test_wrong_wavelengths_are_told_from_a_wrong_light():

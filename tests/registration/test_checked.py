@@ -54,7 +54,7 @@ def test_a_map_that_reaches_over_half_of_the_object_is_doubtful_and_names_the_pl
     assert found.verdict.decision == "warn"
     numbers = found.verdict.numbers["NIR" if "NIR" in found.verdict.numbers else "sensor"]
     assert 0.4 < numbers["checked"] < 0.75
-    x, y, width, height, share = numbers["borne_out"]["unchecked"][0]
+    x, y, width, height, share = numbers["verification"]["unchecked"][0]
     # The lower half begins at 115; windows of 40 px confirm the map down to there.
     assert 90 < y < 175 and y + height > 215 and width > 250 and 0.25 < share < 0.6
     reason = next(r for r in found.verdict.reasons if "was checked" in r)
@@ -126,7 +126,7 @@ def test_another_painting_by_the_same_pattern_in_the_same_place_is_never_accepte
 def test_the_same_painting_is_accepted(ours):
     found = register(ours, seen(icon(1), (460, 540, 660), (1.3, -2.4), 2), reference_band="550")
     assert found.verdict.decision == "accept"
-    assert found.verdict.numbers["sensor"]["borne_out"]["marks"]["correlation"] > 0.5
+    assert found.verdict.numbers["sensor"]["verification"]["marks"]["correlation"] > 0.5
 
 
 @pytest.mark.parametrize("of", ["reference", "target"])
@@ -152,11 +152,11 @@ def test_one_grey_picture_stored_as_three_has_the_verdict_of_one_band(ours, of):
 def test_a_map_that_never_comes_to_rest_says_so(ours, monkeypatch):
     target = seen(icon(1), (460, 540, 660), (1.3, -2.4), 2)
     rested = register(ours, target, reference_band="550")
-    assert rested.model["sensors"][0]["settled"] is True
-    monkeypatch.setattr(coarse_to_fine, "SETTINGS", replace(coarse_to_fine.SETTINGS, settled=0.0))
+    assert rested.model["sensors"][0]["converged"] is True
+    monkeypatch.setattr(coarse_to_fine, "SETTINGS", replace(coarse_to_fine.SETTINGS, converged=0.0))
     found = register(ours, target, reference_band="550")
     sensor = found.model["sensors"][0]
-    assert (sensor["rounds"], sensor["settled"]) == (8, False)
+    assert (sensor["rounds"], sensor["converged"]) == (8, False)
     assert found.verdict.decision == "warn"
     assert any("did not converge in 8 rounds" in r for r in found.verdict.reasons)
 
@@ -212,7 +212,7 @@ def test_the_trace_is_of_the_windows_that_the_map_rests_on(half_blank):
     shift = np.hypot(windows["shift_x"], windows["shift_y"])
     assert 0 < np.median(shift) <= np.median(held) < 1
     numbers = found.errors["sensors"][""]
-    assert int(checks.confirmed.sum()) == numbers["borne_out"]["agreeing"]
+    assert int(checks.confirmed.sum()) == numbers["verification"]["agreeing"]
     (figure,) = draw_basis(trace, (300, 230))
     assert figure.svg.count("<use") >= len(checks.found)
     assert f"{sensor['count']} windows" in figure.svg

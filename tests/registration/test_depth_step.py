@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from levkas.geometry import from_dict
-from levkas.geometry.depth_step import LedgeShift
+from levkas.geometry.depth_step import DepthStepShift
 from levkas.geometry.transforms import Affine, Composed, Lens
 from levkas.registration.depth_step import (
     average_over_windows,
@@ -23,7 +23,7 @@ def sunk(turned=0.01, shift=((0.1, -0.05), (0.3, 0.0), (0.0, 0.25))):
     normals = np.array([[c, s], [-c, -s], [-s, c], [s, -c]])
     middle, half = np.array([500.0, 380]), np.array([350.0, 350, 260, 260])
     lines = np.column_stack([normals, half - normals @ middle])
-    return LedgeShift(lines, 24.0, middle, 500.0, np.array(shift))
+    return DepthStepShift(lines, 24.0, middle, 500.0, np.array(shift))
 
 
 def windows(truth, seed=0, step=CELL):
@@ -65,7 +65,7 @@ def test_the_ladder_takes_a_ledge_where_there_is_one_and_is_nearer_to_the_truth_
         select_model(seen, SelectionTerms(192, cell=CELL, depth_step=True)),
         select_model(seen, SelectionTerms(192)),
     )
-    assert with_it.name.endswith("+ledge") and "ledge" not in without.name
+    assert with_it.name.endswith("+depth_step") and "depth_step" not in without.name
     rng = np.random.default_rng(2)
     points = rng.uniform([20, 20], [980, 740], (2000, 2))
     errors = [
@@ -77,7 +77,9 @@ def test_the_ladder_takes_a_ledge_where_there_is_one_and_is_nearer_to_the_truth_
 def test_there_is_no_ledge_in_an_even_panel():
     seen = windows(VIEW, 3)
     assert find_depth_step(seen, CELL) is None
-    assert "ledge" not in select_model(seen, SelectionTerms(192, cell=CELL, depth_step=True)).name
+    assert (
+        "depth_step" not in select_model(seen, SelectionTerms(192, cell=CELL, depth_step=True)).name
+    )
 
 
 def test_a_ledge_goes_there_and_back_and_its_slopes_are_those_of_differences():
@@ -112,7 +114,7 @@ def test_what_is_seen_through_a_map_with_a_ledge_finds_the_same_ledge_again():
     left = points.target - windows(first.transform, 8, 2 * CELL).target  # both noises
     again = Observations(seen.points, through + left, seen.jacobian, seen.information / 2)
     second = select_model(again, SelectionTerms(192, cell=CELL, depth_step=True))
-    assert second.name.endswith("+ledge")
+    assert second.name.endswith("+depth_step")
     dense = np.random.default_rng(9).uniform([20, 20], [980, 740], (2000, 2))
     errors = [
         np.linalg.norm(r.transform(dense) - truth(dense), axis=1).mean() for r in (first, second)

@@ -154,7 +154,7 @@ def test_a_map_beside_which_a_patch_lies_is_doubtful(painting, front):
     assert found.verdict.decision == "warn"
     assert "A part smaller than the check windows lies " in " ".join(found.verdict.reasons)
     assert "flicker" in found.verdict.next_step
-    numbers = found.verdict.numbers["sensor"]["borne_out"]["fine_displacement"]
+    numbers = found.verdict.numbers["sensor"]["verification"]["fine_displacement"]
     assert numbers["size_px"] == pytest.approx(2.0, rel=0.15)
 
 

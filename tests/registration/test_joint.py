@@ -78,13 +78,13 @@ def missed(base, number):
 
 
 @pytest.mark.slow
-def test_mates_bring_noisy_captures_nearer_to_the_truth():
+def test_companions_bring_noisy_captures_nearer_to_the_truth():
     captures = [sighting(k, cell=12.0) for k in range(4)]
     before = after = 0.0
     for k, mine in enumerate(captures[:3]):
         found = adjust_jointly(mine, captures[:k] + captures[k + 1 :])
         assert found.selected is not None
-        assert found.mates == (0, 1, 2)
+        assert found.companions == (0, 1, 2)
         before, after = before + missed(mine.base, k), after + missed(found.base, k)
     # How each painting lies is its own affair: eight of twelve terms.
     assert after < 0.92 * before
@@ -93,23 +93,25 @@ def test_mates_bring_noisy_captures_nearer_to_the_truth():
 def test_a_panel_of_another_shape_takes_no_part():
     mine, like, other = sighting(0), sighting(1), sighting(2, bulge=1.6)
     found = adjust_jointly(mine, [other])
-    assert found.mates == ()
+    assert found.companions == ()
     assert found.selected is None
     assert found.base is mine.base
-    assert adjust_jointly(mine, [other, like]).mates == (1,)
+    assert adjust_jointly(mine, [other, like]).companions == (1,)
 
 
-def test_what_was_not_seen_from_the_same_place_takes_no_part():
+def test_what_was_not_captured_from_the_same_place_takes_no_part():
     mine, far = sighting(0), sighting(1)
-    bent = far.seen.points + 3.0 * np.sin(far.seen.points / 60)
-    moved = Observations(bent, far.seen.target, far.seen.jacobian, far.seen.information)
+    bent = far.observations.points + 3.0 * np.sin(far.observations.points / 60)
+    moved = Observations(
+        bent, far.observations.target, far.observations.jacobian, far.observations.information
+    )
     stranger = SensorObservations(
         "", far.labels, far.base, far.chromatic, far.held_out, moved, far.terms
     )
-    assert adjust_jointly(mine, [stranger]).mates == ()
+    assert adjust_jointly(mine, [stranger]).companions == ()
 
 
-def test_the_order_of_the_mates_only_numbers_them():
+def test_the_order_of_the_companions_only_numbers_them():
     mine, *others = (sighting(k) for k in range(3))
     one, other = adjust_jointly(mine, others), adjust_jointly(mine, others[::-1])
     points = SIZE * np.random.default_rng(1).random((50, 2))
@@ -184,25 +186,25 @@ def test_one_capture_alone_and_bands_never_measured_come_back_as_they_are():
 # --- what is kept -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seen", [True, False])
-def test_a_sighting_comes_back_from_its_arrays_as_it_was(seen):
+@pytest.mark.parametrize("observed", [True, False])
+def test_a_sighting_comes_back_from_its_arrays_as_it_was(observed):
     one = sighting(3, labels=("a", "b"))
-    if not seen:
+    if not observed:
         one = SensorObservations("left", ("a", "b"), Affine.identity(), colour(2))
     again = SensorObservations.from_arrays(one.to_arrays())
     assert (again.sensor, again.labels, again.terms) == (one.sensor, one.labels, one.terms)
     assert json.dumps(again.base.to_dict()) == json.dumps(one.base.to_dict())
     np.testing.assert_array_equal(again.chromatic.variances, one.chromatic.variances)
-    if seen:
-        np.testing.assert_array_equal(again.seen.information, one.seen.information)
+    if observed:
+        np.testing.assert_array_equal(again.observations.information, one.observations.information)
 
 
 def test_an_enlarged_sighting_speaks_of_the_larger_pixels():
     one = sighting(2)
     grow = Affine(np.array([[4.0, 0, 1.5], [0, 4.0, 1.5]]))
     large = one.enlarged(grow)
-    points = one.seen.points[:5]
+    points = one.observations.points[:5]
     np.testing.assert_allclose(large.base(points), grow(one.base(points)))
     np.testing.assert_allclose(
-        large.seen.residuals(large.base), one.seen.residuals(one.base), atol=1e-9
+        large.observations.residuals(large.base), one.observations.residuals(one.base), atol=1e-9
     )

@@ -296,7 +296,7 @@ def test_a_map_of_a_wobbling_scan_is_doubtful_and_its_reason_names_size_and_peri
     assert wobbling.verdict.decision == "warn"
     assert "every 40 lines, along the lines" in wobbling.verdict.reasons[0]
     assert "lines" in wobbling.verdict.next_step
-    numbers = wobbling.verdict.numbers["sensor"]["borne_out"]["line_displacement"]
+    numbers = wobbling.verdict.numbers["sensor"]["verification"]["line_displacement"]
     assert numbers["size_px"] == pytest.approx(1.0, rel=0.1)
     drawn = wobbling.basis["sensors"][0]["lines"]
     assert len(drawn["along"]) == 240

@@ -27,7 +27,7 @@ OF_REQUESTS = {"E_METHOD",
 SHAPE = {"scale_min": 0.9, "scale_max": 1.1, "area_ratio": 1.1, "anisotropy": 1.1}
 MAP = {
     "overlap": 0.9, "folded": 0.0, "tolerance": 1.0, "kept": 40, "terms": 10, "alike": True,
-    "coverage": 0.9, "off": [], "off_share": 0.0, "unsupported": [], "rival": 0.2, "checked": 1.0,
+    "coverage": 0.9, "off": [], "off_share": 0.0, "unsupported": [], "second_peak_ratio": 0.2, "checked": 1.0,
     "unchecked": [], "held_out_px": 0.2, "step": 1.0, "object": 1.0,
 }  # fmt: skip
 MARKS = {"held": [True, True], "at_most": 0.1, "correlation": 0.05, "windows": 40}
@@ -61,7 +61,7 @@ REFUSED = {
         {"windows": 400, "found": 3, "agreeing": 3, "window_median": 0.1},
         {"windows": 400, "found": 300, "agreeing": 30, "window_median": 4.0},
     ],
-    "fits_nowhere_else": [{"rival": 1.2}, {"rival": 0.97}],
+    "fits_nowhere_else": [{"second_peak_ratio": 1.2}, {"second_peak_ratio": 0.97}],
     "shows_the_reference": [{"overlap": 0.05}],
     "matches_cover": [{"off_share": 0.5}, {"coverage": 0.1}],
     "windows_cover": [{"coverage": 0.1}, {"off_share": 0.5, "off": [[0, 0, 9, 9]]}],

@@ -157,9 +157,9 @@ def test_other_outlines_are_refused():
 UNSURE = {
     "kept": 20, "terms": 6, "by_outlines": True, "share_above_chance": 0.1, "held_out_px": np.inf, "step": 1,
     "window_sigma_px": None, "overlap": 1.0, "folded": 0.0, "windows": 8, "found": 0, "agreeing": 0,
-    "window_median": np.inf, "tolerance": 1.0, "rival": 0.2, "coverage": 0.0, "off_share": 0.0, "off": [],
+    "window_median": np.inf, "tolerance": 1.0, "second_peak_ratio": 0.2, "coverage": 0.0, "off_share": 0.0, "off": [],
     "unsupported": [[0, 0, 5, 5]], "checked": 0.0, "unchecked": [[0, 0, 9, 9, 1.0]],
-    "cover": 0.6, "settled": True,
+    "cover": 0.6, "converged": True,
 }  # fmt: skip
 
 
@@ -168,5 +168,9 @@ def test_want_of_evidence_is_a_doubt_where_outlines_agree():
         outlines = {"blocks": 30, "agreeing": agreeing, "px": 2.0}
         found = objections_to({**UNSURE, "outlines": outlines}, WINDOWS)
         assert ("refuse" in [one.decision for one in found]) == (decision == "refuse")
-    off = {**UNSURE, "outlines": {"blocks": 30, "agreeing": 28, "px": 2.0}, "rival": 1.2}
+    off = {
+        **UNSURE,
+        "outlines": {"blocks": 30, "agreeing": 28, "px": 2.0},
+        "second_peak_ratio": 1.2,
+    }
     assert "refuse" in [one.decision for one in objections_to(off, WINDOWS)]

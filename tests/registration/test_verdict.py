@@ -72,14 +72,14 @@ def test_windows_of_another_painting_are_not_found(studio, pictures):
     other = studio.photograph(studio.paint(22), STILL, seed=3)
     seen = search_windows(pictures[0], (other, np.ones(other.shape, bool)), STILL)
     assert seen.found.mean() < 0.1
-    assert seen.rival > 0.8
+    assert seen.second_peak_ratio > 0.8
 
 
 def test_a_repeated_picture_has_a_rival():
     tile = np.random.default_rng(1).uniform(0, 1, (23, 23))
     wall = np.tile(tile, (10, 14)).astype(np.float32)
     seen = (wall, np.ones(wall.shape, bool))
-    assert search_windows(seen, seen, STILL).rival > 0.95
+    assert search_windows(seen, seen, STILL).second_peak_ratio > 0.95
 
 
 def bent(curve):
@@ -213,12 +213,12 @@ def test_cells_that_lie_off_make_a_map_doubtful(pictures):
 
 SOUND = {
     "held_out_px": 0.02, "windows": 264, "share_above_chance": 1.0, "cover": 0.84, "step": 1, "key_points_kept": 335,
-    "key_points": 716, "rounds": 2, "settled": True, "moved": 0.01, "checked": 0.98, "alike": True, "terms": 9,
+    "key_points": 716, "rounds": 2, "converged": True, "moved": 0.01, "checked": 0.98, "alike": True, "terms": 9,
 }  # fmt: skip
 CONFIRMED = {
     "tolerance": 1.0, "overlap": 1.0, "folded": 0.0, "mirrored": False, "scale_min": 2.4, "scale_max": 2.5,
     "area_ratio": 1.02, "anisotropy": 1.01, "windows": 117, "found": 117, "agreeing": 117, "window_median": 0.02,
-    "window_p90": 0.07, "rival": 0.2, "coverage": 1.0, "off_share": 0.0, "unsupported": [], "off": [], "outside": [],
+    "window_p90": 0.07, "second_peak_ratio": 0.2, "coverage": 1.0, "off_share": 0.0, "unsupported": [], "off": [], "outside": [],
     "checked": 0.98, "unchecked": [[255.2, 19.0, 20.8, 18.6, 0.02]],
     "marks": {"correlation": 0.6, "at_most": 0.61, "windows": 40, "held": [True, True]},
 }  # fmt: skip
@@ -239,7 +239,7 @@ APART = {"correlation": 0.05, "at_most": 0.1, "windows": 40, "held": [True, True
         ),  # it reaches over more than a quarter
         ({"checked": 0.7}, "warn", 0.3),
         ({"off": [CELL], "off_share": 0.05}, "warn", 0.02),
-        ({"rival": 0.9}, "warn", 0.02),
+        ({"second_peak_ratio": 0.9}, "warn", 0.02),
         ({"held_out_px": 0.3, "window_sigma_px": 0.1}, "warn", 0.02),
         (
             {"held_out_px": 0.3, "window_sigma_px": 0.4},
@@ -260,7 +260,7 @@ def test_what_is_contradicted_is_doubtful_and_what_was_not_checked_is_counted(
     change, decision, unchecked
 ):
     numbers = {**SOUND, **{k: v for k, v in change.items() if k not in CONFIRMED or k == "checked"}}
-    verdict = judge_windows({"sensor": {**numbers, "borne_out": {**CONFIRMED, **change}}})
+    verdict = judge_windows({"sensor": {**numbers, "verification": {**CONFIRMED, **change}}})
     assert verdict.decision == decision
     assert verdict.unchecked == pytest.approx(unchecked, abs=0.01)
     if decision == "accept":
@@ -278,7 +278,7 @@ def test_what_stands_in_another_plane_is_named(pictures):
     case = evidence([reference, (nearer, valid)])
     cells = measure_support(case.overlap, checks, np.empty((0, 2)))
     assert len(cells["off"]) >= 2 and np.allclose(np.abs(cells["off_shift"]), [6, 0], atol=0.5)
-    verdict = judge_windows({"sensor": {**SOUND, "borne_out": {**CONFIRMED, **cells}}})
+    verdict = judge_windows({"sensor": {**SOUND, "verification": {**CONFIRMED, **cells}}})
     assert verdict.decision == "warn"
     assert "px: the object has more than one plane" in verdict.reasons[0]
 
@@ -286,7 +286,7 @@ def test_what_stands_in_another_plane_is_named(pictures):
 def test_the_default_method_never_advises_keys_of_the_papers(pictures):
     right = measure(evidence(pictures))
     right |= {"share_above_chance": 1.0, "held_out_px": 0.1, "step": 1.0, "cover": 1.0}
-    right |= {"settled": True, "rounds": 3, "moved": 0.2, "unchecked": [[0, 0, 100, 100, 0.4]]}
+    right |= {"converged": True, "rounds": 3, "moved": 0.2, "unchecked": [[0, 0, 100, 100, 0.4]]}
     right |= {"found": 90, "windows": 100, "alike": True, "off": [], "unsupported": []}
     wrong = {
         "share_above_chance": 0.1,
@@ -297,12 +297,12 @@ def test_the_default_method_never_advises_keys_of_the_papers(pictures):
         "found": 0,
         "agreeing": 0,
         "window_median": 9.0,
-        "rival": 1.2,
+        "second_peak_ratio": 1.2,
         "off_share": 0.5,
         "coverage": 0.2,
         "cover": 0.1,
         "kept": 3,
-        "settled": False,
+        "converged": False,
         "checked": 0.5,
         "marks": APART,
     }

@@ -52,7 +52,7 @@ def test_a_half_covered_object_is_accepted_and_the_covered_half_is_named(studio,
     seen = truth(points)[:, 0] < studio.size[0] // 2 - 5
     miss = np.linalg.norm(found.transforms["grey"](points) - truth(points), axis=1)
     assert miss[seen].mean() < 0.1
-    numbers = found.verdict.numbers["sensor"]["borne_out"]
+    numbers = found.verdict.numbers["sensor"]["verification"]
     assert 0.3 < numbers["coverage"] < 0.7
     # Cells are 50 px wide: none that is named lies wholly in the half that shows the object.
     assert all(x + width > 120 for x, _, width, _ in numbers["unsupported"] + numbers["off"])
@@ -104,7 +104,7 @@ def test_a_map_that_is_wholly_off_is_borne_out_nowhere(front):
     right, _ = verify(image[None], image, 1, STILL, valid, valid)
     # What another place shows is predicted as well as blocks of gains allow, and no more.
     wrong, _ = verify(image[None], np.roll(image, (70, 90), (0, 1)), 1, STILL, valid, valid)
-    assert right["coverage"] == 1 and right["rival"] < 0.8
+    assert right["coverage"] == 1 and right["second_peak_ratio"] < 0.8
     assert wrong["found"] < 0.2 * right["found"]
 
 

@@ -37,7 +37,7 @@ async function copy(text: string, beside: HTMLElement): Promise<boolean> {
 }
 
 function copyOldWay(text: string, beside: HTMLElement): boolean {
-  const field = make("textarea", { class: "unseen", "aria-hidden": "true" });
+  const field = make("textarea", { class: "visually-hidden", "aria-hidden": "true" });
   field.value = text;
   beside.after(field);
   field.select();

@@ -53,7 +53,7 @@ export class NotePanel {
   private readonly file = make("input", {
     type: "file",
     accept: ".json,.jsonld,application/json,application/ld+json",
-    class: "unseen",
+    class: "visually-hidden",
     "aria-label": "File of notes",
   });
   private removed: Note | null = null;

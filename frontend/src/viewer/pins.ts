@@ -35,7 +35,7 @@ export class PinList {
   private readonly file = make("input", {
     type: "file",
     accept: ".csv,.txt,.tsv,text/csv,text/plain",
-    class: "unseen",
+    class: "visually-hidden",
     "aria-label": "File of a reference spectrum",
   });
   private readonly forget = make(

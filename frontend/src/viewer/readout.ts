@@ -147,7 +147,7 @@ export class Readout {
       const at = this.readings.findIndex((reading) => reading.layer === layer);
       this.key.querySelectorAll("button")[at]?.focus();
     });
-    const missing = failure || (spectrum && layer.lattice ? "not seen" : "");
+    const missing = failure || (spectrum && layer.lattice ? "not covered" : "");
     const band = layer.bands[layer.reference_band]?.label ?? "";
     const place = make(
       "span",

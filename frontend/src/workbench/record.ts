@@ -85,7 +85,7 @@ export interface FrameInfo {
   registered_outline: Point[] | null;
   /** The outline of the object in campaign.toml; none where it has none. */
   declared_outline: Point[];
-  ladder: Record<string, number>[];
+  scores: Record<string, number>[];
   chosen: string[];
   basis: Basis | null;
   /** Corners of the object, reference px, within which it was compared; none where the whole frame was. */

@@ -178,7 +178,7 @@ function summarise(frame: FrameInfo, session: SessionState, stale: boolean): str
   const words = [
     `${countPlaces(kept - own.length, own.length)} A simple map through them has a mean error of ${measured(mean)}, at most ${measured(max)}.`,
   ];
-  const taken = frame.ladder[0]?.[frame.chosen[0] ?? ""];
+  const taken = frame.scores[0]?.[frame.chosen[0] ?? ""];
   // What was refused is off elsewhere than where this was measured: the reasons say so.
   if (taken !== undefined && !stale && frame.verdict.decision !== "refuse")
     words.push(` The held-out error of the registration itself is ${measured(taken)}.`);
@@ -195,8 +195,8 @@ function countPlaces(found: number, own: number): string {
   return `${found} places were matched in both pictures${own ? `, ${set}` : ""}.`;
 }
 
-function describeModels({ ladder, chosen }: FrameInfo): HTMLElement[] {
-  const tried = Object.entries(ladder[0] ?? {}).filter(([, error]) => Number.isFinite(error));
+function describeModels({ scores, chosen }: FrameInfo): HTMLElement[] {
+  const tried = Object.entries(scores[0] ?? {}).filter(([, error]) => Number.isFinite(error));
   if (!tried.length) return [];
   const rows = tried.map(([name, error]) => {
     const taken = name === chosen[0];

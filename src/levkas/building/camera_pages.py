@@ -93,11 +93,11 @@ def write_camera_page(
     path = places.output / "cameras" / page.camera / "report.html"
     records.forget(page_key(page.camera))
     make_folder(path.parent)
-    learnt = learnt_of(page, records)
+    measured = measured_of(page, records)
     measures, problems, made = _measured(page, campaign, places, records, templates)
-    write_text(path, _page(page.camera, campaign, learnt, measures, problems))
+    write_text(path, _page(page.camera, campaign, measured, measures, problems))
     described = path.parent / "camera.json"
-    write_json(described, describe_camera(campaign, page.first, learnt))
+    write_json(described, describe_camera(campaign, page.first, measured))
     made += [path, described, *write_sensitivity(path.parent, campaign, page.first)]
     # A chart that cannot be measured is no fault of the objects: said, not refused.
     warnings = (
@@ -147,7 +147,7 @@ def _measured_in(
     inputs: Inputs,
     lost: Mapping[tuple[str, str], Step],
 ) -> dict[str, str]:
-    """Return the calibrations that `learnt_of` takes its measurements from, and what each is made of.
+    """Return the calibrations that `measured_of` takes its measurements from, and what each is made of.
 
     A calibration that is to be done again is another one: what it will measure need not be known.
     """
@@ -164,7 +164,7 @@ def _measured_in(
     return found
 
 
-def learnt_of(page: CameraPage, records: BuildRecords) -> dict[str, dict[str, Any]]:
+def measured_of(page: CameraPage, records: BuildRecords) -> dict[str, dict[str, Any]]:
     """Return the measurements of sensor and light by the first capture of each setup, by setup."""
     found: dict[str, dict[str, Any]] = {}
     for capture in page.captures:
@@ -179,7 +179,7 @@ def _of_camera(records: BuildRecords, key: Key) -> dict[str, dict[str, Any]]:
     """Return what a calibration measured of sensors and light, by sensor."""
     return {
         sensor: {name: value for name, value in one.items() if name != SENSELS}
-        for sensor, one in records.notes(key).get("learnt", {}).items()
+        for sensor, one in records.notes(key).get("measured", {}).items()
     }
 
 
@@ -195,7 +195,7 @@ def _measured(
     from levkas.quality.targets.measuring import ChartMeasure
     from levkas.stages.charts import develop_chart, measure_capture, problems_of, write_chart
 
-    learnt = learnt_of(page, records)
+    measured = measured_of(page, records)
     files: list[Path] = []
     measures: list[ChartMeasure | EdgeTargetMeasure] = []
     problems = list(page.refused)
@@ -203,7 +203,7 @@ def _measured(
         name = f"{capture.object}/{capture.layer}"
         key = key_of(capture, f"chart-{capture.object}")
         records.drop_report(key)
-        light = _evenness(learnt.get(capture.setup, {}))
+        light = _evenness(measured.get(capture.setup, {}))
         try:
             chart = kind_of(campaign.targets.charts[capture.object])
             made = develop_chart(capture, campaign, templates)
@@ -223,9 +223,11 @@ def _measured(
     return measures, problems, files
 
 
-def _evenness(learnt: Mapping[str, Any]) -> WhiteEvenness | None:
+def _evenness(measured: Mapping[str, Any]) -> WhiteEvenness | None:
     """Return how even the white is in its worst channel, from the maps that captures of objects left."""
-    fields = [light for told in learnt.values() for light in told.get("light", {}).values()]
+    fields = [
+        light for of_sensor in measured.values() for light in of_sensor.get("light", {}).values()
+    ]
     drawn = [lightness_spread(levels_of(field)) for field in fields if "levels" in field]
     if not drawn:
         return None
@@ -235,7 +237,7 @@ def _evenness(learnt: Mapping[str, Any]) -> WhiteEvenness | None:
 def _page(
     camera: str,
     campaign: Campaign,
-    learnt: Mapping[str, Mapping[str, Any]],
+    measured: Mapping[str, Mapping[str, Any]],
     measures: Sequence[ChartMeasure | EdgeTargetMeasure],
     problems: Sequence[Problem],
 ) -> str:
@@ -252,18 +254,18 @@ def _page(
     from levkas.pages.radiometry import draw_light
 
     sensors, lights, figures, notes, whites = [], [], [], [], []
-    for setup, of_sensors in learnt.items():
-        for sensor, told in of_sensors.items():
+    for setup, of_sensors in measured.items():
+        for sensor, of_sensor in of_sensors.items():
             name = " ".join(part for part in (setup, sensor) if part)
-            if "sensor" in told:
-                sensors.append(sensor_row(name, told["sensor"]))
-            if CHART_WHITE in told:
-                whites += chart_white_rows(name, told[CHART_WHITE])
+            if "sensor" in of_sensor:
+                sensors.append(sensor_row(name, of_sensor["sensor"]))
+            if CHART_WHITE in of_sensor:
+                whites += chart_white_rows(name, of_sensor[CHART_WHITE])
                 notes.append(
                     f"{name or camera}: fitted to the patches of a chart and extrapolated beyond the chart"
                 )
-            fields = told.get("light", {})
-            notes += _of_lamp(told) if fields else []
+            fields = of_sensor.get("light", {})
+            notes += _of_lamp(of_sensor) if fields else []
             for label in spread(list(fields), FEW_BANDS):
                 lights.append(light_row(f"{name} {label}".strip(), fields[label]))
             notes += [f"{b}: {one['refused']}" for b, one in fields.items() if "refused" in one]
@@ -290,17 +292,19 @@ def _page(
     )
 
 
-def _of_lamp(told: Mapping[str, Any]) -> list[str]:
+def _of_lamp(of_sensor: Mapping[str, Any]) -> list[str]:
     """Return how the lamp changed within the white of a sensor, or that this was not measured."""
-    lamps = {b: one["white"] for b, one in told.get(LAMP, {}).items() if one["white"] is not None}
+    lamps = {
+        b: one["white"] for b, one in of_sensor.get(LAMP, {}).items() if one["white"] is not None
+    }
     if not lamps:
         return [LAMP_UNKNOWN]
     band = max(lamps, key=lambda b: abs(lamps[b]))
-    scan, notes = told[LAMP][band], []
+    scan, notes = of_sensor[LAMP][band], []
     if abs(lamps[band]) * max(scan.get("reach", 0.0), 1.0) > NOTICED:
         notes.append(f"{band}: the lamp changed by {100 * lamps[band]:+.2g} % within the white")
-    elif scan.get("unseen", 0.0) > LAMP_DOUBT:
-        notes.append(LAMP_UNSEEN.format(percent=100 * scan["unseen"]))
+    elif scan.get("detection_limit", 0.0) > LAMP_DOUBT:
+        notes.append(LAMP_UNDETECTED.format(percent=100 * scan["detection_limit"]))
     return notes if scan["interpolated"] else [*notes, LAMP_JUMP]
 
 
@@ -312,7 +316,7 @@ LAMP_JUMP = (
     "whether the lamp changed all at once between white and object is not known: nothing shows it without whites before and after "
     "the objects, with the time in their files"
 )
-LAMP_UNSEEN = (
+LAMP_UNDETECTED = (
     "no change of the lamp was found within the white; a steady one of {percent:.2g} % until the end of the object would not have "
     "been, and sigma does not contain it: scan more lines of the white"
 )
@@ -349,9 +353,9 @@ def write_sensitivity(folder: Path, campaign: Campaign, capture: Capture) -> lis
 
 
 def describe_camera(
-    campaign: Campaign, capture: Capture, learnt: Mapping[str, Mapping[str, Any]]
+    campaign: Campaign, capture: Capture, measured: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Return cameras/CAMERA/camera.json: bands, sensors, and what was learnt of them, by setup."""
+    """Return cameras/CAMERA/camera.json: bands, sensors, and what was measured of them, by setup."""
     keys = campaign.cameras[capture.camera]
     return {
         "camera": capture.camera,
@@ -368,7 +372,9 @@ def describe_camera(
             }
             for s in capture.sensors
         ],
-        "learnt": {setup or "": _without_pictures(told) for setup, told in learnt.items()},
+        "measured": {
+            setup or "": _without_pictures(of_sensor) for setup, of_sensor in measured.items()
+        },
     }
 
 
@@ -383,7 +389,7 @@ def _bands(bands: Sequence[Band]) -> list[dict[str, Any]]:
     ]
 
 
-def _without_pictures(told: Mapping[str, Any]) -> dict[str, Any]:
+def _without_pictures(of_sensor: Mapping[str, Any]) -> dict[str, Any]:
     return {
         sensor: {
             **{k: v for k, v in facts.items() if k != "light"},
@@ -392,5 +398,5 @@ def _without_pictures(told: Mapping[str, Any]) -> dict[str, Any]:
                 for band, light in facts.get("light", {}).items()
             },
         }
-        for sensor, facts in told.items()
+        for sensor, facts in of_sensor.items()
     }

@@ -43,7 +43,7 @@ def write_catalogue_of(
 
     Where not the `whole` campaign is built, other objects keep their rows; so does what a campaign no
     longer has where it is kept. A build that runs beside this one ends before or
-    after: the last to end has seen all.
+    after: the last to end has them all.
     """
     from levkas.building.claiming import in_turn
     from levkas.database.manifest import NAME as MANIFEST
@@ -303,8 +303,8 @@ def spectra_of(campaign: Campaign, setups: Iterable[str]) -> dict[str, str]:
 
 
 def _camera(keys: dict[str, Any]) -> dict[str, Any]:
-    told = ("kind", "bits", "black", "saturation", "scan", "denoise", "demosaic")
-    return {key: keys[key] for key in told if key in keys}
+    listed = ("kind", "bits", "black", "saturation", "scan", "denoise", "demosaic")
+    return {key: keys[key] for key in listed if key in keys}
 
 
 def _under(campaign: Campaign, entries: list[Entry], name: str) -> list[str]:

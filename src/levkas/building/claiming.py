@@ -203,7 +203,7 @@ def building(folder: Path, *, workers: bool) -> Iterator[None]:
     """Hold the records of a database, in `folder`, for one build; builds with workers are alone.
 
     Builds in one process each are let in together: they end in the same bytes. What a build with
-    workers asks for is taken back by another one, whose records its workers then wait for. A lock ends
+    workers requests is taken back by another one, whose records its workers then wait for. A lock ends
     with its process, and on a file system without locks everybody is let in.
 
     Raises

@@ -229,26 +229,26 @@ class Cluster:
                 client.subscribe_topic(topic, lambda event: self.events.put(dict(event[1])))
                 client.run(_prepare, topic, workers=new, wait=False)
         except (OSError, TimeoutError):
-            return []  # it is away: asked again in a second
+            return []  # it is away: tried again in a second
         except Exception as error:  # whatever a worker raises that cannot load Levkas
             raise ClusterRefused(_not_prepared(self.address, error)) from error
         return [one for one in there if one not in new]
 
-    def learn(self, told: dict[str, Any]) -> None:
+    def learn(self, reported: dict[str, Any]) -> None:
         """Take what a worker says of itself; raises ClusterRefused where its code is another one."""
         from levkas.building.worker import code_digest, facts
 
-        worker = told["worker"]
-        self.sizes[worker], self.facts[worker] = float(told["bytes"]), told
-        if told["code"] != code_digest():
+        worker = reported["worker"]
+        self.sizes[worker], self.facts[worker] = float(reported["bytes"]), reported
+        if reported["code"] != code_digest():
             mine = facts()
-            unlike = [n for n in ("levkas", "numpy") if told[n] != mine[n]] or ["levkas"]
+            unlike = [n for n in ("levkas", "numpy") if reported[n] != mine[n]] or ["levkas"]
             raise ClusterRefused(
                 Problem(
                     "E_VERSION",
                     f"the worker {worker} has a different version of Levkas or of its libraries",
                     field="--cluster",
-                    found=", ".join(f"{name} {told[name]}" for name in unlike),
+                    found=", ".join(f"{name} {reported[name]}" for name in unlike),
                     expected=", ".join(f"{name} {mine[name]}" for name in unlike),
                     fix="Install the same requirements.lock on all machines.",
                 )
@@ -259,13 +259,15 @@ class Cluster:
         """What workers and this process differ in, and what they compute may in its last bits."""
         from levkas.building.worker import facts
 
-        told, mine = [], facts()
+        differences, mine = [], facts()
         for name in ("python", "numpy", "BLAS", "instruction set"):
             kinds = Counter(str(one[name]) for one in self.facts.values())
             if kinds.keys() - {str(mine[name])}:
                 each = "; ".join(f"{count} of {kind}" for kind, count in sorted(kinds.items()))
-                told.append(f"the workers differ in {name}: {each}; this machine has {mine[name]}")
-        return tuple(told)
+                differences.append(
+                    f"the workers differ in {name}: {each}; this machine has {mine[name]}"
+                )
+        return tuple(differences)
 
     def send(self, name: str, job: Job, need: float, priority: int) -> Future:
         """Send a task to a worker that has the memory; dask chooses one that is idle, and another where that is lost."""
@@ -280,15 +282,15 @@ class Cluster:
         future.add_done_callback(lambda _: self.events.put({}))
         return future
 
-    def heard(self, patience_s: float) -> list[dict[str, Any]]:
+    def next_events(self, patience_s: float) -> list[dict[str, Any]]:
         """Return what workers have said and what has ended; wait for the first of it."""
         try:
-            told = [self.events.get(timeout=patience_s)]
+            events = [self.events.get(timeout=patience_s)]
         except queue.Empty:
             return []
         while not self.events.empty():
-            told.append(self.events.get())
-        return told
+            events.append(self.events.get())
+        return events
 
     def result(self, future: Future) -> Made | None:
         """Return what a task has made; None where the scheduler cannot say it now."""
@@ -365,13 +367,13 @@ async def _prepare(topic: str, dask_worker: Worker) -> None:
     from levkas.building.worker import facts, prepare
 
     size = prepare(dask_worker.state.nthreads, dask_worker.memory_manager.memory_limit)
-    told = await asyncio.to_thread(facts)
+    reported = await asyncio.to_thread(facts)
     await dask_worker.set_resources(**{SLOT: 1, BYTES: size})
     if dask_worker.status == Status.running:
         # dask gives a worker what waits for one as it begins to run, which was before it had resources.
         dask_worker.status = Status.paused
         dask_worker.status = Status.running
-    dask_worker.log_event(topic, {"worker": dask_worker.address, "bytes": size, **told})
+    dask_worker.log_event(topic, {"worker": dask_worker.address, "bytes": size, **reported})
 
 
 def _do(job: Job) -> Made:
@@ -382,8 +384,8 @@ def _do(job: Job) -> Made:
     name = worker.get_current_task()
 
     def say(peak: int, frames: int) -> None:
-        told = {"begun": name, "on": worker.address, "peak": peak, "frames": frames}
-        worker.log_event(f"levkas-{job.build}", told)
+        reported = {"begun": name, "on": worker.address, "peak": peak, "frames": frames}
+        worker.log_event(f"levkas-{job.build}", reported)
 
     def is_wanted() -> bool:
         state = worker.state.tasks.get(name)

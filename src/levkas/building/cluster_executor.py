@@ -48,7 +48,7 @@ NEAR = 0.8
 """Share of a worker's memory from which its end is put down to want of memory; dask ends it at 0.95."""
 BASE, STREAMED = 200e6, 1.5e9
 """Bytes that a process takes before it reads a frame, and those of a scan whose rows are resampled."""
-SAID_S = 10.0
+WITHOUT_WORKER_S = 10.0
 """How long there may be no worker before that is said; a restart takes seconds."""
 LOOK_S = 1.0
 """How long to wait for news before the workers are counted."""
@@ -143,7 +143,7 @@ class ClusterExecutor:
         """What each worker has done last, and may hold cubes of."""
         self._there: list[str] = []
         self._counted = 0.0
-        self._alone_since, self._said_so = time.monotonic(), False
+        self._alone_since, self._is_reported = time.monotonic(), False
 
     def run(
         self, tasks: Sequence[Task], write_page: Callable[[Task], Iterable[Step]]
@@ -160,15 +160,22 @@ class ClusterExecutor:
         ):
             try:
                 self._alone_since = time.monotonic()
-                said = ""
+                shown_where = ""
                 while self._sorter.is_active():
-                    for step in (*self._take_up(), *self._send(), *self._heard(), *self._alone()):
-                        said = self.where
+                    for step in (
+                        *self._take_up(),
+                        *self._send(),
+                        *self._last_events(),
+                        *self._alone(),
+                    ):
+                        shown_where = self.where
                         of_capture = step.key.object and step.key.camera
-                        yield replace(step, where=said) if of_capture else step
-                    if said != self.where and (first := next(iter(self._flying.values()), None)):
-                        said = self.where
-                        yield Step(first.key, "running", first.due.why, where=said)
+                        yield replace(step, where=shown_where) if of_capture else step
+                    if shown_where != self.where and (
+                        first := next(iter(self._flying.values()), None)
+                    ):
+                        shown_where = self.where
+                        yield Step(first.key, "running", first.due.why, where=shown_where)
             finally:
                 for pool in (self._hasher, self._pages):
                     pool.shutdown(wait=False, cancel_futures=True)
@@ -186,13 +193,13 @@ class ClusterExecutor:
     @property
     def where(self) -> str:
         """How many workers there are, and which task waits for memory while one of them is idle."""
-        told = counted(len(self._there), "worker")
+        text = counted(len(self._there), "worker")
         room = self._room(self._idle())
         large = [flight.key for flight in self._unbegun() if flight.need > room]
         if not room or not large:
-            return told
+            return text
         more = f" and {len(large) - 1} more wait" if len(large) > 1 else " waits"
-        return f"{told}, {large[0].object}/{large[0].layer}{more} for memory"
+        return f"{text}, {large[0].object}/{large[0].layer}{more} for memory"
 
     def _idle(self) -> list[str]:
         """Return the workers that are there and have no task that has begun."""
@@ -352,10 +359,10 @@ class ClusterExecutor:
 
     # --- hearing --------------------------------------------------------------------------------
 
-    def _heard(self) -> Iterator[Step]:
+    def _last_events(self) -> Iterator[Step]:
         """Take what workers say and what has ended; wait a second at most for the first of it."""
-        told = self._cluster.heard(LOOK_S)
-        for one in told:
+        events = self._cluster.next_events(LOOK_S)
+        for one in events:
             if "bytes" in one:
                 self._cluster.learn(one)
             elif "begun" in one:
@@ -364,7 +371,7 @@ class ClusterExecutor:
                 yield from one["steps"].result()
                 self._sorter.done(one["ended"])
         now = time.monotonic()
-        if now - self._counted > LOOK_S or any("bytes" in one for one in told):
+        if now - self._counted > LOOK_S or any("bytes" in one for one in events):
             self._there = self._cluster.workers()
             self._counted = now
         for flight in list(self._flying.values()):
@@ -372,15 +379,15 @@ class ClusterExecutor:
                 flight.on = ""  # dask gives it another worker
             yield from self._look_after(flight, now)
 
-    def _note_begun(self, told: dict[str, Any]) -> None:
+    def _note_begun(self, begun: dict[str, Any]) -> None:
         """Note where a task is done and how far it is; each attempt begins without a frame."""
         for key, flight in self._flying.items():
-            if flight.future is not None and flight.future.key == told["begun"]:
-                if not told["peak"]:
-                    flight.attempts.append({"worker": told["on"], "peak": 0})
-                    flight.on, flight.frames = told["on"], 0
+            if flight.future is not None and flight.future.key == begun["begun"]:
+                if not begun["peak"]:
+                    flight.attempts.append({"worker": begun["on"], "peak": 0})
+                    flight.on, flight.frames = begun["on"], 0
                     self._last[flight.on] = key
-                self._note_progress(flight, told["peak"], told["frames"])
+                self._note_progress(flight, begun["peak"], begun["frames"])
 
     def _note_progress(self, flight: Flight, peak: int, frames: int) -> None:
         if flight.attempts:
@@ -455,7 +462,7 @@ class ClusterExecutor:
         begun, unbegun = any(f.on for f in self._flying.values()), self._unbegun()
         large = [flight for flight in unbegun if flight.need > room]
         if room and (begun or not large or len(large) < len(unbegun)):
-            self._alone_since, self._said_so = now, False
+            self._alone_since, self._is_reported = now, False
             return
         alone, patience = now - self._alone_since, no_workers_s()
         if alone > patience and not room:
@@ -463,8 +470,8 @@ class ClusterExecutor:
         if alone > patience:
             for flight in large:
                 yield from self._refuse(flight, self._too_large(flight, room))
-        elif alone >= SAID_S and not self._said_so:
-            self._said_so = True
+        elif alone >= WITHOUT_WORKER_S and not self._is_reported:
+            self._is_reported = True
             key = next((k for k in self._graph if k not in self._outcomes.ended), CATALOGUE)
             lacking = "there is no worker with the memory" if room else "there is no worker"
             yield Step(key, "waiting", f"{lacking}; it ends after {patience:g} s without one")

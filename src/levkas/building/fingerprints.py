@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from levkas.building.build_records import UNREADABLE, Key, key_of
 from levkas.campaign.methods import DEFAULT_METHOD, code_of
 from levkas.core.internal_errors import CODE as INTERNAL
-from levkas.stages.control_points import told_points
+from levkas.stages.control_points import fingerprint_points
 from levkas.stages.sources import made_with
 
 if TYPE_CHECKING:
@@ -96,8 +96,8 @@ class Inputs:
             never = self._unread and not self.records.is_begun(task.key)
             return {} if never else of_calibration(campaign, capture, hashes)
         if stage == "register" and task.needs[0].stage == "measure":
-            seen = {f"{k.object}/{k.layer}": self._measured(k) for k in task.mates}
-            return of_adjustment(self.digests[task.needs[0]], seen)
+            measured = {f"{k.object}/{k.layer}": self._measured(k) for k in task.companions}
+            return of_adjustment(self.digests[task.needs[0]], measured)
         if stage == "resample":
             ends = (self.digests[key_of(c, "register")] for c in (capture, lead))
             default = Key(capture.object, capture.camera, "", "resample")
@@ -212,8 +212,8 @@ def frames_of(capture: Capture) -> Iterator[tuple[str, str, FrameRef]]:
 
 def use_of(sensor: str, role: str, frame: FrameRef) -> dict[str, Any]:
     """Return what a frame is used for, as its name or a manifest says; all else it says itself."""
-    told = {"role": role, "sensor": sensor, **{key: getattr(frame, key) for key in OF_A_FRAME}}
-    return {key: value for key, value in told.items() if value not in (None, "")}
+    use = {"role": role, "sensor": sensor, **{key: getattr(frame, key) for key in OF_A_FRAME}}
+    return {key: value for key, value in use.items() if value not in (None, "")}
 
 
 def of_registration(
@@ -239,8 +239,8 @@ def of_registration(
     if corners := campaign.outline_of(capture.object)[0]:
         prints["outline of the object"] = [list(corner) for corner in corners]
     if isinstance(grid["grid.region"], tuple):  # declared in the turned frame, registered within
-        told = ("grid.region", "grid.rotate", "grid.mirror")
-        prints["region in the reference"] = [grid[key] for key in told]
+        edited = ("grid.region", "grid.rotate", "grid.mirror")
+        prints["region in the reference"] = [grid[key] for key in edited]
     if keys.sensitivity and any(isnan(band.wavelength) for band in capture.bands):
         prints[f"file {keys.sensitivity}"] = hashes(campaign.root / keys.sensitivity)
     options = campaign.registration_of(capture.camera)
@@ -250,17 +250,17 @@ def of_registration(
     for sensor in capture.sensors:
         prints[f"sensors.{sensor.name}.align"] = sensor.align
     for band, edits in campaign.edits.of_layer(capture.object, capture.layer).items():
-        if told := edits.describe():
+        if edited := edits.describe():
             frame = f"{capture.layer}:{band}" if band else capture.layer
-            prints[f"edits.toml: correction of {frame}"] = told
-    prints |= told_points(campaign, capture)
+            prints[f"edits.toml: correction of {frame}"] = edited
+    prints |= fingerprint_points(campaign, capture)
     return plain(prints)
 
 
-def of_adjustment(own: str, mates: dict[str, str]) -> dict[str, Any]:
+def of_adjustment(own: str, companions: dict[str, str]) -> dict[str, Any]:
     """The capture's own registration, and those of all that it is adjusted with."""
     prints: dict[str, Any] = {**made_with("adjust"), "its own registration": own}
-    prints |= {f"registration of {name}": made_of for name, made_of in mates.items()}
+    prints |= {f"registration of {name}": made_of for name, made_of in companions.items()}
     return plain(prints)
 
 
@@ -339,8 +339,8 @@ def _centroids(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict[str
 def _credits(campaign: Campaign, name: str) -> dict[str, Any]:
     """What stands in the tags of an object's files."""
     facts, described = _facts(campaign, name), campaign.campaign
-    told = {f"objects.{name}.{key}": facts.get(key) or "" for key in ("title", "rights")}
-    return told | {
+    titles = {f"objects.{name}.{key}": facts.get(key) or "" for key in ("title", "rights")}
+    return titles | {
         f"campaign.{key}": getattr(described, key) for key in ("creator", "date", "licence")
     }
 

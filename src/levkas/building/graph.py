@@ -50,7 +50,7 @@ class Task:
         return self.capture is self.reference
 
     @property
-    def mates(self) -> tuple[Key, ...]:
+    def companions(self) -> tuple[Key, ...]:
         """Measurements of other captures that this one is adjusted with."""
         return tuple(key for key in self.uses if key.stage == "measure")
 
@@ -86,9 +86,9 @@ def graph_of(
         layers = tuple(task.key for task in here if task.key.stage == "resample")
         tasks[report] = Task(report, uses=layers)
     for camera in cameras_with_pages(campaign, captures, charts):
-        learnt = [keys_of(campaign, c)["calibrate"] for c in captures if c.camera == camera]
+        calibrations = [keys_of(campaign, c)["calibrate"] for c in captures if c.camera == camera]
         key = page_key(camera)
-        tasks[key] = Task(key, uses=tuple(k for k in learnt if k in tasks))
+        tasks[key] = Task(key, uses=tuple(k for k in calibrations if k in tasks))
     pages = tuple(key for key in tasks if key.stage in ("report", "camera"))
     tasks[CATALOGUE] = Task(CATALOGUE, uses=pages)
     # What captures that are adjusted together saw comes first, object by object.
@@ -157,9 +157,9 @@ def cameras_with_pages(
 
     Of plain images, where nothing is calibrated, nothing but a chart tells.
     """
-    seen = {c.camera for c in captures if campaign.cameras[c.camera].traits.is_calibrated}
-    seen |= {c.camera for c in charts}
-    return [name for name in campaign.cameras if name in seen]
+    used = {c.camera for c in captures if campaign.cameras[c.camera].traits.is_calibrated}
+    used |= {c.camera for c in charts}
+    return [name for name in campaign.cameras if name in used]
 
 
 def default_of(capture: Capture, captures: Iterable[Capture]) -> Capture | None:
@@ -170,7 +170,9 @@ def default_of(capture: Capture, captures: Iterable[Capture]) -> Capture | None:
     return next((c for c in alike if not c.setup), None)
 
 
-def mates_of(campaign: Campaign, capture: Capture, captures: Sequence[Capture]) -> list[Capture]:
+def companions_of(
+    campaign: Campaign, capture: Capture, captures: Sequence[Capture]
+) -> list[Capture]:
     """Return the other captures that one is adjusted with, by the same camera, in the order of their names.
 
     The reference camera's own under its default setup are the frames of all others: they are adjusted
@@ -227,10 +229,10 @@ def _tasks_of(
     of = (capture, mine[0])
     yield Task(keys["calibrate"], (), (), *of)
     if "measure" in keys:
-        mates = mates_of(campaign, capture, captures)
-        seen = tuple(keys_of(campaign, c)["measure"] for c in mates)
+        companions = companions_of(campaign, capture, captures)
+        measurements = tuple(keys_of(campaign, c)["measure"] for c in companions)
         yield Task(keys["measure"], (*frame, keys["calibrate"]), (), *of)
-        yield Task(keys["register"], (keys["measure"], *frame), seen, *of)
+        yield Task(keys["register"], (keys["measure"], *frame), measurements, *of)
     else:
         yield Task(keys["register"], (keys["calibrate"], *frame), (), *of)
     drawn = (keys["calibrate"], keys["register"], *frame, *(() if own else (lead["resample"],)))
@@ -292,8 +294,8 @@ class Step:
     @property
     def line(self) -> str:
         """The stage and its state as one line of text."""
-        told = f"{self.label}: {self.state}"
-        return f"{told} ({self.why})" if self.why and self.state != "done" else told
+        label = f"{self.label}: {self.state}"
+        return f"{label} ({self.why})" if self.why and self.state != "done" else label
 
     def to_dict(self) -> dict[str, str]:
         """Return the record of `build --json`."""
@@ -327,14 +329,14 @@ class BuildReport:
     def text(self) -> str:
         """What a person wants to know at the end."""
         states = Counter(step.state for step in self.stages)
-        told = [f"{states[s]} {s}" for s in FINISHED if states[s]]
+        counts = [f"{states[s]} {s}" for s in FINISHED if states[s]]
         lines = [f"warning: {warning}" for warning in _gathered(self.warnings)]
         # What was refused is among the problems, where it is said once.
         lines += [
             s.line for s in self.stages if s.state == "stale" or (_lost(s) and not s.problems)
         ]
         where = f": {self.output}" if self.output else ""
-        lines.append(f"{', '.join(told) or 'nothing to do'}{where}")
+        lines.append(f"{', '.join(counts) or 'nothing to do'}{where}")
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:

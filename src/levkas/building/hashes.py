@@ -47,7 +47,7 @@ class Hashes:
         self.path = path
         self._entries: dict[bytes, Entry] | None = {} if verify else None
         self._unsaved: dict[bytes, Entry] = {}
-        self._unsettled: set[bytes] = set()
+        self._recent: set[bytes] = set()
         self._frames: dict[Path, tuple[Path, ...]] = {}
         self._lock = threading.RLock()
 
@@ -56,9 +56,9 @@ class Hashes:
         stamp = stamp_of(path)
         entry = self.known(path)
         if entry is None or entry[:-1] != stamp:
-            settled = own or is_settled(stamp, time.time_ns())
+            old_enough = own or is_old_enough(stamp, time.time_ns())
             entry = (*stamp, hash_file(path))
-            self._learn(path, entry, settled=settled)
+            self._learn(path, entry, old_enough=old_enough)
         return entry[-1]
 
     def of_frame(self, path: Path) -> dict[Path, str]:
@@ -83,16 +83,16 @@ class Hashes:
         """Take stamp and hash of a file that another process has read, where the file has that stamp still."""
         with suppress(OSError):
             if (stamp := stamp_of(path)) == (*entry[:-1],):
-                self._learn(path, (*stamp, entry[-1]), settled=True)
+                self._learn(path, (*stamp, entry[-1]), old_enough=True)
 
-    def _learn(self, path: str | Path, entry: Entry, *, settled: bool) -> None:
+    def _learn(self, path: str | Path, entry: Entry, *, old_enough: bool) -> None:
         name = os.fsencode(path)
         with self._lock:
             self._known()[name] = entry
-            if settled:
+            if old_enough:
                 self._unsaved[name] = entry
             else:
-                self._unsettled.add(name)
+                self._recent.add(name)
 
     def unsaved(self) -> Change:
         """Return, once, what was read and is not recorded."""
@@ -102,8 +102,8 @@ class Hashes:
 
     def save(self) -> None:
         """Record what was read; where the disk refuses, files are read again by the next build."""
-        unsettled, self._unsettled = self._unsettled, set()
-        for name in unsettled:
+        recent, self._recent = self._recent, set()
+        for name in recent:
             self._known().pop(name)
             with suppress(OSError):  # taken away meanwhile
                 self(os.fsdecode(name))
@@ -121,10 +121,10 @@ def _sound_entries(rows: Iterable[Sequence[Any]]) -> Iterator[tuple[bytes, Entry
                 yield name, (size, modified, changed, inode, sha256)
 
 
-def is_settled(stamp: Sequence[int], now: int) -> bool:
+def is_old_enough(stamp: Sequence[int], now: int) -> bool:
     """Tell whether a file read from `now` on cannot be changed any more without another stamp.
 
-    >>> is_settled((1, 10**18 + 1, 10**18 + 1, 1), 10**18 + TICK_NS)
+    >>> is_old_enough((1, 10**18 + 1, 10**18 + 1, 1), 10**18 + TICK_NS)
     False
     """
     times = stamp[1:3]

@@ -178,8 +178,8 @@ class Outcomes:
                 k for k in self.graph if k.object == key.object and (k.camera, k.setup) in layers
             ]
             if all(map(self._stands, keys)):
-                told = f"{key.object}/{key.layer}: the layer of an earlier build is kept"
-                return replace(step, warnings=(*step.warnings, told))
+                note = f"{key.object}/{key.layer}: the layer of an earlier build is kept"
+                return replace(step, warnings=(*step.warnings, note))
             self.records.forget(key)
             withdraw(capture, self.places, self.records)
             return step
@@ -324,15 +324,15 @@ def describe(keys: Iterable[Key], records: BuildRecords) -> str:
     """Say what is no longer in the campaign; empty where nothing of it is in the database."""
     there = [key for key in keys if records.made_by(key)]
     layers = {(key.object, key.layer) for key in there if key.object and key.camera}
-    told = {
+    counts = {
         "layer": len(layers),
         "object": sum(key.stage == "report" for key in there),
         "camera": sum(key.stage == "camera" for key in there),
     }
-    parts = [counted(n, what) for what, n in told.items() if n]
+    parts = [counted(n, what) for what, n in counts.items() if n]
     if not parts:
         return ""
-    verb = "is" if sum(told.values()) == 1 else "are"
+    verb = "is" if sum(counts.values()) == 1 else "are"
     return f"{' and '.join(parts)} {verb} no longer in the campaign"
 
 
@@ -344,12 +344,12 @@ def removal(keys: Sequence[Key], records: BuildRecords) -> list[Step]:
     steps : list of Step
         One, or none where there was nothing.
     """
-    told = describe(keys, records)
+    text = describe(keys, records)
     if records.keep_removed:
-        return [Step(REMOVED, "fresh", warnings=(f"{told}, and was kept",))] if told else []
+        return [Step(REMOVED, "fresh", warnings=(f"{text}, and was kept",))] if text else []
     moved = [where for key in keys if (where := put_away_stage(key, records))]
     return (
-        [Step(REMOVED, "done", told, warnings=(f"{told}: moved to {moved[0]}",))] if moved else []
+        [Step(REMOVED, "done", text, warnings=(f"{text}: moved to {moved[0]}",))] if moved else []
     )
 
 

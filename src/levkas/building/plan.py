@@ -99,13 +99,15 @@ def check_detectors(campaign: Campaign) -> None:
     """Refuse a campaign whose key points the installed OpenCV cannot find; raises CampaignInvalid."""
     tables = {"registration": campaign.registration}
     tables |= {f"cameras.{n}.registration": c.registration for n, c in campaign.cameras.items()}
-    asked = {where: keys.detector for where, keys in tables.items() if keys.detector}
-    if set(asked.values()) <= {"sift"}:
+    requested = {where: keys.detector for where, keys in tables.items() if keys.detector}
+    if set(requested.values()) <= {"sift"}:
         return
     from levkas.registration.features import available_detectors, no_detector
 
     here = available_detectors()
-    missing = [no_detector(name, f"{w}.detector") for w, name in asked.items() if name not in here]
+    missing = [
+        no_detector(name, f"{w}.detector") for w, name in requested.items() if name not in here
+    ]
     if missing:
         raise CampaignInvalid(*(replace(p, file=str(campaign.path)) for p in missing))
 

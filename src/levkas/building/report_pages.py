@@ -127,15 +127,19 @@ def report_of(
         if (layer := _layer(campaign, places, records, c, budgets[c.layer])) is not None
     ]
     facts = campaign.objects.get(name)
-    told = (
+    lines = (
         [facts.creator, facts.date or "", facts.medium, facts.owner, facts.inventory]
         if facts
         else []
     )
-    told += [campaign.campaign.title, campaign.campaign.date or "", facts.rights if facts else ""]
-    told += [campaign.campaign.licence]
-    said = {layer.name for layer in layers if layer.decision == "refuse"}  # in its own section
-    refused = [s for s in steps if s.state in ("refused", "failed") and s.key.layer not in said]
+    lines += [campaign.campaign.title, campaign.campaign.date or "", facts.rights if facts else ""]
+    lines += [campaign.campaign.licence]
+    refused_layers = {
+        layer.name for layer in layers if layer.decision == "refuse"
+    }  # in its own section
+    refused = [
+        s for s in steps if s.state in ("refused", "failed") and s.key.layer not in refused_layers
+    ]
     problems = [
         {"code": p.code, "text": written(campaign, p)} for step in refused for p in step.problems
     ]
@@ -150,7 +154,7 @@ def report_of(
         "report.html",
         page=ObjectReport(
             title=(facts.title if facts else "") or name,
-            facts=[text for text in dict.fromkeys(told) if text],
+            facts=[text for text in dict.fromkeys(lines) if text],
             reference=f"{reference.camera}:{reference.band}"
             if reference.band
             else f"the middle band of {reference.camera}",
@@ -178,7 +182,7 @@ def _budget_of(
 ) -> tuple[ErrorSource, ...]:
     """Return the uncertainty budget of a capture; empty where it was not calibrated."""
     notes = records.notes(key_of(capture, "calibrate"))
-    return budget_of(campaign, capture, notes["learnt"]) if "learnt" in notes else ()
+    return budget_of(campaign, capture, notes["measured"]) if "measured" in notes else ()
 
 
 def _agreement(
@@ -339,9 +343,9 @@ def _checks(errors: dict[str, Any]) -> str:
 
 def _want_of_marks(errors: dict[str, Any]) -> str:
     """Say why marks of the object could not be compared; empty where they were, or where nothing was compared."""
-    compared = [s.get("borne_out") or {} for s in (errors.get("sensors") or {}).values()]
-    told = (describe_want_of_marks(one["marks"]) for one in compared if "marks" in one)
-    return next(filter(None, told), "")
+    compared = [s.get("verification") or {} for s in (errors.get("sensors") or {}).values()]
+    wants = (describe_want_of_marks(one["marks"]) for one in compared if "marks" in one)
+    return next(filter(None, wants), "")
 
 
 def _band_rows(record: dict[str, Any]) -> list[list[str]]:
@@ -442,8 +446,8 @@ def provenance_of(
         for key in keys_of(campaign, capture).values():
             if step := _step(records, key):
                 frames = _frames(campaign, capture, step["inputs"])
-                learnt = records.notes(key).get("learnt", {})
-                own = {"frames": frames, **_white_of(learnt)}
+                measured = records.notes(key).get("measured", {})
+                own = {"frames": frames, **_white_of(measured)}
                 if budget := budgets[capture.layer]:
                     own["uncertainty"] = [row.to_dict() for row in budget]
                 steps.append(step | (own if key.stage == "calibrate" else {}))
@@ -456,9 +460,13 @@ def provenance_of(
     }
 
 
-def _white_of(learnt: Mapping[str, Any]) -> dict[str, Any]:
+def _white_of(measured: Mapping[str, Any]) -> dict[str, Any]:
     """Return by which chart a calibration made reflectance, sensor by sensor; nothing where a white did."""
-    found = {sensor: told[CHART_WHITE] for sensor, told in learnt.items() if CHART_WHITE in told}
+    found = {
+        sensor: of_sensor[CHART_WHITE]
+        for sensor, of_sensor in measured.items()
+        if CHART_WHITE in of_sensor
+    }
     return {CHART_WHITE: found} if found else {}
 
 
@@ -487,7 +495,7 @@ def _step(records: BuildRecords, key: Key) -> dict[str, Any]:
 
 def _frames(campaign: Campaign, capture: Capture, inputs: dict[str, str]) -> list[dict[str, Any]]:
     """Describe every frame of a capture that was read."""
-    told = []
+    frames = []
     for sensor, role, frame in fingerprints.frames_of(capture):
         names = [fingerprints.relative(campaign, path) for path in files_of(frame.path)]
         seconds: Times = frame.exposure_s
@@ -496,8 +504,8 @@ def _frames(campaign: Campaign, capture: Capture, inputs: dict[str, str]) -> lis
         use = fingerprints.use_of(sensor, role, frame)
         if seconds is not None:
             use["exposure_s"] = list(seconds) if isinstance(seconds, tuple) else seconds
-        told.append({**use, "files": {name: inputs.get(name, "") for name in names}})
-    return told
+        frames.append({**use, "files": {name: inputs.get(name, "") for name in names}})
+    return frames
 
 
 def _libraries() -> dict[str, str]:

@@ -359,8 +359,8 @@ def _report_prints(plan: Plan, inputs: Inputs, name: str, steps: Sequence[Step])
     made = [s.key for s in steps if s.key not in unbegun and s.key in inputs.digests]
     layers = {f"{key.layer} {key.stage}": inputs.digests[key] for key in made}
     for step in lost:
-        told = (fingerprints.written(plan.campaign, p) for p in step.problems)
-        layers[f"{step.key.layer} refused"] = "\n".join(told)
+        written = (fingerprints.written(plan.campaign, p) for p in step.problems)
+        layers[f"{step.key.layer} refused"] = "\n".join(written)
     captures = [capture for capture in plan.captures if capture.object == name]
     hashes = inputs.records.hashes
     return fingerprints.of_report(plan.campaign, name, layers, captures, hashes)

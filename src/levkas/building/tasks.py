@@ -35,7 +35,7 @@ class Damaged(Refused):
         self.key = key
 
 
-class Held:
+class CalibratedCache:
     """Calibrated cubes of one capture and the reference of one object: in memory, else read back."""
 
     def __init__(
@@ -119,7 +119,7 @@ class Stages:
     ) -> None:
         self.campaign, self.places, self.records = campaign, places, records
         self.graph = graph
-        self.held = Held(campaign, places, records, templates)
+        self.held = CalibratedCache(campaign, places, records, templates)
 
     def compute(self, task: Task) -> Write:
         """Do what a task computes; return what writes it. Raises Refused or MemoryError."""
@@ -168,7 +168,9 @@ class Stages:
         if task.needs[0].stage != "measure":
             return partial(publish_registration, self._alone(task), capture, self.places)
         own = self._read_measured(task.needs[0])
-        there = {f"{k.object}/{k.layer}": k for k in task.mates if is_measured(self.records, k)}
+        there = {
+            f"{k.object}/{k.layer}": k for k in task.companions if is_measured(self.records, k)
+        }
         others = {name: self._read_measured(key) for name, key in there.items()}
         reference = None if task.leads else sigmas_of(record_of(self.places, lead))
         found = adjust_capture(capture, own, others, reference)

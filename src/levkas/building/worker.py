@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 PATIENCE_S, PAUSE_S = 60.0, 0.5
 """How long a shared file system may take to show what another machine wrote (NFS: up to 60 s)."""
-SAMPLED_S, TOLD_S = 0.05, 1.0
+SAMPLED_S, REPORTED_S = 0.05, 1.0
 """Between two looks at the memory of a task, and at most so often its frames are reported."""
 
 
@@ -112,7 +112,7 @@ class Made:
 
     @property
     def is_visible(self) -> bool:
-        """Whether all files are seen on this machine as they were written."""
+        """Whether all files are on this machine as they were written."""
         try:
             return all(
                 [*stamp_of(path)] == entry[:-1] or hash_file(path) == entry[-1]
@@ -286,13 +286,13 @@ class Watch:
         self._thread.join()
 
     def _look(self) -> None:
-        process, said, counted, when = psutil.Process(), 0, 0, time.monotonic()
+        process, reported, counted, when = psutil.Process(), 0, 0, time.monotonic()
         while True:
             found = process.memory_info()
             self.bytes = max(self.bytes, found.rss - getattr(found, "shared", 0))
             frames, now = self.frames, time.monotonic()
-            if self.bytes > 1.25 * said or (frames > counted and now - when >= TOLD_S):
-                said, counted, when = max(said, self.bytes), frames, now
+            if self.bytes > 1.25 * reported or (frames > counted and now - when >= REPORTED_S):
+                reported, counted, when = max(reported, self.bytes), frames, now
                 self._say(self.bytes, frames)
             if self._ended.wait(SAMPLED_S):
                 return

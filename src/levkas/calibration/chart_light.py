@@ -19,11 +19,11 @@ from levkas.calibration.patterns import channel_table
 from levkas.calibration.templates import Template
 
 CHART_WHITE = "chart_white"
-"""Name, among what is learnt of a sensor, of the record of its chart."""
+"""Name, among what is measured of a sensor, of the record of its chart."""
 HIGHEST_ORDER = 3
 """Of the polynomial; ten terms."""
 PATCHES_A_TERM = 2
-"""Patches that an order asks for, for each of its terms."""
+"""Patches that an order needs, for each of its terms."""
 BETTER = 0.85
 """A higher order is taken where it has less than this share of the held-out error of the lower one: scatter of the
 patches alone makes it 5 to 10 % smaller by chance, and beyond the chart a term too many costs more than it gives."""
@@ -245,14 +245,14 @@ class LightFit:
         return np.asarray(np.einsum("ni,ij,nj->n", apart, shape.covariance, apart))
 
 
-def fit_light(patches: Patches, outline: ChartOutline, lent: LightShape | None = None) -> LightFit:
+def fit_light(patches: Patches, outline: ChartOutline, shape: LightShape | None = None) -> LightFit:
     """Fit the light in one band to the patches of a chart.
 
     Parameters
     ----------
     patches : Patches
     outline : ChartOutline
-    lent : LightShape, optional
+    shape : LightShape, optional
         Shape from another band, for one in which the grey patches alone are known: level only is fitted.
 
     Returns
@@ -270,8 +270,8 @@ def fit_light(patches: Patches, outline: ChartOutline, lent: LightShape | None =
     >>> light.order, light(np.array([[200.0, 100.0]])).round().tolist(), round(light.flat_rmse, 2)
     (1, [3300.0], 0.05)
     """
-    if lent is not None:
-        return replace(_fitted(patches, lent, again=False), judge=lent)
+    if shape is not None:
+        return replace(_fitted(patches, shape, again=False), judge=shape)
     fits = [_fitted(patches, None)]
     for order in range(1, HIGHEST_ORDER + 1):
         terms = (order + 1) * (order + 2) // 2

@@ -336,10 +336,10 @@ def unclip_means(
     expected = clipped_moments(levels / step, noise / step)[0] * step
     zeros = ndtr((step / 2 - levels) / noise) ** shots.count
     least = float(np.interp(-0.5, -zeros, levels))
-    seen = shots.mean[shots.black]
+    clipped = shots.mean[shots.black]
     mean = shots.mean.copy()
     mean[shots.black] = np.where(
-        seen < expected[-1], np.maximum(np.interp(seen, expected, levels), least), seen
+        clipped < expected[-1], np.maximum(np.interp(clipped, expected, levels), least), clipped
     )
     return replace(shots, mean=mean)
 
@@ -401,11 +401,11 @@ def _own_levels(
     fixed = level.fixed if np.isfinite(level.fixed) else 0.0
     apart = max(level.noise / 2, float(np.ptp(base)) / MOST_BASES, 1e-9)
     bases = float(base.min()) + apart * np.arange(int(np.ptp(base) / apart) + 2)
-    most, seen, tables = _posterior(bases, count, level, fixed, step)
+    most, means, tables = _posterior(bases, count, level, fixed, step)
     place = (base - bases[0]) / apart + np.zeros(mean.shape)
     first = place.astype(int)
     part = place - first
-    at = np.minimum(mean / (seen[1] - seen[0]), len(seen) - 1.0)
+    at = np.minimum(mean / (means[1] - means[0]), len(means) - 1.0)
     own, variance = (
         (1 - part) * _look_up(table, first, at) + part * _look_up(table, first + 1, at)
         for table in tables
@@ -431,15 +431,15 @@ def _posterior(
     expected, spread = expected * step, spread * step**2 / count
     middle = LEVELS // 2
     most = expected[:, middle] + HOT * np.sqrt(spread[:, middle] + fixed**2)
-    seen = np.linspace(0, float(most.max()), MEANS)
+    means = np.linspace(0, float(most.max()), MEANS)
     own, variance = np.empty((len(bases), MEANS)), np.empty((len(bases), MEANS))
     for k, (mean, noise) in enumerate(zip(expected, spread, strict=True)):
-        chance = -((seen[:, None] - mean) ** 2) / (2 * noise) - deviations**2 / 2
+        chance = -((means[:, None] - mean) ** 2) / (2 * noise) - deviations**2 / 2
         chance = np.exp(chance - chance.max(1, keepdims=True)) / np.sqrt(noise)
         chance /= chance.sum(1, keepdims=True)
         own[k] = chance @ levels[k]
         variance[k] = np.maximum(chance @ levels[k] ** 2 - own[k] ** 2, 0.0)
-    return most, seen, (own, variance)
+    return most, means, (own, variance)
 
 
 def _look_up(table: np.ndarray, row: np.ndarray, at: np.ndarray) -> np.ndarray:

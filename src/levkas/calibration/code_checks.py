@@ -82,18 +82,18 @@ def doubt_codes(frames: Iterable[np.ndarray], bits: int, full: float) -> list[st
     ['only 256 codes, 16 or more apart: 8 bits were stretched to 12, and the tones between are lost']
     """
     codes = [np.unique(thin_rows(values)) for values in frames if values.dtype.kind in "ui"]
-    seen = np.unique(np.concatenate(codes)) if codes else np.empty(0, int)
-    if bits <= 8 or seen.size < LEAST_LEVELS:
+    distinct = np.unique(np.concatenate(codes)) if codes else np.empty(0, int)
+    if bits <= 8 or distinct.size < LEAST_LEVELS:
         return []
-    if seen[-1] <= 255:
+    if distinct[-1] <= 255:
         return [
-            f"no code exceeds {int(seen[-1])}, and {bits} bits are declared: the frames may have "
+            f"no code exceeds {int(distinct[-1])}, and {bits} bits are declared: the frames may have "
             "8 bits, or very little light"
         ]
-    gap = int(np.diff(seen.astype(np.int64)).min())
-    if seen.size <= 256 and gap >= EVEN * full / 255:
+    gap = int(np.diff(distinct.astype(np.int64)).min())
+    if distinct.size <= 256 and gap >= EVEN * full / 255:
         return [
-            f"only {seen.size} codes, {gap} or more apart: 8 bits were stretched to {bits}, and "
+            f"only {distinct.size} codes, {gap} or more apart: 8 bits were stretched to {bits}, and "
             "the tones between are lost"
         ]
     return []

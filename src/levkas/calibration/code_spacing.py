@@ -2,7 +2,7 @@
 
 Cameras that compress their raw files keep the codes 1 apart in the dark, where the noise is small, and
 farther and farther apart in the light, where shot noise hides it.  Undone in the file, the curve is
-seen in the gaps: y = knee + (x − knee) + bend·(x − knee)² has steps of sqrt(1 + 4·bend·(y − knee)).
+measured in the gaps: y = knee + (x − knee) + bend·(x − knee)² has steps of sqrt(1 + 4·bend·(y − knee)).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from levkas.readers.compared_facts import Severity
 
 AT_A_TIME = 1 << 20  # codes: NumPy counts them as whole numbers of 8 bytes
 MOST_CODES = 1 << 16
-FEWEST_LEVELS = 64  # that a curve can be told from
+FEWEST_LEVELS = 64  # that show a curve
 WINDOW = 24  # gaps whose mean is one point of the fit
 FILLED = 4  # pixels that a level must have: a rare one may stand beside one that was not met
 MISFIT = 0.05  # of the gaps, in four windows of five
@@ -39,7 +39,7 @@ class Levels:
     Parameters
     ----------
     count : int
-        Distinct codes that were seen.
+        Distinct codes that occur.
     lowest, highest : int
         Of them.
     spacing : float
@@ -132,9 +132,9 @@ def find_step(frames: Iterable[np.ndarray]) -> float:
     if not whole or not histogram.any():
         return 1.0 if whole else 0.0
     spacing = find_levels(histogram).spacing
-    seen = np.flatnonzero(histogram)
-    between = np.diff(seen, prepend=-MOST_CODES) < 0.9 * spacing
-    return spacing if histogram[seen[between]].sum() <= 0.01 * histogram.sum() else 1.0
+    present = np.flatnonzero(histogram)
+    between = np.diff(present, prepend=-MOST_CODES) < 0.9 * spacing
+    return spacing if histogram[present[between]].sum() <= 0.01 * histogram.sum() else 1.0
 
 
 class Alignment(NamedTuple):
@@ -268,10 +268,10 @@ def find_levels(histogram: np.ndarray) -> Levels:
     >>> found.count, round(found.bend, 3), abs(found.knee - 215) < 10
     (683, 0.016, True)
     """
-    seen = np.flatnonzero(histogram)
-    if not len(seen):
+    present = np.flatnonzero(histogram)
+    if not len(present):
         return Levels(0, 0, 0)
-    plain = Levels(len(seen), int(seen[0]), int(seen[-1]))
+    plain = Levels(len(present), int(present[0]), int(present[-1]))
     codes = np.flatnonzero(histogram >= FILLED)
     if len(codes) < FEWEST_LEVELS:
         return plain
@@ -288,7 +288,7 @@ def find_levels(histogram: np.ndarray) -> Levels:
     slope, start = theilslopes((gap[wide] / spacing) ** 2, at[wide])[:2]
     knee = (1 - start) / slope if slope > 0 else np.inf
     misfit = gap[wide] / np.sqrt(np.maximum(start + slope * at[wide], 1e-9)) / spacing - 1
-    if not 0 <= knee < seen[-1] or np.quantile(np.abs(misfit), 0.8) > MISFIT:
+    if not 0 <= knee < present[-1] or np.quantile(np.abs(misfit), 0.8) > MISFIT:
         return even
     bend = float(slope) / 4 * spacing
     return Levels(plain.count, plain.lowest, plain.highest, spacing, float(knee), bend)

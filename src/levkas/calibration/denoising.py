@@ -34,7 +34,7 @@ class Subspace:
         Standard deviation of the noise of each band, in the unit of the values.
     correlation : float
         Mean correlation of what neighbouring bands leave unexplained, beyond that of white noise
-        seen through the same subspace; near 0 where HySime holds.
+        projected onto the same subspace; near 0 where HySime holds.
     pixels : int
         Spectra behind it.
     """

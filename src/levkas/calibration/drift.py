@@ -29,7 +29,7 @@ EXPLAINED = (
     0.01  # of the variance of bright pixels over time: beyond it shots are brought to one level
 )
 LAMP = "lamp"
-"""Among what is learnt of a sensor: how its lamp and its black level changed, band by band."""
+"""Among what is measured of a sensor: how its lamp and its black level changed, band by band."""
 SAMPLE = 200_000  # pixels of a channel that are looked at
 LONG = 10.0  # times its change within a stack: lamps settle, and what one did in a second tells little of a day
 
@@ -410,8 +410,8 @@ class LampChange(NamedTuple):
         Whether whites before and after the object are interpolated.
     reach : float
         Of a scan: the span from the middle of its white to the object's last line, over the white's; else 0.
-    unseen : float
-        Of a scan: the least steady change up to its last line that the white would show; else 0.
+    detection_limit : float
+        Of a scan: the least steady change up to its last line that the white would show (limit of detection); else 0.
     """
 
     factor: np.ndarray
@@ -421,7 +421,7 @@ class LampChange(NamedTuple):
     flicker: np.ndarray
     timed: bool
     reach: float = 0.0
-    unseen: float = 0.0
+    detection_limit: float = 0.0
 
     def in_groups(self, which: np.ndarray, count: int) -> LampChange:
         """Return means over channels that belong together: `which` group each is of, 0 to `count` − 1."""

@@ -112,7 +112,7 @@ def phase_gains(
     gains = np.full(len(phases), np.nan)
     for index in np.flatnonzero(usable):
         offset = np.subtract(np.divmod(index, shape[1]), np.divmod(best, shape[1]))
-        gains[index] = _slope(means[index][flat], _seen_from(blocks[best][flat], offset, shape))
+        gains[index] = _slope(means[index][flat], _shifted_means(blocks[best][flat], offset, shape))
     noise = np.ones(len(phases))
     if variance is not None:
         noise = np.array([np.nanmean(part) for part in split(variance, *shape)])
@@ -134,7 +134,7 @@ def _flattest(blocks: np.ndarray, level: np.ndarray, clean: np.ndarray) -> np.nd
     return lit & (rough <= np.quantile(rough[lit], FLATTEST))
 
 
-def _seen_from(blocks: np.ndarray, offset: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def _shifted_means(blocks: np.ndarray, offset: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Return block means as they would be `offset` sensels away, by each block's own slope."""
     at = np.arange(BLOCK) - (BLOCK - 1) / 2
     down = np.einsum("nyx,y->n", blocks, at) / (BLOCK * np.sum(at**2) * shape[0])

@@ -44,7 +44,7 @@ USABLE = 0.98  # of saturation: beyond it the response bends
 NEARLY, BEYOND = (
     0.9,
     1.1,
-)  # of saturation: shown at most, and foretold, by a sensel that is full before others
+)  # of saturation: shown at most, and predicted, by a sensel that is full before others
 ROUNDS = 3
 GROUPS = 24  # of pixels of like rate, whose noise two exposures tell
 FEWEST = 200  # pixels of a group: their variance is known to 10 %

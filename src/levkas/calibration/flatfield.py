@@ -438,7 +438,7 @@ def row_of(array, y):  # type: ignore[no-untyped-def]
 def flatten_line(y, sides, marks, table, values, flags):  # type: ignore[no-untyped-def]
     """Fill values and flags of row `y`."""
     shot, dark, white, white_dark = sides
-    seen, back, lit, under = (
+    counts, back, lit, under = (
         row_of(shot.mean, y), row_of(dark.mean, y), row_of(white.mean, y), row_of(white_dark.mean, y)
     )  # fmt: skip
     saturated, black = row_of(marks.saturated, y), row_of(marks.black, y)
@@ -446,7 +446,7 @@ def flatten_line(y, sides, marks, table, values, flags):  # type: ignore[no-unty
     scale = row_of(table, y)
     for x in range(values.size):
         light = np.float64(lit[x]) - np.float64(under[x])
-        value = np.float64(seen[x]) - np.float64(back[x])
+        value = np.float64(counts[x]) - np.float64(back[x])
         lost = not (light > 0.0 and value == value)
         values[x] = np.nan if lost else value / light * scale[x]
         flag = SATURATED if saturated[x] | white_saturated[x] else np.uint8(0)
@@ -530,12 +530,12 @@ def propagate_line(y, sides, table, model, common, shares, variance):  # type: i
     """Fill the variance of the values of row `y`; `common` is the correlation of the two darks."""
     shot, dark, white, white_dark = sides
     gain, read, _, step = model
-    seen, back, spread = row_of(shot.mean, y), row_of(dark.mean, y), row_of(shot.variance, y)
+    counts, back, spread = row_of(shot.mean, y), row_of(dark.mean, y), row_of(shot.variance, y)
     lit, under, scale = row_of(white.mean, y), row_of(white_dark.mean, y), row_of(table, y)
     single = gain >= 0.0 and shot.share == 1.0 and shot.freedom == 0.0
     for x in range(variance.size):
         light = np.float64(lit[x]) - np.float64(under[x])
-        signal = np.float64(seen[x]) - np.float64(back[x])
+        signal = np.float64(counts[x]) - np.float64(back[x])
         if single:  # all of the model's, whatever rounding hides of it
             own = read + gain * max(signal, 0.0)
         else:

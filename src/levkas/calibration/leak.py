@@ -93,7 +93,7 @@ def give_back(
 
     Examples
     --------
-    Sensels of 100 counts a second between some of 1,000, full at 500, which lend 1 % of their light to each side:
+    Sensels of 100 counts a second between some of 1,000, full at 500, which leak 1 % of their light to each side:
 
     >>> def shot(t):
     ...     lit = np.tile([[100.0 * t + 0.02 * min(1000 * t, 500), min(1000 * t, 500)]], (40, 20))
@@ -112,12 +112,12 @@ def give_back(
         if leak is None:
             lost.flat[beside.at] = True
         else:
-            lent = leak.shares @ beside.excess
+            leaked = leak.shares @ beside.excess
             wrong = np.einsum("in,ij,jn->n", beside.excess, leak.covariance, beside.excess)
-            counts = wrong + (leak.unlike * lent) ** 2 <= MATTERS**2 * beside.own
+            counts = wrong + (leak.unlike * leaked) ** 2 <= MATTERS**2 * beside.own
             lost.flat[beside.at[~counts]] = True
             mean = shot.mean.copy()
-            mean.flat[beside.at[counts]] += lent[counts]
+            mean.flat[beside.at[counts]] += leaked[counts]
             shot = replace(shot, mean=mean)
         made.append(shot)
         apart.append(lost)
@@ -148,11 +148,11 @@ def _find(
         own = noise.variance(signal.flat[at]) / shot.count
         before = source.flat[at]
         expected = rate.flat[at] * times[before]
-        foretold = noise.variance(expected) / counts[before] * (times[k] / times[before]) ** 2
+        predicted = noise.variance(expected) / counts[before] * (times[k] / times[before]) ** 2
         lack = np.where(known.flat[at], rate.flat[at] * times[k] - signal.flat[at], np.nan)
         planes = excess.reshape(2, -1)[:, at].astype(np.float64)
-        found.append(_Beside(at, planes, lack, own + foretold, own))
-        # Of full neighbours that no shorter exposure shows, the shortest still tells the level.
+        found.append(_Beside(at, planes, lack, own + predicted, own))
+        # Of full neighbours that no shorter exposure shows, the shortest still bounds the level.
         first = ~marks & ~(touched & known)
         rate[first], source[first] = (signal / np.float32(times[k]))[first], k
         known |= ~marks
@@ -188,17 +188,17 @@ def _fit(found: Sequence[_Beside]) -> Leak | None:
         normal = (design[kept].T * weight[kept]) @ design[kept]
         covariance = np.linalg.pinv(normal, hermitian=True)
         shares = covariance @ (design[kept].T @ (weight * lack)[kept])
-        lent, rest = design @ shares, lack - design @ shares
-        unlike = _unlike(lent[kept], rest[kept], variance[kept])
+        leaked, rest = design @ shares, lack - design @ shares
+        unlike = _unlike(leaked[kept], rest[kept], variance[kept])
         leak = Leak(shares, covariance, unlike)
-        kept = rest**2 <= OUTLIER**2 * (variance + (unlike * lent) ** 2)
+        kept = rest**2 <= OUTLIER**2 * (variance + (unlike * leaked) ** 2)
     return leak
 
 
-def _unlike(lent: np.ndarray, rest: np.ndarray, variance: np.ndarray) -> float:
-    """Return by how much shares differ, relative: `UNLIKE`, or what is left beyond noise and chance over what is lent."""
-    weight = float(np.sum(lent**4 / variance**2))
+def _unlike(leaked: np.ndarray, rest: np.ndarray, variance: np.ndarray) -> float:
+    """Return by how much shares differ, relative: `UNLIKE`, or what is left beyond noise and chance over what has leaked."""
+    weight = float(np.sum(leaked**4 / variance**2))
     if weight <= 0:
         return UNLIKE
-    square = float(np.sum((rest**2 - variance) * lent**2 / variance**2)) / weight
+    square = float(np.sum((rest**2 - variance) * leaked**2 / variance**2)) / weight
     return float(np.sqrt(np.clip(square - 2 * np.sqrt(2 / weight), UNLIKE**2, MOST_UNLIKE**2)))

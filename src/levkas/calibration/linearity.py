@@ -27,7 +27,7 @@ FEWEST = 50  # pixels of a group
 MANY_ROWS = 600  # of a frame; the rest adds nothing to means that are known to 0.1 %
 RECIPROCAL = 0.01  # rms up to which one exposure may be scaled to the time of another
 EVEN = 1.5  # of the dimmest of eight neighbours, the brightest: noise of a tenth makes as much
-PERIOD = (2, 2)  # of mosaics, unless it is told; plain sensors do not mind
+PERIOD = (2, 2)  # of mosaics, unless declared; plain sensors do not mind
 
 
 class Point(NamedTuple):
@@ -103,7 +103,7 @@ def check_linearity(
     Notes
     -----
     A pixel takes part at the exposures at which neither it nor one beside it comes near saturation,
-    foretold from the rates of its neighbours one period away. Pixels of like range and rate, by the
+    predicted from the rates of its neighbours one period away. Pixels of like range and rate, by the
     same neighbours, make a group.
     """
     points = find_points(shots, darks, saturation=saturation, black=black, period=period)
@@ -211,7 +211,7 @@ def _points(
     known = np.asarray(fits.any(0))
     rate = np.take_along_axis(signal, longest[None], 0)[0] / times[longest]
     key = np.where(known, _around(rate, known, period), 0).astype(np.float32)
-    # Where even the shortest exposure is full nothing is foretold but that it is.
+    # Where even the shortest exposure is full nothing is predicted but that it is.
     bright = np.where(known, np.maximum(key, 0), np.float32(np.inf))
     brightest = cv2.dilate(bright, np.ones((3, 3), np.uint8)).reshape(bright.shape)
     clean = (brightest * times.reshape(-1, *[1] * key.ndim) < high).sum(0)

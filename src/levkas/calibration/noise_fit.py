@@ -126,9 +126,9 @@ def whole_variance(shown: float | np.ndarray, step: float) -> np.ndarray:
         return np.asarray(shown, float)
     noise = np.linspace(0, HIDES, 500) * step**2
     whole = noise + step**2 / 12
-    seen = whole - hidden_rounding(noise, step)
-    small = np.interp(shown, seen, whole)
-    return np.where(np.asarray(shown) < seen[-1], small, shown)
+    apparent = whole - hidden_rounding(noise, step)
+    small = np.interp(shown, apparent, whole)
+    return np.where(np.asarray(shown) < apparent[-1], small, shown)
 
 
 def level_of(dark: np.ndarray) -> float:

@@ -116,8 +116,8 @@ def calibrate(
     shot, codes = _template(raw, "raw", saturation, times[0], level, pattern)
     lit = None
     if white is not None:
-        lit, seen = _template(white, "white", saturation, times[2], level, pattern)
-        lit, codes = _as_high(lit, shot), [*codes, *seen]
+        lit, white_codes = _template(white, "white", saturation, times[2], level, pattern)
+        lit, codes = _as_high(lit, shot), [*codes, *white_codes]
     step = find_step(codes)
     if under is not None:
         under = _as_high(_unclipped(under, shots, pattern, step), shot)

@@ -39,7 +39,7 @@ def lamp_along(white: ShotLevels, lines: int) -> LampChange:
     -----
     u = |Δ| (n/2 + lines)/n, up to 10 |Δ|: lamps settle. Δ is the change of a group of neighbouring bands, where it shows
     none that of all bands together, beyond what is as rare as four standard deviations (Student's t, by the scatter of the lines), with the error of that.
-    Where neither shows any, u is what noise leaves open within the white, and `unseen` what could be beyond it.
+    Where neither shows any, u is what noise leaves open within the white, and `detection_limit` what could be beyond it.
 
     Examples
     --------
@@ -73,7 +73,7 @@ def lamp_along(white: ShotLevels, lines: int) -> LampChange:
         flicker,
         timed=False,
         reach=reach,
-        unseen=float(np.nan_to_num(chance * every.error[0] * reach)),
+        detection_limit=float(np.nan_to_num(chance * every.error[0] * reach)),
     )
 
 

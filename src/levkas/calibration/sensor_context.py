@@ -77,8 +77,8 @@ class SensorContext:
     sensor: SensorFrames
     facts: Facts
     cache: Averages | None
-    told: dict[str, Any] = field(default_factory=dict)
-    """What is learnt of sensor and light on the way, for the reports."""
+    measured: dict[str, Any] = field(default_factory=dict)
+    """What is measured of sensor and light on the way, for the reports."""
     light: ChartLight | None = None
     """By a chart, in place of a white."""
     reflectance: float | np.ndarray = 1.0
@@ -94,7 +94,7 @@ class SensorContext:
         if found is None:
             return stated.counts if stated else None
         record = {"counts": found.counts, "source": found.source}
-        self.told[FULL_SCALE] = {**record, "stated": stated.source if stated else None}
+        self.measured[FULL_SCALE] = {**record, "stated": stated.source if stated else None}
         return found.counts
 
     @property
@@ -111,7 +111,7 @@ class SensorContext:
         found = find_full_scale(lit, darks, period=self.period[1])
         stated = self.stated
         if found is None and (quiet := level_of_a_quiet_white(lit, darks, period=self.period[1])):
-            self.told[QUIET_WHITE] = quiet
+            self.measured[QUIET_WHITE] = quiet
         return found if found and (stated is None or found.counts < stated.counts) else None
 
     def _sampled(self) -> tuple[list[SceneShots], list[np.ndarray]]:
@@ -158,7 +158,7 @@ class SensorContext:
             highest = float(np.median(under[0].mean)) if under else 0.0
             sure = found.rms <= CURVED and found.offset_error <= BLACK_ERROR
             if len(shots) > 2 and sure and found.offset <= highest + 3 * BLACK_ERROR:
-                self.told[BLACK] = {"counts": found.offset, "error": found.offset_error}
+                self.measured[BLACK] = {"counts": found.offset, "error": found.offset_error}
                 return found.offset
         return None
 
@@ -240,11 +240,11 @@ class SensorContext:
             levels += [float(np.median(dark.mean)) for dark in darks[:1]]
         shown = fit_series(points, self.saturation - levels[-1])
         if shown.unsure:
-            self.told[UNSURE_RESPONSE] = shown.unsure
+            self.measured[UNSURE_RESPONSE] = shown.unsure
         if abs(shown.offset) > BLACK_ERROR:
-            self.told[OFFSET] = {"counts": shown.offset, "error": shown.offset_error}
+            self.measured[OFFSET] = {"counts": shown.offset, "error": shown.offset_error}
         if shown.response is not None:
-            self.told[RESPONSE] = asdict(shown.response)
+            self.measured[RESPONSE] = asdict(shown.response)
         return shown.response
 
     def _series(self) -> Iterator[tuple[list[Template], list[Template]]]:
@@ -318,10 +318,10 @@ class SensorContext:
         return self.whole(made, frames)
 
     def note_white(self, white: Template, frames: Sequence[FrameRef]) -> None:
-        """Note the shots of a white that were left out, in `told`; each frame is a shot."""
+        """Note the shots of a white that were left out, in `measured`; each frame is a shot."""
         if (shots := white.shots) is not None and (shots.left_out or shots.apart):
             names = [frames[k].path.name for k in shots.left_out]
-            self.told.setdefault(WHITE_SHOTS, {})[frames[0].band or ""] = {
+            self.measured.setdefault(WHITE_SHOTS, {})[frames[0].band or ""] = {
                 "left_out": names,
                 "apart": shots.apart,
             }
@@ -431,16 +431,18 @@ class SensorContext:
         return made
 
     def note_dark(self, dark: Template, band: str = "") -> None:
-        """Note black and noise of a dark that was clipped, or that they cannot be had, in `told`."""
+        """Note black and noise of a dark that was clipped, or that they cannot be had, in `measured`."""
         name = f"{band} {f'{dark.exposure_s:g} s' if dark.exposure_s else ''}".strip()
         if dark.fit is not None:
             blacks = [round(black, 4) for black in dark.fit.blacks]
             found = {"black": blacks, "noise": dark.fit.noise, "zeros": dark.fit.zeros}
-            self.told.setdefault(CLIPPED_DARKS, {})[name] = found
+            self.measured.setdefault(CLIPPED_DARKS, {})[name] = found
         elif np.mean(dark.black) > MANY_ZEROS and (
             is_clipped(dark.mean) or np.median(dark.mean) < (self.step or 1.0) / 2
         ):
-            self.told.setdefault(CLIPPED_DARKS, {})[name] = {"zeros": float(np.mean(dark.black))}
+            self.measured.setdefault(CLIPPED_DARKS, {})[name] = {
+                "zeros": float(np.mean(dark.black))
+            }
 
 
 def _digest(level: np.ndarray | float | None) -> str:

@@ -40,7 +40,7 @@ AS_LIGHT = "they are taken as proportional to light: export linear frames"
 
 
 def doubts_of(context: SensorContext) -> list[str]:
-    """What a person should know before believing the values."""
+    """What a person should know before using the values."""
     camera = context.camera
     doubts = [*_notes_of_files(context), *_doubt_bits(context), *context.doubts]
     targets = context.campaign.targets
@@ -143,7 +143,7 @@ def describe_sensor(context: SensorContext) -> list[str]:
 
 
 def _describe_white_shots(context: SensorContext) -> list[str]:
-    found = context.told.get(WHITE_SHOTS, {}).values()
+    found = context.measured.get(WHITE_SHOTS, {}).values()
     names = sorted({name for one in found for name in one["left_out"]})
     apart = max((one["apart"] for one in found), default=0.0)
     notes = []
@@ -162,7 +162,7 @@ def _describe_white_shots(context: SensorContext) -> list[str]:
 
 
 def _describe_noise(context: SensorContext) -> list[str]:
-    if context.told.get(SENSOR, {}).get("source") != "spatial":
+    if context.measured.get(SENSOR, {}).get("source") != "spatial":
         return []
     return [
         f"{context.camera.name}: noise is estimated from the smooth parts of single shots, and sigma is no surer than these: "
@@ -171,7 +171,7 @@ def _describe_noise(context: SensorContext) -> list[str]:
 
 
 def _describe_black(context: SensorContext) -> list[str]:
-    found = context.told.get(BLACK)
+    found = context.measured.get(BLACK)
     if not found:
         return []
     return [
@@ -181,13 +181,13 @@ def _describe_black(context: SensorContext) -> list[str]:
 
 
 def _describe_response(context: SensorContext) -> list[str]:
-    if (unsure := context.told.get(UNSURE_RESPONSE)) is not None:
+    if (unsure := context.measured.get(UNSURE_RESPONSE)) is not None:
         return [
             f"{context.camera.name}: the sensor is not linear: its exposure series show a curve that changes up to {100 * unsure:.2g} % "
             "of the light, but do not determine it. Nothing is corrected, values may be off by as much; capture three exposures "
             "or more, a factor of two apart, of a scene of many levels"
         ]
-    found = context.told.get(RESPONSE)
+    found = context.measured.get(RESPONSE)
     if not found:
         return []
     return [
@@ -198,7 +198,7 @@ def _describe_response(context: SensorContext) -> list[str]:
 
 
 def _describe_flattening(context: SensorContext) -> list[str]:
-    found: dict[str, dict[str, float]] = context.told.get(FLATTENING, {})
+    found: dict[str, dict[str, float]] = context.measured.get(FLATTENING, {})
     if not found:
         return []
     worst = min(found, key=lambda label: found[label]["share"])
@@ -214,7 +214,7 @@ def _describe_flattening(context: SensorContext) -> list[str]:
 
 
 def _describe_offset(context: SensorContext) -> list[str]:
-    found = context.told.get(OFFSET)
+    found = context.measured.get(OFFSET)
     if not found:
         return []
     than = "dark" if found["counts"] < 0 else "bright"
@@ -227,8 +227,8 @@ def _describe_offset(context: SensorContext) -> list[str]:
 
 def _describe_dark_offset(context: SensorContext) -> list[str]:
     """Say by how much the darks are off by the noise of dim pixels, in the mean of all bands and in the worst."""
-    found: dict[str, dict[str, float]] = context.told.get(DARK_OFFSET, {})
-    if not found or OFFSET in context.told:  # by its exposures it is known better
+    found: dict[str, dict[str, float]] = context.measured.get(DARK_OFFSET, {})
+    if not found or OFFSET in context.measured:  # by its exposures it is known better
         return []
     counts, errors, light = np.array([[*one.values()] for one in found.values()]).T
     every = float(np.average(counts, weights=errors**-2)), float(errors.min())
@@ -246,12 +246,12 @@ def _describe_dark_offset(context: SensorContext) -> list[str]:
 
 
 def _describe_full_scale(context: SensorContext) -> list[str]:
-    if (quiet := context.told.get(QUIET_WHITE)) is not None:
+    if (quiet := context.measured.get(QUIET_WHITE)) is not None:
         return [
             f"{context.camera.name}: the white has no more noise than the dark, and light has shot noise: it is averaged, or "
             f"full (saturated) at {quiet:g} counts. If it is full declare `saturation`, and capture it with less exposure"
         ]
-    found = context.told.get(FULL_SCALE)
+    found = context.measured.get(FULL_SCALE)
     if not found:
         return []
     counts, stated = f"{found['counts']:g}", found["stated"]
@@ -263,7 +263,7 @@ def _describe_full_scale(context: SensorContext) -> list[str]:
 
 
 def _describe_darks(context: SensorContext) -> list[str]:
-    darks: dict[str, dict[str, Any]] = context.told.get(CLIPPED_DARKS, {})
+    darks: dict[str, dict[str, Any]] = context.measured.get(CLIPPED_DARKS, {})
     if not darks:
         return []
     name, zeros = context.camera.name, max(one["zeros"] for one in darks.values())

@@ -28,14 +28,14 @@ def require_exposures(context: SensorContext) -> None:
     silent = [frame for frame in frames if times_of(frame) is None]
     if not silent:
         return
-    said = {
+    statements = {
         frame: facts.exposure_unclear
         for frame in silent
         if (facts := read_facts(frame.path)).exposure_unclear
     }
-    if not stated and len({said.get(frame) for frame in silent}) == 1:
+    if not stated and len({statements.get(frame) for frame in silent}) == 1:
         return
-    unclear = [f"{frame.path.name}: {text}" for frame, text in said.items()][:NAMED]
+    unclear = [f"{frame.path.name}: {text}" for frame, text in statements.items()][:NAMED]
     found = [f"{frame.path.name}: {_shown(times_of(frame))}" for frame in stated[:NAMED]]
     found += unclear or [f"{frame.path.name}: nothing" for frame in silent[:NAMED]]
     what = (

@@ -107,13 +107,13 @@ def find_white_area(
     reduced = _reduced_size(size, period)
     if white.mean.shape != shot.mean.shape or min(reduced) < BLOCKS * 3:
         return WhiteArea()
-    seen, lit = (
+    scene, lit = (
         _reduced(_plane(template.mean - level), reduced)
         for template, level in ((shot, levels[0]), (white, levels[1]))
     )
     full = _reduced(_plane((shot.saturated | white.saturated).astype(np.float32)), reduced) > 0
-    sound = (seen > 0) & (lit > 0) & ~full
-    of_object, of_white = (detail(plane, SCALES[0]).between for plane in (seen, lit))
+    sound = (scene > 0) & (lit > 0) & ~full
+    of_object, of_white = (detail(plane, SCALES[0]).between for plane in (scene, lit))
     side = max(3, min(SIDE, min(reduced) // BLOCKS))
     state = _state(_blocks(of_object, of_white, sound, side))
     uncovered = _grown(state) if np.any(state > 0) else np.zeros_like(state, bool)
@@ -129,9 +129,9 @@ def find_white_area(
         mask, edges = _at_size(uncovered, side, reduced, size), None
         notes.append(_note(mask))
         sound &= ~_at_size(uncovered, side, reduced, reduced)
-    found = find_board_detail(seen, lit, sound)
+    found = find_board_detail(scene, lit, sound)
     if found.picture and sound.mean() > MOST:
-        brighter = float(np.median(seen[sound] / lit[sound])) > 1
+        brighter = float(np.median(scene[sound] / lit[sound])) > 1
         raise CalibrationRefused(_shows_a_picture(found.picture, found.smooth and brighter))
     notes += _note_detail(found, edges, whole)
     if not found.texture and found.specks is None:

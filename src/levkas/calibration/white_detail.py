@@ -53,12 +53,12 @@ class BoardDetail(NamedTuple):
     smooth: bool = False
 
 
-def find_board_detail(seen: np.ndarray, lit: np.ndarray, sound: np.ndarray) -> BoardDetail:
-    """Tell the board's detail from the sensor's.
+def find_board_detail(scene: np.ndarray, lit: np.ndarray, sound: np.ndarray) -> BoardDetail:
+    """Separate the board's detail from the sensor's.
 
     Parameters
     ----------
-    seen, lit : ndarray, (h, w), float32
+    scene, lit : ndarray, (h, w), float32
         Counts above dark of object and white.
     sound : ndarray, (h, w), bool
         What may be looked at.
@@ -80,16 +80,16 @@ def find_board_detail(seen: np.ndarray, lit: np.ndarray, sound: np.ndarray) -> B
     >>> find_board_detail(paint * board, board, every).texture
     0.0
     """
-    seen, lit = _without_single_pixels(seen, lit)
+    scene, lit = _without_single_pixels(scene, lit)
     noise = _noise_of(lit)
-    of_object, of_white = (detail(plane, SCALES[0]) for plane in (seen, lit))
+    of_object, of_white = (detail(plane, SCALES[0]) for plane in (scene, lit))
     marked = _standing_out(of_white.between, sound)
-    specks = _judged(seen, lit, sound, marked)
+    specks = _judged(scene, lit, sound, marked)
     even = sound & ~near(marked)
     fine = _shares(of_object, of_white, even, SCALES[0], noise)
     small = min(1.0, min(lit.shape) / SMALL)
     fields = (SCALES[1][0] * small, SCALES[1][1] * small)
-    wide, of_fields = (detail(plane, fields) for plane in (seen, lit))
+    wide, of_fields = (detail(plane, fields) for plane in (scene, lit))
     coarse = _shares(wide, of_fields, sound, fields, noise)
     picture = 0.0
     if coarse.much > MUCH and (coarse.sure or (fine.sure and fine.board > STRUCTURE**2)):
@@ -156,23 +156,23 @@ def _shares(
     some = sums[3] > side**2 / 4
     much = float(np.mean(sums[4][some] > STRUCTURE**2 * sums[3][some])) if some.any() else 0.0
     whole = float((weight * np.where(sound, of_white.whole**2, 0)).sum()) / total - by_noise
-    seen = float(np.mean(np.where(sound, of_object.between**2, 0)))
-    return _Shares(board, lit, whole, seen, board > max(SIGMAS * error, lit / 4), much)
+    of_scene = float(np.mean(np.where(sound, of_object.between**2, 0)))
+    return _Shares(board, lit, whole, of_scene, board > max(SIGMAS * error, lit / 4), much)
 
 
 class _Specks(NamedTuple):
-    """Numbered parts of a frame, (h, w), and the numbers of those that are the board's, and of those that nothing tells."""
+    """Numbered parts of a frame, (h, w), and the numbers of those that are the board's, and of those that remain undecided."""
 
     parts: np.ndarray
     of_board: np.ndarray
     unclear: np.ndarray
 
 
-def _without_single_pixels(seen: np.ndarray, lit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _without_single_pixels(scene: np.ndarray, lit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return object and white with the median of 3x3 px where a single pixel of the white is far from it: defects are no specks."""
     import cv2
 
-    planes = [np.ascontiguousarray(plane, np.float32) for plane in (seen, lit)]
+    planes = [np.ascontiguousarray(plane, np.float32) for plane in (scene, lit)]
     of_object, of_white = (cv2.medianBlur(plane, 3) for plane in planes)
     single = np.abs(planes[1] - of_white) > SINGLE * np.abs(of_white)
     return np.where(single, of_object, planes[0]), np.where(single, of_white, planes[1])
@@ -192,7 +192,7 @@ def _standing_out(of_white: np.ndarray, sound: np.ndarray) -> np.ndarray:
     return np.asarray((np.abs(of_white) > max(STEP, NOISE * usual)) & sound)
 
 
-def _judged(seen: np.ndarray, lit: np.ndarray, sound: np.ndarray, marked: np.ndarray) -> _Specks:
+def _judged(scene: np.ndarray, lit: np.ndarray, sound: np.ndarray, marked: np.ndarray) -> _Specks:
     """Say of every marked part of a white whether the object has it, all together and one by one.
 
     Slopes of the logarithms are compared: an edge of the object beside a speck hides little of it.
@@ -202,7 +202,7 @@ def _judged(seen: np.ndarray, lit: np.ndarray, sound: np.ndarray, marked: np.nda
     parts, count = label(binary_dilation(marked, iterations=int(SCALES[0][1])))
     numbers = np.arange(1, count + 1)
     square, common = np.full(count, 1e-12), np.zeros(count)
-    for of_object, of_white in zip(_slopes(seen), _slopes(lit), strict=True):
+    for of_object, of_white in zip(_slopes(scene), _slopes(lit), strict=True):
         weight = _weights(np.minimum(of_object**2, (of_object - of_white) ** 2), sound, BESIDE)
         square += sum_labels(weight * of_white**2, parts, numbers)
         common += sum_labels(weight * of_white * of_object, parts, numbers)
@@ -238,7 +238,7 @@ def detail(plane: np.ndarray, scale: tuple[float, float]) -> RelativeDetail:
 
 
 def _weights(square: np.ndarray, sound: np.ndarray, around: float = AROUND) -> np.ndarray:
-    """Return how well detail of the white can be seen in the object, of whose detail this is the square: 1/variance, (h, w)."""
+    """Return how well detail of the white can be measured in the object, of whose detail this is the square: 1/variance, (h, w)."""
     import cv2
 
     square = np.where(sound, square, 0).astype(np.float32)

@@ -13,7 +13,7 @@ from levkas.calibration.templates import CalibrationRefused
 from levkas.core.problems import Problem
 
 SMOOTHNESS = 0.9
-"""Correlation of reflectances 10 nm apart, of a first-order Markov process [pratt1976]_. Chosen on paintings seen by a
+"""Correlation of reflectances 10 nm apart, of a first-order Markov process [pratt1976]_. Chosen on paintings imaged by a
 beam splitter's six channels: with 0.8 or 0.95 the mean of two kinds of spectra is 0.6 or 0.2 dB worse."""
 STEP_NM = 10.0
 NUGGET = 0.02

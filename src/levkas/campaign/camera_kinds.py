@@ -15,7 +15,7 @@ class CameraKind:
     Parameters
     ----------
     bands_in : str
-        Where its bands are told apart: in the ``"pattern"`` of a mosaic, in one ``"file"`` that holds them all, in
+        Where its bands are kept apart: in the ``"pattern"`` of a mosaic, in one ``"file"`` that holds them all, in
         ``"files"``, one each, or by ``"sensors"`` behind one lens, of which each may have a pattern.
     develop : str
         ``MODULE:FUNCTION`` that makes calibrated values of the frames of a sensor (`SensorContext` → cube and notes).

@@ -212,14 +212,14 @@ def requirements() -> tuple[list[Requirement], list[tuple[Requirement, str]]]:
     from packaging.requirements import Requirement
 
     try:
-        told = [Requirement(text) for text in metadata.requires("levkas") or ()]
+        declared = [Requirement(text) for text in metadata.requires("levkas") or ()]
     except metadata.PackageNotFoundError:
         return [], []
-    here = [one for one in told if one.marker is None or one.marker.evaluate({"extra": ""})]
+    here = [one for one in declared if one.marker is None or one.marker.evaluate({"extra": ""})]
     more = [
         (one, extra)
         for extra in EXTRAS
-        for one in told
+        for one in declared
         if one not in here and one.marker is not None and one.marker.evaluate({"extra": extra})
     ]
     return here, more
@@ -326,8 +326,10 @@ def _node() -> MachineFinding:
         )
     path = shutil.which("node")
     try:
-        told = subprocess.run([path or "", "--version"], capture_output=True, text=True, timeout=5)
-        found = told.stdout.strip().removeprefix("v")
+        answer = subprocess.run(
+            [path or "", "--version"], capture_output=True, text=True, timeout=5
+        )
+        found = answer.stdout.strip().removeprefix("v")
     except (OSError, subprocess.SubprocessError):
         found = ""
     if not re.fullmatch(r"[\d.]+", found) or int(found.split(".")[0]) < OLDEST_NODE:
@@ -377,11 +379,11 @@ def _find_threads() -> MachineFinding:
         *(THREADS, TILE, "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
         "MKL_NUM_THREADS",
     )
-    told = [f"{name}={os.environ[name]}" for name in names if name in os.environ]
+    variables = [f"{name}={os.environ[name]}" for name in names if name in os.environ]
     return MachineFinding(
         "threads",
         "ok",
-        ", ".join([str(count_threads()), *told]),
+        ", ".join([str(count_threads()), *variables]),
         "",
         "speed; the bytes are the same",
     )

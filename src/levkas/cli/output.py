@@ -72,9 +72,9 @@ def print_report(
         }
         typer.echo(json.dumps(plain(record), ensure_ascii=False, indent=2, allow_nan=False))
         return
-    told = list(problems)
-    causes = [problem for problem in told if problem.code != CONSEQUENCE]
-    print_problems(causes or told)
+    listed = list(problems)
+    causes = [problem for problem in listed if problem.code != CONSEQUENCE]
+    print_problems(causes or listed)
 
 
 _shown: set[Problem] = set()
@@ -222,9 +222,9 @@ def draw_bar(steps: Iterable[Any], console: Console) -> list[Any]:
             return Text("; ".join([part for part in (", ".join(within), so_far) if part]))
 
     one_line = Column(no_wrap=True)
-    told = TextColumn("{task.completed} of at most {task.fields[most]}", table_column=one_line)
+    count = TextColumn("{task.completed} of at most {task.fields[most]}", table_column=one_line)
     name = TextColumn("{task.description}", style="bold", table_column=one_line)
-    columns = (name, BarColumn(10), told, Within(one_line))
+    columns = (name, BarColumn(10), count, Within(one_line))
     done, fresh = [], 0
     with Progress(*columns, console=console, transient=True) as progress:
         first = FRAMES.count

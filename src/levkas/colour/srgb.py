@@ -141,7 +141,7 @@ class Rendering:
     description : str
         What the picture shows, for captions: never claims more than is so.
     colour : bool
-        Whether the colours are meant as they would be seen.
+        Whether the colours are meant as an observer would see them.
     encoded : bool
         Whether the values are display values already, as in a plain photograph.
     """
@@ -230,7 +230,7 @@ def camera_matrix(wavelengths: np.ndarray, table: np.ndarray) -> tuple[np.ndarra
     matrix : ndarray, (channels, 3)
         ``XYZ = channels @ matrix``; white, all channels 1, is exactly the white of D65.
     missed : float, 0 … 1
-        Share of XYZ's variance over smooth reflectances that the camera cannot tell.
+        Share of XYZ's variance over smooth reflectances that the camera cannot resolve.
 
     Notes
     -----
@@ -241,15 +241,15 @@ def camera_matrix(wavelengths: np.ndarray, table: np.ndarray) -> tuple[np.ndarra
     grid, target = observer_under()
     full = np.arange(min(380.0, wavelengths.min()), max(780.0, wavelengths.max()) + 1)
     light = np.interp(full, grid, rows[:, 4])
-    seen = np.stack([np.interp(full, wavelengths, c, left=0, right=0) for c in table.T], 1)
-    seen = np.maximum(seen, 0) * light[:, None]
-    seen = seen / seen.sum(0)
+    captured = np.stack([np.interp(full, wavelengths, c, left=0, right=0) for c in table.T], 1)
+    captured = np.maximum(captured, 0) * light[:, None]
+    captured = captured / captured.sum(0)
     wanted = np.stack([np.interp(full, grid, c, left=0, right=0) for c in target.T], 1)
     root = np.linalg.cholesky(REFLECTANCE_CORRELATION ** np.abs(full[:, None] - full)).T
     white = wanted.sum(0)
     # White is kept exactly: the first channel's row is what the others leave of it.
-    rest = root @ (seen[:, 1:] - seen[:, :1])
-    goal = root @ (wanted - seen[:, :1] * white)
+    rest = root @ (captured[:, 1:] - captured[:, :1])
+    goal = root @ (wanted - captured[:, :1] * white)
     others = np.linalg.lstsq(rest, goal, rcond=1e-6)[0]
     matrix = np.vstack([white - others.sum(0), others])
     centred = root @ (wanted - white * wanted.sum(1, keepdims=True) / white.sum())
@@ -268,14 +268,14 @@ def _from_xyz(weights: np.ndarray, text: str) -> Rendering:
 def _in_colour(wavelengths: np.ndarray) -> Rendering | None:
     coverage = visible_coverage(wavelengths)
     low, high = wavelengths.min(), wavelengths.max()
-    seen = np.sort(wavelengths[(wavelengths > 360) & (wavelengths < 740)])
-    if coverage < LEAST_COVERAGE or np.diff(seen).max(initial=0) > WIDEST_GAP_NM:
+    visible = np.sort(wavelengths[(wavelengths > 360) & (wavelengths < 740)])
+    if coverage < LEAST_COVERAGE or np.diff(visible).max(initial=0) > WIDEST_GAP_NM:
         return None
     text = "sRGB under D65"
     if coverage < FULL_COVERAGE:
         text += f", from {low:g}–{high:g} nm ({coverage:.0%} of the visible weight)"
-    if np.diff(seen).max(initial=0) > SPARSE_GAP_NM:
-        text += f", interpolated between {len(seen)} bands"
+    if np.diff(visible).max(initial=0) > SPARSE_GAP_NM:
+        text += f", interpolated between {len(visible)} bands"
     return _from_xyz(xyz_weights(wavelengths), text)
 
 

@@ -55,7 +55,7 @@ def refusing(
         if not ours and not str(error.filename or "").startswith(str(only_of)):
             raise
         raise WriteRefused(_problem(path, error, bytes_needed)) from error
-    except ValueError as error:  # Python's, before the system is asked
+    except ValueError as error:  # Python's, before the system is called
         if not (why := unusable_name(path)):
             raise
         raise WriteRefused(_unwritable(path, why)) from error

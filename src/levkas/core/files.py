@@ -122,8 +122,8 @@ def replacing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[
         `path` is what it was and the temporary file is gone.
     """
     path = Path(path)
-    if (ask := _asked.get()) is not None:
-        ask(path)
+    if (check := _path_check.get()) is not None:
+        check(path)
     make_folder(path.parent)
     if bytes_needed is not None:
         require_space(path.parent, bytes_needed, path=path)
@@ -155,20 +155,20 @@ def replacing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[
         _sync_folder(path.parent)
 
 
-_asked: ContextVar[Callable[[Path], object] | None] = ContextVar("asked", default=None)
+_path_check: ContextVar[Callable[[Path], object] | None] = ContextVar("path_check", default=None)
 
 
 @contextlib.contextmanager
-def before_writing(ask: Callable[[Path], object]) -> Iterator[None]:
-    """Call `ask` with the final path of every file that this thread writes in the block, before it is.
+def before_writing(check: Callable[[Path], object]) -> Iterator[None]:
+    """Call `check` with the final path of every file that this thread writes in the block, before it is.
 
     What it raises ends the writing; nothing has been touched then.
     """
-    token = _asked.set(ask)
+    token = _path_check.set(check)
     try:
         yield
     finally:
-        _asked.reset(token)
+        _path_check.reset(token)
 
 
 @contextlib.contextmanager

@@ -28,7 +28,7 @@ def give_back_memory() -> None:
 def keep_memory() -> None:
     """Have the C library keep freed memory for all threads in one place until `give_back_memory` (glibc).
 
-    By itself glibc keeps it thread by thread: what one has freed another cannot use, and asks the system
+    By itself glibc keeps it thread by thread: what one has freed another cannot use, and takes from the system
     for more, which has to be zeroed. One arena makes the peak of a full-size build 2.2 instead of 2.7 GB.
     dask's nannies set MALLOC_TRIM_THRESHOLD_ to 64 kB for their workers, which then give every array back
     and have it zeroed anew: a third more processor time.
@@ -60,8 +60,8 @@ def count_threads(most: int | None = None) -> int:
     >>> count_threads(most=1)
     1
     """
-    told = os.environ.get(THREADS, "").strip()
-    count = int(told) if told.isdecimal() and int(told) > 0 else _processors()
+    stated = os.environ.get(THREADS, "").strip()
+    count = int(stated) if stated.isdecimal() and int(stated) > 0 else _processors()
     return count if most is None else min(count, most)
 
 
@@ -80,9 +80,9 @@ def tile_rows(chosen: int, whole: int) -> int:
     >>> tile_rows(256, 100)
     100
     """
-    told = os.environ.get(TILE, "").strip()
-    rows = int(told) if told.isdecimal() and int(told) > 0 else chosen
-    return max(1, whole if told == "whole" else min(rows, whole))
+    stated = os.environ.get(TILE, "").strip()
+    rows = int(stated) if stated.isdecimal() and int(stated) > 0 else chosen
+    return max(1, whole if stated == "whole" else min(rows, whole))
 
 
 def _processors() -> int:

@@ -146,13 +146,13 @@ class OwnFiles:
 
         touched: list[Path] = []
 
-        def ask(path: Path) -> None:
+        def claim_once(path: Path) -> None:
             if path.name != RECORD and path not in touched:
                 self.claim(path)
                 touched.append(path)
 
         try:
-            with before_writing(ask):
+            with before_writing(claim_once):
                 yield
         finally:
             self.keep(*touched)

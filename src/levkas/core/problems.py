@@ -62,7 +62,7 @@ class Problem:
             object.__setattr__(self, "file", _as_written(self.file))
 
     def __hash__(self) -> int:
-        """Problems are told once each, also those that found a list."""
+        """Problems are reported once each, also those that found a list."""
         return hash((self.code, self.message, self.file, self.field, str(self.found), self.fix))
 
     def __str__(self) -> str:
@@ -81,8 +81,8 @@ class Problem:
         >>> "; ".join(Problem("E_BAND_COUNT", "the bands do not fit", "nir", None, 31, 33, "Look.").lines)
         'E_BAND_COUNT: the bands do not fit;   where: nir: found 31, expected 33;   do: Look.'
         """
-        seen = (("found", self.found), ("expected", self.expected))
-        values = (f"{word} {_one_line(value)}" for word, value in seen if value is not None)
+        pairs = (("found", self.found), ("expected", self.expected))
+        values = (f"{word} {_one_line(value)}" for word, value in pairs if value is not None)
         parts = (", ".join(filter(None, (self.file, self.field))), ", ".join(values))
         where = ": ".join(filter(None, parts))
         lines = [f"{self.code}: {_one_line(self.message, LONGEST_VALUE)}"]

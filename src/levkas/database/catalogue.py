@@ -125,10 +125,10 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
         fix = "Give the folder of a database, or build the campaign first."
         problem = Problem("E_UNREADABLE", what, str(path), fix=fix)
         if isinstance(error, TextRefused):
-            (told,) = error.problems
-            fix = "Copy the database, and give its folder." if told.code == "E_SIZE" else fix
-            what = f"the catalogue cannot be read: {told.message}"
-            problem = replace(told, message=what, fix=fix)
+            (damage,) = error.problems
+            fix = "Copy the database, and give its folder." if damage.code == "E_SIZE" else fix
+            what = f"the catalogue cannot be read: {damage.message}"
+            problem = replace(damage, message=what, fix=fix)
         raise DatabaseRefused(problem) from error
     if problems:
         raise DatabaseRefused(*problems)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from levkas.database.regions import Region
 
 SAMPLES = 16
-"""Rows and columns that are compared to know whether values are those of the layer; a change of all, or of a large part, is seen."""
+"""Rows and columns that are compared to know whether values are those of the layer; a change of all, or of a large part, is found."""
 
 
 @xarray.register_dataarray_accessor("levkas")

@@ -62,7 +62,7 @@ class ZarrArray(LazyArray):
     Raises
     ------
     DatabaseRefused
-        Where its description is damaged, or asks for chunks that no memory holds.
+        Where its description is damaged, or declares chunks that no memory holds.
     """
 
     def __init__(self, path: Path, root: Path) -> None:
@@ -148,7 +148,7 @@ def read_description(path: Path) -> dict[str, Any]:
     Raises
     ------
     DatabaseRefused
-        Where it cannot be read, or asks for chunks that no memory holds.
+        Where it cannot be read, or declares chunks that no memory holds.
     """
     place = path / "zarr.json"
     try:

@@ -137,8 +137,8 @@ def _read(path: Path, file: BinaryIO) -> Manifest:
     head = next(lines, b"")
     if not head:
         return _damaged(path, "it is empty")
-    told = _HEAD.fullmatch(head.removesuffix(b"\n").decode("ascii", "replace"))
-    if told is None:
+    stated = _HEAD.fullmatch(head.removesuffix(b"\n").decode("ascii", "replace"))
+    if stated is None:
         comments: list[bytes] = []
         manifest = _parse(path, _noting(itertools.chain([head], lines), comments))
         if comments:
@@ -146,9 +146,9 @@ def _read(path: Path, file: BinaryIO) -> Manifest:
         return manifest
     digest = hashlib.sha256()
     manifest = _parse(path, _hashing(lines, digest))
-    if digest.hexdigest() != told.group(3):
+    if digest.hexdigest() != stated.group(3):
         return _damaged(path, "its lines have changed", manifest)
-    if (len(manifest.files), manifest.bytes) != (int(told.group(1)), int(told.group(2))):
+    if (len(manifest.files), manifest.bytes) != (int(stated.group(1)), int(stated.group(2))):
         return _damaged(path, "its totals of files and bytes differ from its lines", manifest)
     return manifest
 
@@ -225,8 +225,8 @@ def _parse(path: Path, lines: Iterable[bytes]) -> Manifest:
     wrong = first = 0
     for number, line in enumerate(lines, 1):
         text = line.decode("utf-8", "surrogateescape").removesuffix("\n").rstrip("\r")
-        if told := _SIZE.fullmatch(text):
-            size = int(told.group(1))
+        if stated := _SIZE.fullmatch(text):
+            size = int(stated.group(1))
             continue
         found = _LINE.fullmatch(text)
         name = _decode(found.group(2)) if found else ""

@@ -272,15 +272,17 @@ def find_position_sigma(
 
 
 def position_sigma_at(records: Records, frame: Frame, points: np.ndarray) -> np.ndarray:
-    """Return how well the position of a band is known at (n, 2) px of the grid, reference px; NaN where it is not seen or known."""
+    """Return how well the position of a band is known at (n, 2) px of the grid, reference px; NaN where it is outside or unknown."""
     from levkas.registration.record import Sigma
 
     grid, entry = records.pixels(Frame()), records.entry(frame)
     values = np.full(len(points), np.nan, np.float32)
     if "sigma" in entry:
-        seen = FrameMap(grid, records.pixels(frame), records.reference())(points)
-        seen = np.isfinite(seen).all(1)
-        values[seen] = Sigma.from_dict(entry["sigma"])(grid.from_reference.inverse(points[seen]))
+        inside = FrameMap(grid, records.pixels(frame), records.reference())(points)
+        inside = np.isfinite(inside).all(1)
+        values[inside] = Sigma.from_dict(entry["sigma"])(
+            grid.from_reference.inverse(points[inside])
+        )
     return values
 
 
@@ -360,16 +362,16 @@ def map_points(
 def warn_of_turns(database: str | Path, name: str, frames: Iterable[str]) -> list[str]:
     """Say of frames whose files viewers turn or mirror that their coordinates are those of the file as stored."""
     layers = Records(place(database), name).layers
-    told = []
+    warnings = []
     for layer in dict.fromkeys(parse_frame(frame).layer for frame in frames):
         target = _load(layers[layer]).get("target") if layer in layers else None
         turn = target.get("orientation") if isinstance(target, dict) else None
         if turn in UPRIGHT:
-            told.append(
+            warnings.append(
                 f"coordinates of {layer} are of its file as it is stored; viewers show that {describe_turn(turn)} "
                 f"(EXIF orientation {turn}), and their coordinates are others"
             )
-    return told
+    return warnings
 
 
 def map_table(

@@ -173,7 +173,10 @@ def mm_per_px(record: Mapping[str, Any]) -> float | None:
 def unconfirmed_cells(record: Mapping[str, Any]) -> list[list[float]]:
     """Return the cells, (x, y, width, height) in reference px, where nothing confirms a layer's map, or it is off."""
     numbers = record.get("verdict", {}).get("numbers") or {}
-    parts = [numbers, *(n.get("borne_out") or {} for n in numbers.values() if isinstance(n, dict))]
+    parts = [
+        numbers,
+        *(n.get("verification") or {} for n in numbers.values() if isinstance(n, dict)),
+    ]
     cells = (
         cell for part in parts for key in ("unsupported", "off") for cell in part.get(key) or ()
     )
@@ -266,9 +269,9 @@ def _check_size(size: Any) -> None:
         raise ValueError("a size is not two numbers of pixels")
 
 
-def _check_transform(told: dict[str, Any]) -> None:
+def _check_transform(record: dict[str, Any]) -> None:
     """Map a point: an array of another form is found by that, wherever it stands."""
     with np.errstate(all="ignore"):
-        mapped = from_dict(told)(np.array([[1.0, 2.0]]))
+        mapped = from_dict(record)(np.array([[1.0, 2.0]]))
     if np.shape(mapped) != (1, 2):
         raise ValueError("a transform does not map points to points")

@@ -466,7 +466,7 @@ class _RemoteFile(io.RawIOBase):
 
 
 def _credentials() -> dict[str, Any]:
-    """Return what an S3-like store is asked with: the credentials of the AWS tools, or none."""
+    """Return what requests to an S3-like store carry: the credentials of the AWS tools, or none."""
     if find_spec("boto3") is None:
         return {"config": {"checksum_algorithm": "SHA256"}}
     import boto3

@@ -1,4 +1,4 @@
-"""Arrays of a remote database, as Zarr asks for them."""
+"""Arrays of a remote database, as Zarr requests them."""
 
 from __future__ import annotations
 

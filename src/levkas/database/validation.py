@@ -241,9 +241,9 @@ def _check_catalogue(root: Path, listed: dict[str, Listed]) -> Iterator[Problem]
         if file is None:
             yield _problem(root, name, "E_MISSING", f"{CATALOGUE} lists it, but it is missing")
         elif file.sha256 != entry.sha256.lower():
-            told = {"field": f"sha256 of {name}", "found": entry.sha256, "expected": file.sha256}
+            details = {"field": f"sha256 of {name}", "found": entry.sha256, "expected": file.sha256}
             yield _problem(
-                base, CATALOGUE, "E_DAMAGED", "a hash in it differs from the file", **told
+                base, CATALOGUE, "E_DAMAGED", "a hash in it differs from the file", **details
             )
 
 
@@ -257,16 +257,16 @@ def _damage_of(
         return _problem(root, name, "E_UNREADABLE", f"it {digest}")
     others = [e.name for e in listed.values() if e.sha256 == digest and e.name != entry.name]
     if others:
-        told = {"found": f"the content of {others[0]}", "expected": f"sha256 {entry.sha256}"}
-        return _problem(root, name, "E_SWAPPED", "it holds the content of another file", **told)
+        details = {"found": f"the content of {others[0]}", "expected": f"sha256 {entry.sha256}"}
+        return _problem(root, name, "E_SWAPPED", "it holds the content of another file", **details)
     size = (root / name).stat().st_size
     if entry.size is not None and size != entry.size:
-        told = {"found": f"{size} bytes", "expected": f"{entry.size} bytes"}
+        details = {"found": f"{size} bytes", "expected": f"{entry.size} bytes"}
         if size < entry.size:
-            return _problem(root, name, "E_TRUNCATED", "it is truncated", **told)
-        return _problem(root, name, "E_SIZE", "it has extra bytes", **told)
-    told = {"found": f"sha256 {digest}", "expected": entry.sha256}
-    return _problem(root, name, "E_DAMAGED", "its bytes have changed", **told)
+            return _problem(root, name, "E_TRUNCATED", "it is truncated", **details)
+        return _problem(root, name, "E_SIZE", "it has extra bytes", **details)
+    details = {"found": f"sha256 {digest}", "expected": entry.sha256}
+    return _problem(root, name, "E_DAMAGED", "its bytes have changed", **details)
 
 
 def _unlisted(root: Path, name: str) -> Problem:
@@ -324,8 +324,8 @@ def _check_damaged_manifest(
     for entry, digest in zip(entries, hashes, strict=True):
         # Of a hash that a damage changed most digits stay; another one shares four of 64 by chance.
         if sum(map(str.__eq__, entry.sha256, digest)) <= 32:
-            told = {"found": f"sha256 {digest}", "expected": entry.sha256}
-            yield _problem(root, entry.name, "E_DAMAGED", "its bytes have changed", **told)
+            details = {"found": f"sha256 {digest}", "expected": entry.sha256}
+            yield _problem(root, entry.name, "E_DAMAGED", "its bytes have changed", **details)
     unknown = [n for n in names if n not in manifest.files and n != NAME]
     strangers = {_hash(root / n) for n in unknown}
     for entry in manifest.files.values():
@@ -341,8 +341,8 @@ def _problem(root: Path, name: str, code: str, why: str, **more: Any) -> Problem
 
 def _once(problems: Iterable[Problem]) -> Iterator[Problem]:
     """Leave out what was said of a file before in other words."""
-    seen: set[str | None] = set()
+    reported: set[str | None] = set()
     for problem in problems:
-        if problem.file not in seen:
+        if problem.file not in reported:
             yield problem
-        seen.add(problem.file)
+        reported.add(problem.file)

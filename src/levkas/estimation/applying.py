@@ -144,13 +144,13 @@ def estimate_cube(database: Database, name: str, stored: StoredModel) -> Cube:
         rows = slice(start, start + BLOCK_ROWS)
         responses = np.concatenate([a.isel(y=rows).values for a in layers], axis=2).astype(float)
         marks = np.concatenate([a.isel(y=rows).flags.values for a in layers], axis=2)
-        seen = np.isfinite(responses).all(2)
+        valid = np.isfinite(responses).all(2)
         with steady_libraries():
-            spectra, spread = stored.model(responses[seen])
-        values[rows][seen] = spectra
-        sigma[rows][seen] = known if spread is None else spread
+            spectra, spread = stored.model(responses[valid])
+        values[rows][valid] = spectra
+        sigma[rows][valid] = known if spread is None else spread
         joined = np.bitwise_or.reduce(marks, axis=2)
-        flags[rows] = np.where(seen, joined & ~np.uint8(Flag.OUTSIDE), joined | Flag.OUTSIDE)[
+        flags[rows] = np.where(valid, joined & ~np.uint8(Flag.OUTSIDE), joined | Flag.OUTSIDE)[
             ..., None
         ]
     return Cube(values, flags, sigma, stored.bands)

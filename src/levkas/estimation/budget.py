@@ -164,10 +164,10 @@ def measure_budget(
     }
     found: dict[str, dict[str, list[float]]] = {method.name: {} for method in methods}
     for condition, vary in variants.items():
-        learnt, tests = [vary(p) for p in train], [vary(p) for p in test]
+        trained, tests = [vary(p) for p in train], [vary(p) for p in test]
         for draw in range(DRAWS):
             rng = np.random.default_rng([seed, draw])
-            halves = [samples.take(_half(samples, rng)) for samples in learnt]
+            halves = [samples.take(_half(samples, rng)) for samples in trained]
             weights = [rng.multinomial(BLOCKS**2, np.full(BLOCKS**2, BLOCKS**-2.0)) for _ in tests]
             chosen = select_training(training_of(halves), SAMPLES, rng)
             chosen = replace(chosen, criterion=criterion)
@@ -215,7 +215,7 @@ def effective_sensitivities(train: Sequence[PaintSamples]) -> np.ndarray:
 
 
 def _with_neighbours(source: SampleSource, painting: Painting) -> Painting:
-    """Keep paint whose neighbours, as far as the reference is shifted, were seen."""
+    """Keep paint whose neighbours, as far as the reference is shifted, were measured."""
     name, samples = painting
     good = ~samples.gold
     for shift in SHIFTS_PX:

@@ -36,10 +36,10 @@ def read_chart(database: Path, name: str, sources: Sequence[str], target: str) -
     spectra, spectrum_sigma, good = _patches(database, name, target)
     responses, response_sigma = [], []
     for source in sources:
-        mean, sigma, seen = _patches(database, name, source)
+        mean, sigma, visible = _patches(database, name, source)
         if len(mean) != len(spectra):
             raise _unusable(_record(database, name, source), "another number of patches")
-        good = good & seen
+        good = good & visible
         responses.append(mean)
         response_sigma.append(sigma)
     numbers = np.arange(len(spectra))

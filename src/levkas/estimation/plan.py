@@ -280,7 +280,7 @@ def wavelengths_of(database: Database, layer: str) -> np.ndarray:
 def title_of_database(database: Database) -> str:
     """Return the title that database.toml gives, else the name of the folder."""
     try:
-        told = read_toml(database.path / "database.toml").get("title")
+        title = read_toml(database.path / "database.toml").get("title")
     except Refused:
-        told = None
-    return str(told or database.path.resolve().name)
+        title = None
+    return str(title or database.path.resolve().name)

@@ -192,7 +192,7 @@ class SampleSource:
         return np.logical_or.reduce(found)
 
     def shifted_spectra(self, name: str, samples: PaintSamples, shift_px: float) -> np.ndarray:
-        """Return the spectra `shift_px` to the right of samples, (n, bands); NaN beside what was seen.
+        """Return the spectra `shift_px` to the right of samples, (n, bands); NaN beside what was captured.
 
         Cubic convolution, Keys 1981 (10.1109/TASSP.1981.1163711), as registration error of that size
         would resample them.

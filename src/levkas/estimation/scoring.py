@@ -58,7 +58,7 @@ def score_predictions(plan: ExperimentPlan, folder: str | Path) -> Iterator[Esti
             cube = read_npy(path, shape)
         spectra = cube[samples.rows, samples.columns].astype(float)
         if lost := int((~np.isfinite(spectra)).any(1).sum()):
-            why = "the prediction has pixels without a number where the painting was seen"
+            why = "the prediction has pixels without a number where the painting was measured"
             found = f"{lost} of {len(spectra)} scored pixels"
             raise EstimationRefused(
                 Problem("E_VALUE", why, str(path), None, found, "finite reflectance")

@@ -146,7 +146,7 @@ def split_chart(
                 "no chart was measured by all of these cameras",
                 field="--split",
                 found="chart",
-                expected=f"charts/ in the database, seen by {', '.join(sources)} and the target",
+                expected=f"charts/ in the database, captured by {', '.join(sources)} and the target",
                 fix="Declare `charts` in [targets] of campaign.toml and build again, or split by painting.",
             )
         )

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from levkas.geometry.depth_step import LedgeShift
+from levkas.geometry.depth_step import DepthStepShift
 from levkas.geometry.spline import SplineShift
 from levkas.geometry.transforms import (
     Affine,
@@ -44,7 +44,7 @@ KINDS: dict[str, Callable[[dict[str, Any]], Transform]] = {
     "composed": lambda r: Composed(*(from_dict(step) for step in r["steps"])),
     "inverse": lambda r: Inverse(from_dict(r["of"])),
     "spline": lambda r: SplineShift(_array(r, "origin"), r["spacing"], _array(r, "coefficients")),
-    "ledge": lambda r: LedgeShift(
+    "depth_step": lambda r: DepthStepShift(
         _array(r, "lines"), r["width"], _array(r, "centre"), r["spread"], _array(r, "shift")
     ),
 }

@@ -11,10 +11,10 @@ from levkas.geometry.transforms import invert
 
 
 @dataclass(frozen=True, eq=False)
-class LedgeShift:
+class DepthStepShift:
     """``p ↦ p + Π S(dᵢ(p) / width) · (1, u, v) · shift``, u and v = (p − centre) / spread.
 
-    The centre of a panel that is lowered behind a ledge lies farther from either camera: it is seen
+    The centre of a panel that is lowered behind a ledge lies farther from either camera: it appears
     displaced against its border, by an amount that grows evenly across it. S rises from 0 to 1 as
     6x⁵ − 15x⁴ + 10x³.
 
@@ -87,7 +87,7 @@ class LedgeShift:
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready record."""
         return {
-            "kind": "ledge",
+            "kind": "depth_step",
             "lines": np.asarray(self.lines, float).tolist(),
             "width": float(self.width),
             "centre": np.asarray(self.centre, float).tolist(),

@@ -3,7 +3,7 @@
 A map is evaluated on a lattice of nodes, interpolated to order 5 down the rows, and laid as
 cubics along segments of them; the middles of its cells are checked against the map itself, and the
 lattice is made finer until the largest error is below `TOLERANCE_PX`, or where the map steps at a ledge
-below `LEDGE_SHARE` of that step. Maps that no lattice follows (folds, places without an answer) are
+below `STEP_SHARE` of that step. Maps that no lattice follows (folds, places without an answer) are
 evaluated at every pixel.
 """
 
@@ -17,16 +17,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.core.threads import each
-from levkas.geometry.depth_step import LedgeShift
+from levkas.geometry.depth_step import DepthStepShift
 
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
 
 TOLERANCE_PX = 1e-4
-LEDGE_SHARE = 1 / 50
+STEP_SHARE = 1 / 50
 """Where a ledge lies is known to pixels: what it displaces need not be laid out more exactly. Along a slope
 of 30 px so much is a third of a pixel of its place."""
-LADDER = ((128, 32), (32, 16), (8, 8), (4, 4), (2, 2))
+LATTICES = ((128, 32), (32, 16), (8, 8), (4, 4), (2, 2))
 """Distance of nodes and length of segments, grid px."""
 NODES = 6
 AT_ONCE = 8
@@ -138,13 +138,15 @@ def lay_bands(
         raise ValueError("there is no transform: give one for all bands, or one for each")
     first = _lay_band(transforms[0], shape)
     # Bands of a capture are bent alike: a lattice too coarse for the first is not tried for others.
-    ladder = [rung for rung in LADDER if rung[1] <= first.segment] or LADDER
+    lattices = [rung for rung in LATTICES if rung[1] <= first.segment] or LATTICES
     yield first
     del first
     if all(one is transforms[0] for one in transforms):
         return
     for start in range(1, len(transforms), AT_ONCE):
-        some = each(lambda one: _lay_band(one, shape, ladder), transforms[start : start + AT_ONCE])
+        some = each(
+            lambda one: _lay_band(one, shape, lattices), transforms[start : start + AT_ONCE]
+        )
         while some:
             yield some.pop(0)
 
@@ -152,14 +154,14 @@ def lay_bands(
 def _lay_band(
     transform: Transform,
     shape: tuple[int, int],
-    ladder: Sequence[tuple[int, int]] = LADDER,
+    lattices: Sequence[tuple[int, int]] = LATTICES,
 ) -> Lattice:
     height, width = shape
     coarsest = 1.0
-    for step, segment in ladder:
+    for step, segment in lattices:
         counts = [max(NODES, ceil((n - 1) / step) + 1) for n in shape]
         y, x = (np.linspace(0, n - 1, count) for n, count in zip(shape, counts, strict=True))
-        nodes = _asked(transform, x, y).reshape(*counts, 2)
+        nodes = _map_raster(transform, x, y).reshape(*counts, 2)
         coarsest = max(1.0, _coarsest(nodes, x, y))
         if height * width <= SMALL or min(shape) < NODES:
             break
@@ -173,7 +175,7 @@ def _lay_band(
     return Lattice(transform, None, 1, 0.0, coarsest)
 
 
-def _asked(transform: Transform, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _map_raster(transform: Transform, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return where the places of a raster lie, (rows x columns, 2)."""
     places = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     with np.errstate(all="ignore"):
@@ -194,12 +196,12 @@ def _error(
 ) -> float | None:
     """Return the largest error of a table at the middles of cells; None where it is too large.
 
-    Few of them are asked first: most tables that do not serve show it there.
+    Few of them are computed first: most tables that do not serve show it there.
     """
     x, y = (_checks(n) for n in nodes)
     for every in (CHECKS // FEW, 1):
         few = x[::every], y[::every]
-        found = _asked(transform, *few)
+        found = _map_raster(transform, *few)
         if not _is_near(found):
             return None
         error = float(np.abs(_evaluate(table, shape, segment, *few) - found).max())
@@ -211,8 +213,8 @@ def _error(
 def _tolerance(transform: Transform, scale: float) -> float:
     """Return how far a lattice may lie from a map, source px."""
     steps = getattr(transform, "steps", (transform,))
-    ledges = [step.most for step in steps if isinstance(step, LedgeShift)]
-    return max([TOLERANCE_PX, *(LEDGE_SHARE * most * scale for most in ledges)])
+    depth_steps = [step.most for step in steps if isinstance(step, DepthStepShift)]
+    return max([TOLERANCE_PX, *(STEP_SHARE * most * scale for most in depth_steps)])
 
 
 def _checks(nodes: np.ndarray) -> np.ndarray:

@@ -397,9 +397,9 @@ def _shared_pixel(source, result, at, spot, done, weights):
             near = _nearest(at[0], at[1], source)
             _pass_flags(source.flags, result.flags, box, near, spot, weights)
     for b in range(bands):
-        strange = not np.isfinite(out[spot[0], spot[1], b])
-        if strange or suspect & OUTSIDE:
-            _gather(source, result, at, spot, b, strange, weights)
+        not_finite = not np.isfinite(out[spot[0], spot[1], b])
+        if not_finite or suspect & OUTSIDE:
+            _gather(source, result, at, spot, b, not_finite, weights)
     return 0
 
 
@@ -429,10 +429,10 @@ def resample_rows(start, stop, nodes, source, result):
                     if noise.size:
                         squares = (*_squares(u), *_squares(v))
                         _sum_cubic(variance, fx, fy, squares, noise, spot)
-                    strange = 0
+                    not_finite = 0
                     for b in range(values.shape[2]):
-                        strange += out[spot[0], x, b] - out[spot[0], x, b] != 0
-                    care = strange > 0
+                        not_finite += out[spot[0], x, b] - out[spot[0], x, b] != 0
+                    care = not_finite > 0
                     if suspect.size:
                         care |= _any_suspect(suspect, fx - 1, 4, fy - 1, 4) != 0
                 if care:

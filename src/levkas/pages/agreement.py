@@ -31,7 +31,7 @@ class AgreementRow(NamedTuple):
     bands: str
     ratio: str
     expected_ratio: str
-    said: str
+    finding: str
 
 
 class AgreementSection(NamedTuple):
@@ -60,10 +60,12 @@ def _short(
     if not odd and alike:
         most = max(abs(band.ratio - 1) for pair in alike for band in pair.bands)
         unknown = alike[0].unknown
-        told = f"The cameras agree within their uncertainties, to {100 * most:.2g} % or better in the {len(alike)} pairs that could be compared"
+        absent = f"The cameras agree within their uncertainties, to {100 * most:.2g} % or better in the {len(alike)} pairs that could be compared"
         yield (
             "ok",
-            f"{told}." if not unknown else f"{told}; an error that all share is not seen by that.",
+            f"{absent}."
+            if not unknown
+            else f"{absent}; an error that all share does not show in that.",
         )
     for name, mine in _by_layer(odd):
         yield "warn", _sentence(name, mine)
@@ -100,10 +102,10 @@ def _sentence(name: str, pairs: Sequence[PairAgreement]) -> str:
         else "wavelengths, sensitivities or stray light?"
     )
     unknown = dict.fromkeys(row for pair in pairs for row in pair.unknown)
-    told = f" Not known of them: {', '.join(unknown)}." if unknown else ""
+    absent = f" Not known of them: {', '.join(unknown)}." if unknown else ""
     return (
         f"{name} differs from {_names(others)} by {apart:+.2g} % in {span}, more than their uncertainties allow "
-        f"(Eₙ {worst:.2g}): {cause}{told}"
+        f"(Eₙ {worst:.2g}): {cause}{absent}"
     )
 
 
@@ -123,15 +125,17 @@ def _row(pair: PairAgreement) -> AgreementRow:
     ratios = [band.ratio for band in pair.bands]
     least, most = f"{min(ratios):.3f}", f"{max(ratios):.3f}"
     odd = pair.contradictions
-    said = "agree" if not odd else f"contradict each other in {len(odd)} of {len(pair.bands)} bands"
+    finding = (
+        "agree" if not odd else f"contradict each other in {len(odd)} of {len(pair.bands)} bands"
+    )
     if odd and pair.other_light:
-        said = "another lighting"
+        finding = "another lighting"
     return AgreementRow(
         f"{pair.names[1]} over {pair.names[0]}",
         f"{len(pair.bands)}, {_span(pair.bands)}",
         least if least == most else f"{least} to {most}",
         f"{median(band.expected_ratio for band in pair.bands):.2g}, at most {max(band.expected_ratio for band in pair.bands):.2g}",
-        said,
+        finding,
     )
 
 
@@ -227,7 +231,7 @@ def agreement_text(found: Sequence[ObjectAgreement]) -> str:
         lines += [f"  {text}" for _, text in (section.short if section else ())]
         for row in section.rows if section else ():
             lines.append(
-                f"  {row.pair:32} ratio {row.ratio:16} En {row.expected_ratio:22} {row.said}"
+                f"  {row.pair:32} ratio {row.ratio:16} En {row.expected_ratio:22} {row.finding}"
             )
         lines.append(f"  {describe_changes(one)}")
     return "\n".join(lines[1:])

@@ -75,7 +75,7 @@ def describe_chart(
         measure.name,
         summary,
         [*_blur_notes(measure), *measure.notes],
-        [_sampled(seen, measure) for seen in measure.sightings],
+        [_sampled(measured, measure) for measured in measure.sightings],
         [
             *(f for f in (_over_signal(measure), _over_wavelength(measure)) if f is not None),
             *draw_responses(measure.edges.tables),
@@ -160,9 +160,11 @@ def _swatches(measure: ChartMeasure) -> list[Swatch]:
     """Return the patches beside the published ones, sRGB; none where colours were not compared."""
     if measure.colours is None:
         return []
-    seen, wanted = (css_colours(lab) for lab in (measure.colours.measured, measure.colours.wanted))
+    measured, wanted = (
+        css_colours(lab) for lab in (measure.colours.measured, measure.colours.wanted)
+    )
     differences = [f"{value:.1f}" for value in measure.colours.difference]
-    rows = zip(measure.chart.patches, seen, wanted, differences, strict=True)
+    rows = zip(measure.chart.patches, measured, wanted, differences, strict=True)
     return [Swatch(*row) for row in rows]
 
 
@@ -194,11 +196,13 @@ def _blur_notes(measure: ChartMeasure) -> list[str]:
     ]
 
 
-def _sampled(seen: Sighting, measure: ChartMeasure) -> Figure:
+def _sampled(sighting: Sighting, measure: ChartMeasure) -> Figure:
     """Draw the sampled areas, and the rectangles of edges, which have no names where they are many."""
-    boxes = _boxes(measure.edges.tables, seen.cube)
+    boxes = _boxes(measure.edges.tables, sighting.cube)
     names = [*measure.chart.patches, *[""] * len(boxes)]
-    return _picture(seen.sensor, seen.cube, np.concatenate([seen.located.areas, boxes]), names)
+    return _picture(
+        sighting.sensor, sighting.cube, np.concatenate([sighting.located.areas, boxes]), names
+    )
 
 
 def _picture(sensor: str, cube: Cube, areas: np.ndarray, names: Sequence[str]) -> Figure:

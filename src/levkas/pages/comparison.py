@@ -75,17 +75,17 @@ def _layer(comparison: Comparison, layer: str) -> dict[str, Any]:
         row = comparison.row(layer, method)
         if row is None:
             continue
-        told = row.to_dict()
+        record = row.to_dict()
         cells.append(
             {
                 "title": COMPARED[method].title,
                 "map": row.map,
-                "mean": number(told["error_mean"], 3),
-                "max": number(told["error_max"], 2),
-                "ssim": number(told.get("ssim"), 3),
-                "seconds": number(told.get("seconds"), 1),
-                "said": told.get("failure") or told.get("note", ""),
-                "failed": bool(told.get("failure")),
+                "mean": number(record["error_mean"], 3),
+                "max": number(record["error_max"], 2),
+                "ssim": number(record.get("ssim"), 3),
+                "seconds": number(record.get("seconds"), 1),
+                "note": record.get("failure") or record.get("note", ""),
+                "failed": bool(record.get("failure")),
             }
         )
     return {"name": layer, "cells": cells}

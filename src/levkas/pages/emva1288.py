@@ -24,7 +24,7 @@ OWN_INK = {"R": "b", "G": "c", "B": "a"}
 
 
 def write_page(found: Examination, path: str | Path) -> Path:
-    """Write the page of an examination as one HTML file that asks nothing of anywhere.
+    """Write the page of an examination as one HTML file that loads nothing from anywhere.
 
     Parameters
     ----------

@@ -193,7 +193,7 @@ def _figures(source: SourceReport, report: EstimationReport, inks: dict[str, str
     ]
     for what, words, caption in (
         ("distance", "distance to the training set, its standard deviations",
-         "Error over the distance of a pixel’s responses to the nearest training sample: what a method makes of paint it has not seen."),
+         "Error over the distance of a pixel’s responses to the nearest training sample: what a method makes of paint that it was not trained on."),
         ("sigma", "sigma of the reference",
          "Error over the reference’s own sigma; below the dashed line no method can be distinguished from a perfect one."),
     ):  # fmt: skip
@@ -306,7 +306,7 @@ def _beside_random(source: SourceReport) -> NumberTable:
     return NumberTable(
         "Held-out paintings and random pixels side by side",
         "Optimistic: of random pixels, neighbours of the same paint are in the training set. The last column "
-        "says how much larger the error is where the paint was not seen.",
+        "says how much larger the error is where the paint was not in the training.",
         [
             "method",
             f"RMSE, {source.split.kind}",

@@ -33,7 +33,7 @@ OUTLINE = (64, 200, 235)
 
 
 OUTSIDE = 110
-"""Brightness of a picture outside the outline, 0 to 255: dark enough to be seen at the size of a stamp."""
+"""Brightness of a picture outside the outline, 0 to 255: dark enough to be visible at the size of a stamp."""
 
 
 CLEAR = (24, 22, 19)

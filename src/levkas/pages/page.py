@@ -169,8 +169,8 @@ def describe_flags(shares: dict[str, float]) -> str:
     >>> describe_flags({"saturated": 0.004, "outside": 0.0})
     'saturated 0.40 %'
     """
-    told = [f"{name} {100 * share:.2f} %" for name, share in shares.items() if share >= 5e-5]
-    return ", ".join(told) or "none"
+    parts = [f"{name} {100 * share:.2f} %" for name, share in shares.items() if share >= 5e-5]
+    return ", ".join(parts) or "none"
 
 
 def describe_model(model: dict[str, Any]) -> str:
@@ -179,19 +179,19 @@ def describe_model(model: dict[str, Any]) -> str:
     >>> describe_model({"kind": "levkas", "sensors": [{"base": "cubic", "chromatic": "affine"}]})
     'cubic; shift between bands: affine'
     """
-    told = []
+    parts = []
     for sensor in model.get("sensors", []):
         if not isinstance(sensor, dict):
             continue
         base, apart = sensor.get("base"), sensor.get("chromatic")
-        if isinstance(base, str) and base.startswith("rig"):
-            base = base.replace("rig", "one map with other captures", 1)
+        if isinstance(base, str) and base.startswith("shared"):
+            base = base.replace("shared", "one map with other captures", 1)
         name = f"{sensor['sensor']}: " if sensor.get("sensor") else ""
-        told.append(name + (f"{base}; " if base else "") + f"shift between bands: {apart}")
+        parts.append(name + (f"{base}; " if base else "") + f"shift between bands: {apart}")
     mask = model.get("mask") or {}
     if mask.get("outline"):
         whose = (
             "the outline found on an even ground" if mask["automatic"] else "the declared outline"
         )
-        told.append(f"compared within {whose}, {percent(mask['share'])} of the reference")
-    return "; ".join(told) or str(model.get("kind", "")).replace("_", " ")
+        parts.append(f"compared within {whose}, {percent(mask['share'])} of the reference")
+    return "; ".join(parts) or str(model.get("kind", "")).replace("_", " ")

@@ -142,12 +142,12 @@ def _light_facts(setup: StudioSetup, plan: LightPlan, white: WhiteLevels | None)
             f"{100 * found.after.min():.0f} % or more, at {found.time_factor:.1f} times the exposure."
         )
         if found.factors is not None and found.model_alone is not None:
-            told = ", ".join(
+            lines = ", ".join(
                 f"{name} {factor:.2f}"
                 for name, factor in zip(found.channels, found.factors, strict=True)
             )
             words += (
-                f" It is computed from a captured white, which has {told} times the signal predicted from sensitivities and light; "
+                f" It is computed from a captured white, which has {lines} times the signal predicted from sensitivities and light; "
                 f"the filter from the model alone (dashed) would bring all to {100 * found.model_alone:.0f} %."
             )
         facts["filter_words"] = words
@@ -156,20 +156,20 @@ def _light_facts(setup: StudioSetup, plan: LightPlan, white: WhiteLevels | None)
 
 def _object_facts(setup: StudioSetup) -> list[str]:
     thing = setup.object
-    told = [f"{thing.size_mm[0]:.0f} x {thing.size_mm[1]:.0f} mm"]
+    lines = [f"{thing.size_mm[0]:.0f} x {thing.size_mm[1]:.0f} mm"]
     if thing.bend:
         other = "height" if thing.bend.straight == "width" else "width"
-        told.append(f"bent along its {other}, radius {thing.bend.radius_mm / 1000:g} m")
+        lines.append(f"bent along its {other}, radius {thing.bend.radius_mm / 1000:g} m")
     if thing.recess_mm:
-        told.append(f"middle {thing.recess_mm:g} mm lower")
-    told += [n for n, there in (("varnished", thing.varnish), ("gilded", thing.gold)) if there]
-    return told
+        lines.append(f"middle {thing.recess_mm:g} mm lower")
+    lines += [n for n, there in (("varnished", thing.varnish), ("gilded", thing.gold)) if there]
+    return lines
 
 
 def _in_short(setup: StudioSetup, plan: LightPlan) -> list[tuple[str, str]]:
     """Return what a hurried reader takes away: (ok, warn or refuse; sentence)."""
     thing = setup.object
-    told = [
+    lines = [
         (
             _mark(plan.drop, 0.10, 0.25),
             f"Evenness: the light falls by {100 * plan.drop:.0f} % from the brightest to the darkest place "
@@ -178,7 +178,7 @@ def _in_short(setup: StudioSetup, plan: LightPlan) -> list[tuple[str, str]]:
     ]
     if thing.varnish:
         veil = plan.varnish / thing.darkest
-        told.append(
+        lines.append(
             (
                 _mark(veil, 0.10, 0.25),
                 f"Varnish: a veil of {100 * plan.varnish:.2g} % of white, which is {100 * veil:.0f} % of the "
@@ -186,7 +186,7 @@ def _in_short(setup: StudioSetup, plan: LightPlan) -> list[tuple[str, str]]:
             )
         )
     if thing.gold:
-        told.append(
+        lines.append(
             (
                 _mark(plan.gold, 0.35, 0.7),
                 f"Gold reads up to {100 * plan.gold:.0f} % of white and varies {plan.gold_spread:.1f}-fold "
@@ -198,7 +198,7 @@ def _in_short(setup: StudioSetup, plan: LightPlan) -> list[tuple[str, str]]:
         words = (
             "is flattened" if flat else "is exaggerated" if plan.hidden > 0.05 else "stays visible"
         )
-        told.append(
+        lines.append(
             (
                 "warn" if flat or plan.hidden > 0.05 else "ok",
                 f"Relief {words}: contrast {100 * plan.texture:.1f} % on matte paint, "
@@ -207,10 +207,10 @@ def _in_short(setup: StudioSetup, plan: LightPlan) -> list[tuple[str, str]]:
         )
     missing = [f.camera for f in plan_framing(setup) if not f.covers]
     if missing:
-        told.append(
+        lines.append(
             ("refuse", f"{', '.join(missing)} cannot show the whole object from their positions.")
         )
-    return told
+    return lines
 
 
 def _mark(value: float, good: float, bad: float) -> str:
@@ -244,7 +244,7 @@ def _aimed(target: np.ndarray) -> str:
 
 
 def _fields(plan: LightPlan) -> list[str]:
-    told = []
+    lines = []
     for name, field in plan.fields.items():
         words = f"Along the {name}, the panel would mirror what stands within {field.mirror[1]:.0f}° of its normal"
         wider = field.facets[1] > field.mirror[1] + 0.5
@@ -262,8 +262,8 @@ def _fields(plan: LightPlan) -> list[str]:
                 if field.margin >= 0
                 else f" A lamp stands {-field.margin:.0f}° inside it."
             )
-        told.append(words)
-    return told
+        lines.append(words)
+    return lines
 
 
 def _compared(plan: LightPlan) -> dict[str, str]:
@@ -275,7 +275,7 @@ def _compared(plan: LightPlan) -> dict[str, str]:
         "varnish": f"{100 * plan.varnish:.2g} %" if plan.varnish else "–",
         "gold": f"{100 * plan.gold:.2g} %" if plan.gold else "–",
         "spread": f"{plan.gold_spread:.1f}" if plan.gold else "–",
-        "texture": f"{100 * plan.texture_seen:.1f} %",
+        "texture": f"{100 * plan.texture_varnished:.1f} %",
     }
 
 

@@ -47,11 +47,11 @@ def draw_bench(setup: StudioSetup, plan: LightPlan) -> str:
         _draw_wedges(axes, plan.fields[name], min(1.02 * tall, reach))
         _draw_panel(axes, setup, axis)
         _draw_camera(axes, eye[[axis, 2]])
-        seen = set()
+        drawn = set()
         for lamp in lamps:
             where = tuple(lamp.place[[axis, 2]].round().tolist())
-            if where not in seen:
-                seen.add(where)
+            if where not in drawn:
+                drawn.add(where)
                 _draw_lamp(axes, lamp, axis)
         axes.plot([-reach, -reach + 500], [-0.06 * tall] * 2, color=themed("soft"))
         axes.annotate("50 cm", (-reach + 500, -0.06 * tall), (4, -3), textcoords="offset points")

@@ -251,7 +251,7 @@ def colour_of(label: str, index: int, count: int, wavelength: float = float("nan
         return COLOURS[letters]
     if np.isfinite(wavelength):
         hue = float(np.interp(wavelength, *np.array(HUES, float).T))
-        # What the eye sees no more grows dark, so that bands beyond 700 nm are told apart.
+        # What the eye sees no more grows dark, so that bands beyond 700 nm are distinguished.
         lightness = float(np.interp(wavelength, (700, 1000), (0.5, 0.25)))
         return hls_colour(hue / 360, lightness, 0.65)
     share = index / max(count - 1, 1)

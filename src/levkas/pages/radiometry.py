@@ -48,12 +48,12 @@ def describe_layer(
     ranges = [r for r in resampled.get("ranges", []) if r["stops"] is not None]
     if not ranges:
         return None
-    learnt, focus = calibrated.get("learnt", {}), calibrated.get("focus", [])
-    of_sensels = {b: m for one in learnt.values() for b, m in one.get("sensels", {}).items()}
+    measured, focus = calibrated.get("measured", {}), calibrated.get("focus", [])
+    of_sensels = {b: m for one in measured.values() for b, m in one.get("sensels", {}).items()}
     ranges = [{**r, **of_sensels.get(r["band"], {})} for r in ranges]
     quantity = str(calibrated.get("quantity", ""))
     stops = max(r["stops"] for r in ranges)
-    sensors = [one["sensor"]["stops"] for one in learnt.values() if "sensor" in one]
+    sensors = [one["sensor"]["stops"] for one in measured.values() if "sensor" in one]
     notes = [
         *_notes_of_range(ranges, sensors, quantity),
         *_notes_of_snr(ranges),
@@ -67,7 +67,7 @@ def describe_layer(
         f"{min(sensors):.1f} stops" if sensors else "–",
         _glare(resampled.get("glare", {}), quantity),
         _focus(focus),
-        _light(learnt),
+        _light(measured),
         tuple(notes),
         tuple(_figures(ranges, focus)),
         _glare_share(resampled.get("glare", {}), quantity),
@@ -81,8 +81,8 @@ def _noise_median(ranges: Sequence[Mapping[str, Any]]) -> float | None:
 
 
 def _glare_share(glare: Mapping[str, int], quantity: str) -> float | None:
-    looked = quantity == "reflectance" and glare.get("seen")
-    return glare["glare"] / glare["seen"] if looked else None
+    looked = quantity == "reflectance" and glare.get("inside")
+    return glare["glare"] / glare["inside"] if looked else None
 
 
 def _noise(ranges: Sequence[Mapping[str, Any]], quantity: str) -> str:
@@ -117,13 +117,13 @@ def _glare(glare: Mapping[str, int], quantity: str) -> str:
         "saturated": "saturated",
         "bright": "brighter than paint",
     }
-    told = [
-        f"{text} {100 * glare[key] / glare['seen']:.2g} %"
+    parts = [
+        f"{text} {100 * glare[key] / glare['inside']:.2g} %"
         for key, text in signs.items()
         if glare.get(key)
     ]
-    text = f"{share:.2g} %" + (f" ({', '.join(told)})" if told else "")
-    veiled = glare.get("veiled", 0) / glare["seen"]
+    text = f"{share:.2g} %" + (f" ({', '.join(parts)})" if parts else "")
+    veiled = glare.get("veiled", 0) / glare["inside"]
     return text + (f"; {100 * veiled:.2g} % veiled, against the default setup" if veiled else "")
 
 
@@ -139,12 +139,16 @@ def _focus(focus: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def _light(learnt: Mapping[str, Any]) -> str:
-    fields = [f for one in learnt.values() for f in one.get("light", {}).values()]
+def _light(measured: Mapping[str, Any]) -> str:
+    fields = [f for one in measured.values() for f in one.get("light", {}).values()]
     levels = [f["uniformity"] for f in fields if "uniformity" in f]
     if not levels:
         return fields[0]["refused"] if fields else "–"
-    lamp = [one["sigma"] for told in learnt.values() for one in told.get("lamp", {}).values()]
+    lamp = [
+        one["sigma"]
+        for of_sensor in measured.values()
+        for one in of_sensor.get("lamp", {}).values()
+    ]
     known = f"; lamp ± {100 * max(lamp):.2g} %" if lamp and max(lamp) >= SHOWN_LAMP else ""
     return f"{100 * min(levels):.0f} % of the brightest{known}"
 

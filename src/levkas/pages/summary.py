@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from levkas.pages.radiometry import RadiometryRow
 
 GLARE = 0.01
-"""Share of the pixels seen above which glare is to be minded."""
+"""Share of the object's pixels above which glare is to be minded."""
 
 
 def describe_length(px: float, mm_per_px: float | None) -> str:
@@ -65,15 +65,15 @@ def _overlay(layers: Sequence[LayerReport], mm_per_px: float | None) -> Iterator
         worst = max(known, key=lambda one: one.error_px or 0.0)
         assert worst.error_px is not None
         which = "Every other camera" if len(laid) > 1 else worst.name
-        told = f"{which} is registered to {reference}: held-out error {describe_length(worst.error_px, mm_per_px)}"
-        told += " at most" if len(laid) > 1 else ""
+        text = f"{which} is registered to {reference}: held-out error {describe_length(worst.error_px, mm_per_px)}"
+        text += " at most" if len(laid) > 1 else ""
         least = min((one.checked for one in known if one.checked is not None), default=None)
         if least:
             some = "at least " if len(known) > 1 else ""
-            told += f", checked over {some}{percent(least)} of the layer"
+            text += f", checked over {some}{percent(least)} of the layer"
         if (outside := max(one.outside for one in known)) >= LEAST_OUTSIDE:
-            told += f" ({percent(outside)} lies outside the object's outline)"
-        yield mark, f"{told}. {f'The worst is {worst.name}.' if len(laid) > 1 else ''}".rstrip()
+            text += f" ({percent(outside)} lies outside the object's outline)"
+        yield mark, f"{text}. {f'The worst is {worst.name}.' if len(laid) > 1 else ''}".rstrip()
     elif laid:
         names = ", ".join(one.name for one in laid)
         yield mark, f"Registered to {reference}: {names}; no held-out error was measured."
@@ -92,10 +92,10 @@ def _glare(rows: Sequence[RadiometryRow]) -> Iterator[tuple[str, str]]:
     known = [(row.glare_share, row.name) for row in rows if row.glare_share is not None]
     if known:
         most, name = max(known)
-        told = (
+        text = (
             f"Glare, including saturated gold: at most {100 * most:.2g} % of the object ({name})."
         )
-        yield ("warn" if most > GLARE else "ok"), told
+        yield ("warn" if most > GLARE else "ok"), text
 
 
 def _noise(rows: Sequence[RadiometryRow]) -> Iterator[tuple[str, str]]:
@@ -103,10 +103,10 @@ def _noise(rows: Sequence[RadiometryRow]) -> Iterator[tuple[str, str]]:
     if not known:
         return
     (least, best), (most, worst) = min(known), max(known)
-    told = f"Noise of a published reflectance (1 σ, median): {least:.2g} ({best})"
-    told += f" to {most:.2g} ({worst})." if len(known) > 1 else "."
+    text = f"Noise of a published reflectance (1 σ, median): {least:.2g} ({best})"
+    text += f" to {most:.2g} ({worst})." if len(known) > 1 else "."
     low = [f"{row.name}: {note}" for row in rows for note in row.notes if "SNR is below" in note]
-    yield ("warn" if low else "ok"), " ".join([told, *low])
+    yield ("warn" if low else "ok"), " ".join([text, *low])
 
 
 def _next(

@@ -430,7 +430,7 @@ def _clipped(reading: tuple[Shot, list[Reading]]) -> Problem:
         field=worst.channel or None,
         found=f"{worst.clipped:.1%} of the pixels at saturation in the shortest",
         expected=f"at most {TOLERATED:.1%}",
-        fix=f"Capture it at {time} and ask again: where it clips, how far is not seen.",
+        fix=f"Capture it at {time} and repeat this: where it clips, how far is not measured.",
     )
 
 

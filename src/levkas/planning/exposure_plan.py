@@ -205,11 +205,11 @@ def _notes(
     """Describe what limits, saturates or beats, and what is assumed."""
     notes = []
     if camera.keys.sensitivity is None:
-        seen = (
+        where = (
             "in every band" if camera.keys.wavelengths else "from 400 to 720 nm, one grey channel"
         )
         notes.append(
-            f"No sensitivity is given: {100 * camera.keys.peak_qe:g} % of the photons are assumed to count {seen}."
+            f"No sensitivity is given: {100 * camera.keys.peak_qe:g} % of the photons are assumed to count {where}."
         )
     target = setup.bench.target
     full = [c for c in channels if c.share_of_full >= 1]

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from levkas.planning.tables import StudioCameraKeys
 
 CELL = 4  # sensels a side whose mean tells how dark a place is, noise averaged out
-SEEN = 3.0  # deviations of such a mean by which the darkest paint must stand above the dark
+DETECTABLE = 3.0  # deviations of such a mean by which the darkest paint must stand above the dark
 SPARE = 0.9  # of the usable range: lamps drift and times are rounded
 MOST = 12  # exposures of a series
 ROUNDING = 1 / 12  # counts²
@@ -265,14 +265,14 @@ def _scene(found: BandAdvice, wish: SeriesWish, lowest: SensorAt, shown: float) 
     dark, channel, time = _darkest(rates, longest, found.pattern, wish.quantile)
     read = lowest.read_variance * shown**2
     noise = sqrt(max(lowest.gain * shown * dark * time, 0.0) + read) / CELL / time
-    if dark < SEEN * noise:
+    if dark < DETECTABLE * noise:
         raise NoAdvice(
             Problem(
                 "E_WHITE_DARK",
                 f"{found.shot.name}: these frames do not show how dark the darkest paint is",
                 field="quantile",
                 found=f"{dark * time:.2f} counts above the dark at quantile {wish.quantile:g}, noise {noise * time:.2f}",
-                expected=f"{SEEN:g} times the noise of {CELL} x {CELL} sensels",
+                expected=f"{DETECTABLE:g} times the noise of {CELL} x {CELL} sensels",
                 fix="Add a longer exposure of the object, even a saturated one, or give a larger --quantile.",
             )
         )
@@ -381,7 +381,7 @@ def _times(scene: _Scene, sensor: SensorAt, wish: SeriesWish) -> list[float]:
         raise NoAdvice(
             Problem("E_VALUE", "no exposure of this sensor reaches the wanted SNR", field="snr",
                     found=f"{wish.snr:g}", expected=f"less than {most:.0f}",
-                    fix="Average shots, and ask for what one of them reaches.")
+                    fix="Average shots, and require what one of them reaches.")
         )  # fmt: skip
     limit = wish.longest_s or float("inf")
     first = _down(min(scene.shortest_s / sensor.amplified, limit))

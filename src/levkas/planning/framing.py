@@ -48,7 +48,7 @@ def field_mm(pixels: tuple[int, int], pitch_um: float, m: float) -> tuple[float,
 
 
 def distance_for(focal_mm: float, sensor_mm: float, wanted_mm: float) -> float:
-    """Return the working distance at which a field is seen, mm: f·(1 + field/(n·p)).
+    """Return the working distance at which a field fills the sensor, mm: f·(1 + field/(n·p)).
 
     >>> round(distance_for(60.0, 1392 * 6.45e-3, 268.0))
     1851
@@ -160,10 +160,10 @@ def plan_framing(setup: StudioSetup) -> list[Framing]:
 def _frame(setup: StudioSetup, camera: StudioCamera) -> Framing:
     keys, thing = camera.keys, setup.object
     m = magnification(keys.focal_mm, camera.distance_mm)
-    seen = field_mm(keys.pixels, keys.pitch_um, m)
+    field = field_mm(keys.pixels, keys.pitch_um, m)
     sensor = [n * keys.pitch_um / 1000 for n in keys.pixels]
-    wanted = _oriented(thing.size_mm, seen)
-    covers = all(s >= w for s, w in zip(seen, wanted, strict=True))
+    wanted = _oriented(thing.size_mm, field)
+    covers = all(s >= w for s, w in zip(field, wanted, strict=True))
     needed = max(
         distance_for(keys.focal_mm, s, w * (1 + 2 * MARGIN))
         for s, w in zip(sensor, wanted, strict=True)
@@ -175,10 +175,10 @@ def _frame(setup: StudioSetup, camera: StudioCamera) -> Framing:
     mtf = {
         f"{w:g} nm": float(diffraction_mtf(w, keys.f_number, m, keys.pitch_um))
         for w in bands
-        if camera.seen[0] <= w <= camera.seen[1]
+        if camera.range_nm[0] <= w <= camera.range_nm[1]
     }
     frame = Framing(
-        camera.name, camera.distance_mm, m, seen, covers, samples, samples**2, needed, depth,
+        camera.name, camera.distance_mm, m, field, covers, samples, samples**2, needed, depth,
         high - low, mtf,
     )  # fmt: skip
     return Framing(
@@ -186,9 +186,9 @@ def _frame(setup: StudioSetup, camera: StudioCamera) -> Framing:
     )
 
 
-def _oriented(size: tuple[float, float], seen: tuple[float, float]) -> tuple[float, float]:
+def _oriented(size: tuple[float, float], field: tuple[float, float]) -> tuple[float, float]:
     """The object's sides along those of the picture, the longer along the longer."""
-    turned = (size[0] >= size[1]) != (seen[0] >= seen[1])
+    turned = (size[0] >= size[1]) != (field[0] >= field[1])
     return (size[1], size[0]) if turned else size
 
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 DEFAULT_EYE_MM = 1900.0
 PAINT = 0.2
-"""Reflectance of the paint that `texture_seen` is of."""
+"""Reflectance of the paint that `texture_varnished` is of."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class LightPlan:
     gold: float
     gold_spread: float
     texture: float
-    texture_seen: float
+    texture_varnished: float
     hidden: float
     darkening: float
     fields: dict[str, BrightField]
@@ -72,7 +72,7 @@ class LightPlan:
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready record without the maps."""
         names = (
-            "drop", "mean", "absolute", "varnish", "gold", "gold_spread", "texture", "texture_seen",
+            "drop", "mean", "absolute", "varnish", "gold", "gold_spread", "texture", "texture_varnished",
             "hidden", "darkening",
         )  # fmt: skip
         return {
@@ -348,8 +348,8 @@ def _specular(
         incident = (n * towards).sum(-1)
         s, p = fresnel((half * towards).sum(-1), index)
         mirrored = {"s": s, "p": p, None: (s + p) / 2}[lamp.polariser]
-        seen = np.broadcast_to(to_eye, incident.shape)
-        lobe = facet_lobe((n * half).sum(-1), incident, seen, roughness)
+        emergent = np.broadcast_to(to_eye, incident.shape)
+        lobe = facet_lobe((n * half).sum(-1), incident, emergent, roughness)
         total = total + (mirrored * lobe * np.maximum(incident, 0) * strength).sum(0)
     return total
 

@@ -273,9 +273,9 @@ def place_camera(
     quantum = np.stack([np.interp(GRID, w, c, left=0, right=0) for c in table.T])
     centres = quantum @ GRID / np.maximum(quantum.sum(1), 1e-12)
     strong = (table >= FAINT * table.max(0)).any(1)
-    seen = (float(w[strong][0]), float(w[strong][-1]))
+    range_nm = (float(w[strong][0]), float(w[strong][-1]))
     _check_sensors(keys, labels, f"{at}.sensors", file)
-    return StudioCamera(name, keys, place, aim, tuple(labels), centres, quantum, seen)
+    return StudioCamera(name, keys, place, aim, tuple(labels), centres, quantum, range_nm)
 
 
 def _check_sensors(keys: StudioCameraKeys, labels: list[str], field: str, file: str) -> None:
@@ -307,8 +307,8 @@ def _tuned(
     shapes = np.exp(-0.5 * ((GRID - centres[:, None]) / width) ** 2)
     held = np.interp(GRID, w, efficiency) * keys.peak_qe / efficiency.max()
     reach = keys.fwhm_nm
-    seen = (float(centres[0] - reach / 2), float(centres[-1] + reach / 2))
-    return tuple(f"{c:g} nm" for c in centres), centres, shapes * held, seen
+    range_nm = (float(centres[0] - reach / 2), float(centres[-1] + reach / 2))
+    return tuple(f"{c:g} nm" for c in centres), centres, shapes * held, range_nm
 
 
 LAMP_BODY_MM = 60.0
@@ -406,7 +406,7 @@ def _spectra(setup: StudioSetup, file: str) -> Iterator[Problem]:
     for name, lighting in setup.lightings.items():
         for i, lamp in enumerate(lighting.lamps):
             for camera in setup.cameras.values():
-                low, high = camera.seen
+                low, high = camera.range_nm
                 if lamp.known[0] > low + 1 or lamp.known[1] < high - 1:
                     parts = ", ".join(
                         f"{n} {s.known[0]:g}–{s.known[1]:g} nm"

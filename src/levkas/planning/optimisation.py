@@ -121,7 +121,7 @@ def edge_reach(azimuth_deg: np.ndarray, size_mm: tuple[float, float]) -> np.ndar
 
 
 class Judge:
-    """Costs of arrangements for one object seen from one place.
+    """Costs of arrangements for one object and one viewpoint.
 
     Parameters
     ----------

@@ -198,23 +198,25 @@ def regulating_filter(
                   ", ".join(setup.cameras))
         )  # fmt: skip
     lighting: Lighting = setup.lighting(name)
-    seen = setup.cameras[camera]
+    studio = setup.cameras[camera]
     spectrum = irradiance_spectrum(setup, lighting)
-    grid = np.arange(np.floor(seen.seen[0] / STEP_NM) * STEP_NM, seen.seen[1] + STEP_NM, STEP_NM)
+    grid = np.arange(
+        np.floor(studio.range_nm[0] / STEP_NM) * STEP_NM, studio.range_nm[1] + STEP_NM, STEP_NM
+    )
     weights = np.stack(
         [
-            electron_rates(setup, seen, lighting, spectrum * _tent(w, STEP_NM))
+            electron_rates(setup, studio, lighting, spectrum * _tent(w, STEP_NM))
             for w in grid
         ],
         1,
     )  # fmt: skip
-    factors = None if levels is None else _factors(setup, seen, weights.sum(1), levels)
+    factors = None if levels is None else _factors(setup, studio, weights.sum(1), levels)
     real = weights if factors is None else weights * factors[:, None]
     real = real / real.sum(1).max()
     transmittance, time = solve_filter(real, STEP_NM, steepest=STEEPEST, longest=LONGEST)
     before, after = real.sum(1), time * real @ transmittance
     found = RegulatingFilter(
-        grid, transmittance, seen.labels, before / before.max(), after / after.max(), time
+        grid, transmittance, studio.labels, before / before.max(), after / after.max(), time
     )
     if factors is None:
         return found
@@ -224,7 +226,7 @@ def regulating_filter(
     notes = tuple(
         f"{label} records {factor:.2g} times the signal predicted from sensitivities and light, relative to the others: check the "
         "sensitivities, the spectrum of the light and the filters before the lens"
-        for label, factor in zip(seen.labels, factors, strict=True)
+        for label, factor in zip(studio.labels, factors, strict=True)
         if not 1 / FAR_OFF < factor < FAR_OFF
     )
     return replace(

@@ -162,7 +162,7 @@ class StudioCamera:
     labels: tuple[str, ...] = ()
     wavelengths: np.ndarray = field(default_factory=lambda: np.zeros(0))
     quantum: np.ndarray = field(default_factory=lambda: np.zeros((0, len(GRID))))
-    seen: tuple[float, float] = (400.0, 720.0)
+    range_nm: tuple[float, float] = (400.0, 720.0)
 
     @property
     def distance_mm(self) -> float:

@@ -85,7 +85,7 @@ def light_text(record: dict[str, Any]) -> str:
         )
         lines.append(
             f"{other['setup']:<14}{lux:>6}{100 * other['drop']:>5.0f} %{varnish:>9}{gold:>7}"
-            f"{100 * other['texture_seen']:>7.1f} %"
+            f"{100 * other['texture_varnished']:>7.1f} %"
         )
     if "optimum" in record:
         best = record["optimum"]["best"]
@@ -116,9 +116,9 @@ def _shine_lines(this: dict[str, Any]) -> list[str]:
         if shines
         else "  nothing on it shines: matte, no gold"
     ]
-    seen = f", {100 * this['texture_seen']:.1f} % with varnish" if this["varnish"] else ""
+    varnished = f", {100 * this['texture_varnished']:.1f} % with varnish" if this["varnish"] else ""
     lines.append(
-        f"  relief: contrast {100 * this['texture']:.1f} % matte{seen}; "
+        f"  relief: contrast {100 * this['texture']:.1f} % matte{varnished}; "
         f"{100 * this['hidden']:.1f} % turned away from a lamp"
     )
     if this["varnish"]:

@@ -201,7 +201,7 @@ def _write(publication: Publication, root: Path, work: LayerAnalysis) -> None:
     _write_pages(tiff, (entry.height, entry.width, len(labels)), labels, rows, work)
     inputs = dict.fromkeys(source.tiff for source in work.sources)
     shown = [_shown(tiff, i, label, facts) for i, label in enumerate(labels)]
-    told = {
+    fields = {
         "levkas": __version__,
         "analysis": work.analysis.text,
         "title": work.title,
@@ -213,8 +213,8 @@ def _write(publication: Publication, root: Path, work: LayerAnalysis) -> None:
         "pictures": shown,
     }
     place = tiff.relative_to(publication.folder).as_posix()
-    publication.hashes[place] = told["sha256"]
-    publication.write_text(record.relative_to(publication.folder).as_posix(), to_json(told))
+    publication.hashes[place] = fields["sha256"]
+    publication.write_text(record.relative_to(publication.folder).as_posix(), to_json(fields))
 
 
 def _components(work: LayerAnalysis) -> tuple[dict[str, Any], list[str], Iterator[np.ndarray]]:
@@ -250,11 +250,11 @@ def _note(found: Components, number: int) -> str:
     order = np.argsort(-np.abs(loadings), kind="stable")[:STRONGEST]
     weights = ", ".join(f"{found.bands[i]} {_number(loadings[i], '+')}" for i in order)
     if found.snr is None:
-        told = f"Explains {_number(100 * found.explained[number])} % of the variance."
+        text = f"Explains {_number(100 * found.explained[number])} % of the variance."
     else:
         noise = "sigma" if found.noise_from == "sigma" else "differences of neighbouring pixels"
-        told = f"Variance of the signal over that of the noise: {_number(found.snr[number])} (noise from {noise})."
-    return f"{told} Strongest bands: {weights}. 0 is the mean spectrum."
+        text = f"Variance of the signal over that of the noise: {_number(found.snr[number])} (noise from {noise})."
+    return f"{text} Strongest bands: {weights}. 0 is the mean spectrum."
 
 
 def _number(value: float, sign: str = "") -> str:

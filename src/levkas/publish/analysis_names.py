@@ -152,7 +152,7 @@ def find_band(bands: Sequence[Band], text: str) -> int | None:
 
 def near_bands(analysis: Analysis, bands: Sequence[tuple[Band, str]]) -> str:
     """Say which bands a database has that are nearest to those of a ratio; `bands` are with their cameras."""
-    told = []
+    reasons = []
     for text in analysis.bands:
         if find_band([band for band, _ in bands], text) is not None:
             continue
@@ -160,12 +160,12 @@ def near_bands(analysis: Analysis, bands: Sequence[tuple[Band, str]]) -> str:
         known = [one for one in bands if not np.isnan(one[0].wavelength)]
         near = min(known, key=lambda one: abs(one[0].wavelength - centre), default=None)
         if near and not np.isnan(centre):
-            told.append(f"no band at {text}, the nearest is {near[0].label} of {near[1]}")
+            reasons.append(f"no band at {text}, the nearest is {near[0].label} of {near[1]}")
         else:
             labels = list(dict.fromkeys(band.label for band, _ in bands))
             hint = closest_match(text, labels) or f"there are {', '.join(labels[:8])}"
-            told.append(f"no band {text!r}: {hint}")
-    return "; ".join(told) or "no such layer"
+            reasons.append(f"no band {text!r}: {hint}")
+    return "; ".join(reasons) or "no such layer"
 
 
 def _plain(text: str) -> str:

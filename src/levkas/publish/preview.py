@@ -82,10 +82,10 @@ def _part(entities: Entities, entity: Mapping[str, Any]) -> dict[str, Any]:
     identifier, inner = entity["@id"], entity.get("hasPart")
     name = unquote(identifier.rstrip("/")).rpartition("/")[2]
     if "File" not in entity["@type"]:
-        told = "" if inner else entity.get("name", "")
-        return {"name": f"{name}/", "told": told, "parts": _parts(entities, entity)}
+        about = "" if inner else entity.get("name", "")
+        return {"name": f"{name}/", "about": about, "parts": _parts(entities, entity)}
     size = format_bytes(int(entity["contentSize"]))
-    return {"name": name, "href": identifier, "told": _joined(size, entity.get("description"))}
+    return {"name": name, "href": identifier, "about": _joined(size, entity.get("description"))}
 
 
 def _steps(entities: Entities, root: Mapping[str, Any]) -> list[tuple[str, list[dict[str, Any]]]]:
@@ -99,7 +99,7 @@ def _steps(entities: Entities, root: Mapping[str, Any]) -> list[tuple[str, list[
         found.setdefault(name if rest else "The publication", []).append(
             {
                 "name": rest or name,
-                "told": action.get("description", ""),
+                "about": action.get("description", ""),
                 "program": _program(entities, action),
                 "inputs": len(kinds) - kinds.count("PropertyValue"),
                 "parameters": kinds.count("PropertyValue"),

@@ -137,8 +137,8 @@ class CheckReport:
 
     def to_dict(self) -> dict[str, Any]:
         """Return what `--json` adds to the problems."""
-        told = {"advice": self.advice, "deposit": self.deposit}
-        return {key: [p.to_dict() for p in problems] for key, problems in told.items()}
+        reports = {"advice": self.advice, "deposit": self.deposit}
+        return {key: [p.to_dict() for p in problems] for key, problems in reports.items()}
 
 
 def check(

@@ -44,7 +44,7 @@ FOREIGN = {
     b"CDF\x02": "netCDF",
 }
 """Formats of cubes that are not read, by their first bytes."""
-MOST_SEEN, BLOCKS, BLOCK = 16 << 20, 8, 60
+LARGEST_SAMPLE, BLOCKS, BLOCK = 16 << 20, 8, 60
 """Samples of a glimpse of a frame; blocks they are taken from, and what their sides are multiples of."""
 MOST_FACTS = 1 << 15
 """Files whose facts are kept in memory, about 1 kB each."""
@@ -270,7 +270,7 @@ def read_plane(path: str | Path, *, page: int | None = None) -> np.ndarray:
     return np.ascontiguousarray(plane)
 
 
-def read_sample(path: str | Path, *, most: int = MOST_SEEN) -> np.ndarray:
+def read_sample(path: str | Path, *, most: int = LARGEST_SAMPLE) -> np.ndarray:
     """Read a frame, or of one of more than `most` samples blocks of rows spread over it.
 
     Parameters

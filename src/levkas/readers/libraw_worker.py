@@ -3,7 +3,7 @@
 LibRaw reads some hundred undocumented formats in C: a damaged or hostile file must be able to end
 or fill only this process. It imports nothing of the package.
 
-A request is a line of JSON, ``["path", true]``; true asks for the pixels too. The answer is 4 bytes
+A request is a line of JSON, ``["path", true]``; true requests the pixels too. The answer is 4 bytes
 with the length of a JSON object, the object, and, as many as its `bytes`, the pixels.
 """
 

@@ -185,7 +185,7 @@ def _worker() -> subprocess.Popen[bytes]:
 
 
 def _stop(worker: subprocess.Popen[bytes]) -> int:
-    """Wait for a decoder whose end was seen, or end it; return its status."""
+    """Wait for a decoder that has ended, or end it; return its status."""
     try:
         worker.wait(timeout=1)
     except subprocess.TimeoutExpired:

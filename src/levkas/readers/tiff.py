@@ -335,7 +335,7 @@ def check_strips(path: Path, tiff: Any, page: Any, name: str) -> None:
 
 
 def _check_frames(path: Path, tiff: Any, page: Any) -> None:
-    """Refuse strips that declare another size than their page: 300 bytes of JPEG can ask for 4 GB."""
+    """Refuse strips that declare another size than their page: 300 bytes of JPEG can declare 4 GB."""
     if page.compression not in (*JPEG_CODES, *JPEG_2000, *JPEG_XL):
         return
     most = 4 * prod(page.chunks) + SLACK

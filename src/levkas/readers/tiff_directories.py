@@ -84,7 +84,7 @@ def directories_of(path: Path) -> list[Directory]:
         handle.seek(8 if big else 4)
         offset = _unpacked(path, handle, order + ("Q" if big else "I"))
         found: list[Directory] = []
-        seen: set[int] = set()
+        visited: set[int] = set()
         walked = 0
         while offset:
             expected = f"below {size}"
@@ -93,7 +93,7 @@ def directories_of(path: Path) -> list[Directory]:
                 raise truncated(path, message, "next directory", f"byte {offset}", expected)
             # Directories stand side by side: laid over one another, each costs a reader as much
             # of the file again.
-            if offset in seen or walked > size:
+            if offset in visited or walked > size:
                 raise unreadable(
                     path,
                     "the pages of the TIFF form a loop or overlap",
@@ -111,7 +111,7 @@ def directories_of(path: Path) -> list[Directory]:
                     expected=f"at most {MOST_PAGES}",
                     fix="Save the frames in several files.",
                 )
-            seen.add(offset)
+            visited.add(offset)
             directory, following = _directory(path, handle, offset, order, big)
             walked += handle.tell() - offset
             offset = following

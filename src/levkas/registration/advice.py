@@ -120,12 +120,12 @@ def describe_placement(found: Mapping[str, Any]) -> str:
     'placed by hand, 4 pairs leave no error to measure; the pictures do not confirm it'
     """
     fit = found["fit_px"]
-    told = (
+    text = (
         f"{found['pairs']} pairs leave no error to measure"
         if fit is None
         else f"pairs fit to {fit:.1f} px"
     )
-    return f"placed by hand, {told}; the pictures do not confirm it"
+    return f"placed by hand, {text}; the pictures do not confirm it"
 
 
 def percent(share: float) -> str:

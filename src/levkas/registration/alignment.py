@@ -146,9 +146,9 @@ def camera_grey(
     total = values * np.float64(len(groups[first]))
     for name, bands in groups.items():
         if name != first:
-            part, seen = pull(*grey(bands), alignments[name], values.shape)
+            part, inside = pull(*grey(bands), alignments[name], values.shape)
             total += part * len(bands)
-            valid &= seen
+            valid &= inside
     return (total / len(images)).astype(np.float32), valid
 
 

@@ -234,7 +234,7 @@ def pull(
     h, w = shape
     filled = np.where(valid, values, 0).astype(np.float32)
     weight = valid.astype(np.float32)
-    out, seen = np.zeros((h, w), np.float32), np.zeros((h, w), bool)
+    out, inside = np.zeros((h, w), np.float32), np.zeros((h, w), bool)
     lattice = evaluate_lattice(transform, (h, w))
     for start in range(0, h, PULLED_ROWS):
         block = slice(start, min(start + PULLED_ROWS, h))
@@ -243,8 +243,8 @@ def pull(
         known = np.isfinite(places).all(-1, keepdims=True)
         places = np.moveaxis(np.where(known, places, -9.0), -1, 0)[::-1]
         out[block] = map_coordinates(filled, places, order=1)
-        seen[block] = map_coordinates(weight, places, order=1) > WHOLE_SHARE
-    return out, seen
+        inside[block] = map_coordinates(weight, places, order=1) > WHOLE_SHARE
+    return out, inside
 
 
 def evaluate_lattice(transform: Transform, shape: tuple[int, int], step: float = 1.0) -> np.ndarray:

@@ -127,7 +127,7 @@ def zero_displacement(bands: int, centre: np.ndarray, spread: float) -> Chromati
 
 
 def fit_chromatic(
-    seen: Sequence[WindowShifts],
+    windows: Sequence[WindowShifts],
     before: ChromaticShifts,
     wavelengths: Sequence[float],
     *,
@@ -140,7 +140,7 @@ def fit_chromatic(
 
     Parameters
     ----------
-    seen : one `WindowShifts` a band, all on the same lattice
+    windows : one `WindowShifts` a band, all on the same lattice
     before : ChromaticShifts
         What the windows were warped with.
     wavelengths : nm, NaN where unknown
@@ -156,14 +156,14 @@ def fit_chromatic(
     """
     names = KINDS[: KINDS.index(highest) + 1]
     count = _size(names[-1])
-    earlier = np.zeros((len(seen), count))
+    earlier = np.zeros((len(windows), count))
     width = min(count, before.amounts.shape[1])
     earlier[:, :width] = before.amounts[:, :width]
-    terms = design_matrix(seen[0].centres, 3, before.centre, before.spread)
+    terms = design_matrix(windows[0].centres, 3, before.centre, before.spread)
     design = np.einsum("nk,fka->anf", terms, _tensor(count))
-    systems = each(lambda w, e: _system(w, design, e, common), seen, earlier)
+    systems = each(lambda w, e: _system(w, design, e, common), windows, earlier)
     free = min(count, _size("similarity"))
-    apart = np.eye(len(seen)) - (0.0 if sensitivity is None else sensitivity)
+    apart = np.eye(len(windows)) - (0.0 if sensitivity is None else sensitivity)
     prior = np.zeros(free)
     measured, variances = _amounts(systems, prior, earlier, apart)
     amounts, doubts = _smooth(measured, variances, wavelengths, fixed, apart, prior)
@@ -197,15 +197,15 @@ def interpolate_chromatic(
     array([[0.45, 0.9 ]])
     """
     places = np.concatenate([np.asarray(measured, float), np.asarray(wanted, float)])
-    seen = np.eye(len(measured), len(places))
-    bends, count = _correlations(seen, places), shifts.amounts.shape[1]
+    selection = np.eye(len(measured), len(places))
+    bends, count = _correlations(selection, places), shifts.amounts.shape[1]
     amounts, doubts = np.zeros((2, len(wanted), count))
     for column in range(count):
         y = shifts.amounts[:, column]
         noise = np.full(len(y), SETTINGS.least_variance)
         if shifts.variances is not None:
             noise = noise + shifts.variances[:, column]
-        mean, variance = _posterior(y, noise, seen, bends, 0.0)
+        mean, variance = _posterior(y, noise, selection, bends, 0.0)
         amounts[:, column], doubts[:, column] = mean[len(y) :], variance[len(y) :]
     return replace(shifts, amounts=amounts, variances=doubts)
 
@@ -329,7 +329,7 @@ def _amounts(
     earlier: np.ndarray,
     apart: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return amounts of each band less those of its prediction, and variances; infinite where unseen.
+    """Return amounts of each band less those of its prediction, and variances; infinite where not measured.
 
     The price is on the squares of what is returned: what a band is apart from its prediction.
     """
@@ -360,7 +360,7 @@ def _smooth(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Smooth each amount over the bands by a Gaussian process, its scales from the data.
 
-    `measured` are amounts seen against predictions: ``apart @ amounts``; a `price` is the inverse of
+    `measured` are amounts measured against predictions: ``apart @ amounts``; a `price` is the inverse of
     the variance that is expected of a field. Returns the amounts and their variances.
     """
     places = np.asarray(wavelengths, float)
@@ -368,46 +368,48 @@ def _smooth(
     result, doubts = np.zeros_like(measured), np.zeros_like(measured)
     for column in range(measured.shape[1]):
         known = np.isfinite(variances[:, column])
-        seen, noise = apart[known], variances[known, column] + 1e-10
+        selection, noise = apart[known], variances[known, column] + 1e-10
         y = measured[known, column]
         if fixed is not None:
-            seen = np.vstack([seen, np.eye(len(apart))[fixed]])
+            selection = np.vstack([selection, np.eye(len(apart))[fixed]])
             y, noise = np.append(y, 0.0), np.append(noise, 1e-10)
         if len(y):
-            bends = _correlations(seen, places) if smooth else []
-            result[:, column], doubts[:, column] = _posterior(y, noise, seen, bends, price[column])
+            bends = _correlations(selection, places) if smooth else []
+            result[:, column], doubts[:, column] = _posterior(
+                y, noise, selection, bends, price[column]
+            )
     return result if fixed is None else result - result[fixed], doubts
 
 
 Correlations = list[tuple[np.ndarray, np.ndarray]]
-"""Of what was seen with all amounts, (seen, bands), and with itself, for each length over wavelength."""
+"""Of what was measured with all amounts, (measured, bands), and with itself, for each length over wavelength."""
 
 
-def _correlations(seen: np.ndarray, places: np.ndarray) -> Correlations:
-    """Return the squared exponentials over `places`, (bands,) nm; `seen`, (seen, bands), is as of `_posterior`."""
+def _correlations(selection: np.ndarray, places: np.ndarray) -> Correlations:
+    """Return the squared exponentials over `places`, (bands,) nm; `selection`, (measured, bands), is as of `_posterior`."""
     apart = (places[:, None] - places) ** 2
-    across = [seen @ np.exp(-0.5 * apart / nm**2) for nm in SETTINGS.lengths]
-    return [(one, one @ seen.T) for one in across]
+    across = [selection @ np.exp(-0.5 * apart / nm**2) for nm in SETTINGS.lengths]
+    return [(one, one @ selection.T) for one in across]
 
 
 def _posterior(
-    y: np.ndarray, noise: np.ndarray, seen: np.ndarray, bends: Correlations, price: float
+    y: np.ndarray, noise: np.ndarray, selection: np.ndarray, bends: Correlations, price: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and variance of the amounts, (bands,), given ``y = seen @ amounts`` with variances `noise`.
+    """Return mean and variance of the amounts, (bands,), given ``y = selection @ amounts`` with variances `noise`.
 
     Algorithm 2.1 of [rasmussen2006]_ for each combination of scales; that of the highest marginal
-    likelihood is taken. Scales are compared on what was seen alone, which is less than all that is wanted.
+    likelihood is taken. Scales are compared on what was measured alone, which is less than all that is wanted.
     """
     from scipy.linalg import solve_triangular
 
-    plain = np.linalg.lstsq(seen, y, rcond=1e-3)[0]
+    plain = np.linalg.lstsq(selection, y, rcond=1e-3)[0]
     size = max(float(np.mean(plain**2)), float(np.median(noise)), 1e-10)
     if price > 0:
         size = min(size, 1 / price)
     common = (1 if price > 0 else 100) * size
-    rows, single = seen.sum(1), seen @ seen.T
+    rows, single = selection.sum(1), selection @ selection.T
     still = common * np.outer(rows, rows) + np.diag(noise)
-    none = (np.zeros(seen.shape), np.zeros(single.shape)), 0.0
+    none = (np.zeros(selection.shape), np.zeros(single.shape)), 0.0
     best, chosen = -np.inf, None
     for (across, within), share in [none, *product(bends, SETTINGS.smooth)]:
         for own in SETTINGS.own:
@@ -419,11 +421,11 @@ def _posterior(
             likelihood = -0.5 * (white @ white) - np.log(np.diag(factor)).sum()
             if likelihood > best:
                 best = likelihood
-                # Covariance of what was seen with the amounts, and the variance of these before it was.
-                shared = common * rows[:, None] + size * (share * across + own * seen)
+                # Covariance of what was measured with the amounts, and the variance of these before it was.
+                shared = common * rows[:, None] + size * (share * across + own * selection)
                 chosen = factor, white, shared, common + size * (share + own)
     if chosen is None:
-        return plain, np.full(seen.shape[1], size)
+        return plain, np.full(selection.shape[1], size)
     factor, white, shared, whole = chosen
     known = solve_triangular(factor, shared, lower=True, check_finite=False)
     return known.T @ white, np.maximum(whole - (known**2).sum(0), 0.0)

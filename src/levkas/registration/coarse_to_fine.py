@@ -82,7 +82,7 @@ class RefinementSettings:
         Bands compared on grids before the finest, evenly over the wavelengths.
     rounds, stiff_rounds, most_rounds : int
         Rounds on the finest grid that are always made, with stiff models only, and at most.
-    settled : float, px of the grid
+    converged : float, px of the grid
         A map that moves less, the median over windows, has converged.
     large : int, px of the grid
         Frames larger than this make the first round on a grid twice as coarse: bands are pixels apart
@@ -107,7 +107,7 @@ class RefinementSettings:
     rounds: int = 2
     stiff_rounds: int = 4
     most_rounds: int = 8
-    settled: float = 0.1
+    converged: float = 0.1
     large: int = 600_000
     least_cells: int = 5
     good: float = 0.25
@@ -181,13 +181,13 @@ class SensorTask:
     def measure_shifts(
         self, bands: Sequence[BandImage], own: Sequence[Transform], base: Transform, step: int
     ) -> list[WindowShifts]:
-        """Return the windows of each band, seen through its own map and then `base`."""
+        """Return the windows of each band, resampled through its own map and then `base`."""
         predictor = self.reference.predictor(step)
 
-        def seen(band: BandImage, before: Transform) -> WindowShifts:
+        def windows_of(band: BandImage, before: Transform) -> WindowShifts:
             return measure_shifts(predictor, self.resample(band, Composed(before, base), step))
 
-        return each(seen, bands, own)
+        return each(windows_of, bands, own)
 
     def measure_lines(self, found: RefinedMap) -> LineDisplacement | None:
         """Measure how lines of a picture lie beside the map: of the best band, else of the mean of all nearly as good.
@@ -274,7 +274,7 @@ class RefinedMap:
         Numbers of `verify`.
     checks : CheckWindows
     course : dict
-        ``rounds`` that were made, ``settled``: whether the map had converged in the last of them,
+        ``rounds`` that were made, ``converged``: whether the map had converged in the last of them,
         ``moved``, reference px: by how much that moved it, the median over windows, ``band`` by which
         it was judged.
     light : {"same", "other", "unknown"}
@@ -526,9 +526,9 @@ class _Refinement:
                     self.windows, self.chromatic, wavelengths, common=common
                 )
             shift = float(np.sqrt(np.median((moved**2).sum(1))))
-            settled = shift < SETTINGS.settled * self.step
-            self.course = {"rounds": rounds, "settled": settled, "moved": round(shift, 5)}
-            if rounds >= len(planned) and settled:
+            converged = shift < SETTINGS.converged * self.step
+            self.course = {"rounds": rounds, "converged": converged, "moved": round(shift, 5)}
+            if rounds >= len(planned) and converged:
                 return
 
     def exclude_covered(self, best: int, judged: int) -> PermutationTest:
@@ -548,7 +548,7 @@ class _Refinement:
         return self.task.measure_shifts(self.task.bands, own, self.base, step)
 
     def _fit(self, step: int, terms: SelectionTerms, among: np.ndarray | None = None) -> None:
-        """Fit the base map to what is seen through the one before, record it and check it."""
+        """Fit the base map to the windows measured through the one before, record it and check it."""
         task = self.task
         self.selected = fit_base(
             self.base, self.windows, task.by_hand.fixed, step, task.cell(step), terms, among

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from levkas.geometry.depth_step import LedgeShift
+from levkas.geometry.depth_step import DepthStepShift
 from levkas.geometry.pixel_maps_kernel import share_inside
 from levkas.geometry.transforms import Composed, Transform, design_matrix, frame_of, solve_2x2
 from levkas.registration.models import Observations, fit_polynomial
@@ -98,14 +98,14 @@ class DepthStep:
         terms = np.column_stack([np.ones(len(points)), (points - self.centre) / self.spread])
         return np.asarray(self.window_share(points)[:, None] * terms)
 
-    def displacing(self, shift: np.ndarray) -> LedgeShift:
+    def displacing(self, shift: np.ndarray) -> DepthStepShift:
         """Return the displacement, (3, 2) px of 1, u, v, as a transform."""
         left, right, top, bottom, width, turned = self.edges
         c, s = np.cos(turned), np.sin(turned)
         normals = np.array([[c, s], [-c, -s], [-s, c], [s, -c]])
         begins = np.array([-left, right, -top, bottom]) - normals @ self.centre
         lines = np.column_stack([normals, begins])
-        return LedgeShift(lines, float(width), self.centre, self.spread, shift)
+        return DepthStepShift(lines, float(width), self.centre, self.spread, shift)
 
 
 def find_depth_steps(observations: Observations, cell: float) -> list[DepthStep]:
@@ -209,7 +209,7 @@ class _Residual:
 def _fit_shift(columns: np.ndarray, goal: np.ndarray) -> np.ndarray:
     """Return the displacement, (3, 2), by least squares: along either axis evenly, and growing along it.
 
-    What lies deeper is seen displaced and smaller; neither turns it.
+    What lies deeper appears displaced and smaller; neither turns it.
     """
     shift = np.zeros((3, 2))
     for axis, of in enumerate(ALONG):
@@ -238,9 +238,9 @@ def fit_with_depth_step(
     return Composed(step.displacing(shift), fit(replace(observations, points=moved)))
 
 
-def depth_step_of(base: Transform) -> tuple[LedgeShift | None, Transform]:
+def depth_step_of(base: Transform) -> tuple[DepthStepShift | None, Transform]:
     """Return the displacement of a map's step in depth, None without one, and the rest of the map."""
-    if isinstance(base, Composed) and isinstance(base.steps[0], LedgeShift):
+    if isinstance(base, Composed) and isinstance(base.steps[0], DepthStepShift):
         return base.steps[0], Composed(*base.steps[1:])
     return None, base
 

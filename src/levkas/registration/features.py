@@ -342,7 +342,7 @@ class CameraFeatures:
     def __init__(self, greys: Sequence[np.ndarray], within: np.ndarray | None = None) -> None:
         self.greys, self.within = greys, within
         self._scaled: dict[int, ScaledFeatures] = {}
-        self._lock = RLock()  # several sensors ask for those of the reference
+        self._lock = RLock()  # several sensors need those of the reference
 
     def at(self, side: int) -> ScaledFeatures:
         """Return the key points of pictures reduced until their longer side is `side` px."""

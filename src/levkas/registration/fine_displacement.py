@@ -245,7 +245,7 @@ def _in_px(windows: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _moved(image: np.ndarray, dx: int, dy: int) -> np.ndarray:
-    """Return `image` seen (dx, dy) px farther; NaN beyond it."""
+    """Return `image` shifted by (dx, dy) px; NaN beyond it."""
     height, width = image.shape
     out = np.full_like(image, np.nan)
     here, there = (

@@ -82,7 +82,7 @@ class SensorObservations:
     chromatic : ChromaticShifts
     held_out : float, reference px
         Error of `base` in blocks that it was not fitted to; 0 where nothing was fitted.
-    seen : Observations or None
+    observations : Observations or None
         What `base` was fitted to; None for the reference's own sensor.
     terms : SelectionTerms
         On which it was fitted.
@@ -93,7 +93,7 @@ class SensorObservations:
     base: Transform
     chromatic: ChromaticShifts
     held_out: float = 0.0
-    seen: Observations | None = None
+    observations: Observations | None = None
     terms: SelectionTerms = field(default_factory=SelectionTerms)
 
     @classmethod
@@ -105,17 +105,23 @@ class SensorObservations:
 
     def enlarged(self, grow: Affine) -> SensorObservations:
         """Return the observations in larger native px: `grow` maps those of now to them."""
-        if self.seen is None:
+        if self.observations is None:
             return self
-        jacobian = np.einsum("ab,nbc->nac", grow.matrix[:, :2], self.seen.jacobian)
-        seen = replace(self.seen, target=grow(self.seen.target), jacobian=jacobian)
-        return replace(self, base=Composed(self.base, grow), seen=seen)
+        jacobian = np.einsum("ab,nbc->nac", grow.matrix[:, :2], self.observations.jacobian)
+        observations = replace(
+            self.observations, target=grow(self.observations.target), jacobian=jacobian
+        )
+        return replace(self, base=Composed(self.base, grow), observations=observations)
 
     def without_depth_step(self) -> Observations:
         """Return what was observed as a painting without its step in depth would have shown it."""
-        assert self.seen is not None
+        assert self.observations is not None
         step, _ = depth_step_of(self.base)
-        return self.seen if step is None else replace(self.seen, points=step(self.seen.points))
+        return (
+            self.observations
+            if step is None
+            else replace(self.observations, points=step(self.observations.points))
+        )
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Return arrays that hold all of it."""
@@ -132,8 +138,8 @@ class SensorObservations:
         arrays = {"fields": np.array(json.dumps(fields)), "centre": c.centre, "amounts": c.amounts}
         if c.variances is not None:
             arrays["variances"] = c.variances
-        if self.seen is not None:
-            arrays |= {name: getattr(self.seen, name) for name in _OBSERVED}
+        if self.observations is not None:
+            arrays |= {name: getattr(self.observations, name) for name in _OBSERVED}
         return arrays
 
     @classmethod
@@ -144,10 +150,12 @@ class SensorObservations:
             fields["kind"], arrays["centre"], fields["spread"], arrays["amounts"],
             arrays.get("variances"),
         )  # fmt: skip
-        seen = Observations(*(arrays[name] for name in _OBSERVED)) if "points" in arrays else None
+        observations = (
+            Observations(*(arrays[name] for name in _OBSERVED)) if "points" in arrays else None
+        )
         return cls(
             fields["sensor"], tuple(fields["labels"]), from_dict(fields["base"]), chromatic,
-            fields["held_out"], seen, SelectionTerms(**fields["terms"]),
+            fields["held_out"], observations, SelectionTerms(**fields["terms"]),
         )  # fmt: skip
 
 
@@ -163,7 +171,7 @@ class JointResult:
         The selection with the shared map in it; None where that was not taken.
     shared : SelectedModel or None
         The shared map itself, where it was taken.
-    mates : tuple of int
+    companions : tuple of int
         Which of the others took part.
     """
 
@@ -171,7 +179,7 @@ class JointResult:
     chromatic: ChromaticShifts
     selected: SelectedModel | None
     shared: SelectedModel | None
-    mates: tuple[int, ...]
+    companions: tuple[int, ...]
 
 
 def adjust_jointly(mine: SensorObservations, others: Sequence[SensorObservations]) -> JointResult:
@@ -188,7 +196,7 @@ def adjust_jointly(mine: SensorObservations, others: Sequence[SensorObservations
     adjusted : JointResult
         As it was, where no other was taken from the same place or none makes it better.
     """
-    if mine.seen is None:
+    if mine.observations is None:
         posed = [k for k, other in enumerate(others) if _have_same_bands(mine, other)]
         pooled = pool_chromatic(mine.chromatic, [others[k].chromatic for k in posed])
         return JointResult(mine.base, pooled, None, None, tuple(posed))
@@ -198,33 +206,35 @@ def adjust_jointly(mine: SensorObservations, others: Sequence[SensorObservations
         for k, one in enumerate(laid)
         if one is not None and one.moved < SETTINGS.same_pose and _have_same_bands(mine, others[k])
     ]
-    mates = [
+    companions = [
         k for k, one in enumerate(laid) if one is not None and one.excess < SETTINGS.most_excess
     ]
     pooled = pool_chromatic(mine.chromatic, [others[k].chromatic for k in posed])
     alone = JointResult(mine.base, pooled, None, None, tuple(posed))
-    if not mates:
+    if not companions:
         return alone
-    shared, fit = _fit_shared(mine, [others[k] for k in mates])
-    selected = select_model(mine.seen, mine.terms, shared=fit)
+    shared, fit = _fit_shared(mine, [others[k] for k in companions])
+    selected = select_model(mine.observations, mine.terms, shared=fit)
     if selected.spec is None or not selected.spec.shared:
         return alone
-    taking_part = tuple(sorted({*mates, *posed}))
+    taking_part = tuple(sorted({*companions, *posed}))
     return JointResult(selected.transform, pooled, selected, shared, taking_part)
 
 
 def _fit_shared(
-    mine: SensorObservations, mates: Sequence[SensorObservations]
+    mine: SensorObservations, companions: Sequence[SensorObservations]
 ) -> tuple[SelectedModel, _SharedFit]:
     """Fit one map to all observations, each transferred to the frame of `mine`; return it, and its fit."""
     base, found = depth_step_of(mine.base)[1], None
     terms = SelectionTerms(spacing=mine.terms.spacing, apart=mine.terms.apart)
     for _ in range(SETTINGS.rounds):
-        laid = [one for mate in mates if (one := _transfer(mine, mate, base)) is not None]
-        others = [_thinned(one.seen) for one in laid]
+        laid = [
+            one for companion in companions if (one := _transfer(mine, companion, base)) is not None
+        ]
+        others = [_thinned(one.observations) for one in laid]
         whole = _thinned(mine.without_depth_step())
-        for seen in others:
-            whole = whole.joined(seen)
+        for observations in others:
+            whole = whole.joined(observations)
         selected = select_model(whole, terms)
         base = selected.transform
         if others and selected.fit is not None:
@@ -250,10 +260,10 @@ class _SharedFit:
         return self._known[key]
 
 
-def _thinned(seen: Observations) -> Observations:
+def _thinned(observations: Observations) -> Observations:
     """Return at most some thousand windows, with the information of all of them."""
-    every = 1 + len(seen) // SELECTION.most_judged
-    part = seen.part(np.arange(len(seen)) % every == 0)
+    every = 1 + len(observations) // SELECTION.most_judged
+    part = observations.part(np.arange(len(observations)) % every == 0)
     return part.weighted(np.full(len(part), float(every)))
 
 
@@ -261,34 +271,34 @@ def _thinned(seen: Observations) -> Observations:
 class _Transferred:
     """Observations of another capture on this frame, how far that is turned and scaled, and their excess."""
 
-    seen: Observations
+    observations: Observations
     moved: float
     excess: float
 
 
 def _transfer(
-    mine: SensorObservations, mate: SensorObservations, base: Transform
+    mine: SensorObservations, companion: SensorObservations, base: Transform
 ) -> _Transferred | None:
     """Transfer a capture's observations to the frame of `mine`; None where it was taken from another place."""
     least = MODELS[HOMOGRAPHY][0]
-    if mate.seen is None or len(mate.seen) < least:
+    if companion.observations is None or len(companion.observations) < least:
         return None
-    seen = mate.without_depth_step()
+    observations = companion.without_depth_step()
     with np.errstate(all="ignore"):
-        places = base.inverse(seen.target)
+        places = base.inverse(observations.target)
     known = _is_within(mine, places)
     if known.sum() < least:
         return None
-    seen = seen.part(known)
-    identity = np.broadcast_to(np.eye(2), (len(seen), 2, 2))
-    there = replace(seen, target=places[known], jacobian=identity)
+    observations = observations.part(known)
+    identity = np.broadcast_to(np.eye(2), (len(observations), 2, 2))
+    there = replace(observations, target=places[known], jacobian=identity)
     between = fit_projective(there, lens=False)
     left = np.linalg.norm(there.residuals(between), axis=1)
     if not np.median(left) < SETTINGS.same_place:
         return None
-    middle = seen.points.mean(0, keepdims=True)
+    middle = observations.points.mean(0, keepdims=True)
     moved = float(np.abs(between.jacobian(middle)[0] - np.eye(2)).max())
-    laid = replace(seen, points=between(seen.points))
+    laid = replace(observations, points=between(observations.points))
     excess = _excess(mine.without_depth_step(), laid)
     trusted = laid.weighted(np.full(len(laid), 1 / max(excess, 1.0)))
     return _Transferred(trusted, moved, excess)
@@ -304,7 +314,7 @@ def _excess(mine: Observations, laid: Observations) -> float:
     low, high = mine.points.min(0), mine.points.max(0)
     side = max(float((high - low).max()) / SETTINGS.blocks, 1e-9)
     apart = []
-    mine_in, laid_in = (np.floor((seen.points - low) / side).astype(int) for seen in (mine, laid))
+    mine_in, laid_in = (np.floor((one.points - low) / side).astype(int) for one in (mine, laid))
     left, theirs = mine.residuals(both), laid.residuals(both)
     for block in np.unique(mine_in, axis=0):
         here, there = (mine_in == block).all(1), (laid_in == block).all(1)
@@ -324,9 +334,9 @@ def _weighted_mean(values: np.ndarray, information: np.ndarray) -> tuple[np.ndar
 
 
 def _is_within(mine: SensorObservations, places: np.ndarray) -> np.ndarray:
-    """Tell which places lie where `mine` observed anything, or a little beyond."""
-    assert mine.seen is not None
-    low, high = mine.seen.points.min(0), mine.seen.points.max(0)
+    """Return which places lie where `mine` observed anything, or a little beyond."""
+    assert mine.observations is not None
+    low, high = mine.observations.points.min(0), mine.observations.points.max(0)
     rim = SETTINGS.rim * (high - low)
     with np.errstate(invalid="ignore"):
         return np.asarray(((places >= low - rim) & (places <= high + rim)).all(1))

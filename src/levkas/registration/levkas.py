@@ -219,15 +219,15 @@ def _model(sensor: RegisteredSensor) -> dict[str, Any]:
     return {
         "sensor": sensor.name,
         "base": found.selected.name if found else placed.model if placed else "identity",
-        "ladder": found.selected.scores if found else {},
-        "climbs": found.selections if found else [],
+        "scores": found.selected.scores if found else {},
+        "selections": found.selections if found else [],
         "chromatic": sensor.chromatic.kind,
         "mirrored": bool(sensor.initial.mirrored)
         if sensor.initial
         else bool(placed and placed.is_mirrored),
         "step": found.step if found else 1,
         "rounds": found.course["rounds"] if found else None,
-        "settled": found.course["settled"] if found else None,
+        "converged": found.course["converged"] if found else None,
     }
 
 
@@ -250,14 +250,14 @@ def _numbers(sensor: RegisteredSensor) -> dict[str, Any]:
         "key_points": len(initial.kept) if initial else None,
         "by_outlines": bool(initial and initial.by_outlines),
         "rounds": course.get("rounds"),
-        "settled": course.get("settled"),
+        "converged": course.get("converged"),
         "moved": course.get("moved"),
         "checked": verification.get("checked"),
         "alike": bool(found and found.light == "same"),
         "light": found.light if found else "unknown",
         "align_apart_px": sensor.apart_px,
         "terms": selected.spec.coefficients if selected and selected.spec else None,
-        "borne_out": verification,
+        "verification": verification,
     } | placed
 
 

@@ -178,10 +178,10 @@ class LineShifts:
         cls, shift: np.ndarray, information: np.ndarray, places: np.ndarray
     ) -> LineShifts | None:
         """Return shifts, (lines, parts, 2) px, beside a smooth course of each part; None where too few lines have two parts."""
-        seen = (information > 0).all(2).sum(1) >= 2
-        if seen.sum() < SETTINGS.least_lines:
+        measured = (information > 0).all(2).sum(1) >= 2
+        if measured.sum() < SETTINGS.least_lines:
             return None
-        information = np.where(seen[:, None, None], information, 0.0)
+        information = np.where(measured[:, None, None], information, 0.0)
         left, weight = _without_course(shift, information)
         if common_edges := _have_common_edges(information[..., 1]):
             left[..., 1] = 0.0
@@ -278,17 +278,17 @@ def _without_course(shift: np.ndarray, information: np.ndarray) -> tuple[np.ndar
     for part in range(parts):
         for axis in range(2):
             y, known = shift[:, part, axis], information[:, part, axis]
-            seen = known > 0
-            if seen.sum() < SETTINGS.least_lines:
+            measured = known > 0
+            if measured.sum() < SETTINGS.least_lines:
                 continue
             w = known
             for _ in range(3):
                 weighted = basis * w[:, None]
                 gram = weighted.T @ basis + 1e-9 * w.max() * np.eye(basis.shape[1])
                 rest = y - basis @ np.linalg.solve(gram, weighted.T @ y)
-                typical = 1.4826 * float(np.median(np.abs(rest[seen]))) + 1e-6
+                typical = 1.4826 * float(np.median(np.abs(rest[measured]))) + 1e-6
                 w = known / (1 + (rest / (SETTINGS.stray * typical)) ** 2)
-            left[seen, part, axis], stray[part, axis] = rest[seen], SETTINGS.stray * typical
+            left[measured, part, axis], stray[part, axis] = rest[measured], SETTINGS.stray * typical
     known = np.isfinite(left)
     middle = np.nanmedian(np.where(known.any(1, keepdims=True), left, 0.0), 1, keepdims=True)
     apart = np.where(known, left - middle, 0.0)
@@ -354,10 +354,10 @@ def _find_step(shifts: LineShifts, sizes: np.ndarray) -> tuple[Course, float] | 
     sure = windows(known, beside, 0).sum(-1)
     heights = (medians[beside:] - medians[:-beside]) * sizes
     sure = np.minimum(sure[beside:], sure[:-beside]).min((1, 2))
-    seen = np.isfinite(heights).all((1, 2))
-    if seen.sum() < SETTINGS.least_lines:
+    measured = np.isfinite(heights).all((1, 2))
+    if measured.sum() < SETTINGS.least_lines:
         return None
-    heights, sure = heights[seen], sure[seen]
+    heights, sure = heights[measured], sure[measured]
     a, b = (heights[:, k] for k in shifts.pairs)
     noise = 1.4826 * np.median(np.abs(a - b), (0, 1)) / np.sqrt(2 * heights.shape[1])
     common = heights.mean(1) * np.sqrt(np.minimum(sure / np.median(sure), 1.0))[:, None]
@@ -371,7 +371,7 @@ def _find_step(shifts: LineShifts, sizes: np.ndarray) -> tuple[Course, float] | 
     if not alone or (heights[best] @ way + stray @ np.abs(way)).min() < SETTINGS.alike * height:
         return None
     deviations = float(length[best]) / max(float(np.hypot(*(way * noise))), 1e-30)
-    near = beside + int(np.flatnonzero(seen)[best]) + np.arange(-beside, beside + 1)
+    near = beside + int(np.flatnonzero(measured)[best]) + np.arange(-beside, beside + 1)
     line, course = np.arange(len(shifts.shift)), shifts.common * sizes
     # Medians are flat beside the step: its place is where it explains most.
     fits = [_fit_beside_cubic((line >= place)[:, None].astype(float), course) for place in near]
@@ -428,8 +428,8 @@ def _take_wave(shifts: LineShifts, sizes: np.ndarray) -> tuple[float, float, Cou
     """Return frequency, share of the covariance and course of the sine that parts have most in common, and what is left."""
     lines = len(shifts.shift)
     padded = 8 * lines
-    seen = shifts.weight.min(2) > 0
-    waves = np.fft.rfft(np.where(seen[..., None], shifts.shift, 0.0) * sizes, padded, axis=0)
+    measured = shifts.weight.min(2) > 0
+    waves = np.fft.rfft(np.where(measured[..., None], shifts.shift, 0.0) * sizes, padded, axis=0)
     a, b = (waves[:, k] for k in shifts.pairs)
     power = (a * np.conj(b)).real.sum((1, 2))
     power[: padded // lines] = 0  # less than one period

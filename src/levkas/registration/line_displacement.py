@@ -49,9 +49,9 @@ class LineSettings:
     rounds : int
         Gauss-Newton steps, each of 1 px at most; two or three suffice for 1 px, four for 3 px.
     prior, most : float, px
-        Standard deviation of displacements before anything is seen, which holds lines without detail; beyond `most`
+        Standard deviation of displacements before any measurement, which holds lines without detail; beyond `most`
         a line is lost.
-    rival : float
+    second_course : float
         Where the other picture has this share of the deviations, either may be the one that is displaced.
     parallel : float, px
         Lines of two pictures that drift apart by less over the whole width are parallel.
@@ -69,7 +69,7 @@ class LineSettings:
     rounds: int = 5
     prior: float = 2.0
     most: float = 6.0
-    rival: float = 0.3
+    second_course: float = 0.3
     parallel: float = 8.0
     scales: tuple[float, float] = (0.05, 20.0)
     nodes: int = 24
@@ -200,10 +200,12 @@ def measure_line_displacement(
     chosen = max(best.values(), key=_deviations)
     if chosen.course is None:
         return chosen
-    least = SETTINGS.rival * chosen.deviations
-    rivals = [one for one in best.values() if one.course and one.deviations > least]
+    least = SETTINGS.second_course * chosen.deviations
+    second_courses = [one for one in best.values() if one.course and one.deviations > least]
     is_step = chosen.course.kind == "step"
-    unsure = len(rivals) > 1 or (is_step and _are_parallel(transform, predictors.shape[1:], step))
+    unsure = len(second_courses) > 1 or (
+        is_step and _are_parallel(transform, predictors.shape[1:], step)
+    )
     if unsure and best.get("target", chosen).course:
         chosen = best["target"]
     smooth = _cubic(transform, predictors.shape[1:], step)

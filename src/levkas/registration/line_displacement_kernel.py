@@ -8,7 +8,7 @@ from levkas.core.compiled import njit
 from levkas.registration.local_shifts import spline_slopes, spline_weights
 
 #: A step shorter than this, px, is the last.
-SETTLED_PX = 0.02
+CONVERGED_PX = 0.02
 #: Where a part that is lost from 0 is begun, px: steps along a line of fine detail reach 2 px.
 STARTS_PX = ((2, 0), (-2, 0), (0, 2), (0, -2), (4, 0), (-4, 0), (0, 4), (0, -4))
 #: Least squared correlation of a part that was begun there.
@@ -59,7 +59,7 @@ def _register(pictures, i, span, start, settings, work, out):  # type: ignore[no
         xx = (s[3] - s[1] * s[1] / s[0]) * scale
         xy = (s[4] - s[1] * s[2] / s[0]) * scale
         yy = (s[5] - s[2] * s[2] / s[0]) * scale
-        if r == rounds or length < SETTLED_PX:
+        if r == rounds or length < CONVERGED_PX:
             out[0], out[1], out[2], out[3], out[4] = dx, dy, xx, xy, yy
             return gain * s[6] / s[9]
         p = 1 / (prior * prior)

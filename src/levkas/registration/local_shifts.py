@@ -3,7 +3,7 @@
 In a window the warped target band is T(x) = b + r·x + Σ g_k R_k(x) + e·∇P(x), with predictors R_k
 (images of the reference in its own frame), P = Σ g_k R_k, and e the shift that is looked for.
 Bias, ramp and gains are fitted along with e in every window, so that neither another contrast nor
-its inversion nor a glare gradient moves the answer. All images are seen through one cubic B-spline
+its inversion nor a glare gradient moves the answer. All images are resampled through one cubic B-spline
 as a *smoothing* kernel: its value and derivative at any position are exact for one blurred scene,
 so that the fraction of a pixel at which a sample falls does not bias the shift.
 """
@@ -159,7 +159,7 @@ class Predictor:
 def smoothing_warp(
     image: np.ndarray, transform: Transform, shape: tuple[int, int], *, step: float = 1.0
 ) -> np.ndarray:
-    """Return `image` seen in the frame of `transform`'s source through a cubic B-spline.
+    """Return `image` resampled in the frame of `transform`'s source through a cubic B-spline.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ def _reduce(start, stop, image, n, out):  # type: ignore[no-untyped-def]
 def detail_on_grid(
     image: np.ndarray, transform: Transform, shape: tuple[int, int], *, step: int = 1
 ) -> np.ndarray:
-    """Return `image`, (h, w), seen on a grid of `step` reference px and high-passed.
+    """Return `image`, (h, w), resampled on a grid of `step` reference px and high-passed.
 
     `transform` is reference px → px of the image, `shape` that of the grid. Blocks of about one px of the grid are averaged: less lets
     detail finer than the grid feign other detail, more makes noise alike in neighbours.

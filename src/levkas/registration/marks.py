@@ -16,7 +16,7 @@ the outlines differs. The test has four steps.
    have in common. Its standard deviation there says how large a share would have been overlooked.
 
 Sensor noise is shared by no two pictures. It is measured, by the Laplacian of [immerkaer1996]_, which has more of white
-noise than of a mark that an optic has seen, and r is divided by the correlation that identical marks would have below so
+noise than of a mark imaged by an optic, and r is divided by the correlation that identical marks would have below so
 much noise, √((1 − n₁)(1 − n₂)): Spearman's correction for attenuation, for the shares n of noise in the power.
 """
 

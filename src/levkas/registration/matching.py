@@ -54,7 +54,7 @@ def match(
     matching : str
         A key of `MATCHERS`.
     ratio : float
-        Largest ratio of nearest to second nearest distance, where the method asks for it.
+        Largest ratio of nearest to second nearest distance, where the method uses it.
 
     Returns
     -------
@@ -211,7 +211,7 @@ _NONE = TentativeMatches(np.zeros((0, 2)), np.zeros((0, 2)), np.ones(0), np.zero
 
 
 def match_mutually(a: KeyPoints, b: KeyPoints, *, mirror: bool) -> TentativeMatches:
-    """Match key points that are each other's most alike and have no rival; of the mirror image if so."""
+    """Match key points that are each other's most alike and have no second candidate; of the mirror image if so."""
     if len(a) < 2 or len(b) < 2:
         return _NONE
     alike = _likeness(a.descriptors, b.descriptors, mirror)
@@ -220,11 +220,11 @@ def match_mutually(a: KeyPoints, b: KeyPoints, *, mirror: bool) -> TentativeMatc
     top = alike[rows, best]
     mutual = alike.argmax(0)[best] == rows
     alike[rows, best] = -1
-    # Key points with several main directions repeat; the rival has to lie elsewhere.
-    rival_at = alike.argmax(1)
-    rival = alike[rows, rival_at]
-    same = np.abs(b.points[rival_at] - b.points[best]).max(1) < 2
-    clear = (1 - top) < MUTUAL_RATIO**2 * (1 - rival)
+    # Key points with several main directions repeat; the second candidate has to lie elsewhere.
+    second_at = alike.argmax(1)
+    second = alike[rows, second_at]
+    same = np.abs(b.points[second_at] - b.points[best]).max(1) < 2
+    clear = (1 - top) < MUTUAL_RATIO**2 * (1 - second)
     good = mutual & (clear | same)
     return _compared(a[good], b[best[good]], top[good], mirror)
 

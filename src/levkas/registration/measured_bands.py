@@ -83,13 +83,13 @@ def _strays(bands: Sequence[BandImage]) -> list[int]:
     return found
 
 
-def _distance(seen: WindowShifts) -> float:
+def _distance(windows: WindowShifts) -> float:
     """Return the mean shift, px, of that quarter of the frame which is shifted most: a turn shifts each otherwise."""
-    weights = np.trace(seen.information, axis1=1, axis2=2)
-    quarter = (seen.centres > np.median(seen.centres, axis=0)) @ [1, 2]
+    weights = np.trace(windows.information, axis1=1, axis2=2)
+    quarter = (windows.centres > np.median(windows.centres, axis=0)) @ [1, 2]
     parts = [weights * (quarter == number) for number in range(4)]
     return max(
-        (float(np.hypot(*(w @ seen.shift / w.sum()))) for w in parts if w.any()), default=0.0
+        (float(np.hypot(*(w @ windows.shift / w.sum()))) for w in parts if w.any()), default=0.0
     )
 
 

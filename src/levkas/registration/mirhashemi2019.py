@@ -388,7 +388,7 @@ def measure(evidence: Evidence) -> dict[str, Any]:
         **measure_held_out(evidence),
         **_measure_shape(evidence),
         **measure_windows(checks),
-        "rival": float(search.rival),
+        "second_peak_ratio": float(search.second_peak_ratio),
         **measure_support(evidence.overlap, checks, matches.reference[matches.kept]),
         **_measure_finely(evidence),
         "object_share": evidence.object_share,

@@ -54,7 +54,7 @@ class SelectionSettings:
         Share by which a richer model has to lower the held-out error.
     near, far : float
         Models whose held-out error is up to so much, as a share, above the best may be right too: where
-        windows were seen, and where none were.
+        windows were measured, and where none were.
     least_spline, least_depth_step : int
         Observations from which a spline, and a step in depth, are tried.
     stiffness : tuple of float
@@ -103,7 +103,7 @@ class ModelSpec:
     Examples
     --------
     >>> str(ModelSpec("homography", lens=True, spline=0.01)), str(ModelSpec("polynomial", 3, shared=True))
-    ('homography+lens+spline(0.01)', 'rig+cubic')
+    ('homography+lens+spline(0.01)', 'shared+cubic')
     """
 
     family: str
@@ -115,9 +115,9 @@ class ModelSpec:
 
     def __str__(self) -> str:
         plain = POLYNOMIALS[self.order] if self.family == "polynomial" else self.family
-        parts = ["rig"] * self.shared + [plain] * bool(plain) + ["lens"] * self.lens
+        parts = ["shared"] * self.shared + [plain] * bool(plain) + ["lens"] * self.lens
         parts += [] if self.spline is None else [f"spline({self.spline:g})"]
-        return "+".join(parts + ["ledge"] * self.depth_step)
+        return "+".join(parts + ["depth_step"] * self.depth_step)
 
     @property
     def plain(self) -> ModelSpec:
@@ -235,7 +235,7 @@ class SelectedModel:
     fit : callable or None
         How it was fitted.
     far_alternatives : callable
-        Returns the models that predict blocks at most twice as badly: where nothing was seen they
+        Returns the models that predict blocks at most twice as badly: where nothing was measured they
         may be as right.
     """
 
@@ -271,9 +271,9 @@ class SelectedModel:
         if self.folds:
             folds = spatial_folds(self.observations.points, self.terms.apart)
             for one in self.folds:
-                unseen = folds[one.fold][0]
-                left = self.observations.part(unseen).residuals(one.transform)
-                missed[unseen] = np.hypot(*left.T)
+                left_out = folds[one.fold][0]
+                left = self.observations.part(left_out).residuals(one.transform)
+                missed[left_out] = np.hypot(*left.T)
         return missed
 
     def sigma(self, points: np.ndarray) -> np.ndarray:
@@ -294,7 +294,7 @@ class SelectedModel:
         return np.sqrt(total / len(self.folds) + self._spread(points, self.alternatives))
 
     def sigma_beyond(self, points: np.ndarray) -> np.ndarray:
-        """Return the spread, (n,) reference px, of models that may be right beyond what was seen."""
+        """Return the spread, (n,) reference px, of models that may be right beyond what was measured."""
         return np.sqrt(self._spread(points, self.far_alternatives()))
 
     def _spread(self, points: np.ndarray, models: Sequence[AlternativeModel]) -> np.ndarray:
@@ -399,12 +399,12 @@ class ModelComparison:
     def _held_out_error(self, least: int, fit: Fit) -> float:
         """Return the error in blocks that were not fitted; infinite where too little is left to fit."""
         total = weight = 0.0
-        for unseen, rest in self._folds:
-            if not unseen.any():
+        for left_out, rest in self._folds:
+            if not left_out.any():
                 continue
             if rest.sum() < least:
                 return np.inf
-            part = self._judged.part(unseen)
+            part = self._judged.part(left_out)
             squares, information = _misfit(part, fit(self._judged.part(rest)))
             total, weight = total + squares, weight + information / 2
         return float(np.sqrt(total / (2 * weight))) if weight else np.inf
@@ -424,8 +424,8 @@ class ModelComparison:
                 float(information[~rest].sum() / information.sum()),
                 fold,
             )
-            for fold, (unseen, rest) in enumerate(self._folds)
-            if unseen.any() and rest.sum() >= 6
+            for fold, (left_out, rest) in enumerate(self._folds)
+            if left_out.any() and rest.sum() >= 6
         )
 
     def alternatives(self, near: float) -> tuple[AlternativeModel, ...]:
@@ -490,10 +490,10 @@ def _add_shared(comparison: ModelComparison, shared: Fit, models: Sequence[Model
 
 def _fit_before_shared(observations: Observations, *, shared: Fit, plain: Fit) -> Transform:
     behind = shared(observations)
-    return Composed(plain(_seen_through(behind, observations)), behind)
+    return Composed(plain(_through(behind, observations)), behind)
 
 
-def _seen_through(shared: Transform, observations: Observations) -> Observations:
+def _through(shared: Transform, observations: Observations) -> Observations:
     """Return where `shared` has to be evaluated to give what was observed."""
     places = observations.points
     for _ in range(SETTINGS.newton):

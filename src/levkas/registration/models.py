@@ -24,7 +24,7 @@ from levkas.geometry.transforms import (
 #: Spans of a spline along the longer side, at most.
 MOST_SPANS = 12
 #: Rounds of Gauss-Newton, at most; share of the squares that a round takes without which it is the last.
-MOST_ROUNDS, SETTLED = 5, 1e-9
+MOST_ROUNDS, CONVERGED = 5, 1e-9
 
 
 @dataclass(frozen=True)
@@ -297,7 +297,7 @@ def fit_parameters(
             break
         best = best + move
         residual, tried, slopes, after = tried, residual, after, slopes
-        if before - now < SETTLED * before:
+        if before - now < CONVERGED * before:
             break
     return best
 

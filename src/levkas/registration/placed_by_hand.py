@@ -25,7 +25,7 @@ PARAMETERS = {"similarity": 4, "affine": 6, "homography": 8}
 """Parameters of each map that may be fitted, from the stiffest to the most yielding."""
 BEYOND_A_HAND = 4.0
 """Residual of an affine map through four pairs, in standard deviations of a hand, from which a homography is taken: chance
-gives it in one set of four in 3000. Between 3 and 6, maps of tilted cameras and of careless hands are told apart as well."""
+gives it in one set of four in 3000. Between 3 and 6, maps of tilted cameras and of careless hands are distinguished as well."""
 LEAST_ACROSS = 0.02
 """Spread of the pairs across over that along; below, they lie on one line and determine no map."""
 POLISHING = 4
@@ -203,8 +203,8 @@ def leverage(points: np.ndarray, among: np.ndarray, model: str) -> np.ndarray:
     """
     centre, size = among.mean(0), float(np.abs(among - among.mean(0)).max()) or 1.0
     here = _fields((points - centre) / size, model)
-    seen = _fields((among - centre) / size, model)
-    inverse = np.linalg.pinv(np.einsum("nak,nal->kl", seen, seen))
+    fields = _fields((among - centre) / size, model)
+    inverse = np.linalg.pinv(np.einsum("nak,nal->kl", fields, fields))
     return np.asarray(np.einsum("nak,kl,nbl->nab", here, inverse, here))
 
 

@@ -127,7 +127,7 @@ def _pair_up(p, q, own, among, apart):  # type: ignore[no-untyped-def]
     """Return pairs of matches, evenly drawn, that make a similarity that fits the size and direction of both."""
     every = 1
     first, second = np.empty(MOST_PROPOSALS, np.int64), np.empty(MOST_PROPOSALS, np.int64)
-    n = seen = 0
+    n = visited = 0
     for gap in range(1, len(among)):
         for a in range(len(among) - gap):
             i, j = among[a], among[a + gap]
@@ -137,8 +137,8 @@ def _pair_up(p, q, own, among, apart):  # type: ignore[no-untyped-def]
             factor = (q[j] - q[i]) / span
             if not (_alike(factor / own[i]) and _alike(factor / own[j])):
                 continue
-            seen += 1
-            if seen % every:
+            visited += 1
+            if visited % every:
                 continue
             if n == MOST_PROPOSALS:  # keep every second one, and go on half as densely
                 n = MOST_PROPOSALS // 2

@@ -83,10 +83,10 @@ class PredictorBasis:
             np.concatenate([self.groups, np.full(len(soft), self.groups.max() + 1)]),
         )
 
-    def position_sensitivity(self, seen: WindowShifts) -> np.ndarray:
+    def position_sensitivity(self, shifts: WindowShifts) -> np.ndarray:
         """Return the derivative of a prediction's position by that of each band, (bands,); sums to one."""
         same = self.groups[:, None] == self.groups
-        mean = np.where(same, seen.position_sensitivity, 0.0)
+        mean = np.where(same, shifts.position_sensitivity, 0.0)
         shares = np.einsum("ij,ib,jb->b", mean, self.loadings, self.loadings)
         return shares / shares.sum() if abs(shares.sum()) > 0.1 else np.zeros(len(shares))
 
@@ -283,7 +283,7 @@ class ReferenceStack:
     def _predictor(self, step: int) -> Predictor:
         palette = self.palette
         if step > 1:
-            # The target's samples are averages seen through the spline; so are these.
+            # The target's samples are averages taken through the spline; so are these.
             small = np.stack([reduce(image, step) for image in palette.images])
             small = _convolved(small, (1, 4, 1))
             palette = PredictorBasis(small, palette.loadings, palette.groups)

@@ -383,24 +383,24 @@ def describe_windows(
     -------
     record : dict
         ``windows``: ``x``, ``y``; ``shift_x``, ``shift_y`` from where the map puts a window to where it is
-        seen; ``sigma`` of that, either axis; ``held_out``, the length of the same shift from a map that was
+        found; ``sigma`` of that, either axis; ``held_out``, the length of the same shift from a map that was
         fitted without its block (None where there is none); ``weight`` in the fit, 0..1. ``count`` of all
         windows, of which at most 1000, evenly, are written. ``checks``: the windows that were searched freely.
     """
-    seen = selected.observations
-    every = max(1, -(-len(seen) // MOST_WINDOWS))
+    observations = selected.observations
+    every = max(1, -(-len(observations) // MOST_WINDOWS))
     chosen = slice(None, None, every)
-    shift = seen.residuals(selected.transform)[chosen]
-    known = np.trace(seen.information, axis1=1, axis2=2)[chosen] / 2
+    shift = observations.residuals(selected.transform)[chosen]
+    known = np.trace(observations.information, axis1=1, axis2=2)[chosen] / 2
     held_out = selected.held_out()[chosen]
     return {
         "sensor": sensor,
         "source": source,
         "band": band,
-        "count": len(seen),
+        "count": len(observations),
         "windows": {
-            "x": np.round(seen.points[chosen, 0], 1).tolist(),
-            "y": np.round(seen.points[chosen, 1], 1).tolist(),
+            "x": np.round(observations.points[chosen, 0], 1).tolist(),
+            "y": np.round(observations.points[chosen, 1], 1).tolist(),
             "shift_x": np.round(shift[:, 0], 4).tolist(),
             "shift_y": np.round(shift[:, 1], 4).tolist(),
             "sigma": [round(float(k**-0.5), 4) if k > 0 else None for k in known],

@@ -93,17 +93,17 @@ def register_own_bands(
     there = present_bands(bands, anchor)
     also = [band.label for band in there].index(anchor.label)
     shown = [there[i] for i in measured_bands(there, also=also)]
-    model, seen = _align(shown, images, anchor)
+    model, shifts = _align(shown, images, anchor)
     if not is_smooth_in_wavelength(model, shown, there):
         shown = there
-        model, seen = _align(shown, images, anchor)
+        model, shifts = _align(shown, images, anchor)
     model = chromatic_of_all(model, shown, bands)
     identity = Affine.identity()
     transforms: dict[str, Transform] = {
         label: identity if i == fixed else model.transform(i) for i, label in enumerate(labels)
     }
     sigma = measure_sigma(anchor.values.shape, labels, model)
-    windows = dict(zip([band.label for band in shown], seen, strict=False))
+    windows = dict(zip([band.label for band in shown], shifts, strict=False))
     return RegisteredSensor(anchor.sensor, transforms, model, windows, sigma)
 
 
@@ -133,10 +133,10 @@ class _Bands:
         small = self.pictures[self.fixed].size < REFINEMENT.large
         step = max(self._most_informative_step(), 1 if small else 2)
         model = self._start(model, step)
-        seen: list[WindowShifts] = []
+        shifts: list[WindowShifts] = []
         for ridge in SETTINGS.ridges:
-            model, seen = self._adjust(model, step, ridge)
-        return self._try_finer(model, step, seen) if step > 1 else (model, seen)
+            model, shifts = self._adjust(model, step, ridge)
+        return self._try_finer(model, step, shifts) if step > 1 else (model, shifts)
 
     def _size(self, step: int) -> tuple[int, int]:
         return self.shape[0] // step, self.shape[1] // step
@@ -170,8 +170,8 @@ class _Bands:
             return model
         explained = []
         for tried in (model, near):
-            seen = self._adjust(tried, step, SETTINGS.ridges[0])[1]
-            explained.append(float(np.mean([_explained(windows) for windows in seen])))
+            shifts = self._adjust(tried, step, SETTINGS.ridges[0])[1]
+            explained.append(float(np.mean([_explained(windows) for windows in shifts])))
         return near if explained[1] > explained[0] else model
 
     def _bring_near(self, first: ChromaticShifts) -> ChromaticShifts:
@@ -180,8 +180,10 @@ class _Bands:
         for step in pyramid_steps(self.shape, 1):
             warped = self._resample(model, step)
             predictor = self._predictor(warped[self.fixed][None], step)
-            seen = each(partial(measure_shifts, predictor), warped)
-            model = fit_chromatic(seen, model, self.wavelengths, highest="affine", fixed=self.fixed)
+            shifts = each(partial(measure_shifts, predictor), warped)
+            model = fit_chromatic(
+                shifts, model, self.wavelengths, highest="affine", fixed=self.fixed
+            )
             if np.sqrt((model.amounts**2).sum(1)).max() < SETTINGS.far:
                 return first
         return model
@@ -196,7 +198,7 @@ class _Bands:
         """Predict each group of bands from the others, and fit the shifts of all together."""
         count = len(self.pictures)
         warped = self._resample(model, step)
-        sensitivity, seen = np.zeros((count, count)), {}
+        sensitivity, shifts = np.zeros((count, count)), {}
         counts = SETTINGS.last if ridge == SETTINGS.ridges[-1] else SETTINGS.first
         for group in self._groups():
             others = [i for i in range(count) if i not in group]
@@ -205,9 +207,9 @@ class _Bands:
             predictor = Predictor(basis.images, step=step, cell=cell_px(self._size(step)))
             measure = partial(measure_shifts, predictor, ridge=ridge)
             for i, windows in zip(group, each(measure, [warped[i] for i in group]), strict=True):
-                seen[i] = windows
+                shifts[i] = windows
                 sensitivity[i, others] = basis.position_sensitivity(windows)
-        found = [seen[i] for i in range(count)]
+        found = [shifts[i] for i in range(count)]
         fitted = fit_chromatic(
             found, model, self.wavelengths, fixed=self.fixed, sensitivity=sensitivity
         )
@@ -220,27 +222,27 @@ class _Bands:
         return [list(range(k, count, 2)) for k in ((fixed + 1) % 2, fixed % 2)]
 
     def _try_finer(
-        self, model: ChromaticShifts, step: int, seen: list[WindowShifts]
+        self, model: ChromaticShifts, step: int, shifts: list[WindowShifts]
     ) -> tuple[ChromaticShifts, list[WindowShifts]]:
         """Adjust once more at half the step, and keep that if its windows hold more information."""
-        finer, finer_seen = self._adjust(model, step // 2, SETTINGS.ridges[-1])
+        finer, finer_shifts = self._adjust(model, step // 2, SETTINGS.ridges[-1])
         width = model.amounts.shape[1]
         moved = np.sqrt(((finer.amounts[:, :width] - model.amounts) ** 2).sum(1)).max()
         before, after = (
             sum(each(_information, evenly_spread(windows, SETTINGS.compared)))
-            for windows in (seen, finer_seen)
+            for windows in (shifts, finer_shifts)
         )
         better = after > before and moved < SETTINGS.steady * step
-        return (finer, finer_seen) if better else (model, seen)
+        return (finer, finer_shifts) if better else (model, shifts)
 
 
-def _information(seen: WindowShifts) -> float:
+def _information(windows: WindowShifts) -> float:
     """Return the information of all windows, 1/px², by how they scatter about a smooth field."""
-    used = has_information(seen.information)
+    used = has_information(windows.information)
     if used.sum() < FUSION.least_windows:
         return 0.0
-    points, one = seen.centres[used], np.broadcast_to(np.eye(2), (int(used.sum()), 2, 2))
-    observed = Observations(points, points - seen.shift[used], one, seen.information[used])
+    points, one = windows.centres[used], np.broadcast_to(np.eye(2), (int(used.sum()), 2, 2))
+    observed = Observations(points, points - windows.shift[used], one, windows.information[used])
     return select_model(observed, SelectionTerms(spacing=1.0, coarse=True)).total_information
 
 

@@ -35,13 +35,13 @@ MOST_SHIFT = 16
 SCOUT_LINES = 2048
 PEAKS = 6
 """Places at which the first samples of the right strip look like the left one, that are looked at whole."""
-RIVAL = 1.5
-"""A second place is a rival where it leaves less than this times what the best one leaves unexplained."""
+SECOND_PLACE = 1.5
+"""A second place is as likely as the best where it leaves less than this times what the best one leaves unexplained."""
 WHOLE_PX = 0.03
 """Offsets so near to whole pixels are taken as whole: nothing is resampled."""
 GAIN = 0.75
 """A richer course has to lower the squared error at bands that were left out to this share."""
-ROUNDS, SETTLED_PX = 8, 0.002
+ROUNDS, CONVERGED_PX = 8, 0.002
 KNOTS_PX = (512, 256, 128, 96, 64, 48, 32)
 """Of the splines that are tried, lines apart."""
 STIFFNESS = 1e-3
@@ -146,11 +146,11 @@ def find_joint(left: Greys, right: Greys) -> StripJoint:
             for a, b in zip(left, right, strict=True)
         ]
         line = halves[0].line
-        seen = [half._replace(shift=half.shift + course(line)) for half in halves]
-        before, course = course, _chosen(seen, left[0].shape[0])
-        if np.abs(course(line) - before(line)).max() < SETTLED_PX:
+        absolute = [half._replace(shift=half.shift + course(line)) for half in halves]
+        before, course = course, _chosen(absolute, left[0].shape[0])
+        if np.abs(course(line) - before(line)).max() < CONVERGED_PX:
             break
-    error = _error(seen, course)
+    error = _error(absolute, course)
     if course.name == "constant" and np.abs(_fraction(course.coefficients[0])).max() < WHOLE_PX:
         course = _Course(1, np.round(course.coefficients))
         name = "whole pixels"
@@ -173,7 +173,7 @@ def _described(
     height = min(left[0].shape[0], right[0].shape[0])
     along = course(np.arange(0.0, height, max(1, height // 500)))
     offset = along.mean(0) + start
-    views = _seen(np.mean(left, 0), np.mean(right, 0), transform, start[0])
+    views = _resampled_pair(np.mean(left, 0), np.mean(right, 0), transform, start[0])
     return StripJoint(
         transform,
         (float(offset[0]), float(offset[1])),
@@ -210,9 +210,9 @@ def _search(a: np.ndarray, b: np.ndarray) -> tuple[int, int]:
     if not found:
         raise _apart("the first samples of the second strip were not found in the first")
     best, *others = found
-    rivals = [one for one in others if 1 - one[0] < RIVAL * (1 - best[0])]
-    if rivals and best[0] >= LEAST_CORRELATION:
-        places = " and ".join(str(one[1]) for one in (best, rivals[0]))
+    second_places = [one for one in others if 1 - one[0] < SECOND_PLACE * (1 - best[0])]
+    if second_places and best[0] >= LEAST_CORRELATION:
+        places = " and ".join(str(one[1]) for one in (best, second_places[0]))
         raise _apart(
             f"overlaps of {places} samples match equally well",
             "an overlap without repeating detail",
@@ -253,8 +253,10 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 # --- fractions of a pixel
 
 
-def _seen(a: np.ndarray, b: np.ndarray, transform: Transform, left: int) -> tuple[np.ndarray, ...]:
-    """Return both strips over the overlap, seen through one kernel in px of the left one."""
+def _resampled_pair(
+    a: np.ndarray, b: np.ndarray, transform: Transform, left: int
+) -> tuple[np.ndarray, ...]:
+    """Return both strips over the overlap, resampled with one kernel in px of the left one."""
     corner = Affine(np.array([[1.0, 0, left], [0, 1, 0]]))
     shape = a.shape[0], a.shape[1] - left
     maps: tuple[Transform, ...] = (corner, Composed(corner, transform))
@@ -263,7 +265,7 @@ def _seen(a: np.ndarray, b: np.ndarray, transform: Transform, left: int) -> tupl
 
 def _measure(a: np.ndarray, b: np.ndarray, transform: Transform, left: int) -> _Windows:
     """Return how far the right strip still lies off, by rows of windows."""
-    one, two = _seen(a, b, transform, left)
+    one, two = _resampled_pair(a, b, transform, left)
     cell = int(np.clip(one.shape[1] // 3, 4, CELL_PX))
     predictor = Predictor(one[None], cell=cell)
     found = predictor.compare(two)
@@ -320,12 +322,14 @@ def _fit(windows: _Windows, spacing: int, count: int) -> _Course:
 def _chosen(halves: Sequence[_Windows], height: int) -> _Course:
     """Return the simplest course that predicts the other half of the bands as well as a richer one."""
     both = _together(halves)
-    ladder = [(height, 1), (height, 2)]
-    ladder += [(k, -(-height // k) + 3) for k in KNOTS_PX if k < height and k >= 2 * _pace(both)]
+    candidates = [(height, 1), (height, 2)]
+    candidates += [
+        (k, -(-height // k) + 3) for k in KNOTS_PX if k < height and k >= 2 * _pace(both)
+    ]
     if np.array_equal(halves[0].shift, halves[1].shift):  # one band: nothing is left out
-        ladder = ladder[:2]
-    best, least = ladder[0], np.inf
-    for spacing, count in ladder:
+        candidates = candidates[:2]
+    best, least = candidates[0], np.inf
+    for spacing, count in candidates:
         if 2 * len(both.line) < 3 * count:
             continue
         error = 0.0

@@ -87,7 +87,7 @@ def measure_sigma(
     checks : CheckWindows, optional
         Windows that confirm the base map; away from them it is known the less the farther.
     coarse : float, reference px, optional
-        Sigma of a map that outlines alone confirm, where too little was seen to leave some of it out.
+        Sigma of a map that outlines alone confirm, where too little was measured to leave some of it out.
     """
     x, y = (
         np.round(np.linspace(0, n - 1, k), 2)
@@ -97,8 +97,8 @@ def measure_sigma(
     common = np.zeros(len(points))
     if selected is not None:
         folds = selected.sigma(points) ** 2
-        seen = selected.observations.points
-        inside = np.all((points >= seen.min(0)) & (points <= seen.max(0)), 1)
+        observed = selected.observations.points
+        inside = np.all((points >= observed.min(0)) & (points <= observed.max(0)), 1)
         middle = float(np.median(folds[inside])) if inside.any() else float(np.median(folds))
         common += SETTINGS.folds_factor**2 * (
             SETTINGS.local_share * folds + (1 - SETTINGS.local_share) * middle

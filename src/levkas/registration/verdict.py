@@ -55,13 +55,13 @@ def judge_windows(numbers: Mapping[str, Numbers]) -> Verdict:
     judged = {name: n for name, n in numbers.items() if n["held_out_px"] is not None}
     objections = []
     for name, n in judged.items():
-        known = {"kept": n["key_points_kept"], **n, **n["borne_out"]}
+        known = {"kept": n["key_points_kept"], **n, **n["verification"]}
         objections += [
             (_where(name) + one.reason, one.next_step, one.decision)
             for one in objections_to(known, WINDOWS)
         ]
     praise = (_where(name) + _praise(n) for name, n in judged.items())
-    unchecked = max((_unchecked({**n, **n["borne_out"]}) for n in judged.values()), default=0.0)
+    unchecked = max((_unchecked({**n, **n["verification"]}) for n in judged.values()), default=0.0)
     outside = max((1 - object_share(n) for n in numbers.values()), default=0.0)
     objections += _outside_of_outline(outside if judged else 0.0)
     verdict = _decide(objections, tuple(praise), dict(numbers), unchecked)
@@ -133,7 +133,7 @@ def _unchecked(n: Numbers) -> float:
 
 
 def _outside_of_outline(outside: float) -> list[tuple[str, str, Finding]]:
-    """Say, once for all sensors, how much of the layer lies outside the object's outline; that asks for nothing."""
+    """Say, once for all sensors, how much of the layer lies outside the object's outline; that requires nothing."""
     if outside < LEAST_OUTSIDE:
         return []
     text = f"{percent(outside)} of the layer lies outside the object's outline and was not checked."
@@ -147,15 +147,15 @@ def _where(name: str) -> str:
 def _describe_pairs(placed: Numbers) -> str:
     """Return the label of a sensor that was placed by hand, and on which pairs its map rests."""
     label = describe_placement(placed)
-    told = f"{label[0].upper()}{label[1:]}. The {placed['model']} rests on {placed['pairs']} pairs"
+    text = f"{label[0].upper()}{label[1:]}. The {placed['model']} rests on {placed['pairs']} pairs"
     if placed["worst"] is None:
-        return f"{told}; a fifth would show how far they are off."
+        return f"{text}; a fifth would show how far they are off."
     x, y, error = placed["worst"]
-    return f"{told}; the worst, at {x:.0f}, {y:.0f} of the reference, lies {error:.1f} px from a map of the others."
+    return f"{text}; the worst, at {x:.0f}, {y:.0f} of the reference, lies {error:.1f} px from a map of the others."
 
 
 def _praise(numbers: Numbers) -> str:
-    n = numbers["borne_out"]
+    n = numbers["verification"]
     return (
         f"{n.get('agreeing', 0)} of the {n.get('found', 0)} check windows that were found agree with the map. "
         f"The held-out error is {numbers['held_out_px']:.2f} px over the {percent(checked_share({**numbers, **n}))} of the "

@@ -50,7 +50,7 @@ class Limits(NamedTuple):
         return "refuse" if largest > self.refuse else "warn" if largest > self.warn else None
 
 
-ANISOTROPY, AREA_RATIO, RIVAL = Limits(1.5, 2.0), Limits(1.8, 3.0), Limits(0.85, 0.95)
+ANISOTROPY, AREA_RATIO, SECOND_PEAK_RATIO = Limits(1.5, 2.0), Limits(1.8, 3.0), Limits(0.85, 0.95)
 OVERLAP, COVERAGE, PREDICTED = Limits(0.8, 0.1), Limits(0.9, 0.6), Limits(0.5, 0.2)
 MARKS, LINES = Limits(TELLING, 0.15), Limits(0.1, 1.0)
 FINE = Limits(0.1, 1.0)
@@ -68,7 +68,7 @@ class VerdictSettings:
         Matches that are kept, over those kept of places that are paired at random.
     scales : (float, float)
         Target px per reference px that a camera can have.
-    anisotropy, area_ratio, rival : Limits
+    anisotropy, area_ratio, second_peak_ratio : Limits
         Stretch one way over across; largest to smallest local area; correlation of the pictures at the
         best place elsewhere, relative to here.
     overlap : Limits
@@ -119,7 +119,7 @@ class VerdictSettings:
     scales: tuple[float, float] = (0.15, 6.7)
     anisotropy: Limits = ANISOTROPY
     area_ratio: Limits = AREA_RATIO
-    rival: Limits = RIVAL
+    second_peak_ratio: Limits = SECOND_PEAK_RATIO
     overlap: Limits = OVERLAP
     coverage: Limits = COVERAGE
     least_coverage: float = 0.15
@@ -368,19 +368,19 @@ def windows_agree(n: Numbers) -> Objection | None:
 
 def fits_nowhere_else(n: Numbers) -> Objection | None:
     """Refuse or warn where the pictures agree as well when shifted elsewhere."""
-    if n["rival"] > 1:
+    if n["second_peak_ratio"] > 1:
         return Objection(
             "refuse",
             "The pictures agree better at another shift: the map is in the wrong place.",
             BY_HAND,
             f"{OTHER}; if they do, {TRY_LEVKAS}, or {POINTS}.",
         )
-    decision = SETTINGS.rival.exceeded_by(n["rival"])
+    decision = SETTINGS.second_peak_ratio.exceeded_by(n["second_peak_ratio"])
     if decision is None:
         return None
     return Objection(
         decision,
-        f"The pictures agree {100 * n['rival']:.0f} % as well at another shift: the pattern repeats.",
+        f"The pictures agree {100 * n['second_peak_ratio']:.0f} % as well at another shift: the pattern repeats.",
         f"Choose a `region` with detail that does not repeat{f', or {POINTS}' if decision == 'refuse' else ''}.",
     )
 
@@ -592,7 +592,7 @@ def is_compared(n: Numbers) -> Objection | None:
 
 def has_converged(n: Numbers) -> Objection | None:
     """Warn where the map still moved in the last round."""
-    if n["settled"] is not False:
+    if n["converged"] is not False:
         return None
     return Objection(
         "warn",

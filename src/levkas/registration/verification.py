@@ -83,10 +83,10 @@ class PermutationTest:
 
     Parameters
     ----------
-    seen : WindowShifts
+    shifts : WindowShifts
         Through the map that is judged.
     chance : float, 0..1
-        Value of `seen.r2` that 19 of 20 unrelated windows stay below.
+        Value of `shifts.r2` that 19 of 20 unrelated windows stay below.
     evidence : dict
         ``share_above_chance`` of the windows, ``cover`` of the reference, ``chance_r2``.
     """
@@ -94,49 +94,49 @@ class PermutationTest:
     #: Share of the windows; where fewer are predicted beyond chance, something covers the object.
     PARTLY: ClassVar[float] = 0.8
 
-    seen: WindowShifts
+    shifts: WindowShifts
     chance: float
     evidence: dict[str, float]
 
     @property
     def is_partly_covered(self) -> bool:
         """Whether windows that chance explains lie together: something covers the object."""
-        used = has_information(self.seen.information)
-        predicted = self.is_predicted_around(self.seen.centres)[used]
+        used = has_information(self.shifts.information)
+        predicted = self.is_predicted_around(self.shifts.centres)[used]
         return bool(predicted.sum() <= self.PARTLY * used.sum())
 
     @property
     def predicted(self) -> np.ndarray:
         """Centres, (n, 2) reference px, of windows that are predicted beyond chance, as most near are."""
-        used = has_information(self.seen.information)
-        return np.asarray(self.seen.centres[used & self.is_predicted_around(self.seen.centres)])
+        used = has_information(self.shifts.information)
+        return np.asarray(self.shifts.centres[used & self.is_predicted_around(self.shifts.centres)])
 
     def is_predicted_around(self, centres: np.ndarray) -> np.ndarray:
-        """Tell at which places, (n, 2) reference px, most windows near are predicted beyond chance."""
+        """Return at which places, (n, 2) reference px, most windows near are predicted beyond chance."""
         from scipy.spatial import cKDTree
 
-        used = has_information(self.seen.information)
+        used = has_information(self.shifts.information)
         if not used.any():
             return np.zeros(len(centres), bool)
-        above = (self.seen.r2[used] > self.chance).astype(float)
-        near = cKDTree(self.seen.centres[used]).query(centres, k=min(9, int(used.sum())))[1]
+        above = (self.shifts.r2[used] > self.chance).astype(float)
+        near = cKDTree(self.shifts.centres[used]).query(centres, k=min(9, int(used.sum())))[1]
         return np.asarray(above[near].reshape(len(centres), -1).mean(1) > 0.5)
 
 
 def run_permutation_test(predictor: Predictor, image: np.ndarray) -> PermutationTest:
     """Compare how well windows of `image`, (h, w), are predicted with those of the image rolled by a third."""
-    seen = measure_shifts(predictor, image)
-    used, able = has_information(seen.information), predictor.counts.reshape(-1) > 0
+    shifts = measure_shifts(predictor, image)
+    used, able = has_information(shifts.information), predictor.counts.reshape(-1) > 0
     rolled = np.roll(image, (image.shape[0] // 3, image.shape[1] // 3), (0, 1))
     by_chance = measure_shifts(predictor, rolled)
     null = by_chance.r2[has_information(by_chance.information)]
     level = float(np.quantile(null, SETTINGS.null_quantile)) if len(null) >= 10 else 0.5
     evidence = {
-        "share_above_chance": float((seen.r2[used] > level).mean()) if used.any() else 0.0,
+        "share_above_chance": float((shifts.r2[used] > level).mean()) if used.any() else 0.0,
         "cover": float(used.sum() / max(able.sum(), 1)),
         "chance_r2": level,
     }
-    return PermutationTest(seen, level, evidence)
+    return PermutationTest(shifts, level, evidence)
 
 
 # --- free windows
@@ -159,7 +159,7 @@ def verify(
     predictors : ndarray, (k, h, w), float32
         Images of the reference on a grid of `step` reference px, high-passed; NaN where invalid.
     image : ndarray, (h, w), float32
-        The band on the same grid, seen through `transform`, high-passed too.
+        The band on the same grid, resampled through `transform`, high-passed too.
     step : int, reference px
     transform : Transform
         Reference px → native px of the band.
@@ -173,7 +173,7 @@ def verify(
     Returns
     -------
     numbers : dict
-        Of `measure_shape`, `measure_windows` and `measure_cells`, ``tolerance``, reference px, and ``rival``.
+        Of `measure_shape`, `measure_windows` and `measure_cells`, ``tolerance``, reference px, and ``second_peak_ratio``.
     checks : CheckWindows
         The windows themselves.
     """
@@ -191,8 +191,8 @@ def verify(
         "tolerance": tolerance,
         **measure_shape(overlap),
         **measure_windows(checks),
-        "rival": float(search.rival),
-        # A cell is confirmed by what is seen there, not by one key point that agrees.
+        "second_peak_ratio": float(search.second_peak_ratio),
+        # A cell is confirmed by the windows there, not by one key point that agrees.
         **measure_support(overlap, checks, np.empty((0, 2))),
     }
     numbers["overlap"] = of_object(numbers["overlap"], mask, overlap.box)

@@ -65,7 +65,7 @@ def fit_base(
     Parameters
     ----------
     base : Transform
-        Through which they were seen.
+        Through which they were measured.
     windows : sequence of WindowShifts
         One a band.
     by_hand : ndarray, (n, 4)

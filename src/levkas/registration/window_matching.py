@@ -82,7 +82,7 @@ class WindowSearch:
         Correlation there, whatever its sign.
     chance : float
         The peak that 1 % of unrelated windows reach.
-    rival : float, 0..
+    second_peak_ratio : float, 0..
         Correlation of the whole pictures at the best place that is not here, relative to here;
         near 1 where the picture repeats itself.
     step : float, reference px per working px
@@ -92,7 +92,7 @@ class WindowSearch:
     shift: np.ndarray
     peak: np.ndarray
     chance: float
-    rival: float
+    second_peak_ratio: float
     step: float
 
     @property
@@ -109,7 +109,7 @@ class CheckWindows:
     ----------
     centres : ndarray, (n, 2), reference px
     shift : ndarray, (n, 2), reference px
-        From where the map puts the window to where it is seen.
+        From where the map puts the window to where it is found.
     found : ndarray of bool, (n,)
         Whether it is recognised beyond chance.
     tolerance : float, reference px
@@ -230,16 +230,18 @@ def search_windows(
     finer = min(1.0, 1.0 / (step * enlargement)) if enlargement > 0 else 1.0
     theirs, theirs_valid, theirs_back = area_average(*target, max(finer, 0.02))
     pulled = Composed(back, transform, Inverse(theirs_back))
-    warped, seen = pull(theirs, theirs_valid, pulled, ours.shape)
-    a, b = _band_pass(ours, ours_valid), _band_pass(warped, seen)
-    places = _places(ours_valid & seen, a, b)
+    warped, warped_valid = pull(theirs, theirs_valid, pulled, ours.shape)
+    a, b = _band_pass(ours, ours_valid), _band_pass(warped, warped_valid)
+    places = _places(ours_valid & warped_valid, a, b)
     peak, shift = _search(a, b, places)
     chance = _chance(a, b, places)
     # Where some pigments invert, detail cancels itself out, its strength does not.
-    rival = min(_rival(a, b), _rival(_strength(a), _strength(b)))
+    second_peak_ratio = min(
+        _second_peak_ratio(a, b), _second_peak_ratio(_strength(a), _strength(b))
+    )
     centres = back(places + (SETTINGS.window - 1) / 2)
     scale = float(back.matrix[0, 0])
-    return WindowSearch(centres, shift * scale, peak, chance, rival, scale)
+    return WindowSearch(centres, shift * scale, peak, chance, second_peak_ratio, scale)
 
 
 def _sampling(transform: Transform, shape: tuple[int, ...]) -> float:
@@ -374,7 +376,7 @@ def _strength(detail: np.ndarray) -> np.ndarray:
     return np.where(known, strength - mean, 0).astype(np.float32)
 
 
-def _rival(a: np.ndarray, b: np.ndarray) -> float:
+def _second_peak_ratio(a: np.ndarray, b: np.ndarray) -> float:
     """Return the largest |correlation| at a shift of more than `SETTINGS.apart`, relative to none."""
     from scipy import fft
 

@@ -17,7 +17,7 @@ __all__ = sorted(_HOMES)
 
 
 def __getattr__(name: str) -> Any:
-    # Loaded when asked for: the kernels bring numba with them.
+    # Loaded on first use: the kernels bring numba with them.
     if name not in _HOMES:
         raise AttributeError(f"module 'levkas.simulation' has no attribute {name!r}")
     return getattr(import_module(f"levkas.simulation.{_HOMES[name]}"), name)

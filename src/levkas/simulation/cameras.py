@@ -185,8 +185,8 @@ def relit(camera: CameraModel, illuminant_name: str) -> CameraModel:
         return camera
     known = [illuminant(name) for name in (illuminant_name, "D50")]
     power, d50 = (np.interp(WAVELENGTHS, *table) for table in known if table is not None)
-    seen = [band.response * power / d50 for band in camera.bands]
-    levels = [band.level * r.sum() for band, r in zip(camera.bands, seen, strict=True)]
+    weighted = [band.response * power / d50 for band in camera.bands]
+    levels = [band.level * r.sum() for band, r in zip(camera.bands, weighted, strict=True)]
     for sensor in camera.sensors:
         before = max(camera.bands[i].level for i in sensor.bands)
         scale = before / max(levels[i] for i in sensor.bands)
@@ -194,7 +194,7 @@ def relit(camera: CameraModel, illuminant_name: str) -> CameraModel:
             levels[i] *= scale
     bands = tuple(
         replace(b, response=r / r.sum(), level=float(v), wavelength=b.centre)
-        for b, r, v in zip(camera.bands, seen, levels, strict=True)
+        for b, r, v in zip(camera.bands, weighted, levels, strict=True)
     )
     return replace(camera, bands=bands)
 

@@ -299,16 +299,16 @@ class SimulatedSession:
             factor = max(1, int(painting.px_per_mm / (2.2 * camera.model.sampling)))
             if factor not in by_factor:
                 by_factor[factor] = painting.reduced(factor)
-            seen, view = by_factor[factor], self.views[name][camera.model.name]
+            reduced, view = by_factor[factor], self.views[name][camera.model.name]
             lattice = tabulate(view, panel)
-            sight = view_painting(camera.model, view, panel, seen, lattice=lattice)
+            sight = view_painting(camera.model, view, panel, reduced, lattice=lattice)
             yield from self._take(writer, camera, name, sight)
             for other in others:
                 if other.model.name == camera.model.name:
-                    seen_so = view_painting(
-                        other.model, view, panel, seen, setup=other.setup, lattice=lattice
+                    other_sight = view_painting(
+                        other.model, view, panel, reduced, setup=other.setup, lattice=lattice
                     )
-                    yield from self._take(writer, other, name, seen_so)
+                    yield from self._take(writer, other, name, other_sight)
 
     def _take(
         self, writer: FrameWriter, camera: SimulatedCamera, target: str, sight: PaintingView | None

@@ -173,8 +173,8 @@ class SimulatedCamera:
         self, band: BandModel, sensor: SensorModel, sight: PaintingView | None, white: bool
     ) -> np.ndarray:
         if sight is not None:
-            seen = sight.reflectance(band, sensor, supersampling=self.supersampling)
-            return self.electrons(band, sensor) * seen
+            reflectance = sight.reflectance(band, sensor, supersampling=self.supersampling)
+            return self.electrons(band, sensor) * reflectance
         if white:
             return self.electrons(band, sensor) * np.float32(WHITE_REFLECTANCE)
         return np.zeros_like(self.illumination)

@@ -96,7 +96,7 @@ SETUPS: dict[str, SimulatedLighting] = {
 
 @dataclass(frozen=True, eq=False)
 class SimulatedLight:
-    """What a setup does to a painting, seen by one camera; arrays (rows, columns), float32.
+    """What a setup does to a painting, as one camera records it; arrays (rows, columns), float32.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def _reached(height: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def transparency(wavelengths: np.ndarray) -> np.ndarray:
-    """Return how far paint lets the drawing below be seen: nothing in the visible, most at 1 µm.
+    """Return how far paint lets the drawing below show: nothing in the visible, most at 1 µm.
 
     >>> transparency(np.array([500.0, 1000.0])).round(2)
     array([0.  , 0.82])
@@ -190,10 +190,10 @@ def compose(
     paint = np.where(painting.metal, 0, paints).astype(np.float32)
     gilt = painting.metal.astype(np.float32) / np.float32(255)
     mirror = np.float32(VARNISH_MIRROR * painting.gloss)
-    seen = np.float32(transparency(wavelengths) @ response / 255)
+    through_paint = np.float32(transparency(wavelengths) @ response / 255)
     maps = _Maps(painting.amounts, painting.underdrawing, lit.shade, lit.gold, lit.varnish)
     values = np.empty(lit.shade.shape, np.float32)
-    factors = _BandFactors(paint, metal, gilt, seen, mirror)
+    factors = _BandFactors(paint, metal, gilt, through_paint, mirror)
     in_threads(_compose, len(values), maps, factors, values)
     return Texture(values, painting.px_per_mm)
 
@@ -214,7 +214,7 @@ class _BandFactors(NamedTuple):
     paint: np.ndarray
     metal: np.ndarray
     gilt: np.ndarray
-    seen: np.float32
+    through_paint: np.float32
     mirror: np.float32
 
 
@@ -222,7 +222,7 @@ class _BandFactors(NamedTuple):
 def _compose(start, stop, maps, band, out):  # type: ignore[no-untyped-def]
     """Fill reflectance factors, (rows, columns), float32, of `_Maps` and `_BandFactors`."""
     amounts, under, shade, gold, varnish = maps
-    paint, metal, gilt, seen, mirror = band
+    paint, metal, gilt, through_paint, mirror = band
     one = np.float32(1.0)
     for i in range(start, stop):
         for j in range(out.shape[1]):
@@ -232,7 +232,7 @@ def _compose(start, stop, maps, band, out):  # type: ignore[no-untyped-def]
                 diffuse += a * paint[k]
                 lobe += a * metal[k]
                 leaf += a * gilt[k]
-            value = diffuse * shade[i, j] * (one - seen * np.float32(under[i, j]))
+            value = diffuse * shade[i, j] * (one - through_paint * np.float32(under[i, j]))
             out[i, j] = value + lobe * gold[i, j] + (one - leaf) * mirror * varnish[i, j]
 
 

@@ -62,7 +62,7 @@ class Viewpoint:
         Native pixels.
     rotation : tuple of 9 floats, row-major
     translation : tuple of 3 floats, mm
-        A world point P is seen at rotation · P + translation: x right, y down, z ahead.
+        A world point P is imaged at rotation · P + translation: x right, y down, z ahead.
     focal : float
         px.
     centre : tuple of 2 floats

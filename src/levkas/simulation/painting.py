@@ -39,7 +39,7 @@ class Painting:
     metal : ndarray, (paints,), bool
         Which paints are metal leaf: they reflect only as mirrors of many facets do.
     underdrawing : ndarray, (rows, columns), uint8
-        Carbon black under the paint, in 255ths; seen where paint becomes transparent.
+        Carbon black under the paint, in 255ths; visible where paint becomes transparent.
     relief : ndarray, (rows, columns), float32
         Height of the surface's texture, µm; for light and gloss, too flat to displace anything.
     gloss : float

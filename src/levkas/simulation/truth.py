@@ -111,12 +111,12 @@ class SimulatedTruth:
         panel, view, geometry = self.panels[name], self.views[name][camera], self.cameras[camera]
         base = panel_to_base(points, view, panel)
         with np.errstate(invalid="ignore"):
-            seen = np.abs(base_to_panel(base, view, panel) - points).max(1, initial=0) < SAME_MM
+            in_view = np.abs(base_to_panel(base, view, panel) - points).max(1, initial=0) < SAME_MM
         pixels = base_to_band(base, view, *geometry.step(band))
         size = np.array([geometry.width, geometry.height])
         with np.errstate(invalid="ignore"):
             inside = np.all((pixels >= -0.5) & (pixels < size - 0.5), axis=1)
-        good = seen & inside & panel.contains(points)
+        good = in_view & inside & panel.contains(points)
         return np.where(good[:, None], pixels, np.nan)
 
     def to_panel(
@@ -192,10 +192,10 @@ class SimulatedTruth:
         for name in self.panels:
             points = self.grid(name=name)
             rows = {c: self.rows(points, c, name=name) for c in self.cameras}
-            seen = np.all([np.isfinite(r).all((0, 2)) for r in rows.values()], axis=0)
-            write_bytes(folder / f"{name}_ref_px.npy", _npy(points[seen]))
+            in_view = np.all([np.isfinite(r).all((0, 2)) for r in rows.values()], axis=0)
+            write_bytes(folder / f"{name}_ref_px.npy", _npy(points[in_view]))
             for camera, pixels in rows.items():
-                write_bytes(folder / f"{name}_{camera}_px.npy", _npy(pixels[:, seen]))
+                write_bytes(folder / f"{name}_{camera}_px.npy", _npy(pixels[:, in_view]))
 
     def rows(self, points: np.ndarray, camera: str, *, name: str | None = None) -> np.ndarray:
         """Return where `points` (n, 2), reference px, lie: (1 + bands, n, 2), first without band."""

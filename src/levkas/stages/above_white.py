@@ -62,30 +62,30 @@ def count_above(cube: Cube) -> np.ndarray:
     """
     if cube.quantity != "reflectance":
         return np.zeros((COUNTS, len(cube.bands)), np.int64)
-    seen = ~is_flagged(cube.flags, LEFT_OUT)
-    above = seen & (cube.values > (ABOVE if cube.sigma is None else ABOVE + SURE * cube.sigma))
-    with_glare = [_of_bands(above), _of_bands(seen)]
+    counted = ~is_flagged(cube.flags, LEFT_OUT)
+    above = counted & (cube.values > (ABOVE if cube.sigma is None else ABOVE + SURE * cube.sigma))
+    with_glare = [_of_bands(above), _of_bands(counted)]
     beside = with_glare
     glare = is_flagged(cube.flags, Flag.GLARE)
     if glare.any():
         paint = glare.mean(-1, keepdims=True) < 0.5
-        beside = [_of_bands(above & (paint | ~glare)), _of_bands(seen & (paint | ~glare))]
+        beside = [_of_bands(above & (paint | ~glare)), _of_bands(counted & (paint | ~glare))]
     dark = np.zeros((4, len(cube.bands)), np.int64)
-    lit = _of_bands(seen & (cube.values > 0))
+    lit = _of_bands(counted & (cube.values > 0))
     bright = lit
     if cube.sigma is not None:
-        dark[0] = _of_bands(seen & (cube.values < -SURELY_BELOW * cube.sigma))
-        dark[1:] = _count_dark_rows(cube.values, cube.sigma, seen)
-        bright = _of_bands(seen & (cube.values > BRIGHT * cube.sigma))
+        dark[0] = _of_bands(counted & (cube.values < -SURELY_BELOW * cube.sigma))
+        dark[1:] = _count_dark_rows(cube.values, cube.sigma, counted)
+        bright = _of_bands(counted & (cube.values > BRIGHT * cube.sigma))
     return np.stack([*beside, *with_glare, *dark, lit, bright])
 
 
-def _count_dark_rows(values: np.ndarray, sigma: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def _count_dark_rows(values: np.ndarray, sigma: np.ndarray, counted: np.ndarray) -> np.ndarray:
     """Return how many stretches of a row are known to the half or more, how many lie below zero, and by how much in all, (3, bands)."""
     height, width, bands = values.shape
     whole = width // ROW * ROW
     value, noise, known = (
-        array[:, :whole].reshape(height, -1, ROW, bands) for array in (values, sigma, seen)
+        array[:, :whole].reshape(height, -1, ROW, bands) for array in (values, sigma, counted)
     )
     count = known.sum(2)
     means, spread = (
@@ -122,8 +122,8 @@ def require_light(counts: np.ndarray, labels: Sequence[str]) -> None:
 
 def _unlit(counts: np.ndarray) -> np.ndarray:
     """Return the numbers of the bands that have no light."""
-    seen, lit, bright = counts[3], counts[LIT_ROW], counts[LIT_ROW + 1]
-    return np.flatnonzero((seen > 0) & (lit < LIT * seen) & (bright < FEW_BRIGHT * seen))
+    counted, lit, bright = counts[3], counts[LIT_ROW], counts[LIT_ROW + 1]
+    return np.flatnonzero((counted > 0) & (lit < LIT * counted) & (bright < FEW_BRIGHT * counted))
 
 
 def _of_bands(marked: np.ndarray) -> np.ndarray:
@@ -138,15 +138,17 @@ def describe_above(counts: np.ndarray, labels: Sequence[str]) -> list[str]:
     >>> describe_above(np.array(counts), ["500 nm", "600 nm"])[0][:47]
     '9 % of the object is brighter than a perfect wh'
     """
-    above, seen, above_with_glare, seen_with_glare, below, rows, rows_below, amounts = counts[:8]
-    shares, least = above / np.maximum(seen, 1), FEW
-    whole = above_with_glare / np.maximum(seen_with_glare, 1)
+    above, counted, above_with_glare, counted_with_glare, below, rows, rows_below, amounts = counts[
+        :8
+    ]
+    shares, least = above / np.maximum(counted, 1), FEW
+    whole = above_with_glare / np.maximum(counted_with_glare, 1)
     if (whole > MUCH).any():
         shares, least = whole, MUCH
-    dark = np.maximum(below / np.maximum(seen_with_glare, 1), rows_below / np.maximum(rows, 1))
-    said = []
+    dark = np.maximum(below / np.maximum(counted_with_glare, 1), rows_below / np.maximum(rows, 1))
+    notes = []
     if (odd := _worst(shares, shares > least)).size:
-        said.append(
+        notes.append(
             f"{100 * shares[odd[0]]:.3g} % of the object is brighter than a perfect white in {_names(odd, labels)}: "
             "check that white and object had one light, exposure and setting"
         )
@@ -154,17 +156,17 @@ def describe_above(counts: np.ndarray, labels: Sequence[str]) -> list[str]:
         by = ""
         if (lying := int(rows_below[odd].sum())) > 0:
             by = f", on the mean by a reflectance of {amounts[odd].sum() * MICRO / lying:.2g}"
-        said.append(
+        notes.append(
             f"{100 * dark[odd[0]]:.3g} % of the object is darker than its dark by more than noise in {_names(odd, labels)}{by}: the "
             "dark was warmer or longer than the object, or saw light. Dark paint is too dark by as much or more; capture darks beside the "
             "object"
         )
     if (odd := _unlit(counts)).size:
-        said.append(
+        notes.append(
             f"the object has no light in {_names(odd, labels)}, nothing above its dark but noise: the exposure was too short, or "
             "the shutter or a filter closed"
         )
-    return said
+    return notes
 
 
 def _worst(shares: np.ndarray, odd: np.ndarray) -> np.ndarray:

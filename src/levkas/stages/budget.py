@@ -1,6 +1,6 @@
 """The uncertainty budget of a layer: what its frames showed, what is declared, and what nobody knows.
 
-Rows are `levkas.calibration.error_sources.ErrorSource`. What a build measures on the way is in what calibration learnt of each sensor.
+Rows are `levkas.calibration.error_sources.ErrorSource`. What a build measures on the way is in what calibration measured of each sensor.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ CHART = "chart as white"
 
 
 def budget_of(
-    campaign: Campaign, capture: Capture, learnt: Mapping[str, Mapping[str, Any]]
+    campaign: Campaign, capture: Capture, measured: Mapping[str, Mapping[str, Any]]
 ) -> tuple[ErrorSource, ...]:
     """Return the rows of a capture's budget, all sensors together; none of values that are no reflectance.
 
     Parameters
     ----------
-    learnt : mapping of str to mapping
+    measured : mapping of str to mapping
         What calibration noted of each sensor.
 
     Raises
@@ -52,11 +52,17 @@ def budget_of(
     at_once = camera.traits.bands_in != "files"
     one_sensor, declared = len(capture.sensors) == 1, camera.uncertainty
     rows = [
-        *_noise(bands, learnt),
-        *_white(campaign, capture, learnt),
-        *_light(bands, learnt, at_once=at_once, one_sensor=one_sensor),
+        *_noise(bands, measured),
+        *_white(campaign, capture, measured),
+        *_light(bands, measured, at_once=at_once, one_sensor=one_sensor),
         _declared(
-            *(LINEARITY, "relative", bands, declared.linearity, _response_errors(capture, learnt)),
+            *(
+                LINEARITY,
+                "relative",
+                bands,
+                declared.linearity,
+                _response_errors(capture, measured),
+            ),
             "frames of the white at three exposures or more, or declare `uncertainty.linearity` of the camera",
             zero_at=levels_of_board(campaign, capture),
             all_bands=one_sensor,
@@ -64,7 +70,11 @@ def budget_of(
         _declared(
             *(STRAY, "reflectance", bands, declared.stray_light, {}),
             "a chart with black patches, or declare `uncertainty.stray_light` of the camera",
-            zero_at={b: at for told in learnt.values() for b, at in told.get(VIEW, {}).items()},
+            zero_at={
+                b: at
+                for of_sensor in measured.values()
+                for b, at in of_sensor.get(VIEW, {}).items()
+            },
         ),
         _declared(
             *(
@@ -83,14 +93,16 @@ def budget_of(
     return tuple(rows)
 
 
-def _noise(bands: Sequence[Band], learnt: Mapping[str, Mapping[str, Any]]) -> Iterator[ErrorSource]:
+def _noise(
+    bands: Sequence[Band], measured: Mapping[str, Mapping[str, Any]]
+) -> Iterator[ErrorSource]:
     """Yield what the published sigma of pixels is made of, where that is known."""
     shares: dict[str, dict[str, float]] = {}
-    for told in learnt.values():
-        for label, own in told.get(NOISE, {}).items():
+    for of_sensor in measured.values():
+        for label, own in of_sensor.get(NOISE, {}).items():
             for name, size in own.items():
                 shares.setdefault(name, {})[label] = size
-        for label, step in told.get(ROUNDING, {}).items():
+        for label, step in of_sensor.get(ROUNDING, {}).items():
             if step:
                 shares.setdefault("code spacing", {})[label] = step / 12**0.5
     labels = {band.label for band in bands}
@@ -102,10 +114,14 @@ def _noise(bands: Sequence[Band], learnt: Mapping[str, Mapping[str, Any]]) -> It
 def _white(
     campaign: Campaign,
     capture: Capture,
-    learnt: Mapping[str, Mapping[str, Any]],
+    measured: Mapping[str, Mapping[str, Any]],
 ) -> Iterator[ErrorSource]:
     """Yield what is not known of the reflectance of the white board or of the chart in its place."""
-    charts = {name: told[CHART_WHITE] for name, told in learnt.items() if CHART_WHITE in told}
+    charts = {
+        name: of_sensor[CHART_WHITE]
+        for name, of_sensor in measured.items()
+        if CHART_WHITE in of_sensor
+    }
     if charts:
         found = {label: one for chart in charts.values() for label, one in chart["bands"].items()}
         relative, absolute = (
@@ -135,7 +151,7 @@ def _white(
 
 def _light(
     bands: Sequence[Band],
-    learnt: Mapping[str, Mapping[str, Any]],
+    measured: Mapping[str, Mapping[str, Any]],
     *,
     at_once: bool,
     one_sensor: bool,
@@ -145,7 +161,11 @@ def _light(
     Bands that are exposed at once share the lamp; those of a tunable filter do not see it at one time. Each sensor has a black
     level of its own.
     """
-    found = {label: one for told in learnt.values() for label, one in told.get(LAMP, {}).items()}
+    found = {
+        label: one
+        for of_sensor in measured.values()
+        for label, one in of_sensor.get(LAMP, {}).items()
+    }
     several = {
         label: one
         for label, one in found.items()
@@ -173,11 +193,13 @@ def _light(
     yield row
 
 
-def _response_errors(capture: Capture, learnt: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+def _response_errors(
+    capture: Capture, measured: Mapping[str, Mapping[str, Any]]
+) -> dict[str, float]:
     """Return the relative error of the curve that an exposure series showed, by band."""
     found: dict[str, float] = {}
     for sensor in capture.sensors:
-        response = learnt.get(sensor.name, {}).get(RESPONSE)
+        response = measured.get(sensor.name, {}).get(RESPONSE)
         if response:
             found |= {band.label: float(response["error"]) for band in sensor.bands}
     return found

@@ -106,7 +106,7 @@ def write_calibrated(
         "quantity": made.quantity,
         "warnings": list(made.warnings),
         "captured": made.captured or "",
-        "learnt": dict(made.learnt),
+        "measured": dict(made.measured),
         "focus": made.focus,
     }
     return Written(files, notes, warnings=made.warnings)
@@ -147,7 +147,7 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
     """
     camera = campaign.cameras[capture.camera]
     cubes, notes, captured = {}, [], None
-    learnt: dict[str, dict[str, Any]] = {}
+    measured: dict[str, dict[str, Any]] = {}
     lights = _lights_of(capture, campaign, templates)
     try:
         contexts = []
@@ -171,7 +171,7 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
             notes += doubts_of(context)
             if light is not None:
                 _require_chart_of_size(context, light)
-                context.told[CHART_WHITE] = dict(light.record)
+                context.measured[CHART_WHITE] = dict(light.record)
             cube, found = developer_of(camera)(context)
             cube = cubes[sensor.name] = mark_glare_in(cube)
             notes += [*found, *describe_sensor(context)]
@@ -180,14 +180,14 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
                 with placing(sensor.object):
                     require_light(counts, cube.labels)
                 notes += describe_above(counts, cube.labels)
-            learnt[sensor.name] = context.told
+            measured[sensor.name] = context.measured
     except (UnreadableCapture, CodesRefused) as refused:
         raise type(refused)(*_all_problems(capture, campaign, templates, refused)) from None
-    notes += describe_lamp(learnt)
+    notes += describe_lamp(measured)
     aligns = {sensor.name: sensor.align for sensor in capture.sensors}
     where = f"{capture.object}/{capture.layer}"
-    told = tuple(dict.fromkeys(f"{where}: {note}" for note in notes if note))
-    return Native(cubes, aligns, captured, told, learnt, mosaics_of(capture, campaign))
+    warnings = tuple(dict.fromkeys(f"{where}: {note}" for note in notes if note))
+    return Native(cubes, aligns, captured, warnings, measured, mosaics_of(capture, campaign))
 
 
 def _compare_all(contexts: Sequence[SensorContext]) -> list[str]:
@@ -218,13 +218,13 @@ def _lights_of(
 def _require_chart_of_size(context: SensorContext, light: ChartLight) -> None:
     """Refuse a chart whose frames have another size than the object's: its light lies elsewhere."""
     height, width = context.facts.shape[:2]
-    seen = light.size
-    if (height, width) != seen:
+    size = light.size
+    if (height, width) != size:
         problem = Problem(
             "E_SIZE",
             f"{context.camera.name}: chart and object differ in size",
             field=f"cameras.{context.camera.name}.white.chart",
-            found=f"{seen[1]} x {seen[0]}",
+            found=f"{size[1]} x {size[0]}",
             expected=f"{width} x {height}",
             fix="Capture the chart in the object's mode.",
         )
@@ -268,7 +268,7 @@ def develop_mosaic(context: SensorContext) -> Noted:
     notes = [check_scaling(context, exposed, white, (shots, whites), darks), exposed.note]
     notes += area.notes
     pattern = sensor.pattern
-    note_light(context.told, white, darks, pattern, [b.label for b in sensor.bands])
+    note_light(context.measured, white, darks, pattern, [b.label for b in sensor.bands])
     defects = defects_of(darks, white, pattern, area.uncovered)
     flat = flatten(
         context,
@@ -293,7 +293,9 @@ def develop_mosaic(context: SensorContext) -> Noted:
         variance = None if variance is None else variance.reshape(deep)
         deepened = (values.reshape(deep), flags.reshape(deep), variance)
         return cube_of(context, *deepened, flat.quantity, area.uncovered), notes
-    note_sensels(context.told, values, flags, variance, pattern, [b.label for b in sensor.bands])
+    note_sensels(
+        context.measured, values, flags, variance, pattern, [b.label for b in sensor.bands]
+    )
     made = demosaic(
         values,
         flags,
@@ -368,15 +370,15 @@ def develop_bands(context: SensorContext) -> Noted:
             _interleave(variances, variance, start)
         else:
             variance = None
-    _put_in_order(context.told, [band.label for band in bands])
+    _put_in_order(context.measured, [band.label for band in bands])
     return cube_of(context, values, flags, variance, quantity, area.uncovered), notes
 
 
-def _put_in_order(told: dict[str, Any], labels: Sequence[str]) -> None:
-    """Put what was learnt band by band in the order of the bands, whichever was done first."""
-    for name, learnt in told.items():
-        if isinstance(learnt, dict) and learnt.keys() <= set(labels):
-            told[name] = {label: learnt[label] for label in labels if label in learnt}
+def _put_in_order(measured: dict[str, Any], labels: Sequence[str]) -> None:
+    """Put what was measured band by band in the order of the bands, whichever was done first."""
+    for name, value in measured.items():
+        if isinstance(value, dict) and value.keys() <= set(labels):
+            measured[name] = {label: value[label] for label in labels if label in value}
 
 
 def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, start: int) -> None:
@@ -406,7 +408,7 @@ def _band(
     )
     require_white(context, white, darks, [label])
     doubt = check_scaling(context, exposed, white, (shots, whites), darks)
-    note_light(context.told, white, darks, None, [label])
+    note_light(context.measured, white, darks, None, [label])
     flat = flatten(
         context,
         exposed.shot,
@@ -425,8 +427,8 @@ def _band(
     plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
     if sensor.pattern is not None:
         plane = equalise_phases(*plane, sensor.pattern)
-    said = f"{label}: {exposed.note}" if exposed.note else ""
-    notes = tuple(note for note in (*flat.notes, doubt, said) if note)
+    note_of_exposure = f"{label}: {exposed.note}" if exposed.note else ""
+    notes = tuple(note for note in (*flat.notes, doubt, note_of_exposure) if note)
     return replace(flat, values=plane[0], flags=plane[1], variance=plane[2], notes=notes)
 
 

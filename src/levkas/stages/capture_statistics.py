@@ -28,7 +28,7 @@ FEW_BANDS = 5
 """Bands of a line scan or photograph whose light is looked at."""
 LEVELS = 65535
 SENSELS = "sensels"
-"""Among what is learnt of a sensor: of the object's picture, not of the camera."""
+"""Among what is measured of a sensor: of the object's picture, not of the camera."""
 NOISE, ROUNDING = "noise_shares", "rounding"
 """The same: what shots, white and darks add to the noise of each band, and the step of its codes, reflectance."""
 VIEW = "mean_of_view"
@@ -39,13 +39,13 @@ VIEW = "mean_of_view"
 
 
 def note_noise(
-    told: dict[str, Any],
+    measured: dict[str, Any],
     noise: NoiseModel | None,
     dark: Template | None,
     black: float,
     saturation: float | None,
 ) -> None:
-    """Note gain, noise in the dark and range of a sensor in `told`."""
+    """Note gain, noise in the dark and range of a sensor in `measured`."""
     from levkas.quality.image_quality.dynamic_range import sensor_stops
 
     if noise is None or saturation is None:
@@ -56,7 +56,7 @@ def note_noise(
         read = float(np.sqrt(noise.read_variance))
     if read is None:  # the fit had one level only, and took rounding for all there is
         return
-    told["sensor"] = {
+    measured["sensor"] = {
         "full": saturation - floor,
         "read_noise": read,
         "gain": float(noise.gain),
@@ -88,21 +88,21 @@ def _noise_in_the_dark(dark: Template | None, step: float) -> float | None:
 
 
 def note_sensels(
-    told: dict[str, Any],
+    measured: dict[str, Any],
     values: np.ndarray,
     flags: np.ndarray,
     variance: np.ndarray | None,
     pattern: Any,
     labels: Sequence[str],
 ) -> None:
-    """Note noise and signal-to-noise of a mosaic's sensels in `told`, channel by channel."""
+    """Note noise and signal-to-noise of a mosaic's sensels in `measured`, channel by channel."""
     from levkas.calibration.patterns import channel_table
     from levkas.quality.image_quality.dynamic_range import sensel_noise
 
     if variance is None:
         return
     found = sensel_noise(values, flags, variance, channel_table(pattern, labels))
-    told[SENSELS] = {
+    measured[SENSELS] = {
         label: {"noise": as_number(noise), "snr": as_number(snr)}
         for label, (noise, snr) in zip(labels, found, strict=True)
     }
@@ -112,7 +112,7 @@ def note_sensels(
 
 
 def note_light(
-    told: dict[str, Any],
+    measured: dict[str, Any],
     white: Template | None,
     darks: Sequence[Template],
     pattern: Any,
@@ -120,7 +120,7 @@ def note_light(
     *,
     period: tuple[int, int] = (1, 1),
 ) -> None:
-    """Note how even the light is on the white, channel by channel, in `told`.
+    """Note how even the light is on the white, channel by channel, in `measured`.
 
     A white that cannot say, because it saturates, is noted with its reason. One that is merged is in
     counts a second: the bits left in the corners are unknown. Of a cube that is only
@@ -130,7 +130,7 @@ def note_light(
 
     if white is None:
         return
-    light = told.setdefault("light", {})
+    light = measured.setdefault("light", {})
     for label, plane, saturated, apart in _planes(white, darks, pattern, labels):
         try:
             field = light_field(plane, saturated=saturated)
@@ -198,17 +198,17 @@ of the darkest paint, 0.002."""
 
 
 def note_lamp(
-    told: dict[str, Any],
+    measured: dict[str, Any],
     labels: Sequence[str],
     lamp: LampChange,
     dark: LampChange | None = None,
     per_count: Sequence[float] = (),
 ) -> None:
-    """Note how lamp and black level changed between darks, white and object in `told`, band by band.
+    """Note how lamp and black level changed between darks, white and object in `measured`, band by band.
 
     `dark` is the wander of the black level, counts; `per_count` is the reflectance of a count in each band.
     """
-    notes = told.setdefault(LAMP, {})
+    notes = measured.setdefault(LAMP, {})
     for i, label in enumerate(labels):
         numbers = {
             "white": lamp.white[i],
@@ -225,12 +225,19 @@ def note_lamp(
             notes[label]["black_within"] = as_number(float(within * per_count[i]))
         notes[label]["interpolated"] = lamp.timed
         if lamp.reach:
-            notes[label] |= {"reach": as_number(lamp.reach), "unseen": as_number(lamp.unseen)}
+            notes[label] |= {
+                "reach": as_number(lamp.reach),
+                "detection_limit": as_number(lamp.detection_limit),
+            }
 
 
-def describe_lamp(learnt: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Say how well the light is known between white and object, of what was learnt of each sensor."""
-    bands = {label: one for told in learnt.values() for label, one in told.get(LAMP, {}).items()}
+def describe_lamp(measured: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Say how well the light is known between white and object, from what was measured of each sensor."""
+    bands = {
+        label: one
+        for of_sensor in measured.values()
+        for label, one in of_sensor.get(LAMP, {}).items()
+    }
     notes = []
     # Of a weak band noise alone leaves the drift in doubt: that is no change of the lamp.
     changed = [
@@ -285,19 +292,19 @@ def flag_and_count(
     other: tuple[np.ndarray, np.ndarray] | None = None,
     gains: np.ndarray | None = None,
 ) -> dict[str, int]:
-    """Set GLARE and VEILED in the flags of reflectance; return pixels by sign, and how many were seen.
+    """Set GLARE and VEILED in the flags of reflectance; return pixels by sign, and how many are inside.
 
     `other` are values and flags of the same pixels of the same camera under its default setup. Pixels are
     judged one by one: rows give what the whole layer gives, for the same `gains` of the setups.
     """
     from levkas.quality.image_quality.glare import find_glare, flag_glare
 
-    seen = int(np.count_nonzero(~is_flagged(cube.flags, Flag.OUTSIDE).any(-1)))
+    inside = int(np.count_nonzero(~is_flagged(cube.flags, Flag.OUTSIDE).any(-1)))
     if cube.quantity != "reflectance":
-        return {"seen": seen}
+        return {"inside": inside}
     glare = find_glare(cube.values, cube.flags, cube.sigma, other=other, gains=gains)
     flag_glare(cube.flags, glare)
-    return {"seen": seen, **glare.counts()}
+    return {"inside": inside, **glare.counts()}
 
 
 def add_counts(total: dict[str, int], more: Mapping[str, int]) -> None:
@@ -370,7 +377,7 @@ class LayerStatistics:
     gains: np.ndarray | None = None
     step: int = 1
     mean: list[np.ndarray] = field(default_factory=list)
-    seen: list[np.ndarray] = field(default_factory=list)
+    valid: list[np.ndarray] = field(default_factory=list)
     flags: np.ndarray = field(default_factory=lambda: np.zeros(256, np.int64))
     glare: dict[str, int] = field(default_factory=dict)
     thin: list[Cube] = field(default_factory=list)
@@ -389,9 +396,9 @@ class LayerStatistics:
             other = self.default.rows(first, self._rows) if self.default else None
             add_counts(self.glare, flag_and_count(cube, other, self.gains))
             self.thin.append(self._thinned(cube, first))
-            mean, seen = grey_of(cube.values, cube.flags)
+            mean, valid = grey_of(cube.values, cube.flags)
             self.mean.append(mean)
-            self.seen.append(seen)
+            self.valid.append(valid)
             self.flags += count_flags(cube.flags)
             yield cube
 
@@ -408,7 +415,7 @@ class LayerStatistics:
     @property
     def grey(self) -> tuple[np.ndarray, np.ndarray]:
         """As `database.grey.grey_of` gives it for all rows."""
-        return np.concatenate(self.mean), np.concatenate(self.seen)
+        return np.concatenate(self.mean), np.concatenate(self.valid)
 
     def ranges(self) -> list[dict[str, Any]]:
         """Return range, noise and signal-to-noise of every band of the layer."""

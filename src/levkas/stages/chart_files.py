@@ -145,8 +145,8 @@ def _native_files(database: Path, entry: Entry) -> dict[str, Path]:
     labels = {path: open_pixels(path).attrs for path in found}
     return {
         path.stem[len(first.stem) :].lstrip("_"): path
-        for path, told in labels.items()
-        if (told.get("camera"), told.get("setup") or "") == (layer.camera, layer.setup)
+        for path, attrs in labels.items()
+        if (attrs.get("camera"), attrs.get("setup") or "") == (layer.camera, layer.setup)
     }
 
 
@@ -156,33 +156,33 @@ def _kept(database: Path) -> Iterator[tuple[str, Subject]]:
 
     for record in sorted(database.glob("charts/*/*.json")):
         check_inside(database, *record.parent.glob(f"{escape(record.stem)}*"))
-        told = read_json(record)
+        notes = read_json(record)
         files = {
             path.stem[len(record.stem) :].lstrip("_"): path
             for path in sorted(record.parent.glob(f"{record.stem}*.tif"))
             if "." not in path.stem
         }
-        if isinstance(told, dict) and "chart" in told and files:
+        if isinstance(notes, dict) and "chart" in notes and files:
             camera = record.stem[len(record.parent.name) + 1 :]
             name = f"{record.parent.name}/{camera}"
-            top = told.get("greatest_code")
+            top = notes.get("greatest_code")
             yield (
                 camera,
                 Subject(
                     name,
-                    kind_of(str(told["chart"])),
+                    kind_of(str(notes["chart"])),
                     files,
                     True,
                     top=top if isinstance(top, (int, float)) and top > 0 else None,
-                    edges=_kept_edges(told),
+                    edges=_kept_edges(notes),
                 ),
             )
 
 
-def _kept_edges(told: Mapping[str, Any]) -> dict[str, tuple[EdgePlace, ...]]:
+def _kept_edges(notes: Mapping[str, Any]) -> dict[str, tuple[EdgePlace, ...]]:
     """Return the slanted edges that the campaign of a kept chart named, by sensor."""
     named: dict[str, tuple[EdgePlace, ...]] = {}
-    for sensor, places in dict(told.get("named_edges", {})).items():
+    for sensor, places in dict(notes.get("named_edges", {})).items():
         named[str(sensor)] = tuple(
             EdgePlace(str(label), (int(x), int(y), int(w), int(h)))
             for label, (x, y, w, h) in dict(places).items()

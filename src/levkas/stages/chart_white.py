@@ -48,7 +48,7 @@ GREY_NM = np.arange(420.0, 701.0, 10.0)
 """Where greys are averaged for a channel of which no sensitivity is known."""
 HIDDEN = 0.2
 """Share of saturated pixels that explains why a chart is not recognised."""
-NOT_SEEN = ("E_CHART_MISSING", "E_CHART_ORDER")
+NOT_FOUND = ("E_CHART_MISSING", "E_CHART_ORDER")
 DOUBTFUL = 0.05
 """Held-out error of a patch, reflectance, rms, from which the report warns."""
 
@@ -100,11 +100,11 @@ def lights_by_chart(capture: Capture, campaign: Campaign, made: Native) -> dict[
             found = locate_in_cube(cube, chart, reference, corners=corners, near=near)
             near = found.corners if near is None else near
             known = known_reflectance(campaign, capture, sensor.bands, chart, reference)
-            times = made.learnt[sensor.name].get("exposures_s", {})
+            times = made.measured[sensor.name].get("exposures_s", {})
             fitted = _fit_bands(sensor, cube, chart, found, known)
         except ChartRefused as refused:
             named = [_named(p, capture.camera) for p in refused.problems]
-            if named[0].code in NOT_SEEN and (full := _overexposed(cube, capture.camera)):
+            if named[0].code in NOT_FOUND and (full := _overexposed(cube, capture.camera)):
                 named = [full]
             raise ChartRefused(*(placed(p, sensor.chart) for p in named)) from None
         lights[sensor.name] = _light(capture, campaign, sensor, fitted, times, reference, found)
@@ -145,7 +145,7 @@ def _named(problem: Problem, camera: str) -> Problem:
 
 
 def _overexposed(cube: Cube, camera: str) -> Problem | None:
-    """Return the refusal of frames in which a chart cannot be seen because so much of them is saturated."""
+    """Return the refusal of frames in which a chart cannot be found because so much of them is saturated."""
     shares = is_flagged(cube.flags, Flag.SATURATED).mean((0, 1))
     i = int(np.argmax(shares))
     if shares[i] < HIDDEN:
@@ -222,7 +222,7 @@ class SensorLight(NamedTuple):
     fits: dict[str, LightFit]
     used: dict[str, np.ndarray]
     why: dict[str, str]
-    lent: dict[str, str]
+    light_of: dict[str, str]
     unevenness: dict[str, float]
     scatter: dict[str, PatchScatter]
     size: tuple[int, int]
@@ -261,9 +261,11 @@ def _fit_bands(
     if problems:
         raise ChartRefused(*problems)
     fits = {label: fit_light(part, outline) for label, (_, part) in full.items()}
-    lent = {label: _nearest(label, cube.bands, list(full)) for label in greys}
+    light_of = {label: _nearest(label, cube.bands, list(full)) for label in greys}
     for label, (_, part) in greys.items():
-        fits[label] = fit_light(part, outline, fits[lent[label]].shape if lent[label] else None)
+        fits[label] = fit_light(
+            part, outline, fits[light_of[label]].shape if light_of[label] else None
+        )
     used_patches = {label: used for label, (used, _) in (full | greys).items()}
     uneven = {
         b.label: _unevenness(cube, i, found, patches, table) for i, b in enumerate(cube.bands)
@@ -274,7 +276,7 @@ def _fit_bands(
         relative = float(np.hypot(one.relative, known.spread.get(label, 0.0)))
         scatter[label] = one._replace(relative=relative)
     size = (cube.values.shape[0], cube.values.shape[1])
-    return SensorLight(chart, outline, fits, used_patches, why, lent, uneven, scatter, size)
+    return SensorLight(chart, outline, fits, used_patches, why, light_of, uneven, scatter, size)
 
 
 def _scatter(
@@ -448,7 +450,7 @@ def _record(fitted: SensorLight, label: str, light: LightMap) -> dict[str, Any]:
         "sigma_in_frame": _digits(float(np.median(light.sigma.values))),
         "uneven_sensels": _digits(fitted.unevenness[label]),
         "sigma_of_patches": [_digits(part) for part in fitted.scatter[label]],
-        "light_of": fitted.lent.get(label, ""),
+        "light_of": fitted.light_of.get(label, ""),
         "why": fitted.why.get(label, ""),
     }
 
@@ -475,16 +477,16 @@ def _notes(fitted: SensorLight, record: Mapping[str, Any], reference: ChartRefer
         notes.append(f"chart: {reference.note}")
     alike: dict[tuple[str, str], list[str]] = {}
     for label, why in fitted.why.items():
-        alike.setdefault((why, fitted.lent[label]), []).append(label)
-    for (why, lent), labels in alike.items():
-        shape = f"; the light field is that of {lent}" if lent else ""
+        alike.setdefault((why, fitted.light_of[label]), []).append(label)
+    for (why, light_of), labels in alike.items():
+        shape = f"; the light field is that of {light_of}" if light_of else ""
         notes.append(f"{', '.join(labels)}: {why}{shape}")
     if record["beyond_the_chart"] > 0:
         most = max(band["sigma_most"] for band in bands.values())
-        told = "unknown in some places" if most >= 1 else f"known to {100 * most:.2g} % or better"
+        known = "unknown in some places" if most >= 1 else f"known to {100 * most:.2g} % or better"
         notes.append(
             f"{100 * record['beyond_the_chart']:.0f} % of the frame is beyond the chart: the light is extrapolated "
-            f"there, and {told}; the uncertainty budget has the median over the frame"
+            f"there, and {known}; the uncertainty budget has the median over the frame"
         )
     if left_out := record["left_out"]:
         first, last = reference.wavelengths[0], reference.wavelengths[-1]

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 CHART = "ColorChecker24"
 """That is looked for where none is named."""
-UNSEEN = ("E_CHART_MISSING", "E_CHART_FRAME", "E_CHART_SIZE", "E_CHART_ORDER")
+NOT_FOUND = ("E_CHART_MISSING", "E_CHART_FRAME", "E_CHART_SIZE", "E_CHART_ORDER")
 """Refusals that say no more than that a layer, which need not be one, is no chart."""
 
 ENCODED = (
@@ -164,7 +164,7 @@ def _measure_cubes(
             on_grid += [made] * subject.on_grid
             report.problems.extend(replace(p, file=p.file or file) for p in made.edges.problems)
         except Refused as refused:
-            if not subject.certain and all(p.code in UNSEEN for p in refused.problems):
+            if not subject.certain and all(p.code in NOT_FOUND for p in refused.problems):
                 continue
             report.problems.extend(replace(p, file=p.file or file) for p in refused.problems)
     report.between_layers.extend(layer_rows(on_grid))
@@ -185,15 +185,15 @@ def _measure_subject(
         cubes = {sensor: file.cube for sensor, file in files.items()}
         return measure_edges_of(subject.name, cubes, places, encoded=encoded)
     spectra = _reference(subject.chart, reference)
-    seen: list[Sighting] = []
+    sightings: list[Sighting] = []
     notes: tuple[str, ...] = ()
     for sensor, path in subject.files.items():
         cube, notes, top = subject.read(path)
-        near = seen[0].located.corners if seen else None
+        near = sightings[0].located.corners if sightings else None
         found = locate_in_cube(cube, subject.chart, spectra, corners=corners, near=near)
         sighting = Sighting(sensor, found, cube, edges=places[sensor])
-        seen.append(decode_sighting(sighting, subject.chart, top) if top else sighting)
-    return measure(subject.name, subject.chart, seen, spectra, notes=notes)
+        sightings.append(decode_sighting(sighting, subject.chart, top) if top else sighting)
+    return measure(subject.name, subject.chart, sightings, spectra, notes=notes)
 
 
 def measure_edges_of(
@@ -243,7 +243,7 @@ def problems_of(name: str, capture: Capture, refused: Refused) -> list[Problem]:
 def _of_campaign(
     path: Path, cameras: Sequence[str], report: ChartReport
 ) -> Iterator[tuple[Capture, Chart | None, Developed]]:
-    """Develop every chart of a campaign; what cannot be is told in the report."""
+    """Develop every chart of a campaign; what cannot be is named in the report."""
     from levkas.campaign.campaign import load_campaign
     from levkas.campaign.discovery.find_captures import find_charts
     from levkas.database.layout import Places
@@ -393,7 +393,7 @@ def edges_of(campaign: Campaign, capture: Capture) -> dict[str, tuple[EdgePlace,
 
 
 def _steps_of(made: Native) -> dict[str, tuple[float, ...]]:
-    found = {name: told.get(ROUNDING, {}) for name, told in made.learnt.items()}
+    found = {name: of_sensor.get(ROUNDING, {}) for name, of_sensor in made.measured.items()}
     return {
         name: tuple(float(found[name].get(band.label, 0.0)) for band in cube.bands)
         for name, cube in made.cubes.items()
@@ -442,17 +442,17 @@ def measure_capture(
     if chart is None:
         encoded = made.top is not None
         return measure_edges_of(name, made.cubes, made.edges, made.patterns, encoded=encoded)
-    seen: list[Sighting] = []
+    sightings: list[Sighting] = []
     for sensor, cube in made.cubes.items():
-        near = seen[0].located.corners if seen else None
+        near = sightings[0].located.corners if sightings else None
         found = locate_in_cube(cube, chart, reference, corners=corners, near=near)
         shots, steps = made.shots.get(sensor), made.steps.get(sensor)
         pattern = made.patterns.get(sensor)
         edges = made.edges.get(sensor, ())
         sighting = Sighting(sensor, found, cube, shots, steps, made.count, pattern, edges=edges)
         sighting = replace(sighting, common=made.common.get(sensor))
-        seen.append(decode_sighting(sighting, chart, made.top) if made.top else sighting)
-    return measure(name, chart, seen, reference, evenness=evenness)
+        sightings.append(decode_sighting(sighting, chart, made.top) if made.top else sighting)
+    return measure(name, chart, sightings, reference, evenness=evenness)
 
 
 @dataclass(frozen=True)

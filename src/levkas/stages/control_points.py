@@ -101,7 +101,7 @@ def declared_points(
     return found
 
 
-def told_points(campaign: Campaign, capture: Capture) -> dict[str, str]:
+def fingerprint_points(campaign: Campaign, capture: Capture) -> dict[str, str]:
     """Return what a registration's fingerprint says of the points."""
     from levkas.core.digests import hash_file
 
@@ -113,13 +113,13 @@ def told_points(campaign: Campaign, capture: Capture) -> dict[str, str]:
         if path.is_relative_to(campaign.root)
         else path.name
     )
-    told = {
+    prints = {
         f"points {name}": hash_file(path)[:16],
         "registration.use": use_of(campaign, capture.camera),
     }
     if are_accepted(campaign, capture.camera):
-        told["registration.accept"] = BY_HAND
-    return told
+        prints["registration.accept"] = BY_HAND
+    return prints
 
 
 def placed_pairs(pairs: ManualPoints, band: str) -> ManualPoints:

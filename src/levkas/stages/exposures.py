@@ -243,7 +243,7 @@ def noise_of(
     black = 0.0 if context.black_level is None else context.black_level
     fitted = fit_noise_of_frames(shots, whites, darks, black=black, pattern=pattern, step=step)
     dark = darks[0] if darks else None
-    note_noise(context.told, fitted, dark, context.black or 0.0, context.saturation)
+    note_noise(context.measured, fitted, dark, context.black or 0.0, context.saturation)
     return fitted
 
 
@@ -321,7 +321,7 @@ def flatten(
         _note_shot_noise(context, (shot, white), dark, board.labels or ())
     if white is None and context.camera.white_chart is not None:
         taken = dict.fromkeys(board.labels or (), shot.exposure_s)
-        context.told.setdefault("exposures_s", {}).update(taken)
+        context.measured.setdefault("exposures_s", {}).update(taken)
     if not context.camera.traits.is_scanned and not shot.above_dark:
         found = {
             label: float(f"{context.step * one:.4g}")
@@ -330,11 +330,11 @@ def flatten(
         if board.unit is not None:
             pairs = zip(found.items(), board.unit, strict=True)
             found = {label: step / float(unit) for (label, step), unit in pairs}
-        context.told.setdefault(ROUNDING, {}).update(found)
+        context.measured.setdefault(ROUNDING, {}).update(found)
     if white is not None and noise is not None and not context.camera.traits.is_scanned:
         _note_shares(context, shot, dark, white, board, noise)
     if white is not None and not context.camera.traits.is_scanned:
-        context.told.setdefault(VIEW, {}).update(
+        context.measured.setdefault(VIEW, {}).update(
             (label, float(f"{_mean_of(_phase(flat.values, phase)):.4g}"))
             for label, phase in _phases(board).items()
         )
@@ -350,7 +350,7 @@ def _note_shot_noise(
     darks: Sequence[Template],
     labels: Sequence[str],
 ) -> None:
-    """Note in `told` where a band's bright pixels have less noise than a linear sensor, and what the dim ones say of the dark."""
+    """Note in `measured` where a band's bright pixels have less noise than a linear sensor, and what the dim ones say of the dark."""
     stacks = [stack for stack in stacks if not stack.above_dark]
     name = labels[0] if len(labels) == 1 else ""
 
@@ -359,12 +359,12 @@ def _note_shot_noise(
         return smooth_groups(some, levels, context.step, context.period)
 
     if found := find_flattening(groups([*stacks, *darks])):
-        context.told.setdefault(FLATTENING, {})[name] = found._asdict()
+        context.measured.setdefault(FLATTENING, {})[name] = found._asdict()
     alike = [one for one in stacks if one.exposure_s == stacks[0].exposure_s]
     quiet = [one for one in darks if one.exposure_s == alike[0].exposure_s] if alike else []
     quiet = [one for one in quiet if np.mean(one.black) <= MANY_ZEROS]  # others have lost noise
     if offset := find_dark_offset(groups(alike), groups(quiet)):
-        context.told.setdefault(DARK_OFFSET, {})[name] = offset._asdict()
+        context.measured.setdefault(DARK_OFFSET, {})[name] = offset._asdict()
 
 
 def _with_gaps(
@@ -425,7 +425,7 @@ def _with_lamp(
     ]
     worst = max(wander, key=lambda one: float(one.sigma.max()), default=None)
     per_count = _per_count(context, shot, dark, white, board).values()
-    note_lamp(context.told, labels, lamp, worst, [*per_count])
+    note_lamp(context.measured, labels, lamp, worst, [*per_count])
     known = np.broadcast_to(np.asarray(board.reflectance, float), len(labels))
     return board if np.all(lamp.factor == 1) else replace(board, reflectance=known / lamp.factor)
 
@@ -438,9 +438,9 @@ def _note_shares(
     board: WhiteBoard,
     noise: NoiseModel,
 ) -> None:
-    """Note in `told` what shots, white and darks add to the noise of each band where its signal is middling, reflectance."""
+    """Note in `measured` what shots, white and darks add to the noise of each band where its signal is middling, reflectance."""
     under, white_under, *_ = pair_darks(shot, dark or None, white, context.black_level)
-    notes = context.told.setdefault(NOISE, {})
+    notes = context.measured.setdefault(NOISE, {})
     per_count = _per_count(context, shot, dark, white, board)
     for label, phase in _phases(board).items():
         signal, light = (
@@ -518,7 +518,7 @@ def _per_count(
 def _moved(
     context: SensorContext, shot: Template, dark: list[Template], noise: NoiseModel | None
 ) -> np.ndarray | None:
-    """Return what moved between the object's shots; None where that cannot be told."""
+    """Return what moved between the object's shots; None where that cannot be measured."""
     if shot.count < 2 or noise is None or noise.source != "temporal":
         return None
     rows = context.sensor.pattern or ((None,),)

@@ -74,25 +74,27 @@ def adjusted(
     record, matches = deepcopy(mine.record), dict(mine.matches)
     for observed in mine.observations:
         place = _place(record, observed)
-        mates = [
-            (name, seen)
+        companions = [
+            (name, observed_there)
             for name, other in sorted(others.items())
-            for seen in other.observations
-            if seen.sensor == observed.sensor
+            for observed_there in other.observations
+            if observed_there.sensor == observed.sensor
         ]
-        if not mates:
+        if not companions:
             continue
-        found = adjust_jointly(observed, [seen for _, seen in mates])
-        if not found.mates:
+        found = adjust_jointly(observed, [observed_there for _, observed_there in companions])
+        if not found.companions:
             continue
         transforms = _transforms(observed, found)
-        told = _told(record, observed, found, [mates[k][0] for k in found.mates], transforms)
+        summary = _summary(
+            record, observed, found, [companions[k][0] for k in found.companions], transforms
+        )
         basis = record["trace"]["sensors"][place]
         checks = _checked_anew(record, basis, transforms)
         excess = _excess(record, observed, transforms)
         _write_bands(record, observed, found, transforms, reference, checks)
-        _write_model(record, place, observed, found, told)
-        _write_evidence(record, observed, found, told, checks, transforms, excess)
+        _write_model(record, place, observed, found, summary)
+        _write_evidence(record, observed, found, summary, checks, transforms, excess)
         if checks is not None:
             selected = found.selected
             again = selected and describe_windows(
@@ -141,8 +143,8 @@ def _points(record: dict[str, Any], observed: SensorObservations) -> np.ndarray:
     width, height = record["reference"]["size"]
     x, y = (np.linspace(0, n - 1, k) for n, k in zip((width, height), GRID, strict=True))
     points = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    if observed.seen is not None:
-        low, high = observed.seen.points.min(0), observed.seen.points.max(0)
+    if observed.observations is not None:
+        low, high = observed.observations.points.min(0), observed.observations.points.max(0)
         points = points[((points >= low) & (points <= high)).all(1)]
     return points
 
@@ -154,7 +156,7 @@ def _shifts(before: Transform, after: Transform, points: np.ndarray) -> np.ndarr
 
 
 def _transforms(observed: SensorObservations, found: JointResult) -> dict[str, Transform]:
-    own = observed.seen is None
+    own = observed.observations is None
     return {
         label: Affine.identity()
         if own and not found.chromatic.amounts[i].any()
@@ -165,7 +167,7 @@ def _transforms(observed: SensorObservations, found: JointResult) -> dict[str, T
     }
 
 
-def _told(
+def _summary(
     record: dict[str, Any],
     observed: SensorObservations,
     found: JointResult,
@@ -178,14 +180,14 @@ def _told(
     for label, transform in transforms.items():
         before = from_dict(record["bands"][label]["transform"])
         moved += _shifts(before, transform, points).tolist()
-    told: dict[str, Any] = {
+    summary: dict[str, Any] = {
         "with": list(names),
         "moved_px": {"mean": round(float(np.mean(moved)), 4), "max": round(float(max(moved)), 4)},
     }
     if found.selected is not None:
-        told["alone"] = {"held_out_px": round(observed.held_out, 5)}
-        told["held_out_px"] = round(found.selected.held_out_error, 5)
-    return told
+        summary["alone"] = {"held_out_px": round(observed.held_out, 5)}
+        summary["held_out_px"] = round(found.selected.held_out_error, 5)
+    return summary
 
 
 def _write_bands(
@@ -199,12 +201,12 @@ def _write_bands(
     """Write the maps, and how well they are known now."""
     width, height = record["reference"]["size"]
     sigma: dict[str, Sigma] = {}
-    if found.selected is not None or observed.seen is None:
+    if found.selected is not None or observed.observations is None:
         sigma = measure_sigma(
             (height, width), observed.labels, found.chromatic, found.selected, reference, found.shared,
             checks,
         )  # fmt: skip
-        known = _numbers(record, observed).get("borne_out", {})
+        known = _numbers(record, observed).get("verification", {})
         displaced = [known.get(f"{what}_displacement") or {} for what in ("line", "fine")]
         sigma = with_lines(sigma, max(one.get("sigma_px", 0.0) for one in displaced))
     else:
@@ -223,22 +225,22 @@ def _write_model(
     place: int,
     observed: SensorObservations,
     found: JointResult,
-    told: dict[str, Any],
+    summary: dict[str, Any],
 ) -> None:
     """Write which model was taken, and with whom the capture was adjusted."""
     model = record["model"]["sensors"][place]
-    model["joint"] = told
+    model["joint"] = summary
     model["chromatic"] = found.chromatic.kind
     if found.selected is not None and found.shared is not None:
-        told["alone"]["base"], model["base"] = model["base"], found.selected.name
-        told["alone"]["ladder"], model["ladder"] = model["ladder"], found.selected.scores
+        summary["alone"]["base"], model["base"] = model["base"], found.selected.name
+        summary["alone"]["scores"], model["scores"] = model["scores"], found.selected.scores
 
 
 def _write_evidence(
     record: dict[str, Any],
     observed: SensorObservations,
     found: JointResult,
-    told: dict[str, Any],
+    summary: dict[str, Any],
     checks: CheckWindows | None,
     transforms: Mapping[str, Transform],
     excess: dict[str, Any],
@@ -247,17 +249,17 @@ def _write_evidence(
     numbers = _numbers(record, observed)
     numbers["joint_excess"] = excess
     if found.selected is not None and found.selected.spec is not None:
-        numbers["held_out_px"] = told["held_out_px"]
+        numbers["held_out_px"] = summary["held_out_px"]
         numbers["terms"] = found.selected.spec.coefficients
     if checks is not None:
-        borne_out = numbers["borne_out"]
-        box = tuple(borne_out["box"])
+        verification = numbers["verification"]
+        box = tuple(verification["box"])
         map_ = transforms[record["trace"]["sensors"][_place(record, observed)]["band"]]
         points, fine = grid_points(box, VERIFICATION.grid), grid_points(box, VERIFICATION.fine)
-        in_view, shown = (_shown(borne_out["outside"], places) for places in (points, fine))
-        borne_out |= measure_windows(checks) | measure_map(map_, points, in_view)
-        borne_out |= measure_cells(box, shown, checks, np.empty((0, 2)))
-        numbers["checked"] = borne_out["checked"]
+        in_view, shown = (_shown(verification["outside"], places) for places in (points, fine))
+        verification |= measure_windows(checks) | measure_map(map_, points, in_view)
+        verification |= measure_cells(box, shown, checks, np.empty((0, 2)))
+        numbers["checked"] = verification["checked"]
 
 
 def _numbers(record: dict[str, Any], observed: SensorObservations) -> dict[str, Any]:
@@ -285,31 +287,31 @@ def _write_verdict(record: dict[str, Any]) -> None:
     verdict = judge_windows(_whole(record["verdict"]["numbers"])).to_dict()
     pairs = record.get("pairs_by_hand", 0)
     verdict["next_step"] = advise(verdict["next_step"], pairs, verdict["decision"])
-    said = []
+    reasons = []
     for sensor in record["model"]["sensors"]:
-        told = sensor.get("joint")
-        if told is None:
+        summary = sensor.get("joint")
+        if summary is None:
             continue
         where = f"sensor {sensor['sensor']}: " if sensor["sensor"] else ""
-        moved, names = told["moved_px"], ", ".join(told["with"])
+        moved, names = summary["moved_px"], ", ".join(summary["with"])
         text = f"{where}the joint adjustment with {names} moved the map by {moved['mean']:.3f} px in the mean, at most {moved['max']:.3f} px"
-        if "base" in told.get("alone", {}):
-            text += f"; the held-out error is {told['held_out_px']:.3f} px, without the adjustment {told['alone']['held_out_px']:.3f} px"
-        said.append(f"{text}.")
-    record["verdict"] = verdict | {"reasons": [*verdict["reasons"], *said]}
+        if "base" in summary.get("alone", {}):
+            text += f"; the held-out error is {summary['held_out_px']:.3f} px, without the adjustment {summary['alone']['held_out_px']:.3f} px"
+        reasons.append(f"{text}.")
+    record["verdict"] = verdict | {"reasons": [*verdict["reasons"], *reasons]}
     for name, numbers in verdict["numbers"].items():
         record["errors"]["sensors"]["" if name == ONLY else name] = numbers
 
 
 def _whole(numbers: Mapping[str, Any]) -> dict[str, Any]:
     """Return numbers as they were measured: JSON has no infinity."""
-    endless = ("window_median", "window_p90", "rival")
+    endless = ("window_median", "window_p90", "second_peak_ratio")
     return {
         name: one
         | {
-            "borne_out": {
+            "verification": {
                 key: np.inf if value is None and key in endless else value
-                for key, value in one["borne_out"].items()
+                for key, value in one["verification"].items()
             }
         }
         for name, one in numbers.items()

@@ -63,8 +63,8 @@ class CalibratedCapture(Protocol):
         """Of a scan complete when all lines have been calibrated once."""
 
     @property
-    def learnt(self) -> Mapping[str, dict[str, Any]]:
-        """What was learnt of each sensor and its light on the way, for the reports."""
+    def measured(self) -> Mapping[str, dict[str, Any]]:
+        """What was measured of each sensor and its light on the way, for the reports."""
 
     @property
     def focus(self) -> list[dict[str, Any]]:
@@ -123,7 +123,7 @@ class Native:
     ----------
     cubes : dict of str to Cube
         Sensor name → cube; the name is empty for a camera of one sensor.
-    aligns, captured, warnings, learnt
+    aligns, captured, warnings, measured
         As of `CalibratedCapture`.
     mosaics : dict of str to Mosaic
         Of the sensors whose values were demosaiced.
@@ -135,7 +135,7 @@ class Native:
     aligns: Mapping[str, object] = field(default_factory=dict)
     captured: str | None = None
     warnings: tuple[str, ...] = ()
-    learnt: Mapping[str, dict[str, Any]] = field(default_factory=dict)
+    measured: Mapping[str, dict[str, Any]] = field(default_factory=dict)
     mosaics: Mapping[str, Mosaic] = field(default_factory=dict)
     sigmas: dict[str, PackedSigma | FiledSigma] = field(default_factory=dict)
     factor: ClassVar[int] = 1
@@ -214,12 +214,12 @@ class Native:
         )
 
     def _on_grid(self, sensor: str, maps: Sequence[Transform], size: tuple[int, int]) -> Cube:
-        cube, shape, learnt = self.cubes[sensor], size[::-1], self.learnt.get(sensor, {})
+        cube, shape, measured = self.cubes[sensor], size[::-1], self.measured.get(sensor, {})
         variance = self._take_variance(sensor)
         if variance is not None:
             if sensor in self.mosaics:
                 variance *= shared_noise(self.mosaics[sensor], maps, shape)
-            if strips := learnt.get("strips"):
+            if strips := measured.get("strips"):
                 variance *= shared_by_strips(strips, cube.values.shape[1], maps, shape)[:, None]
         warped = warp(cube.values, maps, shape, flags=cube.flags, variance=variance)
         found = warped.variance
@@ -253,7 +253,7 @@ def _pictures(cube: Cube) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 class PackedSigma:
-    """Sigma of a cube kept small in memory, bit for bit, until resampling asks for it."""
+    """Sigma of a cube kept small in memory, bit for bit, until resampling needs it."""
 
     def __init__(self, sigma: np.ndarray) -> None:
         self._shape = sigma.shape
@@ -348,7 +348,7 @@ def read_native(
         aligns[name] = sensor.align
         if paths[".sigma"].is_file():
             sigmas[name] = FiledSigma(paths[".sigma"])
-    facts = notes.get("captured"), tuple(notes.get("warnings", ())), notes.get("learnt", {})
+    facts = notes.get("captured"), tuple(notes.get("warnings", ())), notes.get("measured", {})
     return Native(cubes, aligns, *facts, mosaics, {**sigmas})
 
 
@@ -409,5 +409,5 @@ def _samples_in(path: Path) -> int:
 
     try:
         return prod(int(n) for n in read_facts(path).shape)
-    except Refused:  # all that is wrong with the frames is told together, when they are read
+    except Refused:  # all that is wrong with the frames is reported together, when they are read
         return 0

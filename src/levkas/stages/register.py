@@ -366,13 +366,13 @@ class Measured:
                 )
         for k, one in enumerate(self.observations):
             arrays |= {f"sensor {k} {n}": a for n, a in one.to_arrays().items()}
-        told = {
+        summary = {
             "record": self.record,
             "sensors": list(self.matches),
             "observations": len(self.observations),
             "problems": [problem.to_dict() for problem in self.problems],
         }
-        arrays["told"] = np.array(json.dumps(told))
+        arrays["summary"] = np.array(json.dumps(summary))
         packed = io.BytesIO()
         np.savez_compressed(packed, allow_pickle=False, **arrays)
         return packed.getvalue()
@@ -382,17 +382,17 @@ class Measured:
         """Read what `to_bytes` gave; raises OSError, KeyError or ValueError on anything else."""
         with np.load(path, allow_pickle=False) as packed:
             arrays = dict(packed)
-        told = json.loads(str(arrays["told"]))
+        summary = json.loads(str(arrays["summary"]))
         matches = {
             sensor: _matches(_under(arrays, f"matches {k} "))
-            for k, sensor in enumerate(told["sensors"])
+            for k, sensor in enumerate(summary["sensors"])
         }
         observations = tuple(
             SensorObservations.from_arrays(_under(arrays, f"sensor {k} "))
-            for k in range(told["observations"])
+            for k in range(summary["observations"])
         )
-        problems = tuple(Problem(**problem) for problem in told["problems"])
-        return cls(told["record"], matches, observations, problems)
+        problems = tuple(Problem(**problem) for problem in summary["problems"])
+        return cls(summary["record"], matches, observations, problems)
 
 
 def _under(arrays: Mapping[str, np.ndarray], name: str) -> dict[str, np.ndarray]:

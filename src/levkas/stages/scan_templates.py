@@ -249,8 +249,8 @@ def _of_pushbroom(context: SensorContext, shape: tuple[int, int, int]) -> ScanTe
     if white is not None and white.shots is not None:
         lines = shape[0] * len(sensor.object)  # strips are captured one after the other
         labels = [band.label for band in sensor.bands]
-        note_lamp(context.told, labels, lamp_along(white.shots, lines))
-    note_light(context.told, white, darks, None, [band.label for band in sensor.bands])
+        note_lamp(context.measured, labels, lamp_along(white.shots, lines))
+    note_light(context.measured, white, darks, None, [band.label for band in sensor.bands])
     noise = noise_of(context, [], [white] if white else [], darks)
     area = WhiteArea()
     if white is not None:
@@ -266,7 +266,7 @@ def _note_lamp_of(context: SensorContext, white: Template) -> None:
     labels = [band.label for band in context.sensor.bands]
     times = capture_times(context.sensor.object)
     single = ShotLevels(np.ones((1, len(labels))), np.zeros(len(labels)), times)
-    note_lamp(context.told, labels, lamp_between(white.shots, single))
+    note_lamp(context.measured, labels, lamp_between(white.shots, single))
 
 
 def average_lines(
@@ -286,7 +286,7 @@ def average_lines(
     if white and made.shots is not None and (lost := made.shots.left_out):
         count = sum(file.shape[0] for file in files)
         name = f"{len(lost)} of {count} lines of {frames[0].path.name}"
-        context.told.setdefault(WHITE_SHOTS, {})[""] = {"left_out": [name], "apart": 0.0}
+        context.measured.setdefault(WHITE_SHOTS, {})[""] = {"left_out": [name], "apart": 0.0}
     return context.whole(made, frames)
 
 
@@ -309,17 +309,17 @@ def _of_mirror(context: SensorContext, shape: tuple[int, int, int]) -> ScanTempl
         under = [d.thinned(step) if isinstance(d, FrameLines) else _columns(d, step) for d in darks]
         looked = [one.thinned(step, under) for one in whites]
         chosen = best_white(looked)
-        white, seen = whites[chosen].agreeing(looked[chosen]), looked[chosen]
-        _note_lamp_of(context, seen)
-        level = level_under(seen, under, black=context.black)
+        white, thinned = whites[chosen].agreeing(looked[chosen]), looked[chosen]
+        _note_lamp_of(context, thinned)
+        level = level_under(thinned, under, black=context.black)
         with placing(sensor.white):
             try:
-                check_white(seen, level, None, labels)
+                check_white(thinned, level, None, labels)
             except CalibrationRefused as refused:
                 problems = map(context.with_full_scale, refused.problems)
                 raise CalibrationRefused(*problems) from None
-            area = _area_behind_mirror(context, seen, level, step, shape)
-        note_light(context.told, seen, under, None, labels, period=(step, step))
+            area = _area_behind_mirror(context, thinned, level, step, shape)
+        note_light(context.measured, thinned, under, None, labels, period=(step, step))
     noise = noise_behind_mirror(context, white.frames[0] if white else None, darks)
     return ScanTemplates(tuple(darks), white, noise, area)
 
@@ -428,7 +428,7 @@ def noise_behind_mirror(
     noise = fit_noise(stacks, level, black=black, step=context.step) if white else None
     if noise is not None:  # its dark is at hand some lines at a time
         noise = replace(noise, level=None)
-    note_noise(context.told, noise, dark, black, context.saturation)
+    note_noise(context.measured, noise, dark, black, context.saturation)
     return noise
 
 

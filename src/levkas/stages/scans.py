@@ -119,13 +119,13 @@ class Scan:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Complete when all lines have been calibrated once."""
-        seen = self._summary.notes if self._summary else ()
-        return tuple(dict.fromkeys(f"{self.where}: {note}" for note in (*self._doubts, *seen)))
+        notes = self._summary.notes if self._summary else ()
+        return tuple(dict.fromkeys(f"{self.where}: {note}" for note in (*self._doubts, *notes)))
 
     @cached_property
     def _doubts(self) -> tuple[str, ...]:
         doubts = (*self.stated, *doubts_of(self.context), *describe_sensor(self.context))
-        return (*doubts, *self.source.notes, *describe_lamp(self.learnt))
+        return (*doubts, *self.source.notes, *describe_lamp(self.measured))
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -164,9 +164,9 @@ class Scan:
         return factor_of(self.shape)
 
     @property
-    def learnt(self) -> dict[str, dict[str, Any]]:
-        """What was learnt of the sensor."""
-        return {self.context.sensor.name: self.context.told}
+    def measured(self) -> dict[str, dict[str, Any]]:
+        """What was measured of the sensor."""
+        return {self.context.sensor.name: self.context.measured}
 
     @property
     def focus(self) -> list[dict[str, Any]]:
@@ -327,10 +327,10 @@ class Pictures:
             if row >= self._sums.shape[1]:
                 return
             good = ~is_flagged(flags[: width * factor], UNRELIABLE)
-            seen = np.where(good, values[: width * factor], np.float32(0)).reshape(shape)
+            filled = np.where(good, values[: width * factor], np.float32(0)).reshape(shape)
             # Line by line and sample by sample: the sums do not depend on how lines come in.
             for k in range(factor):
-                self._sums[:, row] += seen[:, k].T
+                self._sums[:, row] += filled[:, k].T
             self._counts[:, row] += good.reshape(shape).sum(1, dtype=np.uint16).T
 
     def images(self) -> list[BandImage]:

@@ -84,12 +84,12 @@ def neighbour_correlation(
             table, method = method_of(*mosaic)
             noise = interpolate(noise, np.zeros(noise.shape, np.uint8), None, table, method)[0]
             noise = np.ascontiguousarray(noise[..., noise.shape[2] // 2])
-        seen = _warped_locally(noise[..., None], one, shape)[0][..., 0]
-        seen = np.nan_to_num(seen)
-        inner = seen[reach:-reach, reach:-reach]
+        warped = _warped_locally(noise[..., None], one, shape)[0][..., 0]
+        warped = np.nan_to_num(warped)
+        inner = warped[reach:-reach, reach:-reach]
         height, width = inner.shape
         for dy, dx in np.ndindex(total.shape):
-            total[dy, dx] += np.vdot(inner, seen[dy : dy + height, dx : dx + width]).real
+            total[dy, dx] += np.vdot(inner, warped[dy : dy + height, dx : dx + width]).real
     found = np.round(total / total[reach, reach], 4)
     found[np.abs(found) < CHANCE] = 0.0
     return np.asarray(found)
@@ -158,10 +158,10 @@ def _over_independent(
 ) -> np.ndarray:
     """Return the mean square of noise (h, w, bands) warped as in the middle of a grid over that of Σw²u², (bands,)."""
     warped, made = _warped_locally(values, maps, shape, variance)
-    told = np.nan_to_num(np.asarray(made))
-    seen = np.isfinite(warped) & (told > 0)
+    predicted = np.nan_to_num(np.asarray(made))
+    valid = np.isfinite(warped) & (predicted > 0)
     squares, expected = (
-        np.where(seen, part, 0).sum((0, 1), dtype=np.float64) for part in (warped**2, told)
+        np.where(valid, part, 0).sum((0, 1), dtype=np.float64) for part in (warped**2, predicted)
     )
     ratio = squares / np.maximum(expected, 1e-12)
     return np.where(ratio > LEAST_SHARED, ratio, 1.0).astype(np.float32)

@@ -320,12 +320,12 @@ def read_board_uncertainty(campaign: Campaign, capture: Capture) -> dict[str, fl
             return {
                 band.label: (
                     float(table[:, 2].mean())
-                    if seen is None
-                    else float(seen.mean_of(table[:, 0], table[:, 2]))
+                    if weight is None
+                    else float(weight.mean_of(table[:, 0], table[:, 2]))
                 )
                 / scale
                 / boards[band.label]
-                for band, seen in zip(bands, weights, strict=True)
+                for band, weight in zip(bands, weights, strict=True)
             }
     if white.uncertainty is None:
         return None

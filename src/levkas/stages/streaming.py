@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
     from levkas.stages.capture_statistics import DefaultLayer
 
-HELD_BYTES, ASKEW_BYTES = 300_000_000, 3_600_000_000
+BUFFER_BYTES, ASKEW_BYTES = 300_000_000, 3_600_000_000
 """Of calibrated lines and of grid rows, together, the next ones being read meanwhile; and of a scan that lies askew."""
 SAMPLE_BYTES = 9
 MOST_ROWS, LEAST_ROWS, TURNED_ROWS = 256, 8, 32
@@ -57,7 +57,7 @@ class CalibratedLines(CalibratedCapture, Protocol):
         """Yield lines `start` to `stop`, some at a time."""
 
 
-class HeldLines:
+class BufferedLines:
     """Two stretches of calibrated lines in turn: while one is read from, the next one is filled.
 
     Lines that both have are copied, not calibrated again. What `hold` returned last but one is
@@ -95,7 +95,7 @@ class HeldLines:
         return lines
 
     def _room(self, lines: int) -> Cube:
-        """Return the room that is free, as large as asked for."""
+        """Return the room that is free, as large as requested."""
         room = self._rooms.pop(0) if len(self._rooms) == 2 else None
         if room is None or len(room.values) < lines:
             room = None  # the smaller one goes before the larger one comes
@@ -196,8 +196,8 @@ def resample_scan(
     swap = Affine(np.array([[0.0, 1, 0], [1, 0, 0]]))
     turned = {id(one): Composed(swap, one) for one in maps}
     sideways, across = [turned[id(one)] for one in maps], (size[1], size[0])
-    rows = _rows_at_once(scan, maps, size, HELD_BYTES)
-    columns = 0 if rows else _rows_at_once(scan, sideways, across, HELD_BYTES)
+    rows = _rows_at_once(scan, maps, size, BUFFER_BYTES)
+    columns = 0 if rows else _rows_at_once(scan, sideways, across, BUFFER_BYTES)
     if not rows and not columns:
         rows = _rows_at_once(scan, maps, size, ASKEW_BYTES)
     if not rows and not columns:
@@ -209,7 +209,7 @@ def resample_scan(
                 fix="Rotate the grid so that the lines of the scan follow its rows or columns.",
             )
         )
-    seams = next((one["strips"] for one in scan.learnt.values() if "strips" in one), ())
+    seams = next((one["strips"] for one in scan.measured.values() if "strips" in one), ())
     shared = shared_by_strips(seams, scan.shape[1], maps, across) if seams else None
     if rows:
         blocks = _in_rows(scan, maps, size, rows, shared)
@@ -244,7 +244,7 @@ def _in_rows(
     step = tile_rows(strip, height)
     tops = range(0, height, step)
     laid: dict[int, PixelMap] = {}
-    held = HeldLines(scan, shared)
+    held = BufferedLines(scan, shared)
 
     def read(top: int) -> tuple[_Tile, Cube | None]:
         tile = _tile(scan, maps, size, (top, min(top + step, height)), strip, laid)

@@ -1,7 +1,7 @@
 """Strips of a line scan, joined at fractions of a pixel and averaged where they overlap.
 
-Strips are the passes of a stage, left to right. Each is calibrated by itself, some lines at a time, and seen in the
-pixels of the first; where two saw the same, their values are averaged by their noise. No strip is held whole.
+Strips are the passes of a stage, left to right. Each is calibrated by itself, some lines at a time, and resampled to the
+pixels of the first; where two overlap, their values are averaged by their noise. No strip is held whole.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def lines_of_scan(context: SensorContext) -> Strip | JoinedStrips:
 
 @dataclass(frozen=True, eq=False)
 class _PlacedStrip:
-    """A strip seen in the pixels of the joined scan, on the columns `first` to `stop` that it reaches.
+    """A strip in the pixels of the joined scan, on the columns `first` to `stop` that it reaches.
 
     `transform` goes from px of the joined scan to px of the strip. Where it moves whole pixels, `start` is the strip's
     first pixel, (x, y), and nothing is resampled.
@@ -248,7 +248,7 @@ class JoinedStrips:
         seams = [_compare(lying[n], lying[n + 1], joint) for n, joint in enumerate(joints)]
         for number, seam in enumerate(seams, 1):
             notes += seam.notes(f"strips {number} and {number + 1}")
-        strips[0].context.told["strips"] = [seam.record() for seam in seams]
+        strips[0].context.measured["strips"] = [seam.record() for seam in seams]
         return cls(tuple(lying), tuple(seams), tuple(dict.fromkeys(notes)))
 
     @property

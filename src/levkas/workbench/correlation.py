@@ -84,8 +84,8 @@ def find_partner(
     for extra in (int(np.ceil(reach / step)), *[2] * POLISHES):
         around = _grid(total, HALF_PX + extra, step)
         # Near one place the map is its slope: an exact one would cost an inversion a pixel.
-        window, seen = target.sample(start + around @ slope.T, step * scale)
-        if seen.mean() < 0.6 or window.std() < 1:
+        window, valid = target.sample(start + around @ slope.T, step * scale)
+        if valid.mean() < 0.6 or window.std() < 1:
             return nothing
         peak, score = _compare(patch, np.square(window))
         total = total + (peak - extra) * step

@@ -195,7 +195,7 @@ class RegistrationView:
             raise IndexError(which)
         side = "reference" if which == "reference" else "target"
         parts = [self._part(which, label, place, map_) for label in self.labels(side, bands)]
-        inside = [seen for _, seen in parts if seen is not None]
+        inside = [valid for _, valid in parts if valid is not None]
         values = parts[0][0] if len(parts) == 1 else np.dstack([part for part, _ in parts])
         return encode(tinted(values, tint), np.all(inside, axis=0) if inside else None)
 

@@ -83,11 +83,11 @@ class ShownPicture:
         part = np.ascontiguousarray(values[low[1] : high[1], low[0] : high[0]])
         place = np.where(inside[..., None], at - low, 0).astype(np.float32)
         how = cv2.INTER_CUBIC if level == 0 and step < 1.5 else cv2.INTER_LINEAR
-        seen = cv2.remap(
+        warped = cv2.remap(
             part.astype(np.float32), place[..., 0], place[..., 1], how,
             borderMode=cv2.BORDER_REPLICATE,
         )  # fmt: skip
-        return np.where(inside, np.clip(seen, 0, 255), 0).astype(np.float32), inside
+        return np.where(inside, np.clip(warped, 0, 255), 0).astype(np.float32), inside
 
 
 def warped_tile(
@@ -299,8 +299,8 @@ def draw_ssim(reference: ShownPicture, target: ShownPicture, forward: Transform)
     here = np.stack(np.meshgrid(across, down), -1)
     ours, known = reference.sample(here, step)
     placed = place_on_lattice(forward, across, down)
-    theirs, seen = target.sample(placed, step)
-    score, full = structural_similarity(ours, theirs, known & seen)
+    theirs, valid = target.sample(placed, step)
+    score, full = structural_similarity(ours, theirs, known & valid)
     if not np.isfinite(score):
         raise _missing("ssim", "the pictures do not overlap")
     return _coloured(full.astype(float), high=1.0)
@@ -312,8 +312,8 @@ def draw_flags(flags: np.ndarray, forward: Transform, size: tuple[int, int]) -> 
     across, down = _axes(size, LONGEST_PX)
     placed = place_on_lattice(forward, across, down)
     step = max(1.0, max(size) / LONGEST_PX)
-    share, seen = flagged.sample(placed, step)
-    return _coloured(np.where(seen, share / 255.0, np.nan), high=1.0)
+    share, valid = flagged.sample(placed, step)
+    return _coloured(np.where(valid, share / 255.0, np.nan), high=1.0)
 
 
 def to_png(drawn: Map) -> bytes:

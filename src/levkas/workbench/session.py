@@ -185,7 +185,7 @@ LEAST_STARTED = 0.9
 
 
 STILL_PX = 0.02
-"""Target px that a map may move before pictures are brought over anew: less than can be seen."""
+"""Target px that a map may move before pictures are brought over anew: less than is visible."""
 
 
 CUT = "farther than `reject` at the start"

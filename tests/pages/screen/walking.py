@@ -37,7 +37,7 @@ CONTRASTS = """() => {
   while (walker.nextNode()) {
     const e = walker.currentNode.parentElement;
     if (!walker.currentNode.data.trim() || !e.checkVisibility({visibilityProperty: true, opacityProperty: true})) continue;
-    if (e.closest('script, style, option, [disabled], canvas, .unseen')) continue;
+    if (e.closest('script, style, option, [disabled], canvas, .visually-hidden')) continue;
     const style = getComputedStyle(e), size = parseFloat(style.fontSize);
     const large = size >= 24 || (size >= 18.66 && Number(style.fontWeight) >= 700);
     // What lies over a picture may lie over the lightest one.

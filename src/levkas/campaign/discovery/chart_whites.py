@@ -81,17 +81,19 @@ def no_chart_frames(index: FileIndex, camera: Camera, setup: str) -> Problem:
 
 
 def other_chart_bands(
-    index: FileIndex, camera: Camera, bands: Sequence[Band], seen: Sequence[Band]
+    index: FileIndex, camera: Camera, bands: Sequence[Band], of_chart: Sequence[Band]
 ) -> Problem:
     """Return the refusal of a chart that was not captured in the bands of the object."""
     assert camera.white_chart is not None
-    lacking = [b.label for b in bands if b.label not in {other.label for other in seen}]
+    lacking = [b.label for b in bands if b.label not in {other.label for other in of_chart}]
     return Problem(
         "E_TEMPLATE_MISSING",
         f"{camera.name}: the chart {camera.white_chart.chart!r} was not captured in the bands of the object",
         str(index.campaign.path),
         f"cameras.{camera.name}.white.chart",
-        f"none in {', '.join(lacking[:6])}" if lacking else ", ".join(b.label for b in seen[:6]),
+        f"none in {', '.join(lacking[:6])}"
+        if lacking
+        else ", ".join(b.label for b in of_chart[:6]),
         f"{len(bands)} bands: {', '.join(b.label for b in bands[:6])}",
         "Capture the chart in every band, or remove the other bands from `wavelengths`.",
     )

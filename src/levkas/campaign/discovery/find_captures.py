@@ -163,9 +163,9 @@ def _objects(index: FileIndex) -> list[str]:
     if campaign.targets.objects:
         return list(campaign.targets.objects)
     others = set(declared_targets(campaign)) - set(campaign.objects)
-    seen = {f.target for found in index.frames.values() for f in found}
-    names = (seen - others) | set(campaign.objects)
-    if not names and seen.isdisjoint(campaign.targets.charts):  # charts alone are measured
+    captured = {f.target for found in index.frames.values() for f in found}
+    names = (captured - others) | set(campaign.objects)
+    if not names and captured.isdisjoint(campaign.targets.charts):  # charts alone are measured
         raise _no_objects(index)
     return sorted(names, key=lambda n: (natural(n), n))
 
@@ -238,7 +238,7 @@ def _require_frames(index: FileIndex, name: str, camera: str, setup: str) -> Non
             f"{name}: the reference camera {camera} has no image of this object",
             str(index.campaign.path),
             f"cameras.{camera}.files",
-            f"seen by {', '.join(others)}" if others else f"targets {', '.join(known)}",
+            f"captured by {', '.join(others)}" if others else f"targets {', '.join(known)}",
             f"{{target}} = {name} in {' or '.join(p.text for p in patterns_of(index, camera))}",
             closest_match(name, known)
             if not others
@@ -401,9 +401,9 @@ def _chart_frames(
         found = templates.of("chart", [white.chart], [setup])
     if not found:
         raise CaptureRefused(no_chart_frames(index, camera, setup))
-    frames, _, seen = _frames_and_bands(index, camera, sensor, found, setup)
-    if [b.label for b in seen] != [b.label for b in bands]:
-        raise CaptureRefused(other_chart_bands(index, camera, bands, seen))
+    frames, _, of_chart = _frames_and_bands(index, camera, sensor, found, setup)
+    if [b.label for b in of_chart] != [b.label for b in bands]:
+        raise CaptureRefused(other_chart_bands(index, camera, bands, of_chart))
     _check_exposures(camera, found, frames)
     return frames
 

@@ -134,8 +134,8 @@ def _roles_of(
     Roles that are `named` are not looked for, nor targets that are `shown` in their structure. Beside a `white`
     that is named a dark must be even, too: a painting may be dark all over.
     """
-    seen = [*found.values(), *([white] if white else [])]
-    brightest = max((s.high for s in seen), default=0.0)
+    every = [*found.values(), *([white] if white else [])]
+    brightest = max((s.high for s in every), default=0.0)
     plain = {t: s for t, s in found.items() if t not in shown}
     darks = {t: s for t, s in plain.items() if s.high < DARK_SHARE * brightest}
     if white is not None:
@@ -179,7 +179,7 @@ def _bright_and_dark(
 
 
 def tile_side(frames: Sequence[NamedFile], samples: Samples) -> int:
-    """Return the side of the mosaic's tile; 0 where no mosaic is seen."""
+    """Return the side of the mosaic's tile; 0 where no mosaic is found."""
     bright, dark = _bright_and_dark(frames, samples)
     return find_mosaic(bright.phases, dark=dark) if bright is not None else 0
 

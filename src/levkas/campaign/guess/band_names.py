@@ -88,7 +88,7 @@ class _Column:
 
 
 def mark_bands(
-    captures: Sequence[CaptureFile], tokens: Tokens, samples: Frames, *, asked: bool
+    captures: Sequence[CaptureFile], tokens: Tokens, samples: Frames, *, undecided_as_bands: bool
 ) -> tuple[Tokens, list[Question]]:
     """Mark the part of names that is a band or a wavelength.
 
@@ -98,7 +98,7 @@ def mark_bands(
     tokens : dict of path to tokens
     samples : Frames
         Compares frames where names do not decide.
-    asked : bool
+    undecided_as_bands : bool
         Whether what nothing decides is taken for bands.
 
     Returns
@@ -120,7 +120,11 @@ def mark_bands(
     undecided: list[tuple[list[CaptureFile], list[_Column]]] = []
     for cluster, columns in clusters:
         found = next(((c, kind) for c in columns if (kind := _by_name(c, samples))), None) or next(
-            ((c, kind) for c in columns if (kind := _by_pixels(c, cluster, sizes, samples, asked))),
+            (
+                (c, kind)
+                for c in columns
+                if (kind := _by_pixels(c, cluster, sizes, samples, undecided_as_bands))
+            ),
             None,
         )
         if found is None:
@@ -249,13 +253,13 @@ def _by_pixels(
     cluster: Sequence[CaptureFile],
     sizes: Mapping[str, set[object]],
     samples: Frames,
-    asked: bool,
+    undecided_as_bands: bool,
 ) -> tuple[str, str] | None:
     """Return the kind and the reason of a part in which files of one scene differ; None where they do not."""
     if not _may_be_bands(column, cluster, sizes, samples):
         return None
     same = _shows_one(column, samples)
-    if not same and not (asked and same is None):
+    if not same and not (undecided_as_bands and same is None):
         return None
     plain = all(re.fullmatch(r"[1-9]\d{2,3}", text) for text in column.values)
     kind = "wavelength" if plain and _are_spectral([float(t) for t in column.values]) else "band"

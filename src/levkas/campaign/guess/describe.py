@@ -30,7 +30,7 @@ READ_BYTES, ROWS = 20_000, 8
 """Of a table that is looked at."""
 WAVELENGTHS_NM = (200.0, 3000.0)
 BRIGHT = 0.5
-"""Share of a scale that must be reached to believe it is the scale."""
+"""Share of a scale that must be reached to take it for the scale."""
 
 
 @dataclass(frozen=True)
@@ -349,7 +349,7 @@ def _scale_keys(group: CameraGroup, samples: Samples, notes: CameraNotes) -> dic
     if step > 1:
         if top < BRIGHT * 65536 and not full:
             notes.hints.append(
-                f"saturation = {65536 - step}  # codes are multiples of {step}; highest seen {top}"
+                f"saturation = {65536 - step}  # codes are multiples of {step}; highest found {top}"
             )
             return {}
         why = f"{bits} bits stored in the upper bits of 16: every code is a multiple of {step}"

@@ -15,7 +15,7 @@ import numpy as np
 from levkas.core.blocks import block_means
 
 SIDE = 256
-"""Blocks along the longer side; at half or twice as many the same frames are told apart."""
+"""Blocks along the longer side; at half or twice as many the same frames are distinguished."""
 RIM = 50
 """A fiftieth of each side is left out at every edge: masks and bad lines of a sensor are the same in all its frames."""
 AROUND = 31

@@ -113,7 +113,7 @@ def _tokens_of_folder(name: str) -> tuple[Token, ...]:
 
 
 def name_targets(
-    captures: Sequence[CaptureFile], samples: Frames, *, asked: bool = False
+    captures: Sequence[CaptureFile], samples: Frames, *, undecided_as_bands: bool = False
 ) -> tuple[list[NamedFile], list[Question]]:
     """Find the target of every capture.
 
@@ -122,7 +122,7 @@ def name_targets(
     captures : sequence of CaptureFile
     samples : Frames
         What frames show; used where names do not tell shots, bands and objects apart.
-    asked : bool
+    undecided_as_bands : bool
         Whether files of which nothing decides whether they are bands or objects are taken for bands.
 
     Returns
@@ -133,7 +133,7 @@ def name_targets(
     """
     same_scene = samples.same_scene
     tokens = {c.path: tokens_of(composed(c.path.stem)) for c in captures}
-    tokens, questions = mark_bands(captures, tokens, samples, asked=asked)
+    tokens, questions = mark_bands(captures, tokens, samples, undecided_as_bands=undecided_as_bands)
     named: dict[Path, NamedFile] = {}
     for scan in find_scan_folders(captures, tokens, samples):
         named |= {n.path: n for n in _of_scan(scan, captures, tokens)}

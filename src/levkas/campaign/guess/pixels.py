@@ -46,7 +46,7 @@ BLOCK, MOST_CODES = 60, 1 << 17
 SHOWN = 0.3
 """Share of a frame's tiles with structure from which it shows an object: whites and darks have 0 to 0.25."""
 LINES = 64
-"""Of a cube: read from its middle, fewer where they would be more than `MOST_SEEN` values."""
+"""Of a cube: read from its middle, fewer where they would be more than `LARGEST_SAMPLE` values."""
 
 
 @dataclass(frozen=True)
@@ -467,11 +467,11 @@ def _middle_lines(capture: CaptureFile) -> np.ndarray:
     """Read some lines of a cube, (lines, samples, bands)."""
     from levkas.readers.envi import open_envi
     from levkas.readers.facts import check_memory
-    from levkas.readers.frames import MOST_SEEN
+    from levkas.readers.frames import LARGEST_SAMPLE
 
     cube = open_envi(capture.path)
     lines, samples, bands = cube.facts.shape
-    count = max(1, min(LINES, MOST_SEEN // (samples * bands)))
+    count = max(1, min(LINES, LARGEST_SAMPLE // (samples * bands)))
     check_memory(capture.path, count * samples * bands, np.dtype(cube.layout).itemsize)
     start = max(0, lines // 2 - count // 2)
     return cube.read_lines(start, min(lines, start + count))

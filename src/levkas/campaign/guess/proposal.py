@@ -175,7 +175,7 @@ def _with_questions(
     samples: Samples,
 ) -> list[CameraGuess]:
     """Leave both ways open for cameras of which nothing decides whether their files are bands or objects."""
-    named, _ = name_targets(captures, samples, asked=True)
+    named, _ = name_targets(captures, samples, undecided_as_bands=True)
     others, _ = group_cameras(named, "")
     open_cameras = list(cameras)
     for question in questions:
@@ -418,9 +418,9 @@ def _with_own_templates(camera: CameraGuess, targets: dict[str, Guess]) -> Camer
     for role in ("dark", "white"):
         if role in targets and role not in camera.targets.values():
             keys[role] = Guess([], f"no {role} of this camera was found")
-    seen = [name for name, role in camera.targets.items() if role == "chart"]
-    if seen and "white" not in camera.targets.values() and camera.traits.by_chart:
-        value = to_inline_toml({"chart": min(seen, key=natural)})
+    charts = [name for name, role in camera.targets.items() if role == "chart"]
+    if charts and "white" not in camera.targets.values() and camera.traits.by_chart:
+        value = to_inline_toml({"chart": min(charts, key=natural)})
         instead = " instead of the line above" if "white" in keys else ""
         hint = f"white = {value}  # reflectance by the chart{instead}"
         return replace(camera, keys=keys, hints=(*camera.hints, hint))

@@ -36,13 +36,15 @@ def why_unsafe(name: str) -> str:
     ('Windows has a device of this name', '')
     """
     found = _FORBIDDEN.search(name)
-    unseen = [c for c in name if unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp")]
-    unseen += sorted(_DIRECTIONS & {*name})
+    invisible = [c for c in name if unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp")]
+    invisible += sorted(_DIRECTIONS & {*name})
     reasons = {
         "it is empty": not name,
         f"it has {len(name)} letters": len(name) > LONGEST_NAME,
         f"it contains {found[0]!r}" if found else "": found,
-        f"it contains the control character U+{ord(unseen[0]):04X}" if unseen else "": unseen,
+        f"it contains the control character U+{ord(invisible[0]):04X}"
+        if invisible
+        else "": invisible,
         "it begins or ends with a dot or a space": re.search(r"^[.\s]|[.\s]$", name),
         "Windows has a device of this name": _DEVICES.fullmatch(name),
         "it is the name of an unfinished file": _UNFINISHED.search(name),

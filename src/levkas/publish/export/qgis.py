@@ -51,12 +51,12 @@ def spell_metadata(layer: ExportLayer) -> str:
         for name, value in (("quantity", layer.quantity), ("layer", layer.stem))
     ]
     for number, band in enumerate(layer.bands):
-        told: dict[str, Any] = {
+        values: dict[str, Any] = {
             "DESCRIPTION": band.label,
             "wavelength": band.wavelength,
             "fwhm": band.fwhm,
         }
-        for name, value in told.items():
+        for name, value in values.items():
             if value == value:
                 role = ' role="description"' if name == "DESCRIPTION" else ""
                 text = value if isinstance(value, str) else repr(float(value))

@@ -68,9 +68,7 @@ class Item:
     @property
     def subtitle(self) -> str:
         """Maker, date and medium in a line."""
-        return ", ".join(
-            str(self.facts[k]) for k in ("creator", "date", "medium") if _told(self, k)
-        )
+        return ", ".join(str(self.facts[k]) for k in ("creator", "date", "medium") if _has(self, k))
 
     def registration(self, layer: str) -> dict[str, Any]:
         """Return a layer's registration record, {} where it has none."""
@@ -86,7 +84,7 @@ class Item:
         return self.folder / f"{stem}.tif"
 
 
-def _told(item: Item, key: str) -> bool:
+def _has(item: Item, key: str) -> bool:
     return bool(item.facts.get(key))
 
 
@@ -219,14 +217,14 @@ def _write_layer(
     record: dict[str, Any],
 ) -> dict[str, Any]:
     tiff = item.tiff(*layer)
-    told, bands, centroids = _describe(tiff)
+    attrs, bands, centroids = _describe(tiff)
     shapes = _broad_channels(item.database / "cameras" / layer[0] / "sensitivity.csv", bands)
     if not np.isfinite(centroids).any():
         centroids = [centroid for centroid, _ in shapes]
     reference = item.tiff(item.reference, "") if item.reference else tiff
     source = Source(
-        *(item.database, item.name, tiff, bands, str(told.get("quantity", "")), record),
-        rendering=str(told.get("rendering", "")),
+        *(item.database, item.name, tiff, bands, str(attrs.get("quantity", "")), record),
+        rendering=str(attrs.get("rendering", "")),
         reference=reference if reference.is_file() else None,
     )
     pictures, thumbnail = [], ""
@@ -256,7 +254,7 @@ def _write_layer(
         key=f"{number}/native",
     )
     return {
-        **(_say_estimate(told) if told.get("kind") == ESTIMATED else {}),
+        **(_say_estimate(attrs) if attrs.get("kind") == ESTIMATED else {}),
         "quantity": source.quantity,
         "rendering": source.rendering,
         "bands": [
@@ -313,9 +311,9 @@ def _budget_of(
     return {"budget": {"rows": rows, "unknown": unknown, "correlation": correlation}}
 
 
-def _say_estimate(told: dict[str, Any]) -> dict[str, Any]:
+def _say_estimate(attrs: dict[str, Any]) -> dict[str, Any]:
     """Words for a layer that was made from others, in place of a verdict on its registration."""
-    facts = told.get("estimate") if isinstance(told.get("estimate"), dict) else {}
+    facts = attrs.get("estimate") if isinstance(attrs.get("estimate"), dict) else {}
     assert isinstance(facts, dict)
     sources, training = (", ".join(map(str, facts.get(key) or [])) for key in ("from", "training"))
     why = f"Estimated from {sources} by {facts.get('method')}, fitted on {training}: not a measurement."
@@ -327,25 +325,25 @@ def _describe(tiff: Path) -> tuple[dict[str, Any], tuple[Band, ...], list[float]
     pages = open_pages(tiff)
     text = next((t for t in pages.tags(METADATA) if t), "")
     try:
-        told = dict(parse_bounded(decode_text(str(text))))
+        attrs = dict(parse_bounded(decode_text(str(text))))
     except (ValueError, TypeError):
-        told = {}
+        attrs = {}
     count = len(pages)
     centres = next((t for t in pages.tags(WAVELENGTHS) if t is not None), None)
     centres = np.atleast_1d(np.asarray(centres if centres is not None else [], float)).tolist()
     labels, known, widths = (
-        values if isinstance(values := told.get(key), list) and len(values) == count else None
+        values if isinstance(values := attrs.get(key), list) and len(values) == count else None
         for key in ("bands", "wavelength", "fwhm")
     )
     numbered = centres == list(range(count)) or len(centres) != count
     known = known or ([None] * count if numbered else centres)
     labels = labels or [f"{v:g} nm" if v is not None else str(i) for i, v in enumerate(known)]
-    bad = told.get("bad_bands") or ()
+    bad = attrs.get("bad_bands") or ()
     bands = tuple(
         Band(str(label), _number(w), _number(f), label in bad)
         for label, w, f in zip(labels, known, widths or [None] * count, strict=True)
     )
-    return told, bands, [math.nan] * count if numbered else centres
+    return attrs, bands, [math.nan] * count if numbered else centres
 
 
 def _number(value: float | None) -> float:
@@ -422,7 +420,7 @@ def _say_facts(item: Item, width: int, height: int, sampling: float | None) -> l
     facts = [
         [words, _say_size(item.facts[key]) if key == "size_mm" else str(item.facts[key])]
         for key, words in FACTS.items()
-        if _told(item, key)
+        if _has(item, key)
     ]
     if width:
         facts.append(["Grid", f"{width} × {height} px"])

@@ -257,10 +257,10 @@ def similarity_map(tiff: Path, reference: Path) -> tuple[np.ndarray, Legend] | N
     sizes = [int(np.prod(open_pages(path).shape)) * 4 for path in (tiff, reference)]
     if max(sizes) > MOST_BYTES_SSIM:
         return None
-    (target, seen), (other, there) = read_grey(tiff), read_grey(reference)
+    (target, valid), (other, there) = read_grey(tiff), read_grey(reference)
     if target.shape != other.shape:
         return None
-    score, full = structural_similarity(other, target, seen & there)
+    score, full = structural_similarity(other, target, valid & there)
     if np.isnan(score):
         return None
     return colour_scale(full, 0.0, 1.0), Legend(least="0", most="1, alike")

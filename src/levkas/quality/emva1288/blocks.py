@@ -140,7 +140,7 @@ def _typical(values: np.ndarray) -> np.ndarray:
 
 
 MOST_APART = 6.0
-"""Ratio of two levels beyond which the darker one's noise is all that is seen."""
+"""Ratio of two levels beyond which the darker one's noise is all that is measured."""
 
 
 def pair_blocks(

@@ -82,7 +82,7 @@ def examine_campaign(
             problems = [
                 p for (_, camera, _), r in refusals.items() if camera == name for p in r.problems
             ]
-            yield _unknown(name, problems or [_unseen(name, campaign.path)])
+            yield _unknown(name, problems or [_not_captured(name, campaign.path)])
             continue
         yield from _examine_camera(campaign, [c for c in own if c.setup == own[0].setup], name, rng)
 
@@ -204,7 +204,7 @@ def _no_levels() -> Levels:
     return Levels(0, 0, 0)
 
 
-def _unseen(camera: str, file: Path) -> Problem:
+def _not_captured(camera: str, file: Path) -> Problem:
     return Problem(
         "E_NO_FRAMES", f"{camera}: no frame of any object", str(file), f"cameras.{camera}.files"
     )

@@ -150,20 +150,20 @@ def describe_levels(levels: Levels, full: float) -> str:
     """Describe how many codes there are, and on which curve they lie.
 
     >>> describe_levels(Levels(683, 0, 4095, 1.0, 215.0, 0.01565), 4095)
-    '683 codes seen of 683 on a compression curve: 1 apart up to 215, 15.6 apart at 4095'
+    '683 codes found of 683 on a compression curve: 1 apart up to 215, 15.6 apart at 4095'
     >>> describe_levels(Levels(256, 0, 4095, 16.0), 4095)
-    '256 codes seen, 16 apart: 256 of the 4096 there could be'
+    '256 codes found, 16 apart: 256 of the 4096 there could be'
     """
     possible = levels.between(0, full)
     if levels.curved:
         return (
-            f"{levels.count} codes seen of {max(possible, levels.count)} on a compression curve: "
+            f"{levels.count} codes found of {max(possible, levels.count)} on a compression curve: "
             f"{levels.spacing:g} apart up to {levels.knee:.0f}, {float(levels.step(full)):.1f} apart "
             f"at {full:.0f}"
         )
     if levels.spacing > 1:
-        return f"{levels.count} codes seen, {levels.spacing:g} apart: {possible} of the {full + 1:.0f} there could be"
-    return f"{levels.count} codes seen of {full + 1:.0f}"
+        return f"{levels.count} codes found, {levels.spacing:g} apart: {possible} of the {full + 1:.0f} there could be"
+    return f"{levels.count} codes found of {full + 1:.0f}"
 
 
 def describe_files(path: str | Path) -> tuple[list[FrameFacts], Levels | None, list[Problem]]:
@@ -260,20 +260,20 @@ def facts_table(frames: Sequence[FrameFacts], root: Path) -> str:
 
 
 def _row(frame: FrameFacts, root: Path) -> tuple[str, ...]:
-    def told(value: float | None, form: str = "g") -> str:
+    def text(value: float | None, form: str = "g") -> str:
         return "–" if value is None else format(value, form)
 
     file = Path(frame.file)
     return (
         str(file.relative_to(root)) if root in file.parents else file.name,
         frame.size,
-        told(frame.bits),
-        told(frame.black),
-        told(frame.white),
+        text(frame.bits),
+        text(frame.black),
+        text(frame.white),
         frame.pattern or "–",
-        told(frame.levels.count if frame.levels else None),
+        text(frame.levels.count if frame.levels else None),
         "–" if frame.clipped is None else f"{100 * frame.clipped:.2f} %",
         "–" if frame.zeros is None else f"{100 * frame.zeros:.1f} %",
         "–" if frame.exposure_s is None else f"{frame.exposure_s:g} s",
-        told(frame.iso),
+        text(frame.iso),
     )

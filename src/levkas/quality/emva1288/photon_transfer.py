@@ -222,7 +222,7 @@ def _notes(
     elif len({b.exposure_s for b in whites}) < 3:
         notes.append("linearity needs whites of three exposures or more")
     if (levels := sum(b.shots > 1 for b in lit)) < 5:
-        notes.append(f"{levels} level{'s' * (levels > 1)} of light; EMVA 1288 asks for more")
+        notes.append(f"{levels} level{'s' * (levels > 1)} of light; EMVA 1288 requires more")
     return tuple(notes)
 
 
@@ -407,8 +407,8 @@ def _prnu(
         signal = model.signal(b)
         over_time = b.temporal
         if b.shots == 1:
-            seen = signal + model.dark_signal(b)
-            over_time = gain * seen + quiet + rounding.quantisation(b.mean)
+            total = signal + model.dark_signal(b)
+            over_time = gain * total + quiet + rounding.quantisation(b.mean)
         fixed = b.spatial - over_time / b.shots - model.fixed(b)
         used = np.isfinite(signal + fixed)
         used &= (signal > PRNU_RANGE[0] * room) & (signal < PRNU_RANGE[1] * room)

@@ -96,8 +96,8 @@ def _gather_frames(
     ):
         if shots[0].band not in (None, *bands):
             continue
-        blocks, seen = _lit(sensor, name, shots)
-        histogram += seen
+        blocks, counts = _lit(sensor, name, shots)
+        histogram += counts
         for channel, found in blocks.items():
             kind.setdefault(channel, []).append(found)
     sensor.levels = find_levels(histogram)

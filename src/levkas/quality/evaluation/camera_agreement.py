@@ -57,7 +57,7 @@ class AgreementSettings:
     dark : float
         Mean of a patch below which its ratio is one of noise.
     apart : float
-        Relative difference below which nobody is told that cameras contradict each other, whatever their uncertainties: bands of other
+        Relative difference below which no contradiction between cameras is reported, whatever their uncertainties: bands of other
         shapes differ by that much.
     reach_nm : float
         How far a band of the first may lie from that of the second on either side.

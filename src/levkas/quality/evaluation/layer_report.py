@@ -240,7 +240,7 @@ def _turned_frames(
     found: Iterable[tuple[str, str, str]], path: Path, database: Path
 ) -> list[Problem]:
     """Return a problem for each layer, or reference of one, whose file viewers turn: points may be read in such a one."""
-    told: dict[str, Problem] = {}
+    turned: dict[str, Problem] = {}
     for name, layer in dict.fromkeys((name, layer) for name, layer, _ in found):
         leading = {
             r["reference"]["camera"]
@@ -248,8 +248,8 @@ def _turned_frames(
             if p.stem == layer
         }
         for text in warn_of_turns(database, name, (layer, *leading)) if leading else ():
-            told.setdefault(text, Problem("E_TURNED", text, str(path), fix=AS_STORED))
-    return list(told.values())
+            turned.setdefault(text, Problem("E_TURNED", text, str(path), fix=AS_STORED))
+    return list(turned.values())
 
 
 def _unknown_frame(

@@ -70,8 +70,8 @@ def _view(database: Path, name: str, record: dict[str, Any]) -> LoopView | None:
         return None
     sensor = next((image.sensor for image in images if image.label == band), None)
     transform = from_dict(record["bands"][band]["transform"])
-    mates = [image for image in images if image.sensor == sensor]
-    return LoopView(camera, mates, band, transform) if mates else None
+    of_sensor = [image for image in images if image.sensor == sensor]
+    return LoopView(camera, of_sensor, band, transform) if of_sensor else None
 
 
 def loops_text(loops: list[dict[str, Any]]) -> str:
@@ -82,7 +82,7 @@ def loops_text(loops: list[dict[str, Any]]) -> str:
     for one in loops:
         name = f"{one['object']}: reference, {one['first']}, {one['second']}"
         if one["mean"] is None:
-            lines.append(f"{name:44} not closed: {one['refused'] or 'no point is seen by all'}")
+            lines.append(f"{name:44} not closed: {one['refused'] or 'no point is within by all'}")
         else:
             lines.append(f"{name:44} {one['mean']:8.3f} {one['p95']:8.3f} {one['max']:8.3f}")
     return "\n".join(lines)
@@ -170,8 +170,8 @@ def close_loops(views: Sequence[LoopView], points: np.ndarray) -> Iterator[Loop]
         best = min(known, key=lambda way: way.sigma)
         start = one.transform(points)
         end = best.map(start) if best.leader is one else best.map.inverse(start)
-        seen = _on(one, start) & _on(other, end)
-        miss = np.linalg.norm(other.transform.inverse(end[seen]) - points[seen], axis=1)
+        within = _on(one, start) & _on(other, end)
+        miss = np.linalg.norm(other.transform.inverse(end[within]) - points[within], axis=1)
         yield Loop(one.name, other.name, miss[np.isfinite(miss)], verdict=best.verdict)
 
 
@@ -194,9 +194,9 @@ def _register(leader: LoopView, led: LoopView, points: np.ndarray) -> _Way:
     if found.verdict.decision == "refuse":
         return _Way(leader, leader.transform, refused=found.verdict.reasons[0])
     places = leader.transform(points)
-    seen = _on(leader, places)
-    scale = np.sqrt(np.abs(np.linalg.det(leader.transform.jacobian(points[seen]))))
-    sigma = found.sigma[led.band](places[seen]) / scale
+    within = _on(leader, places)
+    scale = np.sqrt(np.abs(np.linalg.det(leader.transform.jacobian(points[within]))))
+    sigma = found.sigma[led.band](places[within]) / scale
     median = float(np.nanmedian(sigma)) if np.isfinite(sigma).any() else np.inf
     return _Way(leader, found.transforms[led.band], median, found.verdict.decision)
 

@@ -145,7 +145,7 @@ def structural_similarity(
     reference, target : ndarray, (h, w)
         Values in any unit.
     valid : ndarray of bool, (h, w)
-        Pixels seen by both.
+        Pixels valid in both.
 
     Returns
     -------

@@ -36,7 +36,7 @@ class Glare(NamedTuple):
     """What was found, by sign; (h, w) of bool each.
 
     `saturated` (above white paint) and `bright` (beyond what paint can be) are glare; `lifted`, against
-    another setup, is the softer finding: the paint is seen through a veil.
+    another setup, is the softer finding: the paint is visible through a veil.
     """
 
     saturated: np.ndarray
@@ -50,7 +50,7 @@ class Glare(NamedTuple):
 
     @property
     def veiled(self) -> np.ndarray:
-        """Where paint is lifted, and still seen, (h, w) of bool."""
+        """Where paint is lifted, and still visible, (h, w) of bool."""
         return self.lifted & ~self.mask
 
     def counts(self) -> dict[str, int]:
@@ -208,10 +208,10 @@ def _find_lifted(
     lifted = np.zeros(values.shape[:2], bool)
     for top in range(0, len(values), ROWS):
         rows = slice(top, top + ROWS)
-        seen = ~is_flagged(flags[rows] | known[rows], Flag.OUTSIDE).any(-1)
+        inside = ~is_flagged(flags[rows] | known[rows], Flag.OUTSIDE).any(-1)
         margin = 0.0 if sigma is None else SIGMAS * np.nan_to_num(sigma[rows])
         full = is_flagged(flags[rows], Flag.SATURATED)
-        lifted[rows] = _lifted(values[rows], full, paint[rows] * gains, margin) & seen
+        lifted[rows] = _lifted(values[rows], full, paint[rows] * gains, margin) & inside
     return lifted
 
 

@@ -89,7 +89,7 @@ def light_field(white: np.ndarray, *, saturated: np.ndarray | None = None) -> Li
 
     Notes
     -----
-    What is seen is light times vignetting of the lens, which flat-fielding divides out together.
+    What is measured is light times vignetting of the lens, which flat-fielding divides out together.
 
     Examples
     --------

@@ -248,7 +248,7 @@ def _spread(
     if not count.all():
         raise _refused("E_EDGE_ANGLE", "rows of the edge repeat the same few phases",
                        f"{np.count_nonzero(count == 0)} of {len(count)} quarters of a pixel without a sample",
-                       "every quarter of a pixel seen", "Turn the edge to about 5 degrees, or name a longer one.")  # fmt: skip
+                       "every quarter of a pixel sampled", "Turn the edge to about 5 degrees, or name a longer one.")  # fmt: skip
     level, at = (
         np.bincount(bins[inside], part[inside], minlength=2 * half + 1) / count
         for part in (values, off)
@@ -273,9 +273,9 @@ def _spectrum(spread: np.ndarray, places: np.ndarray) -> np.ndarray:
     slope = np.gradient(spread)[1:-1]
     found = np.abs(np.fft.rfft(slope * tukey(len(slope), 0.5), PADDED))
     frequencies = np.arange(len(found)) * OVERSAMPLED / PADDED
-    seen = frequencies <= 1
-    f = frequencies[seen]
-    return np.asarray(found[seen] / found[0] / (np.sinc(f / 2) * np.sinc(f / 4)))
+    resolved = frequencies <= 1
+    f = frequencies[resolved]
+    return np.asarray(found[resolved] / found[0] / (np.sinc(f / 2) * np.sinc(f / 4)))
 
 
 def _check_angle(slope: float, least: float = LEAST_ANGLE) -> None:

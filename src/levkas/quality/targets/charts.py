@@ -194,8 +194,8 @@ def _correct_names(names: list[str], chart: Chart) -> tuple[list[str], str]:
     for order in (by_column, list(chart.patches)):
         wrong = [i for i, name in enumerate(names) if name != order[i]]
         if all(names[i] in twice and order[i] not in names for i in wrong):
-            told = ", ".join(f"{names[i]} in column {i + 2} read as {order[i]}" for i in wrong)
-            return order, told
+            misread = ", ".join(f"{names[i]} in column {i + 2} read as {order[i]}" for i in wrong)
+            return order, misread
     return names, ""
 
 

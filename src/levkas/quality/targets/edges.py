@@ -335,8 +335,8 @@ def _median(axis: str, tables: list[EdgeTable]) -> EdgeTable:
             return np.asarray(np.nanmedian([getattr(t, name) for t in tables], axis=0))
 
     first = tables[0]
-    seen = {band for table in tables for band in table.refused}
-    nowhere = {b: first.refused[b] for b in seen if all(b in t.refused for t in tables)}
+    refused_bands = {band for table in tables for band in table.refused}
+    nowhere = {b: first.refused[b] for b in refused_bands if all(b in t.refused for t in tables)}
     return EdgeTable(
         f"{len(tables)} border{'s' * (len(tables) > 1)} of grey patches",
         axis,
@@ -398,15 +398,15 @@ def layer_rows(measures: Sequence[_Measured]) -> list[IndicatorRow]:
     -----
     A layer's edge lies where its bands have it in the mean. Names of measures are OBJECT/LAYER.
     """
-    seen: dict[tuple[str, str, str], list[tuple[str, float]]] = {}
+    places_of: dict[tuple[str, str, str], list[tuple[str, float]]] = {}
     for measure in measures:
         thing, slash, layer = measure.name.partition("/")
         for table in measure.edges.tables:
             if slash and np.isfinite(table.origin):
-                places = seen.setdefault((thing, table.label, table.axis), [])
+                places = places_of.setdefault((thing, table.label, table.axis), [])
                 places.append((layer, table.origin))
     rows = []
-    for (thing, label, axis), places in seen.items():
+    for (thing, label, axis), places in places_of.items():
         if len(places) > 1:
             low, high = (pick(places, key=lambda p: p[1]) for pick in (min, max))
             name = f"{thing}, {label}, along {axis}: shift between layers, largest ({low[0]} to {high[0]})"

@@ -286,7 +286,7 @@ def grey_agreement(means: np.ndarray, chart: Chart) -> tuple[float, np.ndarray]:
     return agreement, np.full(means.shape[1], np.nan)
 
 
-def seen_instead(column: np.ndarray, reference: ChartReference) -> tuple[float, float]:
+def wavelength_of_order(column: np.ndarray, reference: ChartReference) -> tuple[float, float]:
     """Return the wavelength, nm, at which a chart reflects most as a band saw it, and that rank correlation.
 
     Parameters

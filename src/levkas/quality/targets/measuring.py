@@ -33,7 +33,7 @@ from levkas.quality.targets.indicators import (
     indicator,
     lightness_slope,
 )
-from levkas.quality.targets.locating import LEAST_AGREEMENT, Located, seen_instead
+from levkas.quality.targets.locating import LEAST_AGREEMENT, Located, wavelength_of_order
 from levkas.quality.targets.patches import (
     SATURATED,
     PatchTable,
@@ -72,28 +72,28 @@ class Sighting:
     common: np.ndarray | None = None
 
 
-def decode_sighting(seen: Sighting, chart: Chart, top: float) -> Sighting:
+def decode_sighting(sighting: Sighting, chart: Chart, top: float) -> Sighting:
     """Return the sighting of a chart in a photograph as light, 0 … 1, with what its codes resolve.
 
     Parameters
     ----------
-    seen : Sighting
+    sighting : Sighting
         Its values are the codes of the photograph.
     chart : Chart
     top : float
         The greatest code: 255 of 8 bits.
     """
-    means = seen.located.means / top
+    means = sighting.located.means / top
     curve = find_curve(means, chart)
-    light = curve.decode(seen.cube.values / top).astype(np.float32)
+    light = curve.decode(sighting.cube.values / top).astype(np.float32)
     shots = None
-    if seen.shots is not None:
-        first, second = (curve.decode(shot / top) for shot in seen.shots)
+    if sighting.shots is not None:
+        first, second = (curve.decode(shot / top) for shot in sighting.shots)
         shots = first, second
     return replace(
-        seen,
-        located=seen.located._replace(means=curve.decode(means)),
-        cube=replace(seen.cube, values=light, sigma=None),
+        sighting,
+        located=sighting.located._replace(means=curve.decode(means)),
+        cube=replace(sighting.cube, values=light, sigma=None),
         shots=shots,
         steps=curve.steps(means, round(top)),
         curve=curve,
@@ -208,26 +208,26 @@ class ChartMeasure:
 def measure(
     name: str,
     chart: Chart,
-    seen: Sequence[Sighting],
+    sightings: Sequence[Sighting],
     reference: ChartReference | None,
     *,
     evenness: WhiteEvenness | None = None,
     notes: Sequence[str] = (),
 ) -> ChartMeasure:
-    """Measure a chart where it was seen."""
-    table = _join_tables(seen)
-    bands = tuple(band for s in seen for band in s.cube.bands)
-    preblurs = [p for s in seen for p in _preblurs(s)]
+    """Measure a chart where it was found."""
+    table = _join_tables(sightings)
+    bands = tuple(band for s in sightings for band in s.cube.bands)
+    preblurs = [p for s in sightings for p in _preblurs(s)]
     wavelengths = np.array([band.wavelength for band in bands], float)
-    unfit = np.concatenate([s.located.unfit for s in seen])
-    remarks = [*notes, *_warnings(table, bands, seen), *_misfits(bands, seen, reference)]
+    unfit = np.concatenate([s.located.unfit for s in sightings])
+    remarks = [*notes, *_warnings(table, bands, sightings), *_misfits(bands, sightings, reference)]
     remarks += _unknown_bands(bands, reference)
     if reference is not None and reference.note:
         remarks.append(f"reference: {reference.note}")
     colours, rows = None, []
-    photograph = len(seen) == 1 and seen[0].curve is not None
-    remarks += [s.curve.note for s in seen if s.curve is not None]
-    reflective = photograph or all(s.cube.quantity == "reflectance" for s in seen)
+    photograph = len(sightings) == 1 and sightings[0].curve is not None
+    remarks += [s.curve.note for s in sightings if s.curve is not None]
+    reflective = photograph or all(s.cube.quantity == "reflectance" for s in sightings)
     visible = ~np.isfinite(wavelengths) | ((wavelengths > 380) & (wavelengths < 740))
     visible &= ~unfit
     if reference is not None:  # a channel in the infrared tells no colour
@@ -242,12 +242,12 @@ def measure(
         colours = compare_colours(means, wavelengths[~unfit], reference, srgb=photograph)
         weights = np.zeros(len(bands))
         weights[~unfit] = colours.weights
-        noise_row, remark = rate_noise(seen, weights, table.mean @ weights, chart)
+        noise_row, remark = rate_noise(sightings, weights, table.mean @ weights, chart)
         rows = [*rate(colours, chart, evenness=evenness), *noise_row]
         remarks += remark
     elif not clean:
         remarks.append("colours are not compared where patches saturate")
-    edges = join_findings([_edges(one, chart) for one in seen])
+    edges = join_findings([_edges(one, chart) for one in sightings])
     stray = None
     if reference is not None and reflective and not photograph and clean:
         stray = measure_stray_light(
@@ -258,7 +258,7 @@ def measure(
     return ChartMeasure(
         name,
         chart,
-        tuple(seen),
+        tuple(sightings),
         bands,
         table,
         tuple(preblurs),
@@ -270,9 +270,9 @@ def measure(
     )
 
 
-def _join_tables(seen: Sequence[Sighting]) -> PatchTable:
+def _join_tables(sightings: Sequence[Sighting]) -> PatchTable:
     """Measure the patches in the cube of every sensor; return them over all bands."""
-    tables = [_patches_of(one) for one in seen]
+    tables = [_patches_of(one) for one in sightings]
     mean, noise, saturated, quantised = (
         np.concatenate([getattr(t, part) for t in tables], 1)
         for part in ("mean", "noise", "saturated", "quantised")
@@ -290,11 +290,11 @@ def _stray_row(stray: StrayLight, bands: Sequence[Band]) -> list[IndicatorRow]:
     return [IndicatorRow(name, 100 * float(stray.shares[most]), "%", "0", "–", "–")]
 
 
-def _edges(seen: Sighting, chart: Chart) -> EdgeFindings:
-    period = 1 if seen.pattern is None else max(seen.pattern.shape)
-    if seen.edges:
-        return measure_named(seen.cube, seen.edges, period=period)
-    return measure_borders(seen.cube, seen.located, chart, period=period)
+def _edges(sighting: Sighting, chart: Chart) -> EdgeFindings:
+    period = 1 if sighting.pattern is None else max(sighting.pattern.shape)
+    if sighting.edges:
+        return measure_named(sighting.cube, sighting.edges, period=period)
+    return measure_borders(sighting.cube, sighting.located, chart, period=period)
 
 
 INFRARED = 690.0
@@ -302,28 +302,30 @@ INFRARED = 690.0
 
 
 def _misfits(
-    bands: Sequence[Band], seen: Sequence[Sighting], reference: ChartReference | None
+    bands: Sequence[Band], sightings: Sequence[Sighting], reference: ChartReference | None
 ) -> list[str]:
     """Say which bands rank the patches otherwise than their wavelength should, and what they look like."""
-    said = [
-        f"the corners were {s.located.turned} to fit the chart" for s in seen if s.located.turned
+    notes = [
+        f"the corners were {s.located.turned} to fit the chart"
+        for s in sightings
+        if s.located.turned
     ]
-    columns = np.concatenate([s.located.means for s in seen], 1)
-    fit = np.concatenate([s.located.bands for s in seen])
-    for i in map(int, np.flatnonzero(np.concatenate([s.located.unfit for s in seen]))):
+    columns = np.concatenate([s.located.means for s in sightings], 1)
+    fit = np.concatenate([s.located.bands for s in sightings])
+    for i in map(int, np.flatnonzero(np.concatenate([s.located.unfit for s in sightings]))):
         assert reference is not None  # without it no band is compared
-        wavelength, agreement = seen_instead(columns[:, i], reference)
+        wavelength, agreement = wavelength_of_order(columns[:, i], reference)
         like = f"it looks like {wavelength:g} nm ({agreement:.2f})"
         if agreement < LEAST_AGREEMENT:
             like = (
                 f"it looks like no single wavelength, most like {wavelength:g} nm ({agreement:.2f})"
             )
         leak = "; near infrared leaks through its filter" if wavelength >= INFRARED else ""
-        said.append(
+        notes.append(
             f"the signal of {bands[i].label} does not match its wavelength: rank correlation "
             f"{fit[i]:.2f}; {like}{leak}. It is left out of the colours"
         )
-    return said
+    return notes
 
 
 def _unknown_bands(bands: Sequence[Band], reference: ChartReference | None) -> list[str]:
@@ -332,7 +334,7 @@ def _unknown_bands(bands: Sequence[Band], reference: ChartReference | None) -> l
         return []
     wavelengths = np.array([band.wavelength for band in bands], float)
     beyond = np.isfinite(wavelengths) & ~reference.covers(wavelengths)
-    said = []
+    notes = []
     for where, part in (
         ("infrared", beyond & (wavelengths > reference.wavelengths[-1])),
         ("ultraviolet", beyond & (wavelengths < reference.wavelengths[0])),
@@ -340,34 +342,34 @@ def _unknown_bands(bands: Sequence[Band], reference: ChartReference | None) -> l
         labels = [bands[i].label for i in map(int, np.flatnonzero(part))]
         if labels:
             more = f" and {len(labels) - 6} more" if len(labels) > 6 else ""
-            said.append(
+            notes.append(
                 f"no reference in the {where} for {', '.join(labels[:6])}{more}: the spectra "
                 f"({reference.source}) cover {reference.wavelengths[0]:g} to "
                 f"{reference.wavelengths[-1]:g} nm. Signal and noise are reported there without a "
                 "comparison; give a CSV that covers this range"
             )
-    return said
+    return notes
 
 
-def _patches_of(seen: Sighting) -> PatchTable:
+def _patches_of(sighting: Sighting) -> PatchTable:
     return measure_patches(
-        *(seen.cube.values, seen.cube.flags, seen.located.areas),
-        shots=seen.shots,
-        steps=seen.steps,
-        count=seen.count,
-        pattern=seen.pattern,
-        common=seen.common,
+        *(sighting.cube.values, sighting.cube.flags, sighting.located.areas),
+        shots=sighting.shots,
+        steps=sighting.steps,
+        count=sighting.count,
+        pattern=sighting.pattern,
+        common=sighting.common,
     )
 
 
-def _preblurs(seen: Sighting) -> list[Preblur | None]:
+def _preblurs(sighting: Sighting) -> list[Preblur | None]:
     """Find the blur of every band from its noise; None for demosaiced ones, whose neighbours are correlated."""
     from levkas.quality.targets.patches import find_preblur
 
-    if seen.pattern is not None:
-        return [None] * len(seen.cube.bands)
+    if sighting.pattern is not None:
+        return [None] * len(sighting.cube.bands)
     found: list[Preblur | None] = []
-    for planes in noise_planes(seen.cube.values, seen.located.areas, shots=seen.shots):
+    for planes in noise_planes(sighting.cube.values, sighting.located.areas, shots=sighting.shots):
         try:
             found.append(find_preblur(planes, fitted=3))
         except ValueError:  # patches too small for that
@@ -375,7 +377,7 @@ def _preblurs(seen: Sighting) -> list[Preblur | None]:
     return found
 
 
-def _warnings(table: PatchTable, bands: Sequence[Band], seen: Sequence[Sighting]) -> list[str]:
+def _warnings(table: PatchTable, bands: Sequence[Band], sightings: Sequence[Sighting]) -> list[str]:
     doubts = []
     full = table.saturated.max(0)
     if full.max() > SATURATED:
@@ -391,7 +393,7 @@ def _warnings(table: PatchTable, bands: Sequence[Band], seen: Sequence[Sighting]
             "the signal-to-noise is limited by quantisation, the rounding to codes, in patches of "
             f"{', '.join(where[:6])}{more}: expose longer, or save more bits"
         )
-    glared = any(is_flagged(s.cube.flags, Flag.GLARE).any() for s in seen)
+    glared = any(is_flagged(s.cube.flags, Flag.GLARE).any() for s in sightings)
     if glared:
         doubts.append("there is glare on the chart")
     if not table.temporal:
@@ -505,13 +507,16 @@ def rate(
 
 
 def noise_of_lightness(
-    seen: Sequence[Sighting], weights: np.ndarray, luminances: np.ndarray, patches: Sequence[int]
+    sightings: Sequence[Sighting],
+    weights: np.ndarray,
+    luminances: np.ndarray,
+    patches: Sequence[int],
 ) -> np.ndarray:
     """Return the standard deviation of L* in patches.
 
     Parameters
     ----------
-    seen : sequence of Sighting
+    sightings : sequence of Sighting
         A sensor each; their noise is independent.
     weights : ndarray, (bands,)
         Luminance Y of the values, over the bands of all sensors.
@@ -528,7 +533,7 @@ def noise_of_lightness(
     """
     variance = np.zeros(len(patches))
     first = 0
-    for one in seen:
+    for one in sightings:
         bands = one.cube.values.shape[2]
         part = weights[first : first + bands]
         first += bands
@@ -544,11 +549,11 @@ def noise_of_lightness(
 
 
 def rate_noise(
-    seen: Sequence[Sighting], weights: np.ndarray, luminances: np.ndarray, chart: Chart
+    sightings: Sequence[Sighting], weights: np.ndarray, luminances: np.ndarray, chart: Chart
 ) -> tuple[list[IndicatorRow], list[str]]:
     """Return the row of the noise of L* in the grey patches, none where they saturate, and a remark."""
     greys = list(chart.greys)
-    noise = noise_of_lightness(seen, weights, luminances[greys], greys)
+    noise = noise_of_lightness(sightings, weights, luminances[greys], greys)
     if not np.isfinite(noise).any():
         return [], []
     worst = int(np.nanargmax(noise))

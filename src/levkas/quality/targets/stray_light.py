@@ -18,7 +18,7 @@ standard error 0.16 or 0.25 % of the white, instead of 0.19."""
 OF_BLACK = 0.002
 """The same in reflectance, of the black patch, whose gloss depends on the lighting. Half or twice: 0.12 or 0.32 %."""
 LEAST = 0.005
-"""Share of the white from which stray light is named: below, one chart's black cannot be told from another's."""
+"""Share of the white from which stray light is named: below, one chart's black cannot be distinguished from another's."""
 
 
 class StrayLight(NamedTuple):

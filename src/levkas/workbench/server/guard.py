@@ -1,6 +1,6 @@
 """Guard of every route: host, origin, token, content type, body size.
 
-A server on 127.0.0.1 is no secret: any page that is open in a browser can ask it. So the host has
+A server on 127.0.0.1 is no secret: any page that is open in a browser can send it requests. So the host has
 to be its own (a page that rebinds its name to 127.0.0.1 sends its own name), requests of other
 sites are refused, and all data needs a token that only the terminal has shown.
 """
@@ -119,7 +119,7 @@ class Guard:
         foreign |= not followed and any(site not in ("same-origin", "none") for site in sites)
         unsafe = socket or scope["method"] not in SAFE
         if foreign or (unsafe and not origins and not sites):
-            return Refusal(403, "another site, or none, asks for this")
+            return Refusal(403, "another site, or none, sends this request")
         return None
 
     def _knows(self, headers: dict[str, list[str]]) -> bool:
@@ -182,7 +182,7 @@ async def _body_of(receive: Receive, most: int) -> bytes | None:
     taken, more = 0, True
     while more:
         message = await receive()
-        if message["type"] != "http.request":  # who asked has gone
+        if message["type"] != "http.request":  # the client has disconnected
             break
         parts.append(message.get("body", b""))
         taken, more = taken + len(parts[-1]), message.get("more_body", False)

@@ -412,7 +412,7 @@ def describe_frame(frame: RegistrationView) -> dict[str, Any]:
         "maps": find_kinds(frame.record, frame.band),
         "method": frame.record.get("method", ""),
         "verdict": judged,
-        "ladder": [s.get("ladder", {}) for s in sensors[:1]],
+        "scores": [s.get("scores", {}) for s in sensors[:1]],
         "chosen": [s.get("base", "") for s in sensors[:1]],
         "basis": basis_of(frame),
         "outline": outline.tolist(),
