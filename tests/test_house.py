@@ -2,6 +2,7 @@
 
 import ast
 import itertools
+import re
 from collections import defaultdict
 from pathlib import Path
 
@@ -15,6 +16,12 @@ PUBLIC = {"levkas.simulation.campaigns.simulate_campaign"}
 """Functions of `levkas.__all__`: programs of others call them, and their parameters may only grow."""
 DEEP: set = set()
 """What still breaks a measure: names may leave these lists, none may enter."""
+SPEECH = {
+    "told", "foretold", "seen", "unseen", "foreseen", "ask", "asked", "asks", "believe",
+    "believes", "believed", "learnt", "heard", "borne", "ladder", "climbs", "mate", "mates",
+    "rig", "rival", "rivals", "strange", "lent", "settled",
+}  # fmt: skip
+"""Words that are not the field's: data are declared, measured, observed or requested."""
 BLOCKS = (ast.For, ast.While, ast.If, ast.With, ast.Try, ast.Match)
 
 
@@ -128,3 +135,31 @@ def test_a_class_name_means_one_thing():
 def test_the_top_level_is_seen_at_a_glance():
     entries = {path.relative_to(HOUSE).parts[0] for path in FILES}
     assert len(entries) <= MOST_ENTRIES, sorted(entries)
+
+
+def names_of(tree):
+    """Every identifier of a module, and every string that could be the key of a record."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Name(id=name) | ast.Attribute(attr=name) | ast.arg(arg=name):
+                yield name
+            case ast.FunctionDef(name=name) | ast.ClassDef(name=name) | ast.keyword(arg=str(name)):
+                yield name
+            case ast.alias(asname=str(name)):
+                yield name
+            case ast.Constant(value=str(name)) if re.fullmatch(r"[a-z]+(_[a-z]+)*", name):
+                yield name
+
+
+def words_of(name):
+    return {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)}
+
+
+def test_names_and_record_keys_are_the_fields_words():
+    spoken = {
+        f"{module}: {name}"
+        for module, tree in TREES.items()
+        for name in names_of(tree)
+        if words_of(name) & SPEECH
+    }
+    assert sorted(spoken) == []
