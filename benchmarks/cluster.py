@@ -129,7 +129,7 @@ STREAMED = """
 from levkas.core.instructions import hold_instructions
 hold_instructions()
 from levkas.stages import scans, streaming
-scans.STREAMED_SAMPLES, streaming.HELD_BYTES = 0, 3_000_000
+scans.STREAMED_SAMPLES, streaming.BUFFER_BYTES = 0, 3_000_000
 """
 
 

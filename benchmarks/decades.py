@@ -94,5 +94,5 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("kinds", nargs="*", default=list(KINDS))
     parser.add_argument("--seeds", type=int, default=1, help="campaigns of each case")
-    told = parser.parse_args()
-    main(told.kinds, told.seeds)
+    options = parser.parse_args()
+    main(options.kinds, options.seeds)

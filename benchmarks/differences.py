@@ -182,8 +182,8 @@ def compare_arrays(
 ) -> Iterator[Found]:
     """Yield how far two arrays of values, flags, sigma or grey levels are apart."""
     if old.shape != new.shape or old.dtype != new.dtype:
-        told = f"{old.shape} {old.dtype} -> {new.shape} {new.dtype}"
-        yield "record", told, math.nan, math.nan
+        text = f"{old.shape} {old.dtype} -> {new.shape} {new.dtype}"
+        yield "record", text, math.nan, math.nan
     elif kind == "flags" or old.dtype.kind not in "fiu":
         if count := int((old != new).sum()):
             yield "flags" if kind == "flags" else "record", f"{count} differ", count, math.nan
@@ -194,18 +194,18 @@ def compare_arrays(
         if not size:
             return
         sigmas = math.nan
-        told = f"{np.count_nonzero((old != new) & (np.isfinite(old) | np.isfinite(new)))} pixels"
+        text = f"{np.count_nonzero((old != new) & (np.isfinite(old) | np.isfinite(new)))} pixels"
         with np.errstate(all="ignore"):
             if kind == "sigma":
                 size = largest(difference / np.abs(old), old, new)
             elif kind == "values":
                 if sigma is not None and sigma.shape == old.shape:
                     sigmas = largest(difference / sigma, old, new)
-                told += f", largest {size:.3g}"
+                text += f", largest {size:.3g}"
                 steps = STORED_STEP * np.fmax(np.abs(old), np.abs(new))
                 scale = np.max(np.abs(old), initial=1, where=np.isfinite(old))
                 size = largest(np.maximum(difference - steps, 0), old, new) / float(scale)
-        yield kind, told, size, sigmas
+        yield kind, text, size, sigmas
 
 
 def largest(difference: np.ndarray, old: np.ndarray, new: np.ndarray) -> float:
@@ -251,8 +251,8 @@ def compare_words(old: str, new: str, at: str = "") -> Iterator[Found]:
         return
     if NUMBER.sub("#", old) != NUMBER.sub("#", new):
         start = next((n for n, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), 0)
-        told = f"{at}: …{old[max(0, start - 20) :][:80]!r} -> …{new[max(0, start - 20) :][:80]!r}"
-        yield "record", told, math.nan, math.nan
+        text = f"{at}: …{old[max(0, start - 20) :][:80]!r} -> …{new[max(0, start - 20) :][:80]!r}"
+        yield "record", text, math.nan, math.nan
         return
     pairs = zip(NUMBER.findall(old), NUMBER.findall(new), strict=True)
     sizes = [(relative(float(a), float(b)), a, b) for a, b in pairs if a != b]

@@ -64,8 +64,10 @@ def simulate(data: Path, sensitivities: np.ndarray, rng: np.random.Generator) ->
     wavelengths, spectra, pigments = read_pigments(data / "spectra" / "pigments")
     fine = np.arange(406.0, 721.0)
     light = np.interp(fine, *illuminant("D50"))
-    seen = [np.interp(fine, sensitivities[:, 0], c, left=0, right=0) for c in sensitivities.T[1:4]]
-    weights = np.stack(seen, 1) * light[:, None]
+    sensitivity = [
+        np.interp(fine, sensitivities[:, 0], c, left=0, right=0) for c in sensitivities.T[1:4]
+    ]
+    weights = np.stack(sensitivity, 1) * light[:, None]
     fine_spectra = np.stack([np.interp(fine, wavelengths, s) for s in spectra])
     responses = fine_spectra @ (weights / weights.sum(0))
     responses *= 1 + rng.normal(0, 1 / SNR, responses.shape)
@@ -135,16 +137,16 @@ def main() -> None:
     parser.add_argument("--cube", action="store_true")
     parser.add_argument("--json", type=Path)
     add_option(parser)
-    asked = parser.parse_args()
-    sensitivities, camera = read_sensitivities(asked.sensitivities)
-    samples = simulate(asked.data, sensitivities, np.random.default_rng(SEED))
+    options = parser.parse_args()
+    sensitivities, camera = read_sensitivities(options.sensitivities)
+    samples = simulate(options.data, sensitivities, np.random.default_rng(SEED))
     print(f"{len(samples)} spectra of {samples.groups.max() + 1} pigments, {camera}, SNR {SNR}")
     print(f"{'method':22} {'RMSE':>7} {'median':>7} {'p95':>7} {'ΔE00':>6} {'of all':>7} {'s':>6}")
     record: dict[str, object] = {"camera": camera, "methods": {}}
-    for name in asked.methods:
+    for name in options.methods:
         method = find_method(name)
         found = score(method, samples)
-        if asked.cube:
+        if options.cube:
             found["cube_seconds"] = cube_seconds(method)
         record["methods"][name] = found
         rmse, colour = found["rmse"], found["delta_e_d65"]
@@ -152,7 +154,7 @@ def main() -> None:
             f"{name:22} {rmse['mean']:7.4f} {rmse['median']:7.4f} {rmse['p95']:7.4f} {colour['mean']:6.2f} "
             f"{found['rmse_of_all']:7.4f} {found['seconds']:6.1f}"
             + (f"  interval holds {found['coverage']:.1%}" if "coverage" in found else "")
-            + (f"  cube {found['cube_seconds']['wall']:.0f} s" if asked.cube else ""),
+            + (f"  cube {found['cube_seconds']['wall']:.0f} s" if options.cube else ""),
             flush=True,
         )
     figures = {}
@@ -160,9 +162,9 @@ def main() -> None:
         for column, kind in (("RMSE", "rmse"), ("ΔE00 D65", "delta_e_d65")):
             if name in NAMES:
                 figures[NAMES[name], column] = found[kind]["mean"]
-    record_figures(asked.results, "estimation", figures)
-    if asked.json:
-        asked.json.write_text(json.dumps(record, indent=1), encoding="utf-8")
+    record_figures(options.results, "estimation", figures)
+    if options.json:
+        options.json.write_text(json.dumps(record, indent=1), encoding="utf-8")
 
 
 if __name__ == "__main__":

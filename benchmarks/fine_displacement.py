@@ -56,11 +56,11 @@ def planted(seed: int, snr: float, light: str, kind: str, size: float, side: flo
     except RegistrationRefused:
         return None
     reasons = " ".join(found.verdict.reasons)
-    fine = found.verdict.numbers["sensor"]["borne_out"]["fine_displacement"] or {}
-    seen = fine.get("size_px" if kind == "patch" else "rms_px") or np.nan
+    fine = found.verdict.numbers["sensor"]["verification"]["fine_displacement"] or {}
+    size_px = fine.get("size_px" if kind == "patch" else "rms_px") or np.nan
     doubted = found.verdict.decision != "accept"
     error = np.nan if doubted else error_of(found, truth, shift)
-    return doubted, "maller than" in reasons, seen * scale / size, error
+    return doubted, "maller than" in reasons, size_px * scale / size, error
 
 
 def main() -> None:

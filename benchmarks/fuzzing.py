@@ -99,8 +99,12 @@ def run(reader, seconds):
         for number, (_, data) in enumerate(every):
             tail = bytes([number]) if len(every) > 1 else b""
             (corpus / str(number)).write_bytes(data + tail)
-        ask = ["-seed=" + str(SEED), f"-max_total_time={seconds}", f"-artifact_prefix={room}/died-"]
-        command = [sys.executable, __file__, "--one", reader, str(folder), *FLAGS, *ask]
+        limits = [
+            "-seed=" + str(SEED),
+            f"-max_total_time={seconds}",
+            f"-artifact_prefix={room}/died-",
+        ]
+        command = [sys.executable, __file__, "--one", reader, str(folder), *FLAGS, *limits]
         done = subprocess.run([*command, str(corpus)], capture_output=True, text=True, check=False)
         record = {"came": {}, "ways": 0}
         with contextlib.suppress(OSError, ValueError):

@@ -108,8 +108,8 @@ def work(folder: Path) -> None:
     done.set()
     watcher.join()
     usage = resource.getrusage(resource.RUSAGE_SELF)
-    told = {"cpu": usage.ru_utime + usage.ru_stime, "clock": time.perf_counter() - start}
-    print(json.dumps({**told, "peak": (peak[0] - before) / 1e6, "refused": len(states)}))
+    used = {"cpu": usage.ru_utime + usage.ru_stime, "clock": time.perf_counter() - start}
+    print(json.dumps({**used, "peak": (peak[0] - before) / 1e6, "refused": len(states)}))
 
 
 def measure(size: Size) -> dict:

@@ -105,8 +105,8 @@ def measure(what: str, code: str) -> None:
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     lines = run.stdout.splitlines()
     print(f"| {what} | {seconds:.1f} | {cpu:.1f} | {int(lines[-1]) / 1024:.0f} |", flush=True)
-    told = [line for line in lines[:-1] if " fresh" in line or " stale" in line]
-    print("\n".join(told[-3:]), file=sys.stderr, flush=True)
+    states = [line for line in lines[:-1] if " fresh" in line or " stale" in line]
+    print("\n".join(states[-3:]), file=sys.stderr, flush=True)
 
 
 def measure_all(root: Path) -> None:
@@ -133,15 +133,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("objects", type=int, nargs="?", default=500)
     parser.add_argument("--in", dest="folder", type=Path)
-    told = parser.parse_args()
-    root = told.folder or Path(tempfile.mkdtemp())
+    options = parser.parse_args()
+    root = options.folder or Path(tempfile.mkdtemp())
     try:
         if not (root / "campaign.toml").is_file():
-            write_frames(root, told.objects)
+            write_frames(root, options.objects)
             make(root)
         measure_all(root)
     finally:
-        if told.folder is None:
+        if options.folder is None:
             shutil.rmtree(root)
 
 

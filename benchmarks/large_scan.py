@@ -130,16 +130,16 @@ def main() -> None:
     done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
     if done.returncode:
         sys.exit(done.stderr)
-    told = json.loads(done.stdout.splitlines()[-1])
+    report = json.loads(done.stdout.splitlines()[-1])
     raw = lines * SAMPLES * BANDS * 2
     print(
-        f"{raw / 1e9:.1f} GB of {lines} lines: {told['seconds']:.0f} s, "
-        f"{raw / 1e6 / told['seconds']:.0f} MB/s of raw, {told['peak'] / 1e9:.2f} GB of private "
-        f"memory at its peak of {options.memory:g}, {told['written'] / 1e6:.0f} MB written"
+        f"{raw / 1e9:.1f} GB of {lines} lines: {report['seconds']:.0f} s, "
+        f"{raw / 1e6 / report['seconds']:.0f} MB/s of raw, {report['peak'] / 1e9:.2f} GB of private "
+        f"memory at its peak of {options.memory:g}, {report['written'] / 1e6:.0f} MB written"
     )
     name = f"{raw / 1e9:.0f} GB scan"
-    record(options.results, "speed", {name: raw / 1e6 / told["seconds"]})
-    record(options.results, "speed", {f"{name}, private memory": told["peak"] / 1e9})
+    record(options.results, "speed", {name: raw / 1e6 / report["seconds"]})
+    record(options.results, "speed", {f"{name}, private memory": report["peak"] / 1e9})
     if options.folder is None:
         shutil.rmtree(folder)
 

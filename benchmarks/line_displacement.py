@@ -134,7 +134,7 @@ def judged(reference: np.ndarray, target: np.ndarray):
         found = register(reference, target)
     except RegistrationRefused:
         return None, None
-    return found, found.verdict.numbers["sensor"]["borne_out"]["line_displacement"]
+    return found, found.verdict.numbers["sensor"]["verification"]["line_displacement"]
 
 
 def honest(seeds: int, real: int) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:

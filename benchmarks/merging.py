@@ -85,9 +85,11 @@ def responses(shape: tuple[int, int]) -> np.ndarray:
     return 1 + 0.01 * np.random.default_rng(2).standard_normal(shape)
 
 
-def lent(light: np.ndarray, told: argparse.Namespace) -> np.ndarray:
+def leaked(light: np.ndarray, options: argparse.Namespace) -> np.ndarray:
     """Return what sensels have of their neighbours."""
-    return cv2.filter2D(light, -1, told.leak * np.array([[0.3, 1, 0.3], [1, 0, 1], [0.3, 1, 0.3]]))
+    return cv2.filter2D(
+        light, -1, options.leak * np.array([[0.3, 1, 0.3], [1, 0, 1], [0.3, 1, 0.3]])
+    )
 
 
 def longest(reflectance: np.ndarray) -> np.ndarray:
@@ -96,15 +98,15 @@ def longest(reflectance: np.ndarray) -> np.ndarray:
     return np.sum(full, 0) - 1
 
 
-def write(folder: Path, kind: str, black: str, told: argparse.Namespace) -> None:
+def write(folder: Path, kind: str, black: str, options: argparse.Namespace) -> None:
     rng = np.random.default_rng([ord(letter) for letter in kind + black])
-    panel, moving = painting(told.side) if told.painted else scene(told.side)
+    panel, moving = painting(options.side) if options.painted else scene(options.side)
     response = responses(panel.shape)
     (folder / "raw").mkdir()
     last = longest(panel)
     taken = [("panel", i, t, 1) for i, t in enumerate(TIMES)]
-    taken.append(("white", -1, WHITE_TIME, told.whites))
-    taken += [("dark", -1, t, told.darks) for t in TIMES] if black == "darks" else []
+    taken.append(("white", -1, WHITE_TIME, options.whites))
+    taken += [("dark", -1, t, options.darks) for t in TIMES] if black == "darks" else []
     tags = [(50714, "H", 1, int(BLACK), True)] if black in ("frames", "dng") else []
     dng = [
         (33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes([0, 1, 1, 2]), True),
@@ -114,14 +116,14 @@ def write(folder: Path, kind: str, black: str, told: argparse.Namespace) -> None
         (50778, "H", 1, 21, True), (50728, "2I", 3, (1, 1, 1, 1, 1, 1), True),
     ]  # fmt: skip
     for name, index, time, shots in taken:
-        seen = {"panel": panel, "white": 1 + 0 * panel, "dark": 0 * panel}[name]
-        seen = np.where(moving & (last == index), CHANGE * seen, seen)
-        electrons = WHITE * time * seen * response / GAIN
-        electrons = electrons + lent(np.minimum(electrons, (FULL - BLACK) / GAIN), told)
+        scene_in_shot = {"panel": panel, "white": 1 + 0 * panel, "dark": 0 * panel}[name]
+        scene_in_shot = np.where(moving & (last == index), CHANGE * scene_in_shot, scene_in_shot)
+        electrons = WHITE * time * scene_in_shot * response / GAIN
+        electrons = electrons + leaked(np.minimum(electrons, (FULL - BLACK) / GAIN), options)
         for shot in range(shots):
             light = GAIN * rng.poisson(electrons)
-            light -= told.bend * light**2 / (FULL - BLACK)
-            codes = np.rint(light + rng.normal(BLACK, told.read, panel.shape)).clip(0, FULL)
+            light -= options.bend * light**2 / (FULL - BLACK)
+            codes = np.rint(light + rng.normal(BLACK, options.read, panel.shape)).clip(0, FULL)
             path = (
                 folder / "raw" / f"{name}_550nm_{1000 * time:g}ms_{shot}{SUFFIX.get(black, '.tif')}"
             )
@@ -142,31 +144,31 @@ def write(folder: Path, kind: str, black: str, told: argparse.Namespace) -> None
 
 
 def bound(
-    rate: np.ndarray, of_white: np.ndarray, black: str, told: argparse.Namespace
+    rate: np.ndarray, of_white: np.ndarray, black: str, options: argparse.Namespace
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the least variance of R that the frames allow, of counts a second, and where an exposure's use is clear."""
-    read = told.read**2 + 1 / 12
-    dark = read / told.darks if black == "darks" else 0.0
+    read = options.read**2 + 1 / 12
+    dark = read / options.darks if black == "darks" else 0.0
     weight, clear = np.zeros(rate.shape), np.ones(rate.shape, bool)
 
     def slope(counts: np.ndarray) -> np.ndarray:
-        return 1 - 2 * told.bend * counts / (FULL - BLACK)
+        return 1 - 2 * options.bend * counts / (FULL - BLACK)
 
     for t in TIMES:
         x = rate * t
-        code = x - told.bend * x**2 / (FULL - BLACK) + BLACK
+        code = x - options.bend * x**2 / (FULL - BLACK) + BLACK
         usable = (code < 0.98 * FULL) & (slope(x) > 0.5)
         weight += usable * t**2 / (GAIN * x + (read + dark) / slope(x) ** 2)
         clear &= np.abs(code - 0.98 * FULL) > 0.03 * FULL
     white = of_white * WHITE_TIME
-    of_own = (GAIN * white + read / slope(white) ** 2) / told.whites + dark / slope(white) ** 2
+    of_own = (GAIN * white + read / slope(white) ** 2) / options.whites + dark / slope(white) ** 2
     reflectance = rate / of_white
     return 1 / weight / of_white**2 + reflectance**2 * of_own / white**2, clear
 
 
-def measured(folder: Path, kind: str, black: str, told: argparse.Namespace) -> np.ndarray:
+def measured(folder: Path, kind: str, black: str, options: argparse.Namespace) -> np.ndarray:
     """Print a line a patch; return bias %, variance over the bound and spread of each, (patches, 3)."""
-    write(folder, kind, black, told)
+    write(folder, kind, black, options)
     for step in build(folder):
         if step.state in ("refused", "failed"):
             raise SystemExit(f"{kind}, black from {black}: {step}")
@@ -175,7 +177,7 @@ def measured(folder: Path, kind: str, black: str, told: argparse.Namespace) -> n
         np.moveaxis(np.atleast_3d(tifffile.imread(f"{stem}{part}.tif").T), (0, 1), (1, 0))
         for part in ("", ".flags", ".sigma")
     )
-    panel, moving = painting(told.side) if told.painted else scene(told.side)
+    panel, moving = painting(options.side) if options.painted else scene(options.side)
     y, x = np.indices(panel.shape)
     channel = (y % 2) * 2 + x % 2 if values.shape[2] > 1 else 0 * y
     if black == "dng":  # red, green, blue; green on two phases
@@ -183,19 +185,21 @@ def measured(folder: Path, kind: str, black: str, told: argparse.Namespace) -> n
     pick = lambda cube: np.take_along_axis(cube, channel[..., None], 2)[..., 0]  # noqa: E731
     value, flag, spread = pick(values), pick(flags), pick(sigma)
     response = responses(panel.shape)
-    white, seen = (WHITE * (part + lent(part, told)) for part in (response, panel * response))
-    truth = seen / white
-    least, clear = bound(seen, white, black, told)
+    white, imaged = (
+        WHITE * (part + leaked(part, options)) for part in (response, panel * response)
+    )
+    truth = imaged / white
+    least, clear = bound(imaged, white, black, options)
     inside, there = np.ones(panel.shape, bool), moving
-    if not told.painted:
+    if not options.painted:
         edge = 3
-        rim = np.pad(np.ones((told.side - 2 * edge,) * 2, bool), edge)
-        corner = np.zeros((told.side,) * 2, bool)
-        corner[: told.side // 8 + edge, : told.side // 8 + edge] = True
+        rim = np.pad(np.ones((options.side - 2 * edge,) * 2, bool), edge)
+        corner = np.zeros((options.side,) * 2, bool)
+        corner[: options.side // 8 + edge, : options.side // 8 + edge] = True
         inside, corner = (np.kron(np.ones((3, 4)), part) > 0 for part in (rim, corner))
         there = inside & moving & np.roll(moving, (-edge, -edge), (0, 1))
         inside, clear = inside & ~corner, clear | True
-    if told.painted:
+    if options.painted:
         parts = [(low, (truth >= low) & (truth < high)) for low, high in pairwise(DECADES)]
     else:
         parts = [(reflectance, panel == reflectance) for reflectance in PATCHES]
@@ -204,7 +208,7 @@ def measured(folder: Path, kind: str, black: str, told: argparse.Namespace) -> n
         "      R   bias %  (± of it)   variance/bound   (R − truth)/sigma   moved where not %   and where %"
     )
     found = []
-    usable = inside & clear & (flag & ~np.uint8(Flag.MOVED) == 0) if told.painted else inside
+    usable = inside & clear & (flag & ~np.uint8(Flag.MOVED) == 0) if options.painted else inside
     for reflectance, part in parts:
         here = part & usable
         miss = value[here] - truth[here]
@@ -232,22 +236,22 @@ def main() -> None:
     parser.add_argument("--painted", action="store_true", help="discs in place of patches")
     parser.add_argument("--leak", type=float, help="share lent to each neighbour")
     add_option(parser)
-    told = parser.parse_args()
+    options = parser.parse_args()
     for name, painted in (("leak", 0.0018), ("bend", 0.06)):
-        if getattr(told, name) is None:
-            setattr(told, name, painted if told.painted else 0.0)
+        if getattr(options, name) is None:
+            setattr(options, name, painted if options.painted else 0.0)
     figures = {}
     for kind in KINDS:
         for black in ("campaign", "frames", "dng", "darks"):
-            if (kind, black) == ("bands", "dng") or told.only not in f"{kind}:{black}":
+            if (kind, black) == ("bands", "dng") or options.only not in f"{kind}:{black}":
                 continue
             with tempfile.TemporaryDirectory() as folder:
-                found = measured(Path(folder), kind, black, told)
+                found = measured(Path(folder), kind, black, options)
             name = {"campaign": "campaign.toml", "dng": "DNG"}.get(black, black)
-            name = "painting" if told.painted else name
+            name = "painting" if options.painted else name
             for column, several in zip(COLUMNS, found.T, strict=True):
                 figures[f"{kind}, {name}", column] = (several.min(), several.max())
-    record(told.results, "merging", figures)
+    record(options.results, "merging", figures)
 
 
 if __name__ == "__main__":

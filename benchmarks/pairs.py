@@ -1,4 +1,4 @@
-"""Pairs of pictures for the battery: one surface seen twice through known maps, and impostors."""
+"""Pairs of pictures for the battery: one surface imaged twice through known maps, and impostors."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def shoot(layer, to_surface, size, rng, *, snr, blur=0.0):
     spacing = np.sqrt(abs(np.linalg.det(corner[1:] - corner[0])))
     limit = np.array(layer.shape[::-1]) - 1
     known = np.all((places >= 0) & (places <= limit), 1)
-    # Only what is seen, and what the blur and the spline reach, is worth the time.
+    # Only what is in view, and what the blur and the spline reach, is worth the time.
     low = np.clip(places.min(0).astype(int) - 40, 0, limit - 80)
     high = np.clip(places.max(0).astype(int) + 40, low + 80, limit + 1)
     part = np.ascontiguousarray(layer[low[1] : high[1], low[0] : high[0]])
@@ -272,6 +272,6 @@ def ornaments(rng: np.random.Generator, size) -> tuple[np.ndarray, np.ndarray]:
     views = []
     for dy, dx in (np.zeros(2), rng.uniform(0, period, 2)):
         places = np.stack([(rows + dy) % period, (columns + dx) % period])
-        seen = 0.5 + 0.1 * ndimage.map_coordinates(tile, places, order=1, mode="grid-wrap")
-        views.append(seen + rng.normal(0, 0.008, seen.shape))
+        view = 0.5 + 0.1 * ndimage.map_coordinates(tile, places, order=1, mode="grid-wrap")
+        views.append(view + rng.normal(0, 0.008, view.shape))
     return views[0], views[1]

@@ -106,15 +106,15 @@ def lenses() -> Figures:
                 views.append(LoopView(name, images[name], name, found.transforms[name]))
         means, largest = [], []
         for loop in close_loops(views, points_on(images["Red"][0])):
-            told = loop.to_dict()
+            row = loop.to_dict()
             name = f"{scene}, loop Red, {loop.first}, {loop.second}"
-            if told["mean"] is None:
+            if row["mean"] is None:
                 print(f"{name:44s} not closed: {loop.refused}")
             else:
-                means.append(told["mean"])
-                largest.append(told["max"])
+                means.append(row["mean"])
+                largest.append(row["max"])
                 print(
-                    f"{name:44s} {told['points']:4d} {told['mean']:7.3f} {told['max']:7.3f}  "
+                    f"{name:44s} {row['points']:4d} {row['mean']:7.3f} {row['max']:7.3f}  "
                     f"median {np.median(loop.error):.3f}, {loop.verdict}"
                 )
         if len(means) == 6:

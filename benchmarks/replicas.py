@@ -3,7 +3,7 @@
     python benchmarks/replicas.py [--pairs 120] [--first 0]
     python benchmarks/replicas.py --campaigns 2 [--scale 0.2]
 
-One panel seen twice, and two panels by one pattern, through a stencil or by a free
+One panel imaged twice, and two panels by one pattern, through a stencil or by a free
 hand, with strokes, cracks, holes and weave of their own, in visible light, infrared and X-rays. Thresholds were set on
 other panels than are drawn here. `--campaigns` simulates campaigns of two icons each: one panel, one pose, one pattern
 (halo, garments, folds, border, letters), other colours, strokes, gold and craquelure; every camera of either is registered
@@ -131,7 +131,7 @@ class Panel:
 
 
 def panels(seed: int):
-    """Return (name, reference, target, true map or None): one panel seen twice, or two by one pattern."""
+    """Return (name, reference, target, true map or None): one panel imaged twice, or two by one pattern."""
     rng = np.random.default_rng([17, seed])
     kind, light = KINDS[seed % 3], LIGHTS[seed // 3 % 4]
     pattern = Pattern(rng)
@@ -189,7 +189,7 @@ def simulated(folder: Path, seed: int, scale: float) -> Path:
 
 def describe_marks(numbers: dict) -> str:
     """Return the correlation of marks of each sensor."""
-    found = [sensor["borne_out"].get("marks") for sensor in numbers.values()]
+    found = [sensor["verification"].get("marks") for sensor in numbers.values()]
     return "; ".join(
         f"marks {m['correlation']:.2f}, at most {m['at_most']:.2f}, held {m['held']}"
         if m

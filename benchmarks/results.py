@@ -163,11 +163,11 @@ def _figure(one: dict) -> Figure:
 
 def _check(results: Results) -> None:
     """Raise ValueError for a figure that is twice, has no table, no command, date or number."""
-    tables, seen = {t.id for t in results.tables}, set()
+    tables, earlier = {t.id for t in results.tables}, set()
     for one in results.figures:
         values = one.value if isinstance(one.value, tuple) else (one.value,)
         sound = {
-            "twice": one.key not in seen,
+            "twice": one.key not in earlier,
             "table": one.table in tables,
             "what": bool(one.what),
             "unit": isinstance(one.unit, str),
@@ -183,7 +183,7 @@ def _check(results: Results) -> None:
         if not all(sound.values()):
             wrong = [name for name, good in sound.items() if not good]
             raise ValueError(f"figure {one.key}: {', '.join(wrong)}")
-        seen.add(one.key)
+        earlier.add(one.key)
 
 
 def _rounded(value: Value) -> Value:

@@ -53,7 +53,7 @@ ERROR_FLOOR = 1e-3
 STREAMED = """
 import importlib, pathlib, re, sys, levkas
 home = pathlib.Path(levkas.__file__).parent
-for name, number in (("STREAMED_SAMPLES", 0), ("HELD_BYTES", 3_000_000)):
+for name, number in (("STREAMED_SAMPLES", 0), ("BUFFER_BYTES", 3_000_000)):
     assigned = re.compile(rf"^(?:\\w+, )*{name}(?:, \\w+)* = ", re.M)
     holders = [p for p in home.rglob("*.py") if assigned.search(p.read_text())]
     if not holders:
@@ -263,8 +263,8 @@ def compare_errors(campaign: str, old: Any, new: Any) -> Iterator[Difference]:
         first, second = before[key], after[key]
         if first is not None and second is not None and first != second:
             change = 100 * (second - first) / max(first, ERROR_FLOOR)
-            told = f"{'/'.join(filter(None, key))}: {first:.5f} -> {second:.5f} px"
-            yield Difference(campaign, "evaluate.json", "error", told, abs(change), "%")
+            text = f"{'/'.join(filter(None, key))}: {first:.5f} -> {second:.5f} px"
+            yield Difference(campaign, "evaluate.json", "error", text, abs(change), "%")
 
 
 # --- commands
@@ -273,8 +273,8 @@ def compare_errors(campaign: str, old: Any, new: Any) -> Iterator[Difference]:
 def unpack(commit: str, folder: Path) -> Path:
     """Return the sources of a commit with the pages that are built here; they are unpacked where there are none."""
     git = ["git", "-C", str(HERE)]
-    asked = [*git, "rev-parse", "--verify", f"{commit}^{{commit}}"]
-    name = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+    command = [*git, "rev-parse", "--verify", f"{commit}^{{commit}}"]
+    name = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     target = folder / "code" / name
     if not target.is_dir():
         room = target.with_name(f"{name}.unfinished")
@@ -315,16 +315,16 @@ def compare(folder: Path, names: list[str], *, exact: bool, output: Path | None)
             found = compare_builds(name, recorded, Path(room) / name, exact=exact)
         bad = [d for d in found if exact or d.fails]
         failed += bool(bad)
-        told = f"{len(bad)} beyond the limits, {len(found)} differences" if found else "equal"
-        print(f"{name}: {told}; built in {seconds:.0f} s", flush=True)
+        summary = f"{len(bad)} beyond the limits, {len(found)} differences" if found else "equal"
+        print(f"{name}: {summary}; built in {seconds:.0f} s", flush=True)
         for one in sorted(found, key=lambda d: d not in bad):
             print(f"  {'!' if one in bad else ' '} {one.line}")
         everything += [{**asdict(d), "fails": d in bad} for d in found]
     passed_over = ", ".join(sorted(EXCLUDED - {"sha256"} if exact else EXCLUDED))
     print(f"excluded: {passed_over}; code and fingerprints in provenance.json; the ledger")
     if output:
-        told = {"bytes": exact, "limits": LIMITS, "campaigns": names, "differences": everything}
-        output.write_text(json.dumps(told, indent=1), encoding="utf-8")
+        summary = {"bytes": exact, "limits": LIMITS, "campaigns": names, "differences": everything}
+        output.write_text(json.dumps(summary, indent=1), encoding="utf-8")
     return int(failed > 0)
 
 

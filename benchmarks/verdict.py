@@ -2,7 +2,7 @@
 
     python benchmarks/verdict.py [--pairs 320] [--impostors 1000] [--method levkas] [--json OUT] [--results FILE]
 
-A true pair is one surface seen twice through known maps: any rotation, scale 0.2 to 5, shifted by up
+A true pair is one surface imaged twice through known maps: any rotation, scale 0.2 to 5, shifted by up
 to 40 % each way, SNR from 10, visible, near infrared or inverted, mirrored, half covered; an impostor
 has no true map. Success is a pair that is not refused and at most 0.5 reference px wrong in the mean
 over what both show; a false accept is an impostor that is not refused, or a pair that is more than
@@ -49,11 +49,11 @@ def judge_pair(number, name, reference, target, truth=None, shown=None, *, metho
     except RegistrationRefused as refusal:
         row |= {"decision": "refuse", "reasons": [str(refusal)], "numbers": {}}
     else:
-        told = result.verdict.to_dict()
+        verdict = result.verdict.to_dict()
         row |= {
-            "decision": told["decision"],
-            "reasons": told["reasons"],
-            "numbers": told["numbers"],
+            "decision": verdict["decision"],
+            "reasons": verdict["reasons"],
+            "numbers": verdict["numbers"],
         }
         if truth is not None:
             row["error"] = error_of(result.transforms["grey"], truth, reference.shape[::-1], shown)

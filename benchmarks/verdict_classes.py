@@ -113,9 +113,11 @@ def sample(picture: np.ndarray, to_picture, size) -> np.ndarray:
     step = to_picture(np.add([size[0] / 2, size[1] / 2], [[0, 0], [1, 0], [0, 1]]))
     spacing = np.sqrt(abs(np.linalg.det(step[1:] - step[0])))
     soft = cv2.GaussianBlur(picture, (0, 0), 0.45 * max(spacing, 1.0))
-    seen = np.all((places >= 0) & (places <= np.array(picture.shape[::-1]) - 1), 1)
+    inside = np.all((places >= 0) & (places <= np.array(picture.shape[::-1]) - 1), 1)
     found = ndimage.map_coordinates(soft, places.T[::-1], order=3, mode="nearest")
-    return np.where(seen, found, 0.02 * picture.max()).reshape(size[1], size[0]).astype(np.float32)
+    return (
+        np.where(inside, found, 0.02 * picture.max()).reshape(size[1], size[0]).astype(np.float32)
+    )
 
 
 def judged(name, reference, target, truth=None, shown=None, picture="") -> dict:
@@ -136,7 +138,7 @@ def judged(name, reference, target, truth=None, shown=None, picture="") -> dict:
     row |= found.verdict.to_dict()
     if truth is not None:
         numbers = row["numbers"].get("sensor", row["numbers"])
-        box = numbers.get("borne_out", numbers).get("box") or [0, 0, *reference.shape[::-1]]
+        box = numbers.get("verification", numbers).get("box") or [0, 0, *reference.shape[::-1]]
         row |= errors(found, truth, box, shown)
     return row | {"seconds": time.perf_counter() - start}
 

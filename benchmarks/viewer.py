@@ -81,15 +81,15 @@ def write_one(root: Path) -> None:
 ONE = (1250, 1280)
 CAMERAS = {"lctf": [f"{w} nm" for w in range(410, 711, 20)], "rgb": ["R", "G", "B"]}
 HOVER = """async (places) => {
-  const {stage} = levkasViewer, box = stage.left.viewer.container, told = [];
+  const {stage} = levkasViewer, box = stage.left.viewer.container, times = [];
   const place = document.querySelector('.place');
   for (const [x, y] of places) {
     const [clientX, clientY] = stage.left.pageOf(x, y), from = performance.now();
     box.dispatchEvent(new PointerEvent('pointermove', {clientX, clientY, bubbles: true}));
     while (place.dataset.pixel !== `${x},${y}`) await new Promise(r => setTimeout(r, 1));
-    told.push(performance.now() - from);
+    times.push(performance.now() - from);
   }
-  return told.sort((a, b) => a - b);
+  return times.sort((a, b) => a - b);
 }"""
 REGION = """async () => {
   const from = performance.now(), {state} = levkasViewer;
@@ -114,23 +114,23 @@ def measure_one(chromium, address: str) -> dict:
     context = chromium.new_context(viewport={"width": 1280, "height": 900})
     page = context.new_page()
     page.goto(address)
-    told = page.evaluate(PAINTS)
+    measured = page.evaluate(PAINTS)
     page.wait_for_function("() => window.levkasViewer?.stage.settled")
     rng = np.random.default_rng(2)
     wide = rng.integers([5, 5], [ONE[1] - 5, ONE[0] - 5], (60, 2)).tolist()
     near = (rng.integers(0, 40, (60, 2)) + 600).tolist()
     for name, places in (("hover, new tile", wide), ("hover, same tile", near)):
         times = page.evaluate(HOVER, places)
-        told[name] = {"median": times[len(times) // 2], "of 20 the slowest": times[-3]}
-    told["region of a million pixels"] = page.evaluate(REGION)
-    told["another band of it"] = page.evaluate(BAND)
+        measured[name] = {"median": times[len(times) // 2], "of 20 the slowest": times[-3]}
+    measured["region of a million pixels"] = page.evaluate(REGION)
+    measured["another band of it"] = page.evaluate(BAND)
     began = time.perf_counter()
     with page.expect_download() as download:
         page.get_by_role("button", name="Save picture").click()
     download.value.path()
-    told["saved picture"] = 1000 * (time.perf_counter() - began)
+    measured["saved picture"] = 1000 * (time.perf_counter() - began)
     context.close()
-    return told
+    return measured
 
 
 class Counting(SimpleHTTPRequestHandler):
@@ -148,15 +148,15 @@ class Counting(SimpleHTTPRequestHandler):
 
 
 def measure(chromium, address: str, runs: int) -> dict:
-    seen = []
+    runs_measured = []
     for _ in range(runs):
         Counting.sent = 0
         context = chromium.new_context(viewport={"width": 1280, "height": 900})
         page = context.new_page()
         page.goto(address)
-        seen.append({**page.evaluate(PAINTS), "bytes": Counting.sent})
+        runs_measured.append({**page.evaluate(PAINTS), "bytes": Counting.sent})
         context.close()
-    return {key: sorted(one[key] for one in seen)[runs // 2] for key in seen[0]}
+    return {key: sorted(one[key] for one in runs_measured)[runs // 2] for key in runs_measured[0]}
 
 
 def figures(found: dict, options: argparse.Namespace) -> dict[tuple[str, str], float]:

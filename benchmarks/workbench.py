@@ -67,14 +67,14 @@ def edits(n: int, wrong: int, folder: Path) -> list[tuple[str, float]]:
         write_edits(path, Edits({("icon", "nir"): edits}))
 
     session = CorrectionSession(plant(n, wrong))
-    told = describe(session)
+    session_record = describe(session)
     rows = iter(range(wrong, n))
 
     def answer() -> bytes:
-        return to_bytes(describe(session, told["places"]))
+        return to_bytes(describe(session, session_record["places"]))
 
     def delete() -> None:
-        session.apply("delete", told["pairs"][next(rows)])
+        session.apply("delete", session_record["pairs"][next(rows)])
         session.view  # noqa: B018
 
     delete()
