@@ -44,8 +44,8 @@ def two_paintings() -> Path:
 def chromium_path() -> str:
     """Program of a Chromium or Chrome, `$LEVKAS_CHROMIUM` or one on the path."""
     names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-    asked = os.environ.get("LEVKAS_CHROMIUM")
-    found = asked or next(filter(None, map(shutil.which, names)), None)
+    requested = os.environ.get("LEVKAS_CHROMIUM")
+    found = requested or next(filter(None, map(shutil.which, names)), None)
     if found is None:
         pytest.skip(
             "no Chromium: install one (`apt-get install chromium`, `brew install --cask chromium`) "
@@ -226,10 +226,10 @@ class TurnedPlates:
             soft = cv2.GaussianBlur(big, (0, 0), blur)
             how = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
             place = np.column_stack([self.matrix, self.shift])
-            seen = 255 - cv2.warpAffine(soft, place, (320, 280), flags=how, borderValue=5)
-            seen = seen + grain * rng.standard_normal(seen.shape)
+            observed = 255 - cv2.warpAffine(soft, place, (320, 280), flags=how, borderValue=5)
+            observed = observed + grain * rng.standard_normal(observed.shape)
             photo = cv2.resize(big, (300, 260), interpolation=cv2.INTER_AREA)
-            for part, picture in (("photo", np.dstack([photo] * 3)), ("xray", seen)):
+            for part, picture in (("photo", np.dstack([photo] * 3)), ("xray", observed)):
                 (folder / part).mkdir(parents=True, exist_ok=True)
                 data = cv2.imencode(".png", picture.clip(0, 255).astype(np.uint8))[1]
                 (folder / part / f"{name}.png").write_bytes(data.tobytes())

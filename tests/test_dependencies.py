@@ -53,8 +53,8 @@ distributions_by_module = functools.cache(metadata.packages_distributions)
 
 
 def distributions(name):
-    told = distributions_by_module().get(name, [NOT_INSTALLED.get(name, name)])
-    return {canonicalize_name(one) for one in told}
+    reported = distributions_by_module().get(name, [NOT_INSTALLED.get(name, name)])
+    return {canonicalize_name(one) for one in reported}
 
 
 def declared(texts):
@@ -93,8 +93,8 @@ def test_benchmarks_examples_and_tests_import_only_what_is_declared():
 def test_every_package_that_is_declared_is_imported():
     extras = PROJECT["optional-dependencies"]
     used = set().union(*map(distributions, imported()))
-    asked = declared([*PROJECT["dependencies"], *(one for e in USED for one in extras[e])])
-    assert asked - used == UNNAMED
+    requested = declared([*PROJECT["dependencies"], *(one for e in USED for one in extras[e])])
+    assert requested - used == UNNAMED
 
 
 def test_locks_name_what_is_declared_and_no_registry():

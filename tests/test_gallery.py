@@ -109,8 +109,8 @@ def test_the_notebook_registers_two_cameras_on_arrays_alone(tmp_path, monkeypatc
     warped, reference = found["warped"], found["reference"]
     assert warped.values.shape == reference.values.shape
     sound = (warped.flags == 0).all(-1) & (reference.flags == 0).all(-1)
-    seen = np.stack([warped.values[..., 1], reference.values[..., 1]], -1)[sound]
-    assert sound.mean() > 0.5 and np.corrcoef(seen.T)[0, 1] > 0.9
+    observed = np.stack([warped.values[..., 1], reference.values[..., 1]], -1)[sound]
+    assert sound.mean() > 0.5 and np.corrcoef(observed.T)[0, 1] > 0.9
     assert np.nanmedian(warped.variance) < np.median(found["colour"].sigma ** 2)
 
 

@@ -93,16 +93,16 @@ def view(number: int, inverted: bool = False, shift: float = 6.0) -> np.ndarray:
     big = np.clip(big + 60 * grain, 5, 250)
     matrix = np.array([[1.95, 0.02, shift], [-0.02, 1.95, 5.0]])
     how = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    seen = cv2.warpAffine(big, matrix, SIZE, flags=how, borderMode=cv2.BORDER_REFLECT) / 255
-    return np.clip(1 - seen if inverted else seen, 0.02, 0.98)
+    observed = cv2.warpAffine(big, matrix, SIZE, flags=how, borderMode=cv2.BORDER_REFLECT) / 255
+    return np.clip(1 - observed if inverted else observed, 0.02, 0.98)
 
 
 def make(folder: Path, objects: tuple[str, ...] = ("one", "two"), cameras=tuple(CAMERAS)) -> Path:
     """Write the campaign; only the first object was seen by other cameras than the photograph's."""
     folder.mkdir(parents=True)
     for number, name in enumerate(objects):
-        seen = view(number)
-        _write(folder / f"photo/{name}.png", np.dstack([255 * seen] * 3).astype(np.uint8))
+        observed = view(number)
+        _write(folder / f"photo/{name}.png", np.dstack([255 * observed] * 3).astype(np.uint8))
         if number == 0:
             _write_others(folder, name, cameras)
     tables = "".join(f"[cameras.{name}]{CAMERAS[name]}" for name in cameras)
@@ -123,7 +123,7 @@ def _write_others(folder: Path, name: str, cameras: tuple[str, ...]) -> None:
         light = np.broadcast_to(scene, SIZE[::-1]) * FULL + rng.normal(BLACK, 2, SIZE[::-1])
         return np.rint(light).clip(0, 4095).astype(np.uint16)
 
-    seen = {"dark": 0.0, "white": 1.0}
+    observed = {"dark": 0.0, "white": 1.0}
     _write(folder / f"xray/{name}.png", (255 * view(0, True)).astype(np.uint8))
     for number, camera in enumerate(("filters", "raking", "colour", "twin")):
         if camera not in (*cameras, "raking"):
@@ -133,12 +133,12 @@ def _write_others(folder: Path, name: str, cameras: tuple[str, ...]) -> None:
             for band in bands.get(camera, bands["filters"]):
                 if camera == "raking" and target == "dark":
                     continue
-                scene = seen.get(target, view(0, camera == "raking", 7.0 + number))
+                scene = observed.get(target, view(0, camera == "raking", 7.0 + number))
                 _write(folder / f"{camera}/{target}{band}.tif", raw(scene))
     if "scan" in cameras:
         for target in ("dark", "white", name):
-            cube = [raw(seen.get(target, view(0, False, 9.0 + n))) for n in range(2)]
-            data = np.stack([plane[:1] if target in seen else plane for plane in cube], axis=1)
+            cube = [raw(observed.get(target, view(0, False, 9.0 + n))) for n in range(2)]
+            data = np.stack([plane[:1] if target in observed else plane for plane in cube], axis=1)
             _write_cube(folder / f"scan/{target}", data)
     (folder / "exposures.csv").write_text(
         "file,exposure_s\n"

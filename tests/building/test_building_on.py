@@ -197,8 +197,8 @@ def test_building_on_ends_in_the_bytes_of_building_anew(campaign, what):
     assert left.ok == on.ok
     if on.ok:
         assert {step.state for step in left.stages} == {"fresh"}
-        told = [s.label for s in on.stages if s.key.stage != "removed"]
-        assert sorted(s.label for s in left.stages) == sorted(told)
+        states = [s.label for s in on.stages if s.key.stage != "removed"]
+        assert sorted(s.label for s in left.stages) == sorted(states)
 
 
 @pytest.mark.slow
@@ -291,14 +291,14 @@ def test_status_of_a_second_setup_whose_default_one_is_refused(campaign):
     built = {step.label: step.state for step in report.stages}
     assert built.get("one/filters register") == "refused", report.text
     assert built["one/filters@raking resample"] == "done", report.text
-    told = {step.label: step.state for step in status(campaign).stages}
-    assert told["one/filters register"] == "refused"
-    assert told["one/filters@raking resample"] == "fresh"
+    states = {step.label: step.state for step in status(campaign).stages}
+    assert states["one/filters register"] == "refused"
+    assert states["one/filters@raking resample"] == "fresh"
 
 
 def test_status_and_build_count_the_same_stages_and_build_says_where(campaign):
-    told = CliRunner().invoke(app, ["build", str(campaign), "--json"])
-    built = json.loads(told.stdout)
+    result = CliRunner().invoke(app, ["build", str(campaign), "--json"])
+    built = json.loads(result.stdout)
     assert built["output"] == str(campaign / "database")
     looked = json.loads(CliRunner().invoke(app, ["status", str(campaign), "--json"]).stdout)
     assert sorted(map(str, looked["stages"])) == sorted(map(str, built["stages"]))
@@ -331,8 +331,8 @@ def test_the_page_of_an_object_follows_what_a_refusal_found(campaign):
     renames("filters", "day")(campaign)
     shutil.copytree(campaign / "day", campaign / "noon")
     assert not summarise(build(campaign)).ok
-    told = {step.label: step.why for step in status(campaign).stages}
-    assert told["one report"] == ""
+    states = {step.label: step.why for step in status(campaign).stages}
+    assert states["one report"] == ""
     shutil.copytree(campaign / "day", campaign / "night")
     assert "one report: stale" in status(campaign).text
     assert not summarise(build(campaign)).ok

@@ -42,12 +42,12 @@ def test_a_build_writes_centroids_of_broad_channels_and_knows_what_they_rest_on(
     report = summarise(list(build(campaign)))
     assert report.ok, report.problems
     database = campaign / "database"
-    (told,) = tags(database)
-    np.testing.assert_allclose(told, list(CENTRES.values()), atol=1e-3)
+    (reported,) = tags(database)
+    np.testing.assert_allclose(reported, list(CENTRES.values()), atol=1e-3)
     layer = database / "objects/one/one_photo.tif"
     # As the format has it, `read_stiff` gives the bands by rising wavelength: blue first.
-    assert read_stiff(layer)[1].tolist() == sorted(told)
-    assert centroids_of(layer) == dict(zip(CENTRES, told, strict=True))
+    assert read_stiff(layer)[1].tolist() == sorted(reported)
+    assert centroids_of(layer) == dict(zip(CENTRES, reported, strict=True))
     # A broad channel has no centre: whoever opens the layer is told so.
     opened = levkas.open(database)["one"]["photo"]
     assert opened["band"].values.tolist() == list(CENTRES)
@@ -62,5 +62,5 @@ def test_a_build_writes_centroids_of_broad_channels_and_knows_what_they_rest_on(
     stale = [step for step in status(campaign).stages if step.state == "stale"]
     assert any("photo.csv" in step.why for step in stale)
     assert summarise(list(build(campaign))).ok
-    (told,) = tags(database)
-    np.testing.assert_allclose(told, list(moved.values()), atol=1e-3)
+    (reported,) = tags(database)
+    np.testing.assert_allclose(reported, list(moved.values()), atol=1e-3)

@@ -142,16 +142,16 @@ def test_a_build_makes_reflectance_by_the_chart_and_says_how_well(campaign):
     assert any("is beyond the chart" in w for w in report.warnings)
     provenance = json.loads((folder / "provenance.json").read_text())
     (step,) = [s for s in provenance["steps"] if s["stage"] == "calibrate"]
-    told = step[KEY][""]
-    assert told["reference"] == "BabelColor average" and told["left_out"] == ["850 nm"]
-    assert len(told["bands"]["540 nm"]["patches"]) == 24
-    assert told["held_out"] < 0.01 < 0.05 < told["held_out_even_light"]
+    record = step[KEY][""]
+    assert record["reference"] == "BabelColor average" and record["left_out"] == ["850 nm"]
+    assert len(record["bands"]["540 nm"]["patches"]) == 24
+    assert record["held_out"] < 0.01 < 0.05 < record["held_out_even_light"]
     assert {f["role"] for f in step["frames"]} == {"object", "dark", "chart"}
     page = (campaign / "database/cameras/vis/report.html").read_text(encoding="utf-8")
     assert "Reflectance by a chart" in page and "a plane" in page
     assert "only their held-out errors are a test" in page
     camera = json.loads((campaign / "database/cameras/vis/camera.json").read_text())
-    assert camera["measured"][""][""][KEY]["bands"].keys() == told["bands"].keys()
+    assert camera["measured"][""][""][KEY]["bands"].keys() == record["bands"].keys()
 
 
 def test_what_was_built_is_fresh_and_a_chart_that_changes_is_a_reason_to_redo(campaign, copy):

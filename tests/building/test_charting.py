@@ -135,8 +135,8 @@ def test_a_build_writes_a_page_a_camera_and_leaves_it_alone_the_second_time(camp
     page = campaign / "database" / "cameras" / "vis" / "report.html"
     html = page.read_text(encoding="utf-8")
     assert "Light field" in html and "stops" in html.lower()
-    told = (campaign / "database/objects/panel/report.html").read_text(encoding="utf-8")
-    assert "Noise, glare and focus" in told
+    reported = (campaign / "database/objects/panel/report.html").read_text(encoding="utf-8")
+    assert "Noise, glare and focus" in reported
     states = {s.key.stage: s.state for s in status(campaign).stages}
     assert states["camera"] == "fresh"
     again = [s for s in build(campaign) if s.finished]
@@ -173,8 +173,8 @@ def test_a_build_keeps_the_chart_the_light_and_what_was_measured_of_the_camera(c
     assert (database / "cameras/vis/sensitivity.csv").read_text().startswith(f"wavelength,{labels}")
     camera = json.loads((database / "cameras/vis/camera.json").read_text())
     assert camera["measured"][""][""]["sensor"]["gain"] == pytest.approx(0.2, rel=0.2)
-    told = tomllib.loads((database / "database.toml").read_text())
-    assert told["setups"] == {"proposed": {"cameras": ["vis"]}}
+    record = tomllib.loads((database / "database.toml").read_text())
+    assert record["setups"] == {"proposed": {"cameras": ["vis"]}}
     steps = json.loads((database / "objects/panel/provenance.json").read_text())["steps"]
     assert [s["stage"] for s in steps] == ["calibrate", "register", "resample"]
     raw = {n: h for n, h in steps[0]["inputs"].items() if n.startswith("raw/panel/")}
@@ -202,8 +202,8 @@ def test_charts_of_a_published_database_are_measured_again(campaign, tmp_path):
     assert [p.code for p in none.problems] == ["E_CHART_ORDER"]
     shutil.rmtree(database / "charts")
     everywhere = CliRunner().invoke(app, ["chart", str(database), "--json"])
-    told = json.loads(everywhere.output)
-    assert [p["code"] for p in told["problems"]] in (["E_CHART_MISSING"], ["E_CHART_DETECTOR"])
+    record = json.loads(everywhere.output)
+    assert [p["code"] for p in record["problems"]] in (["E_CHART_MISSING"], ["E_CHART_DETECTOR"])
     with pytest.raises(Refused, match=r"no object of this name.*panel"):
         measure_charts(database, objects=["painting"])
 
@@ -369,9 +369,9 @@ def test_edges_that_a_campaign_names_are_measured_reported_and_kept(edged):
     again = measure_charts(edged / "database")
     (kept,) = again.measures
     assert kept.edges.tables[0].sfr50 == pytest.approx(upright.sfr50, rel=1e-5)
-    told = CliRunner().invoke(app, ["chart", str(edged), "--json"])
-    record = json.loads(told.stdout)
-    assert told.exit_code == 0 and record["charts"][0]["chart"] == "edges"
+    result = CliRunner().invoke(app, ["chart", str(edged), "--json"])
+    record = json.loads(result.stdout)
+    assert result.exit_code == 0 and record["charts"][0]["chart"] == "edges"
     assert record["charts"][0]["edges"][0]["bands"][0]["sampling_efficiency"] > 0.5
 
 
@@ -380,20 +380,22 @@ def test_edges_of_a_cube_are_named_on_the_command_line_and_refused_by_name(edged
     cube = str(next((edged / "database/charts/sfr").glob("*vis.tif")))
     page = tmp_path / "edge.html"
     good = ["chart", cube, "--kind", "edges", "--edge", "45,90,60,85", "-o", str(page)]
-    told = CliRunner().invoke(app, good)
-    assert told.exit_code == 0, told.output
-    assert "edge 1 (45,90,60,85): 5.0 degrees, along x: SFR50" in told.stdout
-    assert "FADGI" in told.stdout and "Chart: sfr_vis.tif" in page.read_text(encoding="utf-8")
+    result = CliRunner().invoke(app, good)
+    assert result.exit_code == 0, result.output
+    assert "edge 1 (45,90,60,85): 5.0 degrees, along x: SFR50" in result.stdout
+    assert "FADGI" in result.stdout and "Chart: sfr_vis.tif" in page.read_text(encoding="utf-8")
     for box, code in (
         ("200,100,40,40", "E_EDGE_CONTRAST"),
         ("0,0,999,10", "E_REGION"),
         ("5,5", "E_VALUE"),
     ):
-        told = CliRunner().invoke(app, ["chart", cube, "--kind", "edges", "--edge", box, "--json"])
-        assert told.exit_code == 1
-        assert [p["code"] for p in json.loads(told.stdout)["problems"]] == [code]
-    told = CliRunner().invoke(app, ["chart", cube, "--kind", "edges", "--json"])
-    assert json.loads(told.stdout)["problems"][0]["code"] == "E_EDGE_MISSING"
+        result = CliRunner().invoke(
+            app, ["chart", cube, "--kind", "edges", "--edge", box, "--json"]
+        )
+        assert result.exit_code == 1
+        assert [p["code"] for p in json.loads(result.stdout)["problems"]] == [code]
+    result = CliRunner().invoke(app, ["chart", cube, "--kind", "edges", "--json"])
+    assert json.loads(result.stdout)["problems"][0]["code"] == "E_EDGE_MISSING"
 
 
 @pytest.mark.parametrize(
@@ -420,11 +422,11 @@ def test_edges_of_a_finished_photograph_are_said_to_be_encoded(tmp_path):
     light = 0.1 + 0.7 * ndtr(((x - 32) * np.cos(lean) - (y - 50) * np.sin(lean)) / 0.8)
     codes = np.round(255 * encode_srgb(light)).astype(np.uint8)
     Image.fromarray(np.repeat(codes[..., None], 3, 2)).save(tmp_path / "photo.png")
-    told = CliRunner().invoke(
+    result = CliRunner().invoke(
         app, ["chart", str(tmp_path / "photo.png"), "--kind", "edges", "--edge", "0,0,64,100"]
     )
-    assert told.exit_code == 0 and "encoded values" in told.stdout
-    assert "colour misregistration, largest" in told.stdout and ": 0.00 px" in told.stdout
+    assert result.exit_code == 0 and "encoded values" in result.stdout
+    assert "colour misregistration, largest" in result.stdout and ": 0.00 px" in result.stdout
 
 
 def test_a_build_names_stray_light_on_a_chart_and_a_page_without_one_says_that_it_was_not_measured(

@@ -163,18 +163,18 @@ def test_the_line_names_what_waits_for_memory_while_a_worker_is_idle(plates, tmp
         address = there.scheduler_address
         steps = list(build(folder, output=tmp_path / "database", cluster=address))
     names = ("one", "two")
-    told = {f"2 workers, {name}/infrared waits for memory" for name in names}
-    assert told & {s.where for s in steps}
+    reported = {f"2 workers, {name}/infrared waits for memory" for name in names}
+    assert reported & {s.where for s in steps}
     assert hash_tree(tmp_path / "database") == expected
 
 
 def test_a_task_reports_its_frames_within_the_second(monkeypatch):
     monkeypatch.setattr(worker, "REPORTED_S", 0.0)
-    told = queue.SimpleQueue()
-    with worker.Watch(lambda *said: told.put(said)) as watch:
-        assert told.get(timeout=10)[1] == 0
+    reported = queue.SimpleQueue()
+    with worker.Watch(lambda *said: reported.put(said)) as watch:
+        assert reported.get(timeout=10)[1] == 0
         FRAMES.add(3)
-        while (said := told.get(timeout=10))[1] != 3:
+        while (said := reported.get(timeout=10))[1] != 3:
             pass
     assert watch.frames == 3 and 0 < said[0] <= watch.bytes
 

@@ -64,10 +64,10 @@ def test_four_pairs_by_hand_make_the_build_accept_it(corrected, turned_plates):
 
 def test_only_what_is_named_is_stale_and_status_says_why(corrected):
     _, between, _ = corrected
-    told = states(between)
-    state, why = told["bad", "xray", "register"]
+    reported = states(between)
+    state, why = reported["bad", "xray", "register"]
     assert state == "stale" and "edits.toml" in why
-    others = [v for k, v in told.items() if k[1] and k[:2] != ("bad", "xray")]
+    others = [v for k, v in reported.items() if k[1] and k[:2] != ("bad", "xray")]
     assert all(state == "fresh" for state, _ in others)
 
 

@@ -75,13 +75,15 @@ def make(
         for time in taken:
             lamp = 1 + flicker * rng.standard_normal()
             for shot in range(6 if target != "panel" else 1):
-                seen = scene.copy()
+                observed = scene.copy()
                 if moved and target == "panel" and time == max(panel):
-                    seen[80:96, 96:112] *= 0.3
+                    observed[80:96, 96:112] *= 0.3
                 real = time * (late if target == "white" and time == max(white) else 1.0)
                 real *= 4 / 3 if target == "panel" and time in odd else 1.0
                 real *= lamp
-                light = GAIN * rng.poisson(14_000 * real * seen * response + current * time / GAIN)
+                light = GAIN * rng.poisson(
+                    14_000 * real * observed * response + current * time / GAIN
+                )
                 level = BLACK + (warm if target == "dark" else 0.0)
                 raw = np.rint(curve(light) + rng.normal(level, READ, SHAPE)).clip(0, 4095)
                 name = f"{target}_550nm_{1000 * time:g}ms_{shot}.tif"

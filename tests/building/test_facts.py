@@ -489,12 +489,12 @@ CENTRES = np.array([450.0, 550.0, 650.0, 750.0])
 TIMES = [10, 20, 40, 80]
 
 
-def scan(path, light, order, *, names=False, times=False, told=CENTRES):
+def scan(path, light, order, *, names=False, times=False, stated=CENTRES):
     """A scan whose bands stand in an order; the codes of each are those of its wavelength."""
     rng = np.random.default_rng(sum(path.name.encode()))
     seconds = np.array(TIMES) / 40 if times else 1.0
     counts = light * 800 * LAMP * seconds + rng.normal(0, NOISE, (*SIZE, 4)) + BLACK + CENTRES / 10
-    listed = [f"{told[i]:g}" for i in order]
+    listed = [f"{stated[i]:g}" for i in order]
     stated = {"band names" if names else "wavelength": "{" + ", ".join(listed) + "}"}
     if times:
         stated["tint"] = "{" + ", ".join(str(TIMES[i]) for i in order) + "}"
@@ -524,7 +524,7 @@ def test_bands_in_another_order_are_matched(tmp_path, role, order, more, options
 
 def test_an_order_that_is_overruled_is_that_of_the_files(tmp_path):
     folder, truth = scans(tmp_path / "c", {}, 'overrule = ["wavelengths"]')
-    scan(folder / "white_0_s", 1.0, range(4), told=CENTRES[::-1])  # the header alone is wrong
+    scan(folder / "white_0_s", 1.0, range(4), stated=CENTRES[::-1])  # the header alone is wrong
     cube, said = developed(folder)
     assert np.median(cube.values, (0, 1)) == pytest.approx(truth, abs=0.005)
     assert any("wavelengths: 750 to 450 nm" in w for w in said)

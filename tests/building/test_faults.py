@@ -334,7 +334,7 @@ def strike(scene, at, kind, *, writer=None):
         fault.install(patch)
         with contextlib.suppress(Refused, Killed):
             scene.build()
-    torn = tuple(find_torn(scene, told=kind != "kill"))
+    torn = tuple(find_torn(scene, reported=kind != "kill"))
     return Outcome(fault.struck, torn, tuple(mend(scene)) if fault.struck else ())
 
 
@@ -353,10 +353,10 @@ def mend(scene):
         yield from (str(p) for p in folder.rglob("*") if files.PARTIAL.fullmatch(p.name))
 
 
-def find_torn(scene, *, told):
+def find_torn(scene, *, reported):
     """Yield every final name that holds neither the old bytes nor the new ones.
 
-    Where `told`, the build went on after a refusal and told of it in some files of its own.
+    Where `reported`, the build went on after a refusal and named it in some files of its own.
     """
     found = {}
     if scene.output.is_dir():
@@ -367,7 +367,7 @@ def find_torn(scene, *, told):
         if (name, sha) == ("database.toml", MARKED):
             continue
         if not (sha == PLAIN_ROOT and name.endswith(".zarr/zarr.json")) and not (
-            told and _is_whole(scene.output, name)
+            reported and _is_whole(scene.output, name)
         ):
             yield name
     for layer in layers_of(scene):
@@ -520,7 +520,7 @@ def strike_for_real(scene, at):
     scene.set()
     command = [sys.executable, "-c", CHILD, scene.campaign, scene.output, str(at)]
     status = subprocess.run(command, check=False).returncode
-    torn = tuple(find_torn(scene, told=False))
+    torn = tuple(find_torn(scene, reported=False))
     return Outcome(("exit", status), torn, tuple(mend(scene)))
 
 
@@ -566,15 +566,15 @@ def write_carelessly(patch):
 
 @pytest.mark.slow
 def test_a_careless_writer_is_found_out(scenes):
-    seen = Counter()
+    found = Counter()
     for name in ("new", "over"):
         for at in spread(250, 15):
             outcome = strike(scenes[name], at, "kill", writer=write_carelessly)
             step, path = outcome.struck or ("", None)
             if step == "write" and path.name != NAME:  # that of sqlite is none of ours
-                seen[bool(outcome.torn)] += 1
-    assert seen.total() >= 8
-    assert seen[True] >= 0.9 * seen.total(), seen
+                found[bool(outcome.torn)] += 1
+    assert found.total() >= 8
+    assert found[True] >= 0.9 * found.total(), found
 
 
 # --- loss of power ----------------------------------------------------------------------------

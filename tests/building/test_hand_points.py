@@ -118,8 +118,10 @@ def test_a_build_measures_check_points_and_starts_from_seeds_to_what_was_planted
     for _ in range(220):
         x, y, r = (int(rng.integers(0, m)) for m in (360, 300, 22))
         cv2.circle(big, (x, y), r + 3, float(rng.integers(20, 235)), -1, cv2.LINE_AA)
-    seen = cv2.warpAffine(big, np.array([[1, 0, 6.0], [0, 1, -4.0]]), (360, 300), borderValue=90)
-    for part, picture in (("vis", np.dstack([big] * 3)), ("xray", 255 - seen)):
+    observed = cv2.warpAffine(
+        big, np.array([[1, 0, 6.0], [0, 1, -4.0]]), (360, 300), borderValue=90
+    )
+    for part, picture in (("vis", np.dstack([big] * 3)), ("xray", 255 - observed)):
         (tmp_path / part).mkdir()
         data = cv2.imencode(".png", picture.clip(0, 255).astype(np.uint8))[1]
         (tmp_path / part / "icon1.png").write_bytes(data.tobytes())
@@ -140,6 +142,6 @@ def test_a_build_measures_check_points_and_starts_from_seeds_to_what_was_planted
     from levkas.quality.evaluation.layer_report import assess
 
     result = assess(tmp_path, points=tmp_path / "icon1.points", frame="icon1/xray").results[-1]
-    told = {one["of"]: one for one in result["check_points"]}
-    assert told["campaign"]["points"] == told["evaluation"]["points"] == 5
-    assert told["evaluation"]["error_max"] == pytest.approx(5.0, abs=0.1)
+    reported = {one["of"]: one for one in result["check_points"]}
+    assert reported["campaign"]["points"] == reported["evaluation"]["points"] == 5
+    assert reported["evaluation"]["error_max"] == pytest.approx(5.0, abs=0.1)

@@ -53,10 +53,10 @@ def _files(folder):
 
 
 def test_a_record_says_with_whom_it_was_adjusted_and_how_far_it_moved(plates):
-    told = _record(plates, "one", "infrared")["model"]["sensors"][0]["joint"]
-    assert set(told["with"]) <= {"two/infrared", "three/infrared"}
-    assert told["with"]
-    assert 0 <= told["moved_px"]["mean"] <= told["moved_px"]["max"] < 1
+    reported = _record(plates, "one", "infrared")["model"]["sensors"][0]["joint"]
+    assert set(reported["with"]) <= {"two/infrared", "three/infrared"}
+    assert reported["with"]
+    assert 0 <= reported["moved_px"]["mean"] <= reported["moved_px"]["max"] < 1
     reasons = _record(plates, "one", "infrared")["verdict"]["reasons"]
     assert any("joint adjustment with" in reason for reason in reasons)
 
@@ -80,12 +80,12 @@ def test_the_verdict_is_of_the_map_that_is_written(plates):
     assert bad["model"]["sensors"][0]["joint"]["moved_px"]["mean"] > 3
     assert sound["verdict"]["decision"] == "accept"
     assert bad["verdict"]["decision"] == "refuse"
-    told = bad["verdict"]["numbers"]["sensor"]
+    reported = bad["verdict"]["numbers"]["sensor"]
     # Six native px along both axes; 20 native px are 19 reference px.
-    assert told["verification"]["window_median"] == pytest.approx(6 * 2**0.5 * 0.95, abs=0.4)
-    assert told["verification"]["agreeing"] < 0.1 * told["verification"]["found"]
-    assert told["joint_excess"]["sigmas"] > 3
-    assert bad["errors"]["sensors"][""] == told
+    assert reported["verification"]["window_median"] == pytest.approx(6 * 2**0.5 * 0.95, abs=0.4)
+    assert reported["verification"]["agreeing"] < 0.1 * reported["verification"]["found"]
+    assert reported["joint_excess"]["sigmas"] > 3
+    assert bad["errors"]["sensors"][""] == reported
 
 
 def test_a_second_build_does_nothing_and_status_agrees(built):

@@ -54,7 +54,7 @@ def painting():
     return 0.45 + 0.08 * ndimage.gaussian_filter(total, 0.7)
 
 
-def seen(surface, matrix=((1.0, 0, 0), (0, 1, 0)), size=SIZE, shift=0.0, noise=0.003):
+def observed(surface, matrix=((1.0, 0, 0), (0, 1, 0)), size=SIZE, shift=0.0, noise=0.003):
     """Return counts of a camera whose px x lies at `matrix` · x of the reference, lines moved by `shift`, (lines, 1) px."""
     x, y = np.meshgrid(np.arange(float(size[0])), np.arange(float(size[1])))
     matrix = np.array(matrix)
@@ -88,13 +88,13 @@ def lines_built(tmp_path_factory):
     """A photograph, two scans of which one wobbles by ±1 px every 40 lines, and interlaced halves 2 px apart."""
     folder, surface = tmp_path_factory.mktemp("lines"), painting()
     line = np.arange(SIZE[1])[:, None]
-    grey = seen(surface)
+    grey = observed(surface)
     write_picture(folder / "photo/panel.tif", np.dstack([grey, grey, grey]))
     askew = ((1.0, 0.01, 2.0), (-0.01, 1.0, 3.0))
-    write_scan(folder / "still/panel.hdr", seen(surface, askew))
+    write_scan(folder / "still/panel.hdr", observed(surface, askew))
     wobble = np.sin(2 * np.pi * line / 40)
-    write_scan(folder / "wobbling/panel.hdr", seen(surface, askew, shift=wobble))
-    write_picture(folder / "video/panel.tif", seen(surface, askew, shift=2.0 * (line % 2)))
+    write_scan(folder / "wobbling/panel.hdr", observed(surface, askew, shift=wobble))
+    write_picture(folder / "video/panel.tif", observed(surface, askew, shift=2.0 * (line % 2)))
     (folder / "campaign.toml").write_text(CAMPAIGN)
     list(build(folder, output=folder / "database"))
     return folder / "database"
@@ -140,13 +140,13 @@ def inverse(matrix):
 def sensors_built(tmp_path_factory):
     """Cameras of two sensors; the second of some is turned, coarse and so noisy that no key points match."""
     folder, surface = tmp_path_factory.mktemp("sensors"), painting()
-    grey = seen(surface)
+    grey = observed(surface)
     write_picture(folder / "photo/panel.tif", np.dstack([grey, grey, grey]))
-    write_picture(folder / "near/panel.tif", seen(surface, noise=0.004))
+    write_picture(folder / "near/panel.tif", observed(surface, noise=0.004))
     hard, size = turned(137, 0.3)
-    write_picture(folder / "hard/panel.tif", seen(surface, inverse(hard), size, noise=0.11))
+    write_picture(folder / "hard/panel.tif", observed(surface, inverse(hard), size, noise=0.11))
     easy = np.array([[1.0, 0.004, 3.0], [-0.004, 1.0, -2.0]])
-    write_picture(folder / "easy/panel.tif", seen(surface, inverse(easy)))
+    write_picture(folder / "easy/panel.tif", observed(surface, inverse(easy)))
     near = hard + np.array([[0, 0, 1.5], [0, 0, -1.0]])  # as exact as a person measures it
     wrong = easy + np.array([[0, 0, 100.0], [0, 0, 0]])
     tables = CAMPAIGN.partition("[cameras.still]")[0] + '[targets]\nobjects = ["panel"]\n'

@@ -73,13 +73,13 @@ def test_each_sensor_has_the_weights_of_its_own_channels(campaign):
         made = np.moveaxis(tifffile.imread(path), 0, -1)
         y, x = np.indices(SHAPE)
         which = np.array([[0, 1], [1, 2]])[y % 2, x % 2]
-        seen = np.take_along_axis(made, which[..., None], 2)[..., 0]
+        observed = np.take_along_axis(made, which[..., None], 2)[..., 0]
         own = wiener_method(correlate_channels(wavelengths, curves[:, 3 * number : 3 * number + 3]))
         none = np.zeros(SHAPE, np.uint8)
-        wanted, _, _ = demosaic(seen, none, None, [["R", "G"], ["G", "B"]], method=own)
+        wanted, _, _ = demosaic(observed, none, None, [["R", "G"], ["G", "B"]], method=own)
         # Stored values are rounded to a share of their sigma.
         assert np.abs(made - wanted).max() < 2e-3
-        other, _, _ = demosaic(seen, none, None, [["R", "G"], ["G", "B"]], method="bilinear")
+        other, _, _ = demosaic(observed, none, None, [["R", "G"], ["G", "B"]], method="bilinear")
         assert np.abs(made - other).max() > 0.02
 
 

@@ -15,9 +15,9 @@ def test_a_region_off_the_frame_is_refused(make_plates, tmp_path, region):
     folder = make_plates(tmp_path, ["one"])
     with (folder / "campaign.toml").open("a") as file:
         file.write(f"[grid]\nregion = {region}\n")
-    told = CliRunner().invoke(app, ["build", str(folder), "--json"])
-    assert told.exit_code == 1 and told.exception.__class__ is SystemExit
-    problems = json.loads(told.stdout)["problems"]
+    result = CliRunner().invoke(app, ["build", str(folder), "--json"])
+    assert result.exit_code == 1 and result.exception.__class__ is SystemExit
+    problems = json.loads(result.stdout)["problems"]
     problem = next(p for p in problems if p["field"] == "grid.region")
     assert problem["file"] == str(folder / "campaign.toml")
     assert problem["found"] and "240 x 200" in problem["expected"] and problem["fix"]

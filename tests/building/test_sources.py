@@ -112,8 +112,8 @@ def test_other_instruction_sets_make_every_stage_stale_that_computes(plates):
 
     def stale(**more):
         env = free | {"PYTHONPATH": os.pathsep.join(sys.path)} | more
-        told = subprocess.run(command, capture_output=True, text=True, check=True, env=env)
-        steps = json.loads(told.stdout)["stages"]
+        result = subprocess.run(command, capture_output=True, text=True, check=True, env=env)
+        steps = json.loads(result.stdout)["stages"]
         return {s["stage"] for s in steps if "instructions" in s["why"]}
 
     assert stale() == set()
@@ -136,10 +136,10 @@ def test_what_a_build_loads_is_known(tmp_path, make_every_kind):
         "assert summarise(build(sys.argv[1])).ok\n"
         "print(json.dumps([m for m in sys.modules if m.startswith('levkas.')]))"
     )
-    told = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", script, str(folder)], check=True, capture_output=True, text=True
     )
-    loaded = {name.removeprefix("levkas.").replace(".", "/") for name in json.loads(told.stdout)}
+    loaded = {name.removeprefix("levkas.").replace(".", "/") for name in json.loads(result.stdout)}
     known = {path.relative_to(PACKAGE).with_suffix("").as_posix() for path in files_of(PAGES)}
     known |= {f"building/{name}" for name in PRODUCTS} | {"publish/publication", "publish/facts"}
     others = {name for name in loaded - known if not name.startswith("building/")}

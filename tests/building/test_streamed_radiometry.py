@@ -105,8 +105,8 @@ class Pictured:
         self._means = blocks.mean((1, 3)).astype(np.float32)
 
     def images(self):
-        seen = np.ones(self._means.shape[:2], bool)
-        return [BandImage(str(b), 0.0, self._means[..., b], seen) for b in range(3)]
+        valid = np.ones(self._means.shape[:2], bool)
+        return [BandImage(str(b), 0.0, self._means[..., b], valid) for b in range(3)]
 
 
 @pytest.fixture
@@ -146,10 +146,10 @@ def test_rows_of_another_setup_are_compared_with_the_default_ones(two_setups, ro
     layer, cube = two_setups
     gains = np.array([1.1, 1.05, 0.95], np.float32)
     whole = Cube(cube.values, cube.flags.copy(), None, cube.bands, cube.quantity)
-    told = flag_and_count(whole, layer.rows(), gains)
+    reported = flag_and_count(whole, layer.rows(), gains)
     planted = np.zeros(whole.flags.shape, bool)
     planted[30:50, 40:80] = True
-    assert told["veiled"] == 800
+    assert reported["veiled"] == 800
     np.testing.assert_array_equal((whole.flags & Flag.VEILED) != 0, planted)
     statistics = LayerStatistics(layer, gains)
     blocks = [
@@ -165,4 +165,4 @@ def test_rows_of_another_setup_are_compared_with_the_default_ones(two_setups, ro
     parts = CubeRows(blocks, whole.shape, cube.bands, cube.quantity, has_sigma=False)
     flags = np.concatenate([block.flags for block in statistics.flagged(parts).blocks])
     np.testing.assert_array_equal(flags, whole.flags)
-    assert statistics.glare == told
+    assert statistics.glare == reported

@@ -99,10 +99,10 @@ def test_rows_are_resampled_as_the_whole_is(scan_and_cube, monkeypatch, tmp_path
 
 def test_lines_that_two_strips_share_are_calibrated_once(scan_and_cube, monkeypatch):
     scan, cube = scan_and_cube
-    asked, blocks = [], Scan.blocks
+    found, blocks = [], Scan.blocks
 
     def noting(self, start, stop):
-        asked.extend([(start, stop)] if start < stop else [])
+        found.extend([(start, stop)] if start < stop else [])
         return blocks(self, start, stop)
 
     monkeypatch.setattr(Scan, "blocks", noting)
@@ -114,7 +114,7 @@ def test_lines_that_two_strips_share_are_calibrated_once(scan_and_cube, monkeypa
         assert np.array_equal(part.flags, cube.flags[start:stop])
         variance = np.square(cube.sigma[start:stop])
         assert np.array_equal(part.sigma, variance, equal_nan=True)
-    assert asked == [(0, 9), (9, 12), (12, 30), (3, 8), (40, 44)]
+    assert found == [(0, 9), (9, 12), (12, 30), (3, 8), (40, 44)]
 
 
 def test_of_a_scan_that_lies_askew_many_lines_are_held_and_a_very_large_one_is_refused(
@@ -348,9 +348,9 @@ def test_a_mirror_scan_is_as_exact_as_its_sigma_says(tmp_path, monkeypatch, most
     monkeypatch.setattr(scan_templates, "MOST_VALUES", most)
     cubes, paint = behind_a_mirror(np.random.default_rng(7))
     native = write_scan(tmp_path, cubes, MIRROR)
-    cube, told = native.cubes[""], native.measured[""]["sensor"]
-    assert told["gain"] == pytest.approx(0.4, rel=0.05)
-    assert told["read_noise"] == pytest.approx(3.0, rel=0.05)
+    cube, record = native.cubes[""], native.measured[""]["sensor"]
+    assert record["gain"] == pytest.approx(0.4, rel=0.05)
+    assert record["read_noise"] == pytest.approx(3.0, rel=0.05)
     pull = (cube.values - paint)[cube.flags == 0] / cube.sigma[cube.flags == 0]
     assert abs(pull.mean()) < 0.03 and pull.std() == pytest.approx(1, abs=0.03)
 
@@ -391,8 +391,8 @@ def test_values_of_a_mirror_scan_that_are_no_numbers_are_flagged(tmp_path, monke
     assert any(f"{len(spoilt)} value" in text for text in native.warnings)
     lost = native.cubes[""].flags & (Flag.DEFECT | Flag.OUTSIDE) == Flag.DEFECT | Flag.OUTSIDE
     assert lost.sum() == len(spoilt) and lost[40, 30 : 30 + len(spoilt), 2].all()
-    told = native.measured[""]["sensor"]
-    assert told["gain"] == pytest.approx(0.4, rel=0.06) and np.isfinite(told["read_noise"])
+    record = native.measured[""]["sensor"]
+    assert record["gain"] == pytest.approx(0.4, rel=0.06) and np.isfinite(record["read_noise"])
 
 
 def darker(cubes):

@@ -48,9 +48,9 @@ def start_together(folder, output, *objects):
     for builder in builders:
         builder.stdin.write("go\n")
         builder.stdin.flush()
-    told = [builder.communicate(timeout=900)[0] for builder in builders]
-    assert [builder.returncode for builder in builders] == [0] * len(objects), told
-    return told
+    reported = [builder.communicate(timeout=900)[0] for builder in builders]
+    assert [builder.returncode for builder in builders] == [0] * len(objects), reported
+    return reported
 
 
 def left_over(*folders):
@@ -129,8 +129,8 @@ def standing(output):
     found = {}
     for root in (output, output.with_name(output.name + ".kept")):
         for path in (root, *root.rglob("*")):
-            told = path.stat()
-            found[path] = (told.st_ino, told.st_size, told.st_mtime_ns)
+            reported = path.stat()
+            found[path] = (reported.st_ino, reported.st_size, reported.st_mtime_ns)
     return found
 
 
@@ -157,11 +157,11 @@ report = {call}
 assert report.ok
 print(json.dumps([name for name in {heavy} if name in sys.modules]))
 """
-        told = subprocess.run(
+        result = subprocess.run(
             [sys.executable, "-c", script, str(folder), str(output)],
             check=True,
             capture_output=True,
             text=True,
             env=os.environ,
         )
-        assert json.loads(told.stdout) == []
+        assert json.loads(result.stdout) == []

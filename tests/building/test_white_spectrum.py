@@ -47,8 +47,8 @@ def campaign(tmp_path_factory):
     folder, rng = tmp_path_factory.mktemp("board"), np.random.default_rng(1)
     (folder / "raw").mkdir()
     write_tables(folder)
-    seen = CURVES * LAMP[:, None]
-    white = BOARD @ seen / seen.sum(0)
+    observed = CURVES * LAMP[:, None]
+    white = BOARD @ observed / observed.sum(0)
     y, x = np.indices(SHAPE)
     channel = np.array([[1, 2], [0, 1]])[y % 2, x % 2]
     blocks = np.kron(rng.uniform(0.1, 0.9, (6, 8)), np.ones((20, 20)))

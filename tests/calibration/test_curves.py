@@ -16,8 +16,8 @@ def test_the_683_codes_of_a_d80_betray_their_curve():
 
 
 def test_frames_that_leave_ranges_empty_betray_it_too():
-    seen = D80[(X < 20) | ((X > 300) & (X < 400)) | (X > 500)]
-    found = find_levels(count_codes([np.repeat(seen, 5)]))
+    codes = D80[(X < 20) | ((X > 300) & (X < 400)) | (X > 500)]
+    found = find_levels(count_codes([np.repeat(codes, 5)]))
     assert found.bend == pytest.approx(0.01565, rel=0.03)
 
 

@@ -43,9 +43,9 @@ def interpolated(kind, pattern, method):
     np.put_along_axis(own, which, True, 2)
     mosaic = np.take_along_axis(truth, which, 2)[..., 0]
     spread = np.float32(0.002**2 + 0.0001 * mosaic)
-    seen = mosaic + np.sqrt(spread) * np.random.default_rng(1).standard_normal(SHAPE)
+    observed = mosaic + np.sqrt(spread) * np.random.default_rng(1).standard_normal(SHAPE)
     values, _, variance = demosaic(
-        seen.astype(np.float32), np.zeros(SHAPE, np.uint8), spread, pattern, method=method
+        observed.astype(np.float32), np.zeros(SHAPE, np.uint8), spread, pattern, method=method
     )
     return values, truth, variance, own
 
@@ -69,11 +69,11 @@ def test_detail_that_channels_do_not_share_is_in_the_sigma_of_methods_that_compa
     table = channel_table(BAYER)
     y, x = np.indices(SHAPE)
     which = table[y % 2, x % 2][..., None]
-    seen = np.take_along_axis(truth, which, 2)[..., 0].astype(np.float32)
+    observed = np.take_along_axis(truth, which, 2)[..., 0].astype(np.float32)
     variance = np.full(SHAPE, 1e-6, np.float32)
     weights = wiener_method(np.array([[1, 0.9, 0.5], [0.9, 1, 0.9], [0.5, 0.9, 1]]))
     values, _, spread = demosaic(
-        *(seen, np.zeros(SHAPE, np.uint8), variance, BAYER),
+        *(observed, np.zeros(SHAPE, np.uint8), variance, BAYER),
         method=weights if method == "wiener" else method,
     )
     miss = ((values - truth) / np.sqrt(spread))[8:-8, 8:-8][(which != np.arange(3))[8:-8, 8:-8]]

@@ -139,10 +139,10 @@ def coverage(lamp, white_at, shot_at, known, count=2000, error=2e-4):
     for _ in range(count):
         level = lamp(rng)
         at = [level(np.asarray(times, float)) for times in (white_at, shot_at)]
-        seen = [a * rng.normal(1, error, len(a)) for a in at]
+        observed = [a * rng.normal(1, error, len(a)) for a in at]
         stacks = [
             ShotLevels((s / s.mean())[:, None], np.array([error]), tuple(t) if known else None)
-            for s, t in zip(seen, (white_at, shot_at), strict=True)
+            for s, t in zip(observed, (white_at, shot_at), strict=True)
         ]
         found = lamp_between(*stacks)
         miss = at[1].mean() / at[0].mean() - found.factor[0]

@@ -13,7 +13,7 @@ from levkas.core.cube import Flag
 SEES = np.array([[0.6, 1.0], [0.02, 0.55]])
 
 
-def seen(scene, sees=SEES):
+def observed(scene, sees=SEES):
     rows, columns = sees.shape
     y, x = np.indices(scene.shape)
     return (scene * sees[y % rows, x % columns]).astype(np.float32)
@@ -40,7 +40,7 @@ def centroid(picture, start, reach=12):
 def test_a_plane_comes_back_whole_and_unmoved(shape):
     y, x = np.mgrid[: shape[0], : shape[1]]
     plane = 2000 + 3.0 * x - 2.0 * y
-    made, flags, _ = equalise_phases(seen(plane), np.zeros(plane.shape, np.uint8), None, "GBRG")
+    made, flags, _ = equalise_phases(observed(plane), np.zeros(plane.shape, np.uint8), None, "GBRG")
     np.testing.assert_allclose(made, plane, rtol=2e-4)
     assert not flags.any()
 
@@ -48,7 +48,7 @@ def test_a_plane_comes_back_whole_and_unmoved(shape):
 def test_gains_come_back_and_the_weak_phase_is_dropped():
     rng = np.random.default_rng(0)
     scene = blobs((120, 140), [(40, 50), (90, 60)], 9)
-    raw = seen(scene) + rng.normal(0, 4, scene.shape).astype(np.float32)
+    raw = observed(scene) + rng.normal(0, 4, scene.shape).astype(np.float32)
     found = phase_gains(raw, np.zeros(raw.shape, np.uint8), None, "GBRG")
     np.testing.assert_allclose(found.gains, SEES, atol=0.005)
     assert (found.weights > 0).tolist() == [[True, True], [False, True]]
@@ -56,7 +56,7 @@ def test_gains_come_back_and_the_weak_phase_is_dropped():
 
 
 def test_a_saturated_phase_is_dropped():
-    raw = np.minimum(seen(np.full((60, 60), 300.0)), 255)
+    raw = np.minimum(observed(np.full((60, 60), 300.0)), 255)
     flags = np.where(raw >= 255, Flag.SATURATED, 0).astype(np.uint8)
     made, noted, _ = equalise_phases(raw, flags, None, "GBRG")
     # The green of gain 0.6 is now the strongest: the scale is its.
@@ -67,14 +67,14 @@ def test_a_saturated_phase_is_dropped():
 @pytest.mark.parametrize("sees", [SEES, np.array([[0.05, 1], [0.01, 0.05]]), np.ones((2, 2))])
 def test_blobs_stay_where_they_are(sees):
     centres = [(30.3, 40.6), (80.75, 41.2), (55.5, 90.9)]
-    raw = seen(blobs((130, 120), centres, 4.0), sees)
+    raw = observed(blobs((130, 120), centres, 4.0), sees)
     made, _, _ = equalise_phases(raw, np.zeros(raw.shape, np.uint8), None, "GBRG")
     for centre in centres:
         assert centroid(made, centre) == pytest.approx(centre, abs=0.03)
 
 
 def test_flags_and_variance_travel():
-    raw, flags = seen(np.full((40, 40), 500.0)), np.zeros((40, 40), np.uint8)
+    raw, flags = observed(np.full((40, 40), 500.0)), np.zeros((40, 40), np.uint8)
     flags[20, 21] = Flag.DEFECT
     noise = np.full(raw.shape, 9, np.float32)
     _, noted, variance = equalise_phases(raw, flags, noise, "GBRG")

@@ -62,17 +62,17 @@ class Laboratory:
 def test_means_ratios_and_differences_scatter_as_the_budget_says():
     see = Laboratory(1).camera()
     regions = mean_of(FIRST), mean_of(SECOND, seed=1)
-    seen = np.concatenate([see(mean) for mean in regions], axis=1)
+    observed = np.concatenate([see(mean) for mean in regions], axis=1)
     both = join(
         [uncertain_mean(mean, SOURCES, layer="a", region=k) for k, mean in enumerate(regions)]
     )
-    assert np.allclose(both.covariance, np.cov(seen.T), atol=2e-6, rtol=0.05)
+    assert np.allclose(both.covariance, np.cov(observed.T), atol=2e-6, rtol=0.05)
     for function in (
         lambda v: v[..., :3] - v[..., 3:],
         lambda v: v[..., :3] / v[..., 3:],
         lambda v: np.log(v[..., 1:2] / v[..., :1]),
     ):
-        scatter = function(seen).std(0)
+        scatter = function(observed).std(0)
         assert np.allclose(both.through(function).sigma, scatter, rtol=0.03)
 
 
@@ -94,11 +94,11 @@ def test_what_bends_or_veils_the_picture_does_not_leave_a_ratio(source):
     size, view = 0.005, 0.35
     draws = size * np.random.default_rng(5).standard_normal(DRAWS)[:, None]
 
-    def seen(light, around):
+    def observed(light, around):
         return light - draws * light**2 if source == "linearity" else light + draws * around
 
     both = np.concatenate([FIRST, SECOND])
-    measured = seen(both, view) / seen(1.0, 1.0)
+    measured = observed(both, view) / observed(1.0, 1.0)
     unit = "relative" if source == "linearity" else "reflectance"
     zero = of_all(1.0 if source == "linearity" else view)
     row = ErrorSource(source, unit, of_all(size), "camera", all_bands=True, zero_at=zero)

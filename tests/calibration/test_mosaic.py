@@ -92,8 +92,8 @@ def test_variance_is_that_of_the_weights():
 def test_channels_come_in_the_order_asked_for():
     frame = np.arange(36, dtype=np.float32).reshape(6, 6)
     first, _, _ = demosaic(frame, clear((6, 6)), None, "GBRG")
-    asked, _, _ = demosaic(frame, clear((6, 6)), None, "GBRG", channels=("R", "G", "B"))
-    np.testing.assert_array_equal(asked, first[:, :, [2, 0, 1]])
+    requested, _, _ = demosaic(frame, clear((6, 6)), None, "GBRG", channels=("R", "G", "B"))
+    np.testing.assert_array_equal(requested, first[:, :, [2, 0, 1]])
 
 
 def test_malvar_refuses_other_patterns_with_what_to_do():

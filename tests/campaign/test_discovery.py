@@ -237,9 +237,9 @@ def test_every_sensor_that_lacks_something_is_named(tmp_path):
     ):
         (tmp_path / name).unlink()
     _, refusals = find_captures(campaign(tmp_path, CCDS))
-    told = refusals["icon1", "vis", ""].problems
-    assert [p.code for p in told] == ["E_BAND_MISSING", "E_TEMPLATE_MISSING"]
-    assert "ccd1" in told[0].message and "ccd3" in told[1].message
+    reported = refusals["icon1", "vis", ""].problems
+    assert [p.code for p in reported] == ["E_BAND_MISSING", "E_TEMPLATE_MISSING"]
+    assert "ccd1" in reported[0].message and "ccd3" in reported[1].message
 
 
 def test_sensors_with_the_same_channels_are_refused(tmp_path):

@@ -77,9 +77,9 @@ def test_everything_that_is_wrong_is_said_at_once(tmp_path):
     )
     with pytest.raises(EditsInvalid) as refused:
         read_edits(path)
-    told = {p.field: p for p in refused.value.problems}
-    assert len(told) >= 4 and all(p.file == str(path) and p.fix for p in told.values())
-    assert told["objects.icon.cameras.nir.adde"].fix == "Did you mean 'added'?"
+    reported = {p.field: p for p in refused.value.problems}
+    assert len(reported) >= 4 and all(p.file == str(path) and p.fix for p in reported.values())
+    assert reported["objects.icon.cameras.nir.adde"].fix == "Did you mean 'added'?"
 
 
 def test_one_pair_cannot_be_deleted_and_pinned(tmp_path):

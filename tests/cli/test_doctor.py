@@ -23,9 +23,9 @@ def finding(examination, name):
 
 
 def test_the_packages_are_those_of_the_metadata_and_each_has_its_purpose(examination):
-    told = [Requirement(text) for text in metadata.requires("levkas")]
-    required = {r.name for r in told if r.marker is None}
-    extras = {r.name for r in told if any(f'"{e}"' in str(r.marker) for e in doctor.EXTRAS)}
+    reported = [Requirement(text) for text in metadata.requires("levkas")]
+    required = {r.name for r in reported if r.marker is None}
+    extras = {r.name for r in reported if any(f'"{e}"' in str(r.marker) for e in doctor.EXTRAS)}
     assert len(required) > 20 and "obstore" in extras
     by_name = {f.name: f for f in examination.findings}
     assert required | extras <= set(by_name)

@@ -250,9 +250,9 @@ def run_apart(*commands, limit=MOST_BYTES, memory_gb=None):
     environment |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
     if memory_gb is not None:
         environment["LEVKAS_MEMORY"] = str(memory_gb)
-    told = json.dumps([[str(a) for a in command] for command in commands])
+    reported = json.dumps([[str(a) for a in command] for command in commands])
     done = subprocess.run(
-        [sys.executable, "-c", COUNTED, str(limit), told],
+        [sys.executable, "-c", COUNTED, str(limit), reported],
         capture_output=True,
         text=True,
         env=environment,
@@ -311,7 +311,7 @@ objects = ["icon"]
 @pytest.mark.slow
 def test_small_files_of_twenty_thousand_pixels_square_end_in_a_refusal(tmp_path):
     """Each decodes to 400 or 800 MB: nine of them had a build killed by the system."""
-    asked = []
+    found = []
     for name, compression, bits, strips in (
         ("deflate", 8, 16, True),
         ("one strip", 8, 8, False),
@@ -327,10 +327,10 @@ def test_small_files_of_twenty_thousand_pixels_square_end_in_a_refusal(tmp_path)
             shutil.copy(first, frames / f"{role}.tif")
         shutil.copytree(frames, campaign)
         (campaign / "campaign.toml").write_text(CALIBRATED)
-        asked += [["look", frames], ["plan", "exposure", frames, "--bits", "12"],
+        found += [["look", frames], ["plan", "exposure", frames, "--bits", "12"],
                   ["radiometry", frames], ["radiometry", campaign], ["chart", first],
                   ["status", campaign], ["build", campaign]]  # fmt: skip
-    for each in run_apart(*asked):
+    for each in run_apart(*found):
         assert each["seconds"] < MOST_S, each
         assert "status" in each["of"] or " MB from " in each["output"], each
 

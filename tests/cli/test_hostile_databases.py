@@ -30,8 +30,8 @@ BAND = "zarr/icon1.zarr/d80/band/zarr.json"
 @pytest.fixture(scope="module")
 def sound(made_database):
     """That database, after every command has read it: what they import is in no test's time."""
-    seen = read_all(made_database)
-    assert seen == dict.fromkeys(seen, "done")
+    outcomes = read_all(made_database)
+    assert outcomes == dict.fromkeys(outcomes, "done")
     return made_database
 
 
@@ -55,13 +55,13 @@ ALL = ("open", "map", "export", "evaluate", "validate")
 
 def read_all(root, commands=ALL):
     """Open a database and run commands that read it; return what came of each."""
-    seen = {}
+    found = {}
     try:
         if "open" in commands:
             opened(root)
-            seen["open"] = "done"
+            found["open"] = "done"
     except Refused as refused:
-        seen["open"] = refused.problems[0].code
+        found["open"] = refused.problems[0].code
     for name, *arguments in (
         ("map", "map", root, "icon1", root.parent / "points.csv", "--from", "d80", "--to", "vis"),
         ("export", "export", root, "--for", "envi", "-o", root.parent / "exported", "--overwrite"),
@@ -73,16 +73,16 @@ def read_all(root, commands=ALL):
         result = CliRunner().invoke(app, [str(a) for a in arguments])
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
-        seen[name] = "done" if result.exit_code == 0 else result.output.split(":")[0]
-    return seen
+        found[name] = "done" if result.exit_code == 0 else result.output.split(":")[0]
+    return found
 
 
 def read_soon(root, commands=ALL):
     before = time.process_time()
-    seen = read_all(root, commands)
+    outcomes = read_all(root, commands)
     taken = time.process_time() - before
     assert taken < MOST_S, f"{taken:.1f} s of processor time"
-    return seen
+    return outcomes
 
 
 CONTENTS = (BRACKETS, PAIRS, b"", b"[1]", b'{"shape":' + b"9" * (2 << 20) + b"}", b"\xff", b"{}")
@@ -139,8 +139,8 @@ def test_a_registration_record_with_a_part_that_is_none_is_refused_by_its_name(d
             part = part[name]
         part[last] = value
         path.write_text(json.dumps(record))
-        seen = read_soon(database, ("map", "evaluate", "open"))
-        assert set(seen.values()) == {"E_VALUE"}, place
+        outcomes = read_soon(database, ("map", "evaluate", "open"))
+        assert set(outcomes.values()) == {"E_VALUE"}, place
         refused = CliRunner().invoke(app, ["evaluate", str(database)]).output
         assert "d80.json" in refused
         assert (above or [last])[0] in refused
@@ -158,9 +158,9 @@ def test_an_array_of_billions_is_refused_before_memory_is_taken(file, key, datab
         record["chunk_grid"]["configuration"]["chunk_shape"] = large
     path.write_text(json.dumps(record))
     (database / NAME).unlink()
-    seen = read_soon(database, ("open", "validate"))
-    assert seen["validate"] != "done"
-    assert seen["open"] != "done"
+    outcomes = read_soon(database, ("open", "validate"))
+    assert outcomes["validate"] != "done"
+    assert outcomes["open"] != "done"
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
@@ -182,8 +182,8 @@ def test_links_that_lead_out_are_not_followed(file, refusing, database):
     outside = database.parent / "outside"
     (database / file).rename(outside)
     (database / file).symlink_to(outside)
-    seen = read_soon(database, (*refusing, "validate"))
-    assert set(seen.values()) == {"E_LINK"}, seen
+    outcomes = read_soon(database, (*refusing, "validate"))
+    assert set(outcomes.values()) == {"E_LINK"}, outcomes
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")

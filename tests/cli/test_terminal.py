@@ -161,7 +161,7 @@ def test_points_outside_are_counted_in_a_warning(mapped):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "reported"),
     [
         (("icon1", "missing.csv"), "no such file"),
         (("icon1", "latin.csv"), "a byte that is not UTF-8 in line 3"),
@@ -170,12 +170,12 @@ def test_points_outside_are_counted_in_a_warning(mapped):
         (("icon1", "points.csv", "--to", "nir:560"), "Did you mean '550 nm'?"),
     ],
 )
-def test_map_says_what_is_wrong_and_ends_with_1(mapped, monkeypatch, words, told):
+def test_map_says_what_is_wrong_and_ends_with_1(mapped, monkeypatch, words, reported):
     (mapped / "points.csv").write_text("x,y\n1,2\n")
     (mapped / "latin.csv").write_bytes(b"x,y\n1,2\n\xe9,3\n")
     monkeypatch.chdir(mapped)
     status, out, err = run("map", mapped, *words)
-    assert status == 1 and out == "" and told in err and len(err.splitlines()) <= 3
+    assert status == 1 and out == "" and reported in err and len(err.splitlines()) <= 3
 
 
 def test_control_points_of_no_known_kind_are_quoted_as_text(tmp_path):

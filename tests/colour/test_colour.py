@@ -137,8 +137,8 @@ def test_a_camera_that_sees_as_we_do_is_colorimetric():
     mixed = (target / light[:, None]) @ np.array([[1, 0.2, 0], [0.1, 1, 0.1], [0, 0.1, 1]])
     matrix, missed = camera_matrix(nm, mixed)
     rows, wavelengths = spectra()
-    seen = mixed * light[:, None]
-    channels = rows @ (seen / seen.sum(0))
+    observed = mixed * light[:, None]
+    channels = rows @ (observed / observed.sum(0))
     assert missed < 1e-6
     assert delta_e(channels @ matrix, reference_xyz(rows, wavelengths)).max() < 0.05
 
@@ -148,8 +148,8 @@ def test_a_camera_with_bell_curves_is_near_in_colour_and_exact_in_white():
     matrix, missed = camera_matrix(GRID, table)
     np.testing.assert_allclose(matrix.sum(0), SRGB_TO_XYZ.sum(1), rtol=1e-9)
     rows, nm = spectra()
-    seen = table * np.interp(GRID, D65.wavelengths, D65.values)[:, None]
-    error = delta_e(rows @ (seen / seen.sum(0)) @ matrix, reference_xyz(rows, nm))
+    observed = table * np.interp(GRID, D65.wavelengths, D65.values)[:, None]
+    error = delta_e(rows @ (observed / observed.sum(0)) @ matrix, reference_xyz(rows, nm))
     assert missed < 0.25
     assert np.median(error) < 2.0
     labels = [Band(c) for c in "RGB"]

@@ -30,7 +30,7 @@ print(use({name}(1)))
 """
 
 
-def ask(folder: Path) -> str:
+def answer_of(folder: Path) -> str:
     """Answer of the kernel in a process of its own."""
     env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), *sys.path])}
     done = subprocess.run(
@@ -50,13 +50,13 @@ def put(folder: Path, number: int, name: str, when: int) -> None:
 def test_code_of_an_older_source_is_compiled_again(tmp_path, name):
     """What is inlined from another file, and a class of an argument that has another name now."""
     put(tmp_path, 1, "Pair", 1_000_000_000)
-    assert ask(tmp_path) == "2"
+    assert answer_of(tmp_path) == "2"
     (kept,) = tmp_path.rglob("using.use-*.nbi")
     before = kept.stat().st_mtime_ns
-    assert ask(tmp_path) == "2"
+    assert answer_of(tmp_path) == "2"
     assert kept.stat().st_mtime_ns == before, "code that is not old is loaded"
     put(tmp_path, 5, name, int(before / 1e9) + 10)
-    assert ask(tmp_path) == "6"
+    assert answer_of(tmp_path) == "6"
 
 
 COUNTED = """

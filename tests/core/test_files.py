@@ -221,14 +221,14 @@ def joint_before(folder):
 
 
 def test_what_belongs_together_changes_together(tmp_path):
-    before, seen = joint_before(tmp_path), []
+    before, observed = joint_before(tmp_path), []
 
     def look():
         swept = sweep(tmp_path)
-        seen.append((swept, {n: d for n, d in state(tmp_path).items() if "partial" not in n}))
+        observed.append((swept, {n: d for n, d in state(tmp_path).items() if "partial" not in n}))
 
     joint_job(tmp_path, look)
-    assert seen == [([], before)]
+    assert observed == [([], before)]
     assert state(tmp_path) == dict.fromkeys(JOINT, NEW)
 
 

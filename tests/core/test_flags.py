@@ -25,8 +25,8 @@ def test_every_flag_has_a_word_a_meaning_and_a_colour_of_its_own():
 
 def test_the_docs_say_of_every_flag_what_the_table_says():
     rows = re.findall(r"^\| (\d+) \| ([^|]+) \| [^|]+ \| ([^|]+) \|$", DOCS.read_text(), re.M)
-    told = {int(bit): (word, usable != "no") for bit, word, usable in rows}
-    assert told == {m["bit"]: (m["word"], m["trusted"]) for m in describe_marks()}
+    reported = {int(bit): (word, usable != "no") for bit, word, usable in rows}
+    assert reported == {m["bit"]: (m["word"], m["trusted"]) for m in describe_marks()}
 
 
 def test_a_map_shows_every_flag_in_its_colour(tmp_path):

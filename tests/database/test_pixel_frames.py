@@ -185,8 +185,8 @@ def test_the_sigma_of_a_band_lies_on_the_grid_and_is_nan_where_it_does_not_see(d
     where = find_map(database, "icon1", "grid", "vis:550 nm")(points)
     for (column, row), (across, _) in zip(points.astype(int), where, strict=True):
         np.testing.assert_allclose(found[row, column], 0.01 * across, rtol=1e-5)
-    seen = find_map(database, "icon1", "grid", "vis:540 nm")
+    observed = find_map(database, "icon1", "grid", "vis:540 nm")
     y, x = np.mgrid[:50, :40]
-    outside = np.isnan(seen(np.stack([x.ravel(), y.ravel()], 1))).any(1).reshape(50, 40)
+    outside = np.isnan(observed(np.stack([x.ravel(), y.ravel()], 1))).any(1).reshape(50, 40)
     np.testing.assert_array_equal(np.isnan(found), outside)
     assert find_position_sigma(database, "icon1", "d80") is None

@@ -143,13 +143,13 @@ def test_what_happened_to_a_file_is_said(database):
     cut = database / "objects/icon1/icon1_d80.tif"
     cut.write_bytes(cut.read_bytes()[:100])
     (database / "objects/icon2/icon2_vis.png").rename(database / "lost.png")
-    told = {p.file.removeprefix(f"{database}/"): p for p in validate(database).problems}
-    assert told["objects/icon1/icon1_vis.sigma.tif"].code == "E_SWAPPED"
-    assert "icon2_vis.sigma.tif" in told["objects/icon1/icon1_vis.sigma.tif"].found
-    assert told["objects/icon1/icon1_d80.tif"].code == "E_TRUNCATED"
-    assert told["objects/icon1/icon1_d80.tif"].found == "100 bytes"
-    assert told["objects/icon2/icon2_vis.png"].found == "its content is at lost.png"
-    assert told["lost.png"].code == "E_EXTRA"
+    reported = {p.file.removeprefix(f"{database}/"): p for p in validate(database).problems}
+    assert reported["objects/icon1/icon1_vis.sigma.tif"].code == "E_SWAPPED"
+    assert "icon2_vis.sigma.tif" in reported["objects/icon1/icon1_vis.sigma.tif"].found
+    assert reported["objects/icon1/icon1_d80.tif"].code == "E_TRUNCATED"
+    assert reported["objects/icon1/icon1_d80.tif"].found == "100 bytes"
+    assert reported["objects/icon2/icon2_vis.png"].found == "its content is at lost.png"
+    assert reported["lost.png"].code == "E_EXTRA"
 
 
 def test_a_catalogue_that_is_stale_is_found_though_every_hash_is_right(database):
@@ -264,17 +264,17 @@ def test_a_bag_is_checked_with_its_tag_files(database, tmp_path):
 
 
 def test_as_many_files_are_hashed_at_a_time_as_threads_may_work(database, monkeypatch):
-    asked = []
+    found = []
 
     class Pool(ThreadPoolExecutor):
         def __init__(self, count):
-            asked.append(count)
+            found.append(count)
             super().__init__(count)
 
     monkeypatch.setattr(sys.modules[validate.__module__], "ThreadPoolExecutor", Pool)
     monkeypatch.setenv("LEVKAS_THREADS", "5")
     assert validate(database).ok and validate(database, threads=1).ok
-    assert asked == [5, 1]
+    assert found == [5, 1]
 
 
 def test_a_folder_that_is_no_database_is_refused(tmp_path):

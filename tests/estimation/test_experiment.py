@@ -194,8 +194,8 @@ def test_the_command_writes_page_json_tables_maps_and_models(paintings, tmp_path
     out = tmp_path / "out"
     ran = command(paintings, "--from", "rgb", "--method", "wiener", "--json", "-o", out)
     assert ran.exit_code == 0, ran.stderr
-    told, kept = json.loads(ran.stdout), json.loads((out / "estimation.json").read_text())
-    assert told["results"] == kept["results"] and told["command"] == "estimate"
+    record, kept = json.loads(ran.stdout), json.loads((out / "estimation.json").read_text())
+    assert record["results"] == kept["results"] and record["command"] == "estimate"
     method = kept["results"][0]["methods"][0]
     assert method["method"] == "wiener" and set(method["metrics"]["rmse"]) == {
         "mean",

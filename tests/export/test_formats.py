@@ -79,12 +79,12 @@ def test_gdal_leaves_out_of_an_envi_export_what_lies_outside_the_frame(database,
 
 def test_matlab_gets_cube_flags_sigma_and_labels_without_the_time(database, tmp_path):
     exported(database, "matlab", tmp_path)
-    told = loadmat(tmp_path / "icon1_vis.mat", chars_as_strings=True)
-    same(told["cube"], truth(database))
-    same(told["sigma"], truth(database, kind=".sigma"))
-    same(told["flags"], truth(database, kind=".flags"))
-    assert told["wavelengths"].tolist() == [list(WAVES)]
-    assert [str(label[0]) for label in told["bands"][0]][:2] == ["420 nm", "500.5 nm"]
+    record = loadmat(tmp_path / "icon1_vis.mat", chars_as_strings=True)
+    same(record["cube"], truth(database))
+    same(record["sigma"], truth(database, kind=".sigma"))
+    same(record["flags"], truth(database, kind=".flags"))
+    assert record["wavelengths"].tolist() == [list(WAVES)]
+    assert [str(label[0]) for label in record["bands"][0]][:2] == ["420 nm", "500.5 nm"]
     assert (tmp_path / "icon1_vis.mat").read_bytes()[:116].strip().endswith(b"levkas")
 
 

@@ -327,10 +327,10 @@ def test_what_is_not_there_does_not_spread(hole):
     warped = warp(image, shift(0.25, 0.3), (21, 21), flags=flags)
     assert np.isnan(warped.values[10, 10])
     assert warped.flags[10, 10] == Flag.OUTSIDE
-    seen = np.ones((21, 21), bool)
-    seen[10, 10] = False
-    seen[-1] = seen[:, -1] = warped.flags[0, -1] == 0
-    assert np.allclose(warped.values[seen], 0.5)
+    valid = np.ones((21, 21), bool)
+    valid[10, 10] = False
+    valid[-1] = valid[:, -1] = warped.flags[0, -1] == 0
+    assert np.allclose(warped.values[valid], 0.5)
     assert warped.flags[10, 9] == warped.flags[9, 9] == Flag.NEAR
     assert (warped.flags != 0).sum() < 40
 
@@ -358,10 +358,10 @@ def test_variance_is_what_noise_shows():
     for scale in (1.0, 2.2):
         transform = Composed(Affine.scaling(1 / 2.2), Affine.scaling(scale), camera_map())
         warped = warp(noise, transform, (20, 20), variance=np.ones_like(noise))
-        seen = warped.flags[..., 0] == 0
-        spread = warped.values[seen].std() ** 2
+        valid = warped.flags[..., 0] == 0
+        spread = warped.values[valid].std() ** 2
         # 400 pixels of 60 bands, neighbours correlated: 2 per cent.
-        assert spread == pytest.approx(warped.variance[seen].mean(), rel=0.06)
+        assert spread == pytest.approx(warped.variance[valid].mean(), rel=0.06)
 
 
 def test_a_coarse_grid_is_not_aliased():

@@ -28,8 +28,8 @@ SOURCES = (
 
 @pytest.mark.parametrize("words", OLD)
 def test_no_screen_and_no_page_of_the_docs_says_what_was_said_before(words):
-    told = [str(path) for path in SOURCES if words in path.read_text(encoding="utf-8")]
-    assert told == []
+    reported = [str(path) for path in SOURCES if words in path.read_text(encoding="utf-8")]
+    assert reported == []
 
 
 def test_built_pages_say_none_of_the_old_words():
@@ -67,10 +67,10 @@ def test_the_table_of_keys_names_every_letter_of_viewer_and_workbench():
         (3, "frontend/src/viewer/viewer.ts"),
         (4, "frontend/src/workbench/commands.ts"),
     ):
-        told = {
+        reported = {
             letter
             for cells in rows
             if "●" in cells[column]
             for letter in re.findall(r"`([A-Z])`", cells[0])
         }
-        assert letters(path) <= told, path
+        assert letters(path) <= reported, path

@@ -122,9 +122,9 @@ def test_of_a_matte_panel_nothing_is_said_of_varnish_and_gold(rewritten):
         ("gold = { roughness = 0.2 }", ""),
         ("recess_mm = 3", ""),
     )
-    told = CliRunner().invoke(app, ["plan", "light", str(path), "-s", "45-degree"]).output
-    assert "nothing on it shines" in told and "varnish shines" not in told
-    assert "Lamps at 45°" not in told  # where they are
+    result = CliRunner().invoke(app, ["plan", "light", str(path), "-s", "45-degree"]).output
+    assert "nothing on it shines" in result and "varnish shines" not in result
+    assert "Lamps at 45°" not in result  # where they are
     page = path.with_name("plan.html")
     CliRunner().invoke(app, ["plan", "light", str(path), "--report", str(page)])
     assert "varnish and leaf facets" not in page.read_text(encoding="utf-8")
@@ -138,10 +138,10 @@ def write_white(folder, bench, *, full=0.8):
     from levkas.planning.exposure_plan import electron_rates, irradiance_spectrum
 
     rng = np.random.default_rng(9)
-    lighting, seen = bench.lighting(), bench.cameras["d80"]
-    rates = electron_rates(bench, seen, lighting, irradiance_spectrum(bench, lighting))
-    rates = rates * [GAINS[c] for c in seen.labels]
-    counts = dict(zip(seen.labels, full * 4000 * rates / rates.max(), strict=True))
+    lighting, studio = bench.lighting(), bench.cameras["d80"]
+    rates = electron_rates(bench, studio, lighting, irradiance_spectrum(bench, lighting))
+    rates = rates * [GAINS[c] for c in studio.labels]
+    counts = dict(zip(studio.labels, full * 4000 * rates / rates.max(), strict=True))
     rows = np.array([["R", "G"], ["G", "B"]])
     level = np.vectorize(counts.get)(np.tile(rows, (100, 140))).astype(float)
     for name, scene in (("white", level), ("dark", 0 * level)):
@@ -157,14 +157,14 @@ def test_a_captured_white_regulates_the_filter_on_the_command_line(bench, rewrit
     path = rewritten()
     white, dark = write_white(tmp_path / "raw", bench)
     page = tmp_path / "plan.html"
-    asked = [
+    requested = [
         *("filter", white, "--dark", dark, "--pattern", "RGGB", "--bits", "12"),
         *("--setup", path, "--camera", "d80"),
     ]
-    told = run(*asked, "-o", page)
-    assert told.exit_code == 0, told.output
-    assert "From the captured white" in told.output and "model alone" in told.output
-    record = json.loads(run(*asked, "--json").stdout)
+    reported = run(*requested, "-o", page)
+    assert reported.exit_code == 0, reported.output
+    assert "From the captured white" in reported.output and "model alone" in reported.output
+    record = json.loads(run(*requested, "--json").stdout)
     sheet = record["regulating_filters"]["d80"]
     mean = np.prod(list(GAINS.values())) ** (1 / 3)
     for name, gain in GAINS.items():
@@ -189,10 +189,10 @@ def test_whites_that_cannot_regulate_are_refused(bench, rewritten, tmp_path):
     white, dark = write_white(tmp_path / "raw", bench)
     given = ("filter", white, "--dark", dark, "--bits", "12", "--setup", path)
     assert run(*given, "--pattern", "RGGB", "--camera", "lctf-vis").exit_code == 1
-    told = run(*given, "--camera", "d80", "--json")  # no pattern: one channel
-    assert [p["code"] for p in json.loads(told.stdout)["problems"]] == ["E_CHANNELS"]
+    output = run(*given, "--camera", "d80", "--json")  # no pattern: one channel
+    assert [p["code"] for p in json.loads(output.stdout)["problems"]] == ["E_CHANNELS"]
     clipped, _ = write_white(tmp_path / "over", bench, full=1.4)
-    told = run(
+    output = run(
         "filter",
         clipped,
         "--pattern",
@@ -205,7 +205,7 @@ def test_whites_that_cannot_regulate_are_refused(bench, rewritten, tmp_path):
         "d80",
         "--json",
     )
-    assert json.loads(told.stdout)["problems"][0]["code"] == "E_WHITE_SATURATED"
+    assert json.loads(output.stdout)["problems"][0]["code"] == "E_WHITE_SATURATED"
 
 
 def test_sensors_of_a_beam_splitter_are_read_by_their_campaign(bench, tmp_path):

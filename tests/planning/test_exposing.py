@@ -164,15 +164,17 @@ def rates_behind(bench, camera, found, gains):
     lighting = bench.lighting()
     spectrum = irradiance_spectrum(bench, lighting)
     sheet = np.interp(GRID, found.wavelengths, found.transmittance)
-    seen = bench.cameras[camera]
-    return electron_rates(bench, seen, lighting, spectrum * sheet) * [gains[c] for c in seen.labels]
+    studio = bench.cameras[camera]
+    return electron_rates(bench, studio, lighting, spectrum * sheet) * [
+        gains[c] for c in studio.labels
+    ]
 
 
 def captured(bench, camera, gains):
     lighting = bench.lighting()
-    seen = bench.cameras[camera]
-    rates = electron_rates(bench, seen, lighting, irradiance_spectrum(bench, lighting))
-    return {c: float(r * gains[c]) for c, r in zip(seen.labels, rates, strict=True)}
+    studio = bench.cameras[camera]
+    rates = electron_rates(bench, studio, lighting, irradiance_spectrum(bench, lighting))
+    return {c: float(r * gains[c]) for c, r in zip(studio.labels, rates, strict=True)}
 
 
 def test_a_filter_from_a_captured_white_evens_the_camera_out_that_the_model_does_not_know(bench):

@@ -65,21 +65,23 @@ def test_stops_left_and_clipped_share_by_hand():
 def test_following_the_advice_brings_the_white_there_and_clips_nothing():
     rng = np.random.default_rng(2)
     first = read_channel(white(5000, 0.1, rng), black=64.0, saturation=4095.0)
-    told = advise(first, SENSOR, exposure_s=0.1)
-    second = read_channel(white(5000, told.time_s, rng), black=64.0, saturation=4095.0)
-    assert second.mean / second.room == pytest.approx(told.target, rel=0.01)
+    advice = advise(first, SENSOR, exposure_s=0.1)
+    second = read_channel(white(5000, advice.time_s, rng), black=64.0, saturation=4095.0)
+    assert second.mean / second.room == pytest.approx(advice.target, rel=0.01)
     assert second.clipped == 0
     assert 0 < second.stops_left < 0.15
 
 
 def test_predicted_snr_is_what_the_longer_exposure_has():
     rng = np.random.default_rng(3)
-    told = advise(
+    advice = advise(
         read_channel(white(5000, 0.1, rng), black=64.0, saturation=4095.0), SENSOR, exposure_s=0.1
     )
-    frame = white(5000, told.time_s, rng).astype(float) - 64
-    flat = frame / (5000 * told.time_s * TILT)
-    assert flat.mean() / flat.std() == pytest.approx(snr_at(told, SENSOR, told.factor), rel=0.02)
+    frame = white(5000, advice.time_s, rng).astype(float) - 64
+    flat = frame / (5000 * advice.time_s * TILT)
+    assert flat.mean() / flat.std() == pytest.approx(
+        snr_at(advice, SENSOR, advice.factor), rel=0.02
+    )
 
 
 def test_an_object_brighter_than_the_white_is_kept_below_saturation():
@@ -194,8 +196,8 @@ def test_full_scale_comes_from_the_campaign_that_the_frames_belong_to(tmp_path):
     (found,) = advise_frames([tmp_path / "raw" / "white"])
     assert found.full == 4095 and "campaign.toml" in found.full_from
     assert stops_of(found) == pytest.approx(np.log2(4031 / 1080), abs=0.05)
-    told = CliRunner().invoke(app, ["plan", "exposure", str(tmp_path / "raw" / "white")])
-    assert "4095" in told.output and "campaign.toml" in told.output
+    result = CliRunner().invoke(app, ["plan", "exposure", str(tmp_path / "raw" / "white")])
+    assert "4095" in result.output and "campaign.toml" in result.output
 
 
 def test_codes_that_pile_up_below_the_bits_are_the_full_scale(tmp_path):
@@ -265,13 +267,13 @@ def test_the_command_says_it_as_table_and_json(tmp_path):
     for shot in "ab":
         frame = white(20_000, 0.1, rng, colours=(0.5, 1.0, 1.0, 0.25))
         write(tmp_path / "w", f"{shot}.tif", frame)
-    asked = ["plan", "exposure", str(tmp_path / "w"), "--pattern", "RGGB", "--time", "0.1"]
-    asked += ["--bits", "12"]
-    told = CliRunner().invoke(app, [*asked, "--black", "64"])
-    assert told.exit_code == 0
-    assert "G saturates first; B gets" in told.output
-    assert "why " in told.output and "ISO: " in told.output
-    report = json.loads(CliRunner().invoke(app, [*asked, "--black", "64", "--json"]).output)
+    requested = ["plan", "exposure", str(tmp_path / "w"), "--pattern", "RGGB", "--time", "0.1"]
+    requested += ["--bits", "12"]
+    result = CliRunner().invoke(app, [*requested, "--black", "64"])
+    assert result.exit_code == 0
+    assert "G saturates first; B gets" in result.output
+    assert "why " in result.output and "ISO: " in result.output
+    report = json.loads(CliRunner().invoke(app, [*requested, "--black", "64", "--json"]).output)
     (band,) = report["bands"]
     assert band["saturates_first"] == "G"
     assert band["recommended_s"] == pytest.approx(0.1 * band["recommended_factor"])

@@ -60,7 +60,7 @@ def write(folder, name, time_s, shot, frame, **more):
 
 
 @pytest.fixture
-def asked(tmp_path):
+def requested(tmp_path):
     """The object at an exposure that holds the gold, twice, and at one that shows the dark."""
     rng = np.random.default_rng(1)
     return [
@@ -86,8 +86,8 @@ def test_the_merge_weighs_as_the_plan_says():
     np.testing.assert_allclose(merged.template.variance, 1 / said, rtol=1e-5)
 
 
-def test_a_build_of_the_planned_series_has_the_predicted_signal_to_noise(asked, tmp_path):
-    plan = planned(asked)
+def test_a_build_of_the_planned_series_has_the_predicted_signal_to_noise(requested, tmp_path):
+    plan = planned(requested)
     times = [e.time_s for e in plan.exposures]
     assert len(times) == 3 and not plan.suffices
     assert plan.darkest == pytest.approx(RATE * PATCHES[0], rel=0.03)
@@ -113,8 +113,8 @@ def test_a_build_of_the_planned_series_has_the_predicted_signal_to_noise(asked, 
         assert said >= 19.5
 
 
-def test_shares_are_those_of_the_patches(asked):
-    plan = planned(asked)
+def test_shares_are_those_of_the_patches(requested):
+    plan = planned(requested)
     unsaturated = [e.unsaturated for e in plan.exposures]
     assert unsaturated[0] == 1.0 and unsaturated == sorted(unsaturated, reverse=True)
     last = plan.exposures[-1]
@@ -137,9 +137,9 @@ def test_one_exposure_is_said_to_suffice_where_the_scene_fits(tmp_path):
     (10.0, 0.0, 2.0, 100.0),  # nothing behind it: ISO only takes full well away
     (10.0, 9.9, None, 100.0),  # with all the time it takes, the largest full well needs fewest exposures
 ])  # fmt: skip
-def test_iso_is_chosen_by_where_the_read_noise_arises(asked, read, after, longest, iso):
+def test_iso_is_chosen_by_where_the_read_noise_arises(requested, read, after, longest, iso):
     keys = KEYS.model_copy(update={"read_e": read, "read_after_e": after, "isos": (100.0, 200.0, 400.0, 800.0)})  # fmt: skip
-    plan = planned(asked, keys, longest_s=longest)
+    plan = planned(requested, keys, longest_s=longest)
     assert plan.sensor.iso == iso
     if iso == 800:
         electrons = [plan.darkest / plan.sensor.gain * e.time_s for e in plan.exposures]
@@ -149,34 +149,34 @@ def test_iso_is_chosen_by_where_the_read_noise_arises(asked, read, after, longes
         assert "read noise 10.1 → 1.9 e⁻" in plan.iso_words
 
 
-def test_the_noise_is_measured_by_shots_and_never_by_texture_or_exposures(asked, tmp_path):
+def test_the_noise_is_measured_by_shots_and_never_by_texture_or_exposures(requested, tmp_path):
     rng = np.random.default_rng(7)
     texture = scene() * np.exp(0.3 * rng.standard_normal(scene().shape))
     frames = [
         write(tmp_path / "three", "panel", t, 0, capture(texture, t, rng)) for t in (0.1, 0.8, 6.4)
     ]
     twice = write(tmp_path / "three", "panel", 0.8, 1, capture(texture, 0.8, rng))
-    for found in (planned(asked, None), planned([*frames, twice], None)):
+    for found in (planned(requested, None), planned([*frames, twice], None)):
         assert found.sensor.gain == pytest.approx(GAIN, rel=0.08)
         assert found.sensor.read_variance == pytest.approx(READ**2 + 1 / 12, rel=0.12)
     with pytest.raises(NoAdvice, match="one shot of an object cannot separate"):
         planned(frames, None)
 
 
-def test_without_both_numbers_no_iso_is_chosen(asked):
-    assert planned(asked, None).iso_words.startswith("not chosen")
-    assert planned(asked).iso_words.startswith("not chosen")
+def test_without_both_numbers_no_iso_is_chosen(requested):
+    assert planned(requested, None).iso_words.startswith("not chosen")
+    assert planned(requested).iso_words.startswith("not chosen")
 
 
-def test_what_frames_or_sensor_cannot_give_is_refused(asked, tmp_path):
+def test_what_frames_or_sensor_cannot_give_is_refused(requested, tmp_path):
     with pytest.raises(NoAdvice, match="do not show how dark"):
-        planned(asked[:2], quantile=0.05)
+        planned(requested[:2], quantile=0.05)
     with pytest.raises(NoAdvice, match="no exposure of this sensor reaches"):
-        planned(asked, snr=500.0)
+        planned(requested, snr=500.0)
     with pytest.raises(PlanRefused, match="does not lie in the frame"):
-        planned(asked, region=(200, 0, 100, 64))
+        planned(requested, region=(200, 0, 100, 64))
     with pytest.raises(PlanRefused, match="larger than the whole"):
-        planned(asked, KEYS.model_copy(update={"read_after_e": 30.0, "isos": (100.0,)}))
+        planned(requested, KEYS.model_copy(update={"read_after_e": 30.0, "isos": (100.0,)}))
     with pytest.raises(PlanRefused, match="quantile is out of range"):
         SeriesWish(quantile=0.7)
     with pytest.raises(NoAdvice, match="exposure is not known"):
@@ -185,9 +185,9 @@ def test_what_frames_or_sensor_cannot_give_is_refused(asked, tmp_path):
         planned([nameless])
 
 
-def test_the_command_plans_writes_its_page_and_its_record(asked, tmp_path):
+def test_the_command_plans_writes_its_page_and_its_record(requested, tmp_path):
     page = tmp_path / "series.html"
-    names = [str(p) for p in asked]
+    names = [str(p) for p in requested]
     options = ["--black", "64", "--bits", "12", "--quantile", "0.05", "-o", str(page)]
     done = CliRunner().invoke(app, ["plan", "series", *names, *options, "--json"])
     assert done.exit_code == 0, done.output
@@ -195,10 +195,10 @@ def test_the_command_plans_writes_its_page_and_its_record(asked, tmp_path):
     assert 3 <= len(series["exposures"]) <= 4 and series["snr_darkest_series"] >= 19.9
     text = page.read_text()
     assert "SNR" in text and f"<strong>{series['exposures'][0]['time_s']:g}</strong>" in text
-    told = CliRunner().invoke(app, ["plan", "series", *names, *options[:-2]])
+    result = CliRunner().invoke(app, ["plan", "series", *names, *options[:-2]])
     one = CliRunner().invoke(app, ["plan", "series", names[0], *options[:-2]])
     assert one.exit_code == 0 and "set " in one.stdout and "no series for" in one.stdout
-    assert "merged" in told.stdout and 'exposures = "merge"' in told.stdout
+    assert "merged" in result.stdout and 'exposures = "merge"' in result.stdout
     assert (
         CliRunner().invoke(app, ["plan", "series", *names, *options]).exit_code != 0
     )  # stands there

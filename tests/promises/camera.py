@@ -109,9 +109,9 @@ class Camera:
     ) -> np.ndarray:
         """Return the codes of one shot of a reflectance; `factor` is that of ISO and stop."""
         habits = self.habits
-        seen = np.broadcast_to(np.asarray(scene, float), self.shape) * self.evenness
-        seen = seen + habits.stray * seen.mean()
-        counts = habits.light * lamp * seconds * seen * self.response + habits.current * seconds
+        observed = np.broadcast_to(np.asarray(scene, float), self.shape) * self.evenness
+        observed = observed + habits.stray * observed.mean()
+        counts = habits.light * lamp * seconds * observed * self.response + habits.current * seconds
         counts = habits.gain * self.rng.poisson(counts / habits.gain)
         counts = factor * np.minimum(counts - habits.curve * counts**2 / 4095, habits.full)
         level = habits.black if black is None else black
@@ -302,10 +302,10 @@ def _write_scans(raw: Path, kind: str, camera: Camera, scene: np.ndarray, *, tim
                 lamp = np.concatenate([lamp, np.ones((lines - short, 1))])
             level = np.interp(WAVELENGTHS[band], (400, 700), habits.board)
             view = scene[..., band] if scene.ndim == 3 else scene
-            seen = np.where(strip, view, level) if role == 1 else view
+            observed = np.where(strip, view, level) if role == 1 else view
             cube.append(
                 camera.frame(
-                    seen if role else 0.0,
+                    observed if role else 0.0,
                     habits.seconds[role],
                     lamp=lamp,
                     black=habits.black + habits.wander * (0.0, 0.5, 1.0)[role],
@@ -363,10 +363,10 @@ def outcome_of(folder: Path, build: Callable) -> Outcome:
             stems = sorted(where.glob("*.flags.tif"))
             planes = [_pages(s.with_name(s.name.replace(".flags", kind))) for s in stems]
             parts[kind] = np.concatenate(planes, -1)
-    told = "\n".join(dict.fromkeys(words))
+    reported = "\n".join(dict.fromkeys(words))
     page = folder / "database" / "cameras" / "cam" / "report.html"
     text = page.read_text(encoding="utf-8") if page.is_file() else ""
-    return Outcome(told, refused, text, *(parts.get(kind) for kind in ("", ".sigma", ".flags")))
+    return Outcome(reported, refused, text, *(parts.get(kind) for kind in ("", ".sigma", ".flags")))
 
 
 def _pages(path: Path) -> np.ndarray:

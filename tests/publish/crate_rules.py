@@ -81,15 +81,15 @@ def _check_preview(
 
 
 def _check_entities(path: Path, graph: list[Entity]) -> Iterator[Problem]:
-    seen: set[str] = set()
+    found: set[str] = set()
     for place, entity in enumerate(graph):
         identifier = entity.get("@id")
         if not isinstance(identifier, str) or not identifier:
             yield _wrong(path, f"@graph[{place}]", "an entity has no @id")
             continue
-        if identifier in seen:
+        if identifier in found:
             yield _wrong(path, identifier, "two entities have one @id")
-        seen.add(identifier)
+        found.add(identifier)
         if NO_URI.search(identifier):
             yield _wrong(path, identifier, "its @id is no URI: encode what is not allowed in one")
         if not entity.get("@type"):

@@ -90,8 +90,8 @@ HOSTILE = st.text(
 def test_any_title_stays_one_string_in_the_citation_file(title):
     record = {"title": title, "creator": title, "licence": "CC0-1.0"}
     facts = facts_of(record, file="", objects={})
-    told = yaml.safe_load(format_cff(facts, "x"))
-    assert told.get("title", "") == facts.title
+    reported = yaml.safe_load(format_cff(facts, "x"))
+    assert reported.get("title", "") == facts.title
     assert json.loads(json.dumps(describe_datacite(facts, "x")))["titles"] == [
         {"title": facts.title}
     ]

@@ -74,9 +74,11 @@ def test_all_addresses_are_below_the_one_that_was_given_and_lead_to_files(folder
     assert '"rights": "http://creativecommons.org/licenses/by/4.0/"' in text
     for name in ("icon1/manifest.json", "collection.json"):
         record = json.loads((folder / "iiif" / name).read_text())
-        told = record["requiredStatement"]["value"]["none"]
-        assert told[0].startswith("Painter, Ada (2019). Icons of Levkas.")
-        assert told[1].startswith("Licence: Creative Commons Attribution 4.0 International <https")
+        reported = record["requiredStatement"]["value"]["none"]
+        assert reported[0].startswith("Painter, Ada (2019). Icons of Levkas.")
+        assert reported[1].startswith(
+            "Licence: Creative Commons Attribution 4.0 International <https"
+        )
         leads = [one["id"] for one in [*record["homepage"], *record["seeAlso"]]]
         base = "https://example.org/icons/"
         assert all((folder / lead.removeprefix(base)).is_file() for lead in leads)

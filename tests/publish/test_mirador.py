@@ -51,8 +51,8 @@ def test_mirador_shows_the_manifest_and_its_layers(database, publish, mirador, b
         shutil.copy(mirador, tmp_path / "site/mirador.min.js")
         (tmp_path / "site/index.html").write_text(PAGE)
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        page, asked = browser.new_page(viewport={"width": 1200, "height": 800}), []
-        page.on("response", lambda answer: asked.append((answer.url, answer.status)))
+        page, requested = browser.new_page(viewport={"width": 1200, "height": 800}), []
+        page.on("response", lambda answer: requested.append((answer.url, answer.status)))
         page.goto(base + "index.html")
         page.wait_for_selector("text=The icon1", timeout=180_000)
         page.wait_for_selector("text=vis: 11 bands", timeout=180_000)
@@ -62,7 +62,7 @@ def test_mirador_shows_the_manifest_and_its_layers(database, publish, mirador, b
         if picture := os.environ.get("LEVKAS_MIRADOR_PICTURE"):
             page.screenshot(path=picture)
         server.shutdown()
-    ours = [(url, status) for url, status in asked if "/iiif/" in url]
+    ours = [(url, status) for url, status in requested if "/iiif/" in url]
     assert any(url.endswith("vis/info.json") for url, _ in ours)
     assert any(url.endswith("default.jpg") for url, _ in ours)
     assert all(status in (200, 304) for _, status in ours), ours

@@ -80,10 +80,10 @@ def test_a_spectral_tiff_gives_cube_wavelengths_picture_and_text_again(cube, tex
     picture = np.full((*cube.shape[:2], 3), 7, np.uint8)
     with tempfile.TemporaryDirectory() as folder:
         levkas.write_stiff(Path(folder) / "x.tif", cube, waves, picture, text)
-        read, centres, shown, told = levkas.read_stiff(Path(folder) / "x.tif")
+        read, centres, shown, reported = levkas.read_stiff(Path(folder) / "x.tif")
         same(read, cube)
         same(shown, picture)
-        assert list(centres) == waves and (told == text or not text.strip())
+        assert list(centres) == waves and (reported == text or not text.strip())
 
 
 @settings(max_examples=15, deadline=None)

@@ -47,8 +47,8 @@ def test_two_cameras_without_errors_agree():
     assert [band.band for band in pair.bands] == [f"{n} nm" for n in NIR if n <= 720]
     assert all(abs(band.ratio - 1) < 0.005 for band in pair.bands)
     assert not pair.contradictions
-    ((mark, told),) = describe_agreement([pair]).short
-    assert mark == "ok" and "agree within their uncertainties" in told
+    ((mark, reported),) = describe_agreement([pair]).short
+    assert mark == "ok" and "agree within their uncertainties" in reported
 
 
 def test_a_wrong_white_is_named_in_every_pair_and_one_within_its_certificate_is_not():
@@ -57,9 +57,9 @@ def test_a_wrong_white_is_named_in_every_pair_and_one_within_its_certificate_is_
     odd = [pair for pair in pairs if pair.contradictions]
     assert len(pairs) == 6 and len(odd) == 3
     assert all("odd" in (pair.first.name, pair.second.name) for pair in odd)
-    ((mark, told),) = describe_agreement(pairs).short
-    assert mark == "warn" and told.startswith("odd differs from a, b and c by +11 %")
-    assert "white, lamp or angle" in told
+    ((mark, reported),) = describe_agreement(pairs).short
+    assert mark == "warn" and reported.startswith("odd differs from a, b and c by +11 %")
+    assert "white, lamp or angle" in reported
     sure = relative("white", 0.06, NIR + 10)
     doubtful = layer("odd", NIR + 10, factor=1 / 0.9, seed=3, sources=[sure])
     assert not any(pair.contradictions for pair in compare_all([*good, doubtful], {}))

@@ -826,14 +826,14 @@ def tell(read, path):
     try:
         signal.alarm(180)
         value = read(path)
-        told = {"came": f"no refusal: {getattr(value, 'shape', type(value).__name__)}"}
+        reported = {"came": f"no refusal: {getattr(value, 'shape', type(value).__name__)}"}
     except Refused as refused:
-        told = {"came": "refused", "problems": [p.to_dict() for p in refused.problems]}
+        reported = {"came": "refused", "problems": [p.to_dict() for p in refused.problems]}
     except BaseException as error:
-        told = {"came": f"{type(error).__name__}: {error}"[:300]}
+        reported = {"came": f"{type(error).__name__}: {error}"[:300]}
     finally:
         signal.alarm(0)
-    return told | {"seconds": processor_time() - started, "bytes": peak()}
+    return reported | {"seconds": processor_time() - started, "bytes": peak()}
 
 
 def peak():
@@ -869,8 +869,8 @@ def main(folder):
         path = Path((Path(folder) / name / "path").read_text())
         before = peak()
         results[name] = [tell(read, path) for read in reads[kind]]
-        for told in results[name]:
-            told["growth"] = told["bytes"] - before
+        for reported in results[name]:
+            reported["growth"] = reported["bytes"] - before
     print(json.dumps(results))
 
 
@@ -894,19 +894,19 @@ def test_a_hostile_file_is_refused_once_soon_and_in_little_memory(results, name)
         pytest.skip("root reads everything")
     _, code, field, said, _ = CASES[name]
     assert results[name]
-    for told in results[name][-1:] if code else ():
-        assert told["came"] == "refused", told
-        (problem,) = told["problems"]
+    for reported in results[name][-1:] if code else ():
+        assert reported["came"] == "refused", reported
+        (problem,) = reported["problems"]
         assert problem["code"] == code, problem
         assert all(problem[key] for key in ("file", "found", "expected", "fix")), problem
         assert field is None or problem["field"] == field, problem
         text = " ".join(str(value) for value in problem.values())
         assert any(word in text for word in said.split("|")), problem
-    for told in results[name]:
-        refused = told["came"] == "refused" or told["came"].startswith("no refusal")
-        assert refused, told
-        assert told["seconds"] < MOST_SECONDS, told
-        assert told["growth"] < MOST_BYTES, told
+    for reported in results[name]:
+        refused = reported["came"] == "refused" or reported["came"].startswith("no refusal")
+        assert refused, reported
+        assert reported["seconds"] < MOST_SECONDS, reported
+        assert reported["growth"] < MOST_BYTES, reported
 
 
 if __name__ == "__main__":

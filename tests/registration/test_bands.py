@@ -44,9 +44,9 @@ def test_area_average_ignores_what_is_invalid():
     values = np.ones((40, 40), np.float32)
     valid = np.ones((40, 40), bool)
     values[10:18, 10:18], valid[10:18, 10:18] = np.nan, False
-    small, seen, _ = area_average(values, valid, 0.25)
-    np.testing.assert_allclose(small[seen], 1, atol=1e-6)
-    assert (~seen).sum() >= 1
+    small, observed, _ = area_average(values, valid, 0.25)
+    np.testing.assert_allclose(small[observed], 1, atol=1e-6)
+    assert (~observed).sum() >= 1
 
 
 @pytest.mark.parametrize("scale", [0, -1, 1.5])

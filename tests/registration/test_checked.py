@@ -96,7 +96,7 @@ def icon(hand, bands=(450, 550, 650)):
     return made
 
 
-def seen(panel, wavelengths, shift, seed):
+def observed(panel, wavelengths, shift, seed):
     rng = np.random.default_rng(seed)
     views = []
     for image, nm in zip(panel, wavelengths, strict=True):
@@ -108,7 +108,7 @@ def seen(panel, wavelengths, shift, seed):
 
 @pytest.fixture(scope="module")
 def ours():
-    return seen(icon(1), (450, 550, 650), (0, 0), 1)
+    return observed(icon(1), (450, 550, 650), (0, 0), 1)
 
 
 @pytest.mark.slow
@@ -117,14 +117,14 @@ def ours():
 def test_another_painting_by_the_same_pattern_in_the_same_place_is_never_accepted(
     ours, hand, wavelengths
 ):
-    target = seen(icon(hand)[: len(wavelengths)], wavelengths, (1.3, -2.4), 2)
+    target = observed(icon(hand)[: len(wavelengths)], wavelengths, (1.3, -2.4), 2)
     found = register(ours, target, reference_band="550")
     assert found.verdict.decision != "accept"
     assert any("fine marks between them" in reason for reason in found.verdict.reasons)
 
 
 def test_the_same_painting_is_accepted(ours):
-    found = register(ours, seen(icon(1), (460, 540, 660), (1.3, -2.4), 2), reference_band="550")
+    found = register(ours, observed(icon(1), (460, 540, 660), (1.3, -2.4), 2), reference_band="550")
     assert found.verdict.decision == "accept"
     assert found.verdict.numbers["sensor"]["verification"]["marks"]["correlation"] > 0.5
 
@@ -134,7 +134,7 @@ def test_one_grey_picture_stored_as_three_has_the_verdict_of_one_band(ours, of):
     """A radiograph as an archive has it: the same panel, of which it shows cracks and half of the strokes."""
     grey = [BandImage.of("grey", 1 - ours[1].values)]
     three = [BandImage.of(name, grey[0].values) for name in "RGB"]
-    colour = [BandImage.of(b.label, b.values) for b in seen(icon(1), (1, 2, 3), (1.3, -2.4), 2)]
+    colour = [BandImage.of(b.label, b.values) for b in observed(icon(1), (1, 2, 3), (1.3, -2.4), 2)]
     found = []
     for picture in (grey, three):
         pair = (picture, colour) if of == "reference" else (colour, picture)
@@ -150,7 +150,7 @@ def test_one_grey_picture_stored_as_three_has_the_verdict_of_one_band(ours, of):
 
 @pytest.mark.slow
 def test_a_map_that_never_comes_to_rest_says_so(ours, monkeypatch):
-    target = seen(icon(1), (460, 540, 660), (1.3, -2.4), 2)
+    target = observed(icon(1), (460, 540, 660), (1.3, -2.4), 2)
     rested = register(ours, target, reference_band="550")
     assert rested.model["sensors"][0]["converged"] is True
     monkeypatch.setattr(coarse_to_fine, "SETTINGS", replace(coarse_to_fine.SETTINGS, converged=0.0))
@@ -192,9 +192,9 @@ def test_check_points_are_measured_in_the_band_in_which_they_were_placed(studio)
     placed = ("450 nm",) * 3 + ("650 nm",) * 3
     hand = {"": ManualPoints(checks=np.concatenate(checks), placed=placed)}
     found = register([reference], target, reference_band="550 nm", given=hand)
-    told = found.errors["check_points"]
-    assert [one["band"] for one in told] == list(placed)
-    assert max(one["error"] for one in told) < 0.15
+    record = found.errors["check_points"]
+    assert [one["band"] for one in record] == list(placed)
+    assert max(one["error"] for one in record) < 0.15
     assert found.matches.residual[found.matches.state == "check"].max() < 0.15
     # In the sensor's first band all of them would be measured wrongly.
     apart = np.linalg.norm(maps["650 nm"](points) - maps["450 nm"](points), axis=1)
@@ -224,8 +224,8 @@ def test_windows_that_were_found_lie_where_they_were_whatever_map_is_judged():
         Affine(np.array([[2.0, 0, 11], [0, 2, 7]])),
     )
     places = np.array([[10.0, 10], [50, 10], [90, 10]])
-    seen = CheckWindows(places, np.zeros((3, 2)), np.array([True, True, False]), 1.0, 40.0)
-    moved = seen.through(before, after)
+    observed = CheckWindows(places, np.zeros((3, 2)), np.array([True, True, False]), 1.0, 40.0)
+    moved = observed.through(before, after)
     np.testing.assert_allclose(moved.shift, [[-3.0, 0]] * 3)
-    assert seen.confirmed.tolist() == [True, True, False] and not moved.confirmed.any()
-    assert CheckWindows.from_dict(seen.to_dict()).to_dict() == seen.to_dict()
+    assert observed.confirmed.tolist() == [True, True, False] and not moved.confirmed.any()
+    assert CheckWindows.from_dict(observed.to_dict()).to_dict() == observed.to_dict()

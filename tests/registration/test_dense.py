@@ -70,8 +70,8 @@ def test_a_shift_between_weighted_sums_is_recovered_to_a_hundredth_of_a_pixel(sh
     predictor = Predictor(here, cell=12)
     left = np.array(shift)
     for _ in range(3):  # the first step overshoots: central differences are shorter than slopes
-        seen = predictor.compare(highpass(moved(mixed, left)))
-        left = left - np.median(seen.shift[seen.r2 > 0.5], 0)
+        imaged = predictor.compare(highpass(moved(mixed, left)))
+        left = left - np.median(imaged.shift[imaged.r2 > 0.5], 0)
     assert np.abs(left).max() < 0.01
 
 
@@ -90,8 +90,8 @@ def test_windows_of_a_masked_target_are_unusable_and_others_keep_their_answer():
 
 def test_warp_reproduces_a_ramp_and_reduce_keeps_its_place():
     x = np.mgrid[:60, :80][1].astype(np.float32)
-    seen = smoothing_warp(x, Affine(np.array([[1.0, 0, 3.3], [0, 1, 2.6]])), (40, 50))
-    assert np.nanmax(np.abs(seen - (x[:40, :50] + 3.3))) < 1e-5
+    imaged = smoothing_warp(x, Affine(np.array([[1.0, 0, 3.3], [0, 1, 2.6]])), (40, 50))
+    assert np.nanmax(np.abs(imaged - (x[:40, :50] + 3.3))) < 1e-5
     assert np.allclose(reduce(x, 4)[0, :3], [1.5, 5.5, 9.5])
 
 
@@ -100,9 +100,9 @@ def test_fits_are_exact_on_their_own_family():
     turned = 1.4 * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     for linear in (turned, turned @ np.diag([-1.0, 1.0])):
         truth = Affine(np.column_stack([linear, [5.0, -3]]))
-        seen = observed(truth, points, RNG(0), noise=1e-9)
-        assert np.allclose(fit_similarity(seen)(points), truth(points), atol=1e-6)
-        assert np.allclose(fit_polynomial(seen, 2)(points), truth(points), atol=1e-6)
+        imaged = observed(truth, points, RNG(0), noise=1e-9)
+        assert np.allclose(fit_similarity(imaged)(points), truth(points), atol=1e-6)
+        assert np.allclose(fit_polynomial(imaged, 2)(points), truth(points), atol=1e-6)
 
 
 def test_ladder_takes_the_lens_for_a_lens_and_not_more_than_an_affine_for_an_affine():
@@ -127,11 +127,13 @@ def test_windows_that_share_pixels_do_not_vouch_for_a_richer_model():
         tent = np.array([0.25, 0.5, 0.25])
         for axis in (0, 1):  # each window takes in its neighbours, as three cells across do
             noise = np.apply_along_axis(np.convolve, axis, noise, tent, "valid")
-        seen = observed(truth, points, RNG(seed), noise=0.01)
-        seen = replace(seen, target=seen.target + noise.reshape(-1, 2))
+        imaged = observed(truth, points, RNG(seed), noise=0.01)
+        imaged = replace(imaged, target=imaged.target + noise.reshape(-1, 2))
         rungs = list(MODELS)
-        overfit += rungs.index(select_model(seen, SelectionTerms(spacing=60)).spec.plain) > 2
-        sound += select_model(seen, SelectionTerms(spacing=60, apart=2.01 * cell)).spec in rungs[:3]
+        overfit += rungs.index(select_model(imaged, SelectionTerms(spacing=60)).spec.plain) > 2
+        sound += (
+            select_model(imaged, SelectionTerms(spacing=60, apart=2.01 * cell)).spec in rungs[:3]
+        )
     assert overfit >= 3
     assert sound >= 3
 
@@ -154,14 +156,14 @@ def test_a_stiff_model_is_not_sure_where_another_might_as_well_be_right():
 
 def test_a_map_from_elsewhere_stands_where_windows_know_less():
     points, truth = lattice(6), Affine(np.array([[1.1, 0.02, 4], [-0.01, 1.09, 7]]))
-    seen = observed(truth, points, RNG(1), noise=2.0)
+    imaged = observed(truth, points, RNG(1), noise=2.0)
     assert (
-        select_model(seen, SelectionTerms(spacing=60, coarse=True), standing=truth).transform
+        select_model(imaged, SelectionTerms(spacing=60, coarse=True), standing=truth).transform
         is truth
     )
     off = Affine(np.array([[1.1, 0.02, 14], [-0.01, 1.09, 7]]))
     assert (
-        select_model(seen, SelectionTerms(spacing=60, coarse=True), standing=off).transform
+        select_model(imaged, SelectionTerms(spacing=60, coarse=True), standing=off).transform
         is not off
     )
 
@@ -200,11 +202,11 @@ def test_magnifications_of_bands_are_recovered_smoothly_and_a_blind_band_is_inte
     centre, spread = np.array([200.0, 150]), 200.0
     wavelengths = np.arange(450.0, 700, 25)
     truth = 0.002 * (wavelengths - 550) / 100
-    seen = [windows_of(lambda p, m=m: -m * (p - centre), points, rng, 0.05) for m in truth]
-    seen[2] = WindowShifts(
-        points, seen[2].shift, np.zeros((400, 2, 2)), seen[2].r2, seen[2].position_sensitivity
+    imaged = [windows_of(lambda p, m=m: -m * (p - centre), points, rng, 0.05) for m in truth]
+    imaged[2] = WindowShifts(
+        points, imaged[2].shift, np.zeros((400, 2, 2)), imaged[2].r2, imaged[2].position_sensitivity
     )
-    model = fit_chromatic(seen, zero_displacement(10, centre, spread), wavelengths, fixed=4)
+    model = fit_chromatic(imaged, zero_displacement(10, centre, spread), wavelengths, fixed=4)
     for band, magnification in enumerate(truth):
         wanted = points + magnification * (points - centre)
         error = np.linalg.norm(model.transform(band)(points) - wanted, axis=1)
@@ -226,9 +228,9 @@ def test_bands_that_predict_one_another_come_to_rest_though_one_is_mistaken():
         away = placed - truth[:, None, None] * (points - centre)
         apart = away - np.einsum("ij,jna->ina", leaning, away)
         apart[0] += bow
-        seen = [windows_of(lambda p, a=a: a, points, rng, 0.01) for a in apart]
+        imaged = [windows_of(lambda p, a=a: a, points, rng, 0.01) for a in apart]
         wavelengths = np.linspace(450.0, 700, 10)
-        model = fit_chromatic(seen, model, wavelengths, fixed=5, sensitivity=leaning)
+        model = fit_chromatic(imaged, model, wavelengths, fixed=5, sensitivity=leaning)
         placed = np.stack([model.transform(i)(points) - points for i in range(10)])
         left = placed - truth[:, None, None] * (points - centre)
     assert np.linalg.norm(left, axis=2).mean() < 0.04
@@ -291,9 +293,9 @@ def test_principal_images_span_their_bands_and_leanings_sum_to_one():
     weights = (0.0, 0.3, 0.6, 1.0)
     bands = [sqrt_transform(1 + (1 - t) * layers[0] + t * layers[1]) for t in weights]
     palette = principal_components(np.stack(bands)).high_passed()
-    seen = Predictor(palette.images, cell=12).compare(highpass(bands[1]))
-    assert np.median(seen.r2[seen.r2 > 0]) > 0.99
-    assert palette.position_sensitivity(seen).sum() == pytest.approx(1)
+    imaged = Predictor(palette.images, cell=12).compare(highpass(bands[1]))
+    assert np.median(imaged.r2[imaged.r2 > 0]) > 0.99
+    assert palette.position_sensitivity(imaged).sum() == pytest.approx(1)
 
 
 def test_spline_shift_goes_there_and_back_and_is_stored():

@@ -43,15 +43,15 @@ def windows(truth, seed=0, step=CELL):
 
 def test_a_ledge_is_found_where_it_was_planted_and_its_displacement_with_it():
     truth = Composed(sunk(), VIEW)
-    seen = windows(truth)
-    ledge = find_depth_step(seen, CELL)
+    observed = windows(truth)
+    ledge = find_depth_step(observed, CELL)
     assert ledge is not None
     middles = ledge.edges[:4] + ledge.edges[4] / 2 * np.array([1, -1, 1, -1])
     middles += np.repeat(ledge.centre, 2)
     assert np.abs(middles - [162, 838, 132, 628]).max() < 4  # a quarter of a cell
     turned = ledge.edges[5]
     assert abs(turned - 0.01) < 0.01
-    fitted = fit_with_depth_step(seen, ledge, lambda o: fit_polynomial(o, 2))
+    fitted = fit_with_depth_step(observed, ledge, lambda o: fit_polynomial(o, 2))
     inside = np.stack(np.meshgrid(np.linspace(190, 810, 20), np.linspace(160, 600, 20)), -1)
     points = inside.reshape(-1, 2)
     error = np.linalg.norm(fitted(points) - truth(points), axis=1)
@@ -60,10 +60,10 @@ def test_a_ledge_is_found_where_it_was_planted_and_its_displacement_with_it():
 
 def test_the_ladder_takes_a_ledge_where_there_is_one_and_is_nearer_to_the_truth_for_it():
     truth = Composed(sunk(), VIEW)
-    seen = windows(truth, 1, 2 * CELL)
+    observed = windows(truth, 1, 2 * CELL)
     with_it, without = (
-        select_model(seen, SelectionTerms(192, cell=CELL, depth_step=True)),
-        select_model(seen, SelectionTerms(192)),
+        select_model(observed, SelectionTerms(192, cell=CELL, depth_step=True)),
+        select_model(observed, SelectionTerms(192)),
     )
     assert with_it.name.endswith("+depth_step") and "depth_step" not in without.name
     rng = np.random.default_rng(2)
@@ -75,10 +75,11 @@ def test_the_ladder_takes_a_ledge_where_there_is_one_and_is_nearer_to_the_truth_
 
 
 def test_there_is_no_ledge_in_an_even_panel():
-    seen = windows(VIEW, 3)
-    assert find_depth_step(seen, CELL) is None
+    observed = windows(VIEW, 3)
+    assert find_depth_step(observed, CELL) is None
     assert (
-        "depth_step" not in select_model(seen, SelectionTerms(192, cell=CELL, depth_step=True)).name
+        "depth_step"
+        not in select_model(observed, SelectionTerms(192, cell=CELL, depth_step=True)).name
     )
 
 
@@ -94,9 +95,9 @@ def test_a_ledge_goes_there_and_back_and_its_slopes_are_those_of_differences():
 
 def test_a_ledge_displaces_along_either_axis_evenly_and_growing_along_it():
     truth = Composed(sunk(shift=((0.6, 0.1), (0.07, 0.0), (0.0, -0.09))), VIEW)
-    seen = windows(truth, 5)
-    ledge = find_depth_step(seen, CELL)
-    fitted = fit_with_depth_step(seen, ledge, lambda o: fit_projective(o, lens=False)).steps[0]
+    observed = windows(truth, 5)
+    ledge = find_depth_step(observed, CELL)
+    fitted = fit_with_depth_step(observed, ledge, lambda o: fit_projective(o, lens=False)).steps[0]
     inside = np.stack(np.meshgrid(np.linspace(200, 800, 9), np.linspace(170, 590, 9)), -1)
     points = inside.reshape(-1, 2)
     assert fitted.shift[2, 0] == fitted.shift[1, 1] == 0.0
@@ -106,13 +107,15 @@ def test_a_ledge_displaces_along_either_axis_evenly_and_growing_along_it():
 @pytest.mark.slow
 def test_what_is_seen_through_a_map_with_a_ledge_finds_the_same_ledge_again():
     truth = Composed(sunk(shift=((0.6, 0.1), (0.05, 0.0), (0.0, 0.05))), VIEW)
-    seen = windows(truth, 6, 2 * CELL)
-    first = select_model(seen, SelectionTerms(192, cell=CELL, depth_step=True))
+    observed = windows(truth, 6, 2 * CELL)
+    first = select_model(observed, SelectionTerms(192, cell=CELL, depth_step=True))
     # What windows see through that map: the mean of what it leaves, added to the mean of itself.
-    through = average_over_windows(first.transform, seen.points, CELL)
+    through = average_over_windows(first.transform, observed.points, CELL)
     points = windows(truth, 7, 2 * CELL)
     left = points.target - windows(first.transform, 8, 2 * CELL).target  # both noises
-    again = Observations(seen.points, through + left, seen.jacobian, seen.information / 2)
+    again = Observations(
+        observed.points, through + left, observed.jacobian, observed.information / 2
+    )
     second = select_model(again, SelectionTerms(192, cell=CELL, depth_step=True))
     assert second.name.endswith("+depth_step")
     dense = np.random.default_rng(9).uniform([20, 20], [980, 740], (2000, 2))
@@ -122,7 +125,10 @@ def test_what_is_seen_through_a_map_with_a_ledge_finds_the_same_ledge_again():
     assert errors[1] < 1.5 * errors[0] + 0.002
     # Were the map asked at the middle of a window, its step would be taken for sharper than it is seen.
     wrong = Observations(
-        seen.points, first.transform(seen.points) + left, seen.jacobian, seen.information / 2
+        observed.points,
+        first.transform(observed.points) + left,
+        observed.jacobian,
+        observed.information / 2,
     )
     third = select_model(wrong, SelectionTerms(192, cell=CELL, depth_step=True))
     assert np.linalg.norm(third.transform(dense) - truth(dense), axis=1).mean() > errors[1]
@@ -139,8 +145,8 @@ def test_a_window_inside_sees_a_map_where_it_is_and_one_on_the_slope_its_mean():
 
 def test_a_ledge_is_found_beside_a_strong_lens_and_only_there_beside_a_quintic():
     lens = Lens(np.array([500.0, 380]), 500.0, (0.01, 0.004), (0.0, 0.0))
-    seen = windows(Composed(sunk(shift=((0.15, -0.1), (0, 0), (0, 0))), lens, VIEW), 10)
-    found = find_depth_steps(seen, CELL)
+    observed = windows(Composed(sunk(shift=((0.15, -0.1), (0, 0), (0, 0))), lens, VIEW), 10)
+    found = find_depth_steps(observed, CELL)
     middles = [f.edges[:4] + f.edges[4] / 2 * np.array([1, -1, 1, -1]) for f in found]
     off = [
         np.abs(m + np.repeat(f.centre, 2) - [162, 838, 132, 628]).max()

@@ -26,7 +26,7 @@ def front(studio, painting):
     return studio.photograph(painting, Affine.identity(), seed=1)
 
 
-def seen(painting, shift=(0.0, 0.0), *, noise=0.004, seed=2, curve=1.0):
+def observed(painting, shift=(0.0, 0.0), *, noise=0.004, seed=2, curve=1.0):
     """Return what a camera sees whose every px is off by `shift`, two (240, 310) px."""
     places = PLACE.inverse(np.stack([(X + shift[0]).ravel(), (Y + shift[1]).ravel()], 1)) + MARGIN
     values = ndimage.map_coordinates(painting, places.T[::-1], order=3, mode="nearest")
@@ -49,7 +49,7 @@ def patch(x, y, side):
 @pytest.mark.parametrize(("side", "shift"), [(44, (2.0, 0.0)), (36, (0.0, -3.0)), (60, (1.2, 1.2))])
 def test_a_patch_that_moved_is_named_with_place_and_size(painting, front, side, shift):
     moved = patch(200, 100, side)
-    found = measured(front, seen(painting, (shift[0] * moved, shift[1] * moved)))
+    found = measured(front, observed(painting, (shift[0] * moved, shift[1] * moved)))
     assert found.size == pytest.approx(np.hypot(*shift), rel=0.15)
     x, y, width, height = found.box
     home = PLACE.inverse(np.array([[200.0, 100.0]]))[0]
@@ -66,7 +66,7 @@ def test_a_patch_that_moved_is_named_with_place_and_size(painting, front, side, 
 @pytest.mark.parametrize(("size", "period"), [(1.0, 25), (0.6, 40), (0.7, 32)])
 def test_a_ripple_in_x_and_y_is_found_with_its_period(painting, front, size, period):
     wave = size * np.sin(2 * np.pi * X / period) * np.sin(2 * np.pi * Y / period)
-    found = measured(front, seen(painting, (wave, 0.3 * wave)))
+    found = measured(front, observed(painting, (wave, 0.3 * wave)))
     # Windows of 18 px show a part of it, so that the size is a least one.
     assert 0.18 * size < found.rms < 0.6 * size
     assert found.period == pytest.approx((period, period), rel=0.08)
@@ -77,7 +77,7 @@ def test_where_pictures_agree_nothing_is_found(painting, front):
     for seed, (noise, curve) in enumerate(
         [(0.004, 1.0), (0.03, 1.0), (0.06, 1.0), (0.01, 0.5), (0.01, 2.0)]
     ):
-        found = measured(front, seen(painting, noise=noise, seed=seed, curve=curve))
+        found = measured(front, observed(painting, noise=noise, seed=seed, curve=curve))
         assert (found.rms or 0.0) < 0.05 and found.sigma == 0.0
         assert objection(found) is None
 
@@ -99,7 +99,7 @@ def test_the_noise_of_a_coarse_camera_is_no_displacement(painting, front):
 def test_unlike_pigments_stains_and_noise_move_nothing(painting, front):
     rng = np.random.default_rng(6)
     stains = cv2.GaussianBlur(rng.normal(0, 1, X.shape), (0, 0), 2.5)
-    picture = seen(painting)
+    picture = observed(painting)
     stained = picture + (0.6 * stains / stains.std() * picture.std()).astype(np.float32)
     other = np.where(patch(90, 90, 70) > 0, 0.9 - picture, picture)
     for one in (stained, other.astype(np.float32)):
@@ -122,16 +122,16 @@ def test_grooves_lit_from_another_side_are_not_displaced(studio, painting, shade
         return painting + gilded * (groove * depth + shade * shading)
 
     front = studio.photograph(lit_from(0), Affine.identity(), seed=1)
-    assert objection(measured(front, seen(lit_from(angle)))) is None
+    assert objection(measured(front, observed(lit_from(angle)))) is None
 
 
 def test_a_smooth_error_of_the_map_is_not_finer_than_a_window(painting, front):
     bend = 0.4 * np.sin(2 * np.pi * X / 300)
-    assert measured(front, seen(painting, (bend, 0 * bend))).rms < 0.1
+    assert measured(front, observed(painting, (bend, 0 * bend))).rms < 0.1
 
 
 def test_pictures_without_fine_detail_say_what_would_have_been_found(painting, front):
-    soft = [cv2.GaussianBlur(one, (0, 0), 4.0) for one in (front, seen(painting, noise=0.0))]
+    soft = [cv2.GaussianBlur(one, (0, 0), 4.0) for one in (front, observed(painting, noise=0.0))]
     noisy = [
         one + np.random.default_rng(k).normal(0, 0.01, one.shape).astype(np.float32)
         for k, one in enumerate(soft)
@@ -139,7 +139,7 @@ def test_pictures_without_fine_detail_say_what_would_have_been_found(painting, f
     found = measured(*noisy)
     assert found.least is None or found.least > 0.75
     assert "would" in describe_blindness({"fine_displacement": found.to_dict()})
-    sharp = measured(front, seen(painting))
+    sharp = measured(front, observed(painting))
     assert sharp.least < 0.3 and describe_blindness({"fine_displacement": sharp.to_dict()}) == ""
 
 
@@ -150,7 +150,7 @@ def test_pictures_too_small_or_empty_show_nothing(front):
 
 def test_a_map_beside_which_a_patch_lies_is_doubtful(painting, front):
     moved = patch(200, 100, 44)
-    found = register(front, seen(painting, (2.0 * moved, 0 * moved)))
+    found = register(front, observed(painting, (2.0 * moved, 0 * moved)))
     assert found.verdict.decision == "warn"
     assert "A part smaller than the check windows lies " in " ".join(found.verdict.reasons)
     assert "flicker" in found.verdict.next_step
@@ -160,6 +160,6 @@ def test_a_map_beside_which_a_patch_lies_is_doubtful(painting, front):
 
 def test_sigma_holds_a_ripple(painting, front):
     wave = np.sin(2 * np.pi * X / 30) * np.sin(2 * np.pi * Y / 30)
-    found = register(front, seen(painting, (wave, wave)))
+    found = register(front, observed(painting, (wave, wave)))
     assert found.verdict.decision == "warn" and "30 px in x" in " ".join(found.verdict.reasons)
     assert found.sigma["1"].values.min() > 0.2

@@ -48,12 +48,12 @@ def sighting(number, *, bulge=0.0, noise=NOISE, labels=("a",), cell=CELL):
     rng = np.random.default_rng(number)
     x, y = np.meshgrid(np.arange(20, 400, cell), np.arange(20, 300, cell))
     points = np.stack([x.ravel(), y.ravel()], 1)
-    seen = truth(number)
+    imaged = truth(number)
     away = points - SIZE / 2
     lifted = points + bulge * away / 100 * np.exp(-((away / 80) ** 2).sum(1))[:, None]
-    jacobian = seen.jacobian(points)
+    jacobian = imaged.jacobian(points)
     drawn = rng.normal(0, noise, points.shape) + patches(rng, points)
-    target = seen(lifted) + np.einsum("nab,nb->na", jacobian, drawn)
+    target = imaged(lifted) + np.einsum("nab,nb->na", jacobian, drawn)
     known = np.broadcast_to(np.eye(2) / noise**2, (len(points), 2, 2)).copy()
     observed = Observations(points, target, jacobian, known)
     terms = SelectionTerms(4 * cell, 2.01 * cell, cell, depth_step=True)
@@ -72,8 +72,10 @@ def sighting(number, *, bulge=0.0, noise=NOISE, labels=("a",), cell=CELL):
 def missed(base, number):
     x, y = np.meshgrid(np.linspace(20, 395, 31), np.linspace(20, 295, 23))
     points = np.stack([x.ravel(), y.ravel()], 1)
-    seen = truth(number)
-    miss = np.linalg.solve(seen.jacobian(points), (base(points) - seen(points))[..., None])[..., 0]
+    observed = truth(number)
+    miss = np.linalg.solve(observed.jacobian(points), (base(points) - observed(points))[..., None])[
+        ..., 0
+    ]
     return float(np.linalg.norm(miss, axis=1).mean())
 
 

@@ -20,8 +20,8 @@ def look(scene, mixture, points, rng, noise=0.002):
     """See the scene at `points`, (h, w, 2) reference px."""
     image = np.tensordot(mixture, scene, 1)
     at = [2 * points[..., k] + 80.5 for k in (1, 0)]
-    seen = ndimage.map_coordinates(image, at, order=3, mode="nearest")
-    return (seen + noise * rng.standard_normal(seen.shape)).astype(np.float32)
+    observed = ndimage.map_coordinates(image, at, order=3, mode="nearest")
+    return (observed + noise * rng.standard_normal(observed.shape)).astype(np.float32)
 
 
 def grid(shape):

@@ -42,9 +42,9 @@ def scan(painting, shift=None, transform=STRAIGHT, *, lines=240, noise=0.004, se
     if shift is not None:
         x, y = x + shift[:, :1], y + shift[:, 1:]
     places = transform.inverse(np.stack([x.ravel(), y.ravel()], 1)) + MARGIN
-    seen = ndimage.map_coordinates(painting, places.T[::-1], order=3, mode="nearest")
-    seen = gain * seen.reshape(x.shape)
-    return (seen + np.random.default_rng(seed).normal(0, noise, x.shape)).astype(np.float32)
+    observed = ndimage.map_coordinates(painting, places.T[::-1], order=3, mode="nearest")
+    observed = gain * observed.reshape(x.shape)
+    return (observed + np.random.default_rng(seed).normal(0, noise, x.shape)).astype(np.float32)
 
 
 def along(course):
@@ -145,8 +145,8 @@ def test_sizes_are_in_px_of_the_reference(studio, painting, front):
     twice = turned(0.4, (3.0, 2.0), 2.0)
     x, y = np.meshgrid(np.arange(600.0), np.arange(460.0))
     places = twice.inverse(np.stack([(x + sine_of(460, 1.0, 40)).ravel(), y.ravel()], 1)) + MARGIN
-    seen = ndimage.map_coordinates(painting, places.T[::-1], order=3).reshape(x.shape)
-    found = measured(front, seen.astype(np.float32), twice)
+    observed = ndimage.map_coordinates(painting, places.T[::-1], order=3).reshape(x.shape)
+    found = measured(front, observed.astype(np.float32), twice)
     assert found.course.size == pytest.approx(0.5, rel=0.1)
     assert found.course.period == pytest.approx(40, rel=0.03)
 
@@ -177,8 +177,8 @@ def test_a_ledge_displaces_no_lines(painting, front):
     x, y = np.meshgrid(np.arange(310.0), np.arange(240.0))
     places = np.stack([(x + shift[..., 0]).ravel(), (y + shift[..., 1]).ravel()], 1)
     places = STRAIGHT.inverse(places) + MARGIN
-    seen = ndimage.map_coordinates(painting, places.T[::-1], order=3).reshape(x.shape)
-    assert lines_lie_still({"line_displacement": measured(front, seen).to_dict()}) is None
+    observed = ndimage.map_coordinates(painting, places.T[::-1], order=3).reshape(x.shape)
+    assert lines_lie_still({"line_displacement": measured(front, observed).to_dict()}) is None
 
 
 def test_some_lines_alone_are_named_with_their_place(painting, front):
@@ -216,8 +216,8 @@ def test_a_stage_that_turns_or_stretches_its_lines_is_found(painting, front, way
     x, y = np.meshgrid(np.arange(310.0), np.arange(240.0))
     x, y = (x, y + change) if way == "turn" else (x + change, y)
     places = STRAIGHT.inverse(np.stack([x.ravel(), y.ravel()], 1)) + MARGIN
-    seen = ndimage.map_coordinates(painting, places.T[::-1], order=3).reshape(x.shape)
-    found = measured(front, noisy(seen, 3, 0.5))
+    observed = ndimage.map_coordinates(painting, places.T[::-1], order=3).reshape(x.shape)
+    found = measured(front, noisy(observed, 3, 0.5))
     assert (found.course.kind, found.lines, found.slope) == ("period", "rows", True)
     assert found.course.size == pytest.approx(size, rel=0.12)
     assert found.course.period == pytest.approx(period, rel=0.04)
@@ -238,8 +238,8 @@ def test_halves_and_a_wobble_are_both_named(painting, front):
 @pytest.mark.parametrize("quality", [80, 40, 20])
 def test_blocks_of_jpeg_displace_no_lines(painting, front, quality):
     pictures = []
-    for seen in (front, scan(painting)):
-        codes = np.clip(300 * seen, 0, 255).astype(np.uint8)
+    for observed in (front, scan(painting)):
+        codes = np.clip(300 * observed, 0, 255).astype(np.uint8)
         coded = cv2.imencode(".jpg", codes, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
         pictures.append(cv2.imdecode(coded, 0).astype(np.float32))
     found = measured(*pictures)

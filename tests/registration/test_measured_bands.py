@@ -84,11 +84,11 @@ def test_amounts_of_all_bands_are_those_of_the_likeliest_process_over_wavelength
     ):
         bend = np.exp(-0.5 * ((places[:, None] - places) / length) ** 2)
         prior = 100 * size + size * (smooth * bend + own * np.eye(len(places)))
-        seen, across = prior[: len(y), : len(y)] + noise, prior[len(y) :, : len(y)]
-        likelihood = -0.5 * (y @ np.linalg.inv(seen) @ y + np.linalg.slogdet(seen)[1])
+        observed, across = prior[: len(y), : len(y)] + noise, prior[len(y) :, : len(y)]
+        likelihood = -0.5 * (y @ np.linalg.inv(observed) @ y + np.linalg.slogdet(observed)[1])
         if likelihood > likeliest[0] + 1e-6:
-            mean = across @ np.linalg.inv(seen) @ y
-            left = prior[len(y) :, len(y) :] - across @ np.linalg.inv(seen) @ across.T
+            mean = across @ np.linalg.inv(observed) @ y
+            left = prior[len(y) :, len(y) :] - across @ np.linalg.inv(observed) @ across.T
             likeliest = likelihood, mean, np.diag(left)
     assert found.amounts[:, 0] == pytest.approx(likeliest[1], abs=1e-6)
     assert found.variances[:, 0] == pytest.approx(likeliest[2], abs=1e-6)

@@ -117,9 +117,9 @@ def test_a_half_seen_object_is_accepted_and_what_is_not_seen_is_counted(
     studio, painting, reference
 ):
     size = (150, 230)
-    seen = bands(studio.photograph(painting, STILL, size, seed=3))
+    observed = bands(studio.photograph(painting, STILL, size, seed=3))
     found = register(
-        reference, seen, reference_band="b0", method="mirhashemi2019",
+        reference, observed, reference_band="b0", method="mirhashemi2019",
         region=(0, 0, *SIZE), target_region=(0, 0, *SIZE),
     )  # fmt: skip
     assert found.verdict.decision == "accept", found.verdict.reasons

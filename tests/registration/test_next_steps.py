@@ -113,13 +113,13 @@ def test_the_next_step_of_a_refusal_names_the_workbench_and_does_not_want_pairs_
 ):
     assert "levkas inspect" in advise(step, 0)
     for pairs in range(1, LEAST_PAIRS):
-        told = advise(step, pairs)
-        assert "levkas inspect" in told and "four points" not in told
+        advice = advise(step, pairs)
+        assert "levkas inspect" in advice and "four points" not in advice
         if "four points" in step:
-            assert f"mark {LEAST_PAIRS - pairs} more point" in told
+            assert f"mark {LEAST_PAIRS - pairs} more point" in advice
     for pairs in (LEAST_PAIRS, 9):
-        told = advise(step, pairs)
-        assert "points that both pictures show" not in told and ACCEPT[-20:] in told
+        advice = advise(step, pairs)
+        assert "points that both pictures show" not in advice and ACCEPT[-20:] in advice
     for pairs in (0, 2, 4):
         here = in_workbench(advise(step, pairs))
         assert "levkas inspect" not in here and "edits.toml" not in here and here == here.strip()
@@ -136,8 +136,8 @@ def test_where_pairs_were_given_a_part_that_is_not_checked_wants_no_more_of_them
 
 
 def test_the_lowest_order_is_not_to_be_lowered():
-    told = dict(steps_of("predicts_matches"))
-    assert "lower the order" in told[10] and "lower the order" not in told[3]
+    reported = dict(steps_of("predicts_matches"))
+    assert "lower the order" in reported[10] and "lower the order" not in reported[3]
 
 
 def steps_of(name):

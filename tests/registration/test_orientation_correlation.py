@@ -36,7 +36,7 @@ def scene(seed):
     return visible, cv2.GaussianBlur(heat, (0, 0), 1.5)
 
 
-def seen(picture, to_picture, seed, size=SIZE):
+def observed(picture, to_picture, seed, size=SIZE):
     """Return a picture through a map of px to its px, with noise."""
     import cv2
 
@@ -72,7 +72,7 @@ def worst(transform, truth):
 def test_the_pose_of_outlines_in_other_tones_is_found(angle, scale):
     visible, heat = scene(3)
     home, there = turned(0, 1), turned(angle, scale)
-    found = match_by_directions([seen(visible, home, 1)], [seen(heat, there, 2)])
+    found = match_by_directions([observed(visible, home, 1)], [observed(heat, there, 2)])
     assert found is not None and not found.mirrored
     truth = between(home, there)
     assert worst(found.transform, truth) < 2.5
@@ -81,8 +81,8 @@ def test_the_pose_of_outlines_in_other_tones_is_found(angle, scale):
 
 def test_a_pose_that_is_half_turned_is_found_beside_the_upright_one():
     visible, heat = scene(3)
-    ours = ReducedPictures([seen(visible, turned(0, 1), 1)], 96)
-    theirs = ReducedPictures([seen(heat, turned(176, 1.1), 2)], 96)
+    ours = ReducedPictures([observed(visible, turned(0, 1), 1)], 96)
+    theirs = ReducedPictures([observed(heat, turned(176, 1.1), 2)], 96)
     upright = CoarsePose(0.0, np.deg2rad(-5.0), 1.12, False, np.eye(2, 3))
     turned_round = upright._replace(angle=upright.angle + np.pi)
     both = find_poses(ours, theirs, [upright], 1.2, half_turned=True)
@@ -96,7 +96,7 @@ def test_a_pose_that_is_half_turned_is_found_beside_the_upright_one():
 def test_a_mirrored_picture_is_found():
     visible, heat = scene(3)
     found = match_by_directions(
-        [seen(visible, turned(0, 1), 1)], [seen(heat, turned(0, 1), 2)[:, ::-1]]
+        [observed(visible, turned(0, 1), 1)], [observed(heat, turned(0, 1), 2)[:, ::-1]]
     )
     assert found is not None and found.mirrored
     assert worst(found.transform, Affine(np.array([[-1.0, 0, SIZE[0] - 1], [0, 1, 0]]))) < 2.5
@@ -106,21 +106,21 @@ def test_a_mirrored_picture_is_found():
 def test_other_outlines_have_no_pose(seed):
     visible, heat = scene(3)[0], scene(seed)[1]
     home = turned(0, 1)
-    assert match_by_directions([seen(visible, home, 1)], [seen(heat, home, 2)]) is None
+    assert match_by_directions([observed(visible, home, 1)], [observed(heat, home, 2)]) is None
 
 
 def test_pictures_without_edges_have_no_pose():
     flat = np.full((200, 260), 0.5, np.float32)
     assert match_by_directions([flat], [flat]) is None
     empty = np.full((200, 260), np.nan, np.float32)
-    assert match_by_directions([seen(scene(3)[0], turned(0, 1), 1)], [empty]) is None
+    assert match_by_directions([observed(scene(3)[0], turned(0, 1), 1)], [empty]) is None
 
 
 def test_blocks_lie_where_they_were_moved_to():
     visible, heat = scene(5)
     home = turned(0, 1)
     moved = Affine(np.column_stack([np.eye(2), [4.0, -3.0]]))
-    blocks = match_blocks([seen(visible, home, 1)], [seen(heat, home, 2)], moved)
+    blocks = match_blocks([observed(visible, home, 1)], [observed(heat, home, 2)], moved)
     assert len(blocks.shift) == 30
     assert np.median(blocks.shift, 0) == pytest.approx([-4, 3], abs=0.6)
     assert blocks.agreeing.mean() < 0.2
@@ -130,7 +130,7 @@ def test_pictures_that_share_outlines_only_are_registered_and_doubted():
     visible, heat = scene(3)
     home, there = turned(0, 1), turned(4, 1.1)
     ours, theirs = (
-        [BandImage.of("grey", seen(picture, at, k))]
+        [BandImage.of("grey", observed(picture, at, k))]
         for k, (picture, at) in enumerate([(visible, home), (heat, there)])
     )
     found = register(ours, theirs, reference_band="grey")
@@ -144,7 +144,7 @@ def test_pictures_that_share_outlines_only_are_registered_and_doubted():
 def test_other_outlines_are_refused():
     home = turned(0, 1)
     ours, theirs = (
-        [BandImage.of("grey", seen(picture, home, k))]
+        [BandImage.of("grey", observed(picture, home, k))]
         for k, picture in enumerate([scene(3)[0], scene(8)[1]])
     )
     try:

@@ -62,6 +62,6 @@ def test_circles_of_nine_in_ten_hold_about_that_many_errors(pairs):
     held = [(miss <= NINE_OF_TEN * r.sigma["grey"](p)).mean() for r, p, miss in pairs]
     # Errors of one map move together: five maps tell the share to some ten per cent.
     assert 0.75 < np.mean(held) <= 1.0
-    told = np.mean([np.mean(r.sigma["grey"](p)) for r, p, _ in pairs])
-    seen = np.sqrt(np.mean([np.mean(miss**2) for _, _, miss in pairs]) / 2)
-    assert 0.5 < told / seen < 4
+    reported = np.mean([np.mean(r.sigma["grey"](p)) for r, p, _ in pairs])
+    observed = np.sqrt(np.mean([np.mean(miss**2) for _, _, miss in pairs]) / 2)
+    assert 0.5 < reported / observed < 4

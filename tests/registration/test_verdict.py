@@ -57,10 +57,12 @@ def test_a_verdict_can_be_repeated(pictures):
 
 
 def test_the_shift_of_windows_is_measured(pictures):
-    seen = search_windows(*pictures, shift(2.5, -1.25))
-    assert seen.found.mean() > 0.9
+    observed = search_windows(*pictures, shift(2.5, -1.25))
+    assert observed.found.mean() > 0.9
     # Windows lie where the map puts them less what the map is off by.
-    np.testing.assert_allclose(np.median(seen.shift[seen.found], 0), (-2.5, 1.25), atol=0.15)
+    np.testing.assert_allclose(
+        np.median(observed.shift[observed.found], 0), (-2.5, 1.25), atol=0.15
+    )
 
 
 def test_windows_are_found_in_an_inverted_picture(pictures):
@@ -70,16 +72,16 @@ def test_windows_are_found_in_an_inverted_picture(pictures):
 
 def test_windows_of_another_painting_are_not_found(studio, pictures):
     other = studio.photograph(studio.paint(22), STILL, seed=3)
-    seen = search_windows(pictures[0], (other, np.ones(other.shape, bool)), STILL)
-    assert seen.found.mean() < 0.1
-    assert seen.second_peak_ratio > 0.8
+    observed = search_windows(pictures[0], (other, np.ones(other.shape, bool)), STILL)
+    assert observed.found.mean() < 0.1
+    assert observed.second_peak_ratio > 0.8
 
 
 def test_a_repeated_picture_has_a_rival():
     tile = np.random.default_rng(1).uniform(0, 1, (23, 23))
     wall = np.tile(tile, (10, 14)).astype(np.float32)
-    seen = (wall, np.ones(wall.shape, bool))
-    assert search_windows(seen, seen, STILL).second_peak_ratio > 0.95
+    bare = (wall, np.ones(wall.shape, bool))
+    assert search_windows(bare, bare, STILL).second_peak_ratio > 0.95
 
 
 def bent(curve):
@@ -187,8 +189,8 @@ def test_cells_that_nothing_bears_out_are_named(pictures):
     right = ~np.all(matches.reference < (155, 120), axis=1)
     matches = Matches.of(matches.reference[right], matches.target[right])
     case = evidence([reference, (foreign, valid)], matches=matches)
-    seen = search_windows(*pictures, STILL)
-    checks = CheckWindows(seen.centres, seen.shift, seen.found, 1.0, 40.0)
+    observed = search_windows(*pictures, STILL)
+    checks = CheckWindows(observed.centres, observed.shift, observed.found, 1.0, 40.0)
     cells = measure_support(case.overlap, checks, matches.reference)
     assert cells["coverage"] == 1  # with windows of the whole picture
     verdict = judge(case)
@@ -273,8 +275,8 @@ def test_what_stands_in_another_plane_is_named(pictures):
     reference, (values, valid) = pictures
     nearer = values.copy()
     nearer[60:170, 90:210] = values[60:170, 96:216]
-    seen = search_windows(reference, (nearer, valid), STILL)
-    checks = CheckWindows(seen.centres, seen.shift, seen.found, 1.0, 40.0)
+    observed = search_windows(reference, (nearer, valid), STILL)
+    checks = CheckWindows(observed.centres, observed.shift, observed.found, 1.0, 40.0)
     case = evidence([reference, (nearer, valid)])
     cells = measure_support(case.overlap, checks, np.empty((0, 2)))
     assert len(cells["off"]) >= 2 and np.allclose(np.abs(cells["off_shift"]), [6, 0], atol=0.5)

@@ -49,9 +49,9 @@ def test_a_half_covered_object_is_accepted_and_the_covered_half_is_named(studio,
     found = run(front, np.where(shown, behind, cloth))
     assert found.verdict.decision == "warn"
     points = grid(studio.size)
-    seen = truth(points)[:, 0] < studio.size[0] // 2 - 5
+    valid = truth(points)[:, 0] < studio.size[0] // 2 - 5
     miss = np.linalg.norm(found.transforms["grey"](points) - truth(points), axis=1)
-    assert miss[seen].mean() < 0.1
+    assert miss[valid].mean() < 0.1
     numbers = found.verdict.numbers["sensor"]["verification"]
     assert 0.3 < numbers["coverage"] < 0.7
     # Cells are 50 px wide: none that is named lies wholly in the half that shows the object.

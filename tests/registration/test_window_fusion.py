@@ -7,7 +7,7 @@ from levkas.registration.window_fusion import total_information
 CELL, SIGMA = 16.0, 0.05
 
 
-def seen(shift, sigma=SIGMA, said=SIGMA, columns=40, rows=30, seed=0):
+def observed(shift, sigma=SIGMA, said=SIGMA, columns=40, rows=30, seed=0):
     """Windows of one band that see `shift`, (n, 2) → (n, 2), with noise, and say that it is `said`."""
     rng = np.random.default_rng(seed)
     x, y = np.meshgrid(np.arange(columns), np.arange(rows))
@@ -24,8 +24,8 @@ def still(points):
 
 def test_knowledge_is_that_of_the_noise_whatever_windows_say_of_it():
     expected = 1200 * 2 / SIGMA**2
-    assert total_information(seen(still)) == pytest.approx(expected, rel=0.1)
-    assert total_information(seen(still, said=0.2 * SIGMA)) == pytest.approx(expected, rel=0.1)
+    assert total_information(observed(still)) == pytest.approx(expected, rel=0.1)
+    assert total_information(observed(still, said=0.2 * SIGMA)) == pytest.approx(expected, rel=0.1)
 
 
 def test_neither_a_lens_nor_a_ledge_is_taken_for_noise():
@@ -36,8 +36,8 @@ def test_neither_a_lens_nor_a_ledge_is_taken_for_noise():
         return lens + sunk[:, None] * np.array([0.8, -0.3])
 
     # One triple in four lies across the ledge; the scatter about any polynomial would be tenfold.
-    assert 0.5 < total_information(seen(bent)) / total_information(seen(still)) < 1.0
+    assert 0.5 < total_information(observed(bent)) / total_information(observed(still)) < 1.0
 
 
 def test_a_picture_of_few_windows_does_not_tell():
-    assert total_information(seen(still, columns=6, rows=5)) is None
+    assert total_information(observed(still, columns=6, rows=5)) is None

@@ -45,10 +45,10 @@ def test_each_asks_for_as_many_of_all_items(threads):
 
 
 def test_rows_within_each_are_done_by_the_thread_that_asks(threads):
-    seen = []
+    found = []
 
     def rows(start, stop, image):
-        seen.append(threading.get_ident())
+        found.append(threading.get_ident())
         image[start:stop] += 1
 
     def work(image):
@@ -56,11 +56,11 @@ def test_rows_within_each_are_done_by_the_thread_that_asks(threads):
         return threading.get_ident()
 
     images = np.zeros((2, 64, WORTH_THREADS // 64 + 1))
-    assert sorted(each(work, images)) == sorted(seen)
+    assert sorted(each(work, images)) == sorted(found)
     assert (images == 1).all()
-    seen.clear()
+    found.clear()
     work(images[0])  # and by several again outside
-    assert len(seen) == (1 if threads == 1 else 2 * threads)
+    assert len(found) == (1 if threads == 1 else 2 * threads)
     assert (images[0] == 2).all()
 
 

@@ -33,8 +33,8 @@ def test_each_sensel_of_a_mosaic_holds_its_own_channel(painting, pattern):
     n = len(pattern)
     for i, row in enumerate(pattern):
         for j, k in enumerate(row):
-            seen = sight.reflectance(bands[k], sensor, supersampling=2)
-            expected = (camera.electrons(bands[k], sensor) * seen)[i::n, j::n]
+            observed = sight.reflectance(bands[k], sensor, supersampling=2)
+            expected = (camera.electrons(bands[k], sensor) * observed)[i::n, j::n]
             counts = frame.counts[i::n, j::n] / sensor.noise.gain
             assert np.corrcoef(expected.ravel(), counts.ravel())[0, 1] > 0.99, (i, j)
 

@@ -51,17 +51,17 @@ def test_an_unknown_id_is_refused(library):
 
 def test_the_partner_of_a_place_is_found_in_an_inverted_turned_picture(frame, correctable):
     for place in PLACES:
-        told = frame.partner(x=place[0], y=place[1], side="reference")
-        assert np.linalg.norm(np.array(told["pair"][2:]) - correctable.truth(place)) < 0.2
-        assert told["score"] > 0.8 and told["sure"]
+        reported = frame.partner(x=place[0], y=place[1], side="reference")
+        assert np.linalg.norm(np.array(reported["pair"][2:]) - correctable.truth(place)) < 0.2
+        assert reported["score"] > 0.8 and reported["sure"]
 
 
 def test_the_partner_of_a_place_in_the_target_is_found_in_the_reference(frame, correctable):
     for place in PLACES:
         x, y = correctable.truth(place)
-        told = frame.partner(x=float(x), y=float(y), side="target")
-        assert np.linalg.norm(np.array(told["pair"][:2]) - place) < 0.2
-        assert told["pair"][2:] == pytest.approx([x, y], abs=1e-3)
+        reported = frame.partner(x=float(x), y=float(y), side="target")
+        assert np.linalg.norm(np.array(reported["pair"][:2]) - place) < 0.2
+        assert reported["pair"][2:] == pytest.approx([x, y], abs=1e-3)
 
 
 def test_a_map_that_is_off_shows_by_how_much(frame):
@@ -70,8 +70,10 @@ def test_a_map_that_is_off_shows_by_how_much(frame):
     for place in PLACES:
         found = find_partner(*pictures, off, place)
         assert abs(np.hypot(*found.shift) - 3.0) < 0.2
-    told = frame.partner(x=200.0, y=150.0, side="reference", which="built")
-    assert told["length"] < 0.2 and told["length_mm"] == pytest.approx(told["length"] / 2, abs=1e-3)
+    reported = frame.partner(x=200.0, y=150.0, side="reference", which="built")
+    assert reported["length"] < 0.2 and reported["length_mm"] == pytest.approx(
+        reported["length"] / 2, abs=1e-3
+    )
 
 
 def test_a_blank_place_has_no_score(frame):
@@ -130,15 +132,15 @@ def test_maps_are_pictures_over_the_reference(frame):
 @pytest.mark.parametrize("dialect", ["levkas", "bigwarp", "qgis", "hugin", "napari", "cpselect"])
 def test_points_come_back_as_they_went(frame, dialect):
     for place in PLACES:
-        told = frame.partner(x=place[0], y=place[1], side="reference")
-        frame.session.apply("add", told["pair"])
+        reported = frame.partner(x=place[0], y=place[1], side="reference")
+        frame.session.apply("add", reported["pair"])
     files, _ = frame.export(dialect)
     before = set(frame.session.edits.added)
     while frame.session.can["undo"]:
         frame.session.undo()
     assert frame.session.edits.added == ()
-    told = frame.take([data for _, data in files], None if dialect != "napari" else dialect)
-    assert told == {"imported": 4, "known": 241}
+    reported = frame.take([data for _, data in files], None if dialect != "napari" else dialect)
+    assert reported == {"imported": 4, "known": 241}
     after = np.array(sorted(frame.session.edits.added))
     np.testing.assert_allclose(after, np.array(sorted(before)), atol=0.011)
     frame.session.undo()
@@ -176,8 +178,8 @@ def test_nothing_to_snap_to_is_said(frame):
 def test_the_uncertainty_is_drawn_from_what_the_record_says_of_the_band():
     sides = np.linspace(0.0, 99.0, 4)
     values = np.tile(np.linspace(0.1, 0.4, 4), (4, 1))
-    told = Sigma(sides, sides, values).to_dict()
-    record = {"bands": {"900 nm": {"sigma": told}, "R": {}}}
+    reported = Sigma(sides, sides, values).to_dict()
+    record = {"bands": {"900 nm": {"sigma": reported}, "R": {}}}
     assert "sigma" in find_kinds(record, "900 nm") and "sigma" not in find_kinds(record, "R")
     drawn = draw_sigma(record, "900 nm", (100, 100))
     assert drawn.low == 0 and drawn.high == pytest.approx(0.4, abs=0.01)

@@ -40,10 +40,10 @@ def corrected(folder):
 
 
 def numbers(session):
-    told = describe(session)
+    record = describe(session)
     places = np.round(np.hstack([session.view.matches.reference, session.view.matches.target]), 2)
     return {
-        tuple(place): n for place, n in zip(places.tolist(), told["number"].tolist(), strict=True)
+        tuple(place): n for place, n in zip(places.tolist(), record["number"].tolist(), strict=True)
     }
 
 

@@ -100,10 +100,10 @@ def test_each_sensor_shows_the_windows_that_its_own_map_rests_on(folder):
     sensors = [{"sensor": "left"}, {"sensor": "right", "windows": {"x": [1.0]}, "count": 1}]
     path.write_text(json.dumps(record | {"trace": {"kind": "windows", "sensors": sensors}}))
     library = Library(folder)
-    told = [
+    reported = [
         describe_frame(library.open(id_of("icon", "xray", name)))["basis"] for name in ("", "right")
     ]
-    assert told == [None, sensors[1]]
+    assert reported == [None, sensors[1]]
 
 
 def test_a_trial_changes_nothing(folder):
@@ -112,8 +112,8 @@ def test_a_trial_changes_nothing(folder):
     pair = np.hstack(
         [left.session.found.matches.reference[9], left.session.found.matches.target[9]]
     )
-    told = left.attempt(pair.tolist(), [*pair[:2], pair[2] + 5, pair[3]])
-    assert told["trial"] == 1 and left.session.can["undo"] == 0
+    reported = left.attempt(pair.tolist(), [*pair[:2], pair[2] + 5, pair[3]])
+    assert reported["trial"] == 1 and left.session.can["undo"] == 0
     assert np.array_equal(left.session.view.forward(np.array([[210.0, 170.0]])), before)
     assert (
         np.abs(left.forward("trial")(pair[None, :2]) - left.forward("")(pair[None, :2])).max()

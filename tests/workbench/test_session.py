@@ -60,8 +60,8 @@ def test_a_removed_pair_that_is_pinned_or_restored_stays():
     assert words(describe(session)["state"])[0] == "removed"
     for operation, reason in (("pin", "pinned by hand"), ("restore", "restored by hand")):
         session.apply(operation, pair_of(session, 0))
-        told = describe(session)
-        assert (words(told["state"])[0], words(told["reason"])[0]) == ("kept", reason)
+        record = describe(session)
+        assert (words(record["state"])[0], words(record["reason"])[0]) == ("kept", reason)
         session.undo()
     assert words(describe(session)["state"])[0] == "removed"
 
@@ -71,18 +71,18 @@ def test_a_check_point_measures_and_is_not_fitted():
     before = session.view.cleaned.model.coefficients.copy()
     place = np.array([400.0, 300.0])
     session.apply("check", [*(truth(place[None])[0] + [3.0, 0.0]), *place])
-    told = describe(session)
+    record = describe(session)
     assert np.array_equal(session.view.cleaned.model.coefficients, before)
-    assert words(told["state"])[-1] == "check" and abs(told["residual"][-1] - 3.0) < 0.1
-    assert told["summary"]["checks"] == 1
+    assert words(record["state"])[-1] == "check" and abs(record["residual"][-1] - 3.0) < 0.1
+    assert record["summary"]["checks"] == 1
 
 
 def test_a_found_pair_made_a_check_point_leaves_the_fit():
     session = CorrectionSession(plant(wrong=1))
     session.apply("check", pair_of(session, 0))
-    told = describe(session)
-    assert words(told["state"]).count("check") == 1 and told["summary"]["max"] < 0.5
-    assert told["summary"]["pairs"] == 300
+    record = describe(session)
+    assert words(record["state"]).count("check") == 1 and record["summary"]["max"] < 0.5
+    assert record["summary"]["pairs"] == 300
 
 
 def test_a_moved_pair_is_where_it_was_put_and_undo_brings_it_back():
@@ -104,10 +104,10 @@ def test_four_added_pairs_make_a_map_where_there_was_none():
     corners = np.array([[100.0, 100], [900, 120], [880, 700], [120, 690]])
     for corner in corners:
         session.apply("add", [*corner, *(matrix @ corner + [300, 50])])
-    told = describe(session)
-    assert told["refusal"] == "" and told["summary"]["kept"] == 4
-    assert told["summary"]["mean"] is None, "no redundancy"
-    assert len(told["residual"]) == 4 and np.isnan(told["residual"]).all()
+    record = describe(session)
+    assert record["refusal"] == "" and record["summary"]["kept"] == 4
+    assert record["summary"]["mean"] is None, "no redundancy"
+    assert len(record["residual"]) == 4 and np.isnan(record["residual"]).all()
     inside = np.array([[500.0, 400.0]])
     assert np.allclose(session.view.forward(inside), inside @ matrix.T + [300, 50], atol=0.1)
 
@@ -117,9 +117,9 @@ def test_sliders_replay_the_removal_and_are_one_change_each():
     assert describe(session)["summary"]["kept"] == 300
     for value in (3.0, 2.0, 1.0):
         session.slide("stop", value)
-    told = describe(session)
-    assert told["summary"]["kept"] == 240 and told["trace"]["largest"][-1] <= 1.0
-    assert session.can == {"undo": 1, "redo": 0} and told["overridden"]["stop"]
+    record = describe(session)
+    assert record["summary"]["kept"] == 240 and record["trace"]["largest"][-1] <= 1.0
+    assert session.can == {"undo": 1, "redo": 0} and record["overridden"]["stop"]
     session.slide("stop", None)
     assert describe(session)["summary"]["kept"] == 300
     with pytest.raises(OperationRefused):
@@ -131,13 +131,13 @@ def test_pictures_are_brought_over_anew_only_where_the_map_has_moved():
     first = session.drawn
     session.apply("delete", pair_of(session, 0))
     assert session.drawn == session.version > first
-    seen, then = session.drawn, session.view.forward
+    observed, then = session.drawn, session.view.forward
     spots = np.random.default_rng(1).uniform(0, np.array(SIZE), (200, 2))
     renewed = 0
     for row in range(1, 60):
         session.apply("delete", pair_of(session, row))
-        if session.drawn != seen:
-            seen, then, renewed = session.drawn, session.view.forward, renewed + 1
+        if session.drawn != observed:
+            observed, then, renewed = session.drawn, session.view.forward, renewed + 1
         assert np.abs(session.view.forward(spots) - then(spots)).max() < 0.03
     assert renewed < 6
 
@@ -145,37 +145,37 @@ def test_pictures_are_brought_over_anew_only_where_the_map_has_moved():
 def test_an_answer_comes_back_from_its_bytes():
     session = CorrectionSession(plant(wrong=60, stop=1.0))
     session.apply("delete", describe(session)["pairs"][70])
-    plain, told = describe(session), from_bytes(to_bytes(describe(session)))
+    plain, record = describe(session), from_bytes(to_bytes(describe(session)))
     for name in ("residual", "leave_one_out", "weight", "round", "pairs"):
-        assert np.array_equal(told[name], plain[name], equal_nan=True)
+        assert np.array_equal(record[name], plain[name], equal_nan=True)
     for name in ("largest", "removed", "models"):
-        assert np.array_equal(told["trace"][name], plain["trace"][name])
+        assert np.array_equal(record["trace"][name], plain["trace"][name])
     for name in ("state", "reason"):
-        assert words(told[name]) == words(plain[name])
+        assert words(record[name]) == words(plain[name])
     same = {"version", "drawn", "places", "summary", "refusal", "reject", "stop", "corrections"}
-    assert {name: told[name] for name in same} == {name: plain[name] for name in same}
+    assert {name: record[name] for name in same} == {name: plain[name] for name in same}
 
 
 def test_an_answer_of_no_pairs_comes_back_too():
-    told = describe(CorrectionSession(plant(n=0)))
-    again = from_bytes(to_bytes(told))
+    record = describe(CorrectionSession(plant(n=0)))
+    again = from_bytes(to_bytes(record))
     assert again["pairs"].shape == (0, 4) and again["trace"] is None
     assert again["state"]["words"] == [] and len(again["state"]["codes"]) == 0
 
 
 def test_the_trace_can_be_drawn_from_what_the_screen_is_sent():
     session = CorrectionSession(plant(wrong=60, stop=1.0))
-    told = describe(session)
-    trace = told["trace"]
+    record = describe(session)
+    trace = record["trace"]
     assert len(trace["largest"]) == 61 and trace["removed"][-1] == -1
     assert trace["largest"][0] > trace["largest"][-1]
     from levkas.geometry.transforms import Polynomial
 
     centre, spread = np.array(trace["centre"]), trace["spread"]
     last = Polynomial(trace["order"], centre, spread, np.array(trace["models"][-1]))
-    pairs = np.array(told["pairs"])
+    pairs = np.array(record["pairs"])
     residual = np.linalg.norm(last(pairs[:, 2:]) - pairs[:, :2], axis=1)
-    np.testing.assert_allclose(residual, told["residual"], atol=0.02)
+    np.testing.assert_allclose(residual, record["residual"], atol=0.02)
 
 
 def test_a_layer_is_placed_by_hand_from_four_own_pairs_on_and_undo_takes_that_back():
@@ -220,17 +220,17 @@ def test_undo_brings_back_every_state_and_redo_every_later_one(steps):
         return after
 
     session = CorrectionSession(plant(n=40), save=save)
-    seen = [session.edits]
+    observed = [session.edits]
     for name, row in steps:
         pair = pair_of(session, row)
         to = [*pair[:2], pair[2] + 0.5, pair[3]] if name == "move" else None
         session.apply(name, pair, to)
-        if session.edits != seen[-1]:
-            seen.append(session.edits)
-    assert len(saved) == len(seen) - 1 and session.can["undo"] == len(seen) - 1
-    for state in seen[-2::-1]:
+        if session.edits != observed[-1]:
+            observed.append(session.edits)
+    assert len(saved) == len(observed) - 1 and session.can["undo"] == len(observed) - 1
+    for state in observed[-2::-1]:
         session.undo()
         assert session.edits == state
-    for state in seen[1:]:
+    for state in observed[1:]:
         session.redo()
         assert session.edits == state

@@ -76,7 +76,7 @@ def test_two_stars_are_any_number_of_folders():
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("{traget}.tif", "{target}"),
         ("{target.tif", "brace"),
@@ -87,8 +87,8 @@ def test_two_stars_are_any_number_of_folders():
         ("", "folder"),
     ],
 )
-def test_a_pattern_that_cannot_be_read_says_why(text, told):
-    with pytest.raises(ValueError, match=told):
+def test_a_pattern_that_cannot_be_read_says_why(text, reported):
+    with pytest.raises(ValueError, match=reported):
         Pattern.parse(text)
 
 
@@ -144,12 +144,12 @@ def test_a_pattern_of_many_wildcards_says_what_a_regular_expression_does(parts, 
         text = "/".join(Pattern.parse(text).segments)
     except ValueError:
         assume(False)
-    told = tuple((key, tuple(sorted(values))) for key, values in known.items())
+    reported = tuple((key, tuple(sorted(values))) for key, values in known.items())
     for named in (True, False):
         if not named and "/" in text:
             continue
-        expected = _compiled(text, told, named, True).fullmatch(name)
-        found = match_pieces(_pieces(text, told, named, True), name)
+        expected = _compiled(text, reported, named, True).fullmatch(name)
+        found = match_pieces(_pieces(text, reported, named, True), name)
         assert found == (expected and expected.groupdict())
 
 

@@ -308,13 +308,15 @@ def test_what_is_missing_or_odd_is_said_and_not_guessed(folder):
     folder.object("c/icon2/450nm.tif")
     (folder.root / "c/icon1/700nm.tif").write_bytes(b"II*\0junk")
     folder.write("c/dark/900nm.tif", np.full((30, 30), 64))
-    told = look(folder.root)
-    unknown, left_out = "\n".join(told.unknown), "\n".join(told.left_out)
+    proposal = look(folder.root)
+    unknown, left_out = "\n".join(proposal.unknown), "\n".join(proposal.left_out)
     assert "darks and whites are swapped" in unknown
     assert "icon2/c would be refused" in unknown
     assert "c/icon1/700nm.tif" in left_out
     assert "c/dark/900nm.tif: dark of 30x30" in left_out
-    assert all(text.split(":")[0] in told.text for text in (*told.unknown, *told.left_out))
+    assert all(
+        text.split(":")[0] in proposal.text for text in (*proposal.unknown, *proposal.left_out)
+    )
 
 
 def test_every_guess_of_a_camera_has_its_reason_beside_it(folder):

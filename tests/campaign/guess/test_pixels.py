@@ -40,8 +40,8 @@ def test_red_is_found_by_the_colour_of_the_object_wherever_it_stands(order, mirr
     tiles = [a[:, ::-1] if mirrored else a for a in (white, share, letters)]
     bright = 3000 * tiles[0] + 64
     shown = {"icon": 3000 * tiles[0] * tiles[1] + 64}
-    told = name_mosaic(2, bright, dark=64, shown=shown, warmth={"icon": np.log(warm)})
-    assert (told.letters, told.unknown) == ("".join(tiles[2].ravel()), "")
+    named = name_mosaic(2, bright, dark=64, shown=shown, warmth={"icon": np.log(warm)})
+    assert (named.letters, named.unknown) == ("".join(tiles[2].ravel()), "")
 
 
 def test_narrow_bands_tell_the_whole_pattern():
@@ -51,8 +51,8 @@ def test_narrow_bands_tell_the_whole_pattern():
         nm: np.array([[sees["G"][nm], sees["B"][nm]], [sees["R"][nm], sees["G"][nm]]]) * 200
         for nm in (450, 550, 650)
     }
-    told = name_mosaic(2, phases[550], narrow=phases)
-    assert (told.letters, told.unknown) == ("GBRG", "")
+    named = name_mosaic(2, phases[550], narrow=phases)
+    assert (named.letters, named.unknown) == ("GBRG", "")
 
 
 def test_without_evidence_the_order_of_red_and_blue_is_unknown():

@@ -24,8 +24,8 @@ def test_what_is_spelled_is_what_is_read(record):
 
 
 def test_what_is_empty_is_left_out():
-    told = to_toml({"a": "", "b": None, "c": {"d": []}, "e": [{"name": "x", "orcid": None}]})
-    assert tomllib.loads(told) == {"e": [{"name": "x"}]}
+    reported = to_toml({"a": "", "b": None, "c": {"d": []}, "e": [{"name": "x", "orcid": None}]})
+    assert tomllib.loads(reported) == {"e": [{"name": "x"}]}
 
 
 def test_an_orcid_with_a_wrong_check_digit_is_refused():

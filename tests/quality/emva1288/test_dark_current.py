@@ -146,8 +146,8 @@ def scan(folder, bands, *, current=0.0, times=(0.02, 0.02), lines=200, samples=1
         ("white", light, times[-1]),
         ("panel", 0.5 * light, times[-1]),
     ):
-        seen = rng.poisson(electrons * response + leak * time, (lines, samples, bands))
-        raw = 0.4 * seen + rng.normal(100, 3, seen.shape)
+        observed = rng.poisson(electrons * response + leak * time, (lines, samples, bands))
+        raw = 0.4 * observed + rng.normal(100, 3, observed.shape)
         stem = folder / f"{name}_{1000 * time:g}ms"
         stem.with_suffix(".raw").write_bytes(raw.round().astype("<u2").transpose(0, 2, 1).tobytes())
         stem.with_suffix(".hdr").write_text(

@@ -92,21 +92,21 @@ def test_one_shot_of_each_is_refused_with_what_to_capture(tmp_path):
     found = examine_with_seed(make(tmp_path / "c", shots=1))
     assert [p.code for p in found.problems] == ["E_SHOTS"]
     assert "twice or more" in found.problems[0].fix
-    told = CliRunner().invoke(app, ["radiometry", str(tmp_path / "c")])
-    assert told.exit_code == 1
+    result = CliRunner().invoke(app, ["radiometry", str(tmp_path / "c")])
+    assert result.exit_code == 1
 
 
 def test_one_shot_of_each_still_gives_bounds_that_hold(tmp_path):
     found = examine_with_seed(make(tmp_path / "c", shots=1))
     (sensor,) = found.sensors
     for bounds in sensor.bounds.values():
-        told = {b.name: (b.sign, b.value) for b in bounds}
-        assert told["black"] == ("=", pytest.approx(64.0, abs=0.1))
+        reported = {b.name: (b.sign, b.value) for b in bounds}
+        assert reported["black"] == ("=", pytest.approx(64.0, abs=0.1))
         # Read noise of 2 and rounding; PRNU of 2 % on 2,800 counts, which one shot cannot part from the gain.
-        assert told["noise in the dark, DSNU included"] == ("≤", pytest.approx(2.02, rel=0.03))
-        assert told["gain K"][0] == "≤" and told["gain K"][1] > 0.1
-        assert told["PRNU"] == ("≤", pytest.approx(2.09, rel=0.03)) and told["PRNU"][1] > 2
-        assert told["full well"][0] == "≥" and told["full well"][1] < 40_310
+        assert reported["noise in the dark, DSNU included"] == ("≤", pytest.approx(2.02, rel=0.03))
+        assert reported["gain K"][0] == "≤" and reported["gain K"][1] > 0.1
+        assert reported["PRNU"] == ("≤", pytest.approx(2.09, rel=0.03)) and reported["PRNU"][1] > 2
+        assert reported["full well"][0] == "≥" and reported["full well"][1] < 40_310
     assert "SNR of the white ≥" in found.text and "SNR of the white" in render_examination(found)
     assert json.dumps(found.to_dict()).count('"sign"') == 3 * 6
 
@@ -139,8 +139,8 @@ def test_one_shot_a_band_or_exposure_is_no_repeat(tmp_path, times):
     found = examine_with_seed(tunable(tmp_path / "c", times=times))
     assert {p.code for p in found.problems} == {"E_SHOTS"} and not found.sensors[0].channels
     (bounds,) = found.sensors[0].bounds.values()
-    told = {b.name: b.value for b in bounds}
-    assert told["gain K"] > 0.25 and told["PRNU"] > 1.2
+    reported = {b.name: b.value for b in bounds}
+    assert reported["gain K"] > 0.25 and reported["PRNU"] > 1.2
 
 
 def test_an_unknown_camera_is_named_with_the_known_ones(folder):
@@ -150,9 +150,9 @@ def test_an_unknown_camera_is_named_with_the_known_ones(folder):
 
 def test_the_command_writes_nothing_unless_asked(folder, tmp_path):
     before = sorted(p for p in folder.rglob("*"))
-    told = CliRunner().invoke(app, ["radiometry", str(folder)])
-    assert told.exit_code == 0, told.output
-    assert "system gain K" in told.output and "stops, log₂" in told.output
+    result = CliRunner().invoke(app, ["radiometry", str(folder)])
+    assert result.exit_code == 0, result.output
+    assert "system gain K" in result.output and "stops, log₂" in result.output
     assert sorted(p for p in folder.rglob("*")) == before
     page = tmp_path / "report" / "cameras.html"
     report = json.loads(
@@ -189,9 +189,9 @@ def test_facts_of_a_folder_name_what_cannot_be_read(folder, tmp_path):
 
 def test_a_folder_without_frames_is_refused(tmp_path):
     (tmp_path / "notes.txt").write_text("no frame")
-    told = CliRunner().invoke(app, ["radiometry", str(tmp_path)])
-    assert told.exit_code == 1
-    assert "E_NO_FRAMES" in told.output
+    result = CliRunner().invoke(app, ["radiometry", str(tmp_path)])
+    assert result.exit_code == 1
+    assert "E_NO_FRAMES" in result.output
 
 
 def test_twelve_bits_at_the_upper_end_of_sixteen_are_seen(real_data):
@@ -275,17 +275,17 @@ def test_a_camera_that_bends_and_a_white_that_saturates_are_told(tmp_path):
         for time in (0.25, 0.5, 1.0):
             for shot in "ab":
                 light = rng.poisson(electrons * time * scene) * 0.1
-                seen = light - 0.2 * light**2 / 4000 + rng.normal(64, 2, scene.shape)
+                observed = light - 0.2 * light**2 / 4000 + rng.normal(64, 2, scene.shape)
                 path = raw / f"{target}_{shot}_{time}s.tif"
-                codes = np.full(scene.shape, 4095.0) if target == "white" else np.rint(seen)
+                codes = np.full(scene.shape, 4095.0) if target == "white" else np.rint(observed)
                 tifffile.imwrite(path, codes.astype(np.uint16), photometric="minisblack")
     text = CAMPAIGN.format(more='exposures = "best"').replace(
         "_{shot}.tif", "_{shot}_{exposure}s.tif"
     )
     (tmp_path / "campaign.toml").write_text(text)
     (sensor,) = examine_with_seed(tmp_path).sensors
-    told = " / ".join(sensor.notes)
-    assert "counts do not scale between exposures" in told and "at one time" in told
-    assert "white is saturated everywhere" in told
+    reported = " / ".join(sensor.notes)
+    assert "counts do not scale between exposures" in reported and "at one time" in reported
+    assert "white is saturated everywhere" in reported
     (_, found), *_ = sensor.linearity
     assert found.offset == 0 and found.rms > 0.015

@@ -140,8 +140,8 @@ def test_a_band_that_leaks_is_named_and_the_others_are_used():
     found = locate_chart(leaking, WAVELENGTHS, CLASSIC, reference, corners=true_corners())
     assert found.unfit.tolist() == [True] + [False] * (len(WAVELENGTHS) - 1)
     assert found.bands[0] < 0.8 and found.agreement > 0.98 and not found.turned
-    seen = [Sighting("", found, cube(leaking))]
-    made = measure("leaking", CLASSIC, seen, reference)
+    sightings = [Sighting("", found, cube(leaking))]
+    made = measure("leaking", CLASSIC, sightings, reference)
     (note,) = [n for n in made.notes if "420 nm" in n]
     assert "near infrared" in note
     assert made.colours.difference.mean() < 1 and "10 channels" in made.colours.how
@@ -294,18 +294,18 @@ def test_a_measure_says_all_and_changes_no_input():
     before = values.copy()
     reference = reference_of(CLASSIC)
     found = locate_in_cube(cube(values), CLASSIC, reference, corners=true_corners())
-    seen = Sighting("", found, cube(values))
-    made = measure("chart", CLASSIC, [seen], reference)
+    sighting = Sighting("", found, cube(values))
+    made = measure("chart", CLASSIC, [sighting], reference)
     np.testing.assert_array_equal(values, before)
     record = made.to_dict()
     assert len(record["patches"]) == 24 and record["preblurred"] == []
     assert record["indicators"][0]["value"] < 1.5
     blurred = np.stack([cv2.blur(values[..., i], (3, 3)) for i in range(values.shape[2])], -1)
     found = locate_in_cube(cube(blurred), CLASSIC, reference, corners=true_corners())
-    seen = Sighting("", found, cube(blurred))
-    told = measure("chart", CLASSIC, [seen], reference)
-    assert all(p.found for p in told.preblurs)
-    lost = np.nanmedian(told.table.snr_db - told.snr_db)
+    sighting = Sighting("", found, cube(blurred))
+    reported = measure("chart", CLASSIC, [sighting], reference)
+    assert all(p.found for p in reported.preblurs)
+    lost = np.nanmedian(reported.table.snr_db - reported.snr_db)
     assert lost == pytest.approx(10 * np.log10(3), abs=0.5)
 
 

@@ -27,12 +27,12 @@ def edge(sigma, degrees, *, shift=0.0, shape=(100, 64), low=0.1, high=0.7):
     """An edge behind a Gaussian of sigma px and the square aperture of a pixel, by 8 x 8 samples each."""
     y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
     lean = np.deg2rad(degrees)
-    seen = np.zeros(shape)
+    observed = np.zeros(shape)
     for dy in SUBPIXELS:
         for dx in SUBPIXELS:
             across = (x + dx - shape[1] / 2 - shift) * np.cos(lean)
-            seen += ndtr((across - (y + dy - shape[0] / 2) * np.sin(lean)) / sigma)
-    return low + (high - low) * seen / len(SUBPIXELS) ** 2
+            observed += ndtr((across - (y + dy - shape[0] / 2) * np.sin(lean)) / sigma)
+    return low + (high - low) * observed / len(SUBPIXELS) ** 2
 
 
 def true_frequency(sigma, degrees, modulation):
@@ -153,8 +153,8 @@ def test_named_edges_are_tabulated_and_a_band_without_an_edge_is_noted():
     assert next(row.name.split(",")[0] for row in found.rows) == "sampling efficiency"
     shift = found.rows[-1]
     assert shift.fadgi == "4 stars" and shift.iso == "–" and "R to G" in shift.name
-    told = table.to_dict()
-    assert told["bands"][2]["sfr50"] is None and told["rectangles"] == [[2, 4, 60, 92]]
+    record = table.to_dict()
+    assert record["bands"][2]["sfr50"] is None and record["rectangles"] == [[2, 4, 60, 92]]
 
 
 @pytest.mark.parametrize(("text", "code"), [("2,4,60", "E_VALUE"), ("a,b,c,d", "E_VALUE")])

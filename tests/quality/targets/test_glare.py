@@ -153,9 +153,9 @@ def test_thin_lines_do_not_look_sharper_than_the_lens(blur):
         turn, (a, b) = rng.random() * np.pi, rng.random(2) * size
         off = np.abs((x - a) * np.cos(turn) + (y - b) * np.sin(turn))
         scene[off < 3] += 0.4 * (-1) ** k
-    seen = gaussian_filter(scene, blur * fine)
-    seen = seen.reshape(384, fine, 384, fine).mean((1, 3))
-    found, edges = edge_blur(seen)
+    observed = gaussian_filter(scene, blur * fine)
+    observed = observed.reshape(384, fine, 384, fine).mean((1, 3))
+    found, edges = edge_blur(observed)
     # Without the choice of steps the sharpest one came out at the floor, 0.25 px.
     assert edges >= 50 and found == pytest.approx(np.sqrt(blur**2 + 1 / 12), abs=0.25)
 
@@ -166,9 +166,9 @@ def test_edges_of_glare_do_not_count_for_focus():
     rng = np.random.default_rng(7)
     scene = gaussian_filter(np.kron(rng.random((16, 16)), np.ones((24, 24))), 0.8)
     glare = gaussian_filter((rng.random((16, 16)) > 0.8).repeat(24, 0).repeat(24, 1) * 8.0, 3)
-    seen = (scene + glare)[..., None]
-    (fooled,) = band_sharpness(seen, ["G"])
-    (found,) = band_sharpness(seen, ["G"], left_out=glare[..., None] > 1)
+    observed = (scene + glare)[..., None]
+    (fooled,) = band_sharpness(observed, ["G"])
+    (found,) = band_sharpness(observed, ["G"], left_out=glare[..., None] > 1)
     assert fooled.blur_px > 2 and found.blur_px == pytest.approx(0.85, rel=0.1)
 
 

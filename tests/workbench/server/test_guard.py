@@ -49,7 +49,7 @@ def every_route(app):
     return found
 
 
-def ask(client, method, path, headers, body=b"{}"):
+def send(client, method, path, headers, body=b"{}"):
     given = {"content-type": "application/json"} if method not in SAFE else {}
     if method not in SAFE and not any(k in headers for k in ("origin", "sec-fetch-site")):
         given["origin"] = OWN
@@ -75,7 +75,7 @@ def test_no_route_is_mounted_in_a_way_that_is_not_enumerated():
 )  # fmt: skip
 def test_every_route_refuses_a_foreign_host(app, client, host):
     for method, path in every_route(app):
-        answer = ask(client, method, path, {**COOKIE, "host": host})
+        answer = send(client, method, path, {**COOKIE, "host": host})
         assert answer.status_code == 421, (method, path)
 
 
@@ -89,21 +89,21 @@ def test_two_hosts_are_not_one(client):
 )
 def test_every_route_refuses_a_foreign_origin(app, client, origin):
     for method, path in every_route(app):
-        answer = ask(client, method, path, {**COOKIE, "origin": origin})
+        answer = send(client, method, path, {**COOKIE, "origin": origin})
         assert answer.status_code == 403, (method, path)
 
 
 @pytest.mark.parametrize("site", ["cross-site", "same-site", "anything"])
 def test_every_route_refuses_requests_of_other_sites(app, client, site):
     for method, path in every_route(app):
-        answer = ask(client, method, path, {**COOKIE, "sec-fetch-site": site})
+        answer = send(client, method, path, {**COOKIE, "sec-fetch-site": site})
         assert answer.status_code == 403, (method, path)
 
 
 def test_only_the_empty_page_may_be_reached_by_a_link_from_elsewhere(app, client):
     link = {**COOKIE, "sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"}
     let_in = {path for method, path in every_route(app)
-              if method == "GET" and ask(client, "GET", path, link).status_code == 200}  # fmt: skip
+              if method == "GET" and send(client, "GET", path, link).status_code == 200}  # fmt: skip
     assert let_in == {"/"}
 
 
@@ -116,7 +116,7 @@ def test_every_route_with_data_refuses_a_missing_or_wrong_token(app, client, coo
     headers = {} if cookie is None else {"cookie": cookie}
     refused = set()
     for method, path in every_route(app):
-        answer = ask(client, method, path, headers)
+        answer = send(client, method, path, headers)
         if path in OPEN:
             continue
         assert answer.status_code == 401, (method, path)
@@ -148,7 +148,7 @@ def test_changing_requests_want_an_origin_and_json(app, client):
             headers = {**COOKIE, "origin": OWN, "content-type": kind}
             assert client.request(method, path, headers=headers).status_code == 415, path
         for body in (b"", b"[1]", b"{", b'{"value": NaN}', b"[" * 400):
-            assert ask(client, method, path, COOKIE, body).status_code == 422, path
+            assert send(client, method, path, COOKIE, body).status_code == 422, path
 
 
 @pytest.mark.parametrize("announced", [True, False])
@@ -196,7 +196,7 @@ QUERIES = [
 @pytest.mark.slow
 def test_no_route_ends_in_a_fault_of_the_server_whatever_it_is_sent(app, client):
     """Every refusal has one shape; the client raises what a handler does not catch."""
-    asked = 0
+    requested = 0
     for method, path in every_route(app):
         if path.endswith("/build"):  # they would begin one
             continue
@@ -205,14 +205,16 @@ def test_no_route_ends_in_a_fault_of_the_server_whatever_it_is_sent(app, client)
                 client.request(method, f"{path}?{query}", headers=COOKIE) for query in QUERIES
             ]
         else:
-            answers = [ask(client, method, path, COOKIE, body.encode()) for body in HOSTILE]
+            answers = [send(client, method, path, COOKIE, body.encode()) for body in HOSTILE]
         for answer in answers:
             assert answer.status_code in (200, 401, 404, 409, 413, 422), (path, answer.text[:200])
             if answer.status_code != 200 and method != "HEAD":
-                told = answer.json()
-                assert told["ok"] is False and told["problems"][0]["code"].startswith("E_"), path
-        asked += len(answers)
-    assert asked > 500
+                record = answer.json()
+                assert record["ok"] is False and record["problems"][0]["code"].startswith("E_"), (
+                    path
+                )
+        requested += len(answers)
+    assert requested > 500
     client.cookies.clear()
 
 
@@ -237,7 +239,7 @@ def test_a_band_that_is_not_there_is_refused_by_its_number(client, query):
 def test_other_methods_are_refused(app, client):
     for method in ("PUT", "DELETE", "PATCH", "OPTIONS", "TRACE"):
         for _, path in every_route(app):
-            answer = ask(client, method, path, COOKIE)
+            answer = send(client, method, path, COOKIE)
             assert answer.status_code in (404, 405, 403), (method, path)
             assert not any(h.lower().startswith("access-control") for h in answer.headers)
 
@@ -245,7 +247,7 @@ def test_other_methods_are_refused(app, client):
 def test_every_answer_carries_the_headers_that_keep_other_pages_out(app, client):
     for headers in (COOKIE, {}):
         for method, path in every_route(app):
-            answer = ask(client, method, path, headers)
+            answer = send(client, method, path, headers)
             policy = answer.headers["content-security-policy"]
             assert "default-src 'none'" in policy and "unsafe" not in policy and "*" not in policy
             assert answer.headers["x-content-type-options"] == "nosniff"
@@ -360,14 +362,14 @@ def test_hostile_bodies_change_nothing_and_are_told_why(client, correctable):
         {"operation": "outline", "corners": [[0, 0]] * 100_000},
     ]
     for body in hostile:
-        answer = ask(
+        answer = send(
             client, "POST", f"/api/cameras/{PARAMS['id']}/edit", COOKIE, json.dumps(body).encode()
         )
         assert answer.status_code == 422 and answer.json()["problems"], body
     for files in ([], "x", ["%%%"], [base64.b64encode(b"\x89PNG").decode()] * 3, [None]):
         body = json.dumps({"files": files}).encode()
         assert (
-            ask(client, "POST", f"/api/cameras/{PARAMS['id']}/import", COOKIE, body).status_code
+            send(client, "POST", f"/api/cameras/{PARAMS['id']}/import", COOKIE, body).status_code
             == 422
         )
     after = client.get(f"/api/cameras/{PARAMS['id']}/pairs", headers=COOKIE).content
@@ -376,14 +378,14 @@ def test_hostile_bodies_change_nothing_and_are_told_why(client, correctable):
 
 def test_an_edit_over_http_is_an_edit(client, app):
     where = f"/api/cameras/{PARAMS['id']}"
-    told = from_bytes(client.get(f"{where}/pairs", headers=COOKIE).content)
-    before = told["summary"]["kept"]
-    pair = told["pairs"][5]
+    record = from_bytes(client.get(f"{where}/pairs", headers=COOKIE).content)
+    before = record["summary"]["kept"]
+    pair = record["pairs"][5]
     body = json.dumps({"operation": "delete", "pair": pair.tolist()}).encode()
-    after = from_bytes(ask(client, "POST", f"{where}/edit", COOKIE, body).content)
+    after = from_bytes(send(client, "POST", f"{where}/edit", COOKIE, body).content)
     assert after["summary"]["kept"] == before - 1
-    assert after["can"]["undo"] == told["can"]["undo"] + 1
+    assert after["can"]["undo"] == record["can"]["undo"] + 1
     body = b'{"operation": "undo"}'
-    undone = from_bytes(ask(client, "POST", f"{where}/edit", COOKIE, body).content)
+    undone = from_bytes(send(client, "POST", f"{where}/edit", COOKIE, body).content)
     assert undone["summary"]["kept"] == before
-    assert undone["corrections"] == told["corrections"]
+    assert undone["corrections"] == record["corrections"]

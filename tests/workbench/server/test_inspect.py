@@ -28,7 +28,7 @@ def campaign(correctable, tmp_path_factory):
     return correctable.make(tmp_path_factory.mktemp("inspect") / "campaign")
 
 
-def ask(address, path, *, cookie="", body=None):
+def send(address, path, *, cookie="", body=None):
     headers = {"Origin": address} if body is not None else {}
     headers |= {"Cookie": cookie} if cookie else {}
     data = None
@@ -51,13 +51,13 @@ def test_it_says_its_address_serves_this_machine_alone_and_ends_cleanly(campaign
         found = re.search(r"(http://127\.0\.0\.1:(\d+))/#([\w-]{43})$", line.strip())
         assert found, line
         address, port, token = found.groups()
-        assert b"workbench.js" in ask(address, "/").read()
+        assert b"workbench.js" in send(address, "/").read()
         with pytest.raises(urllib.error.HTTPError) as refused:
-            ask(address, "/api/cameras")
+            send(address, "/api/cameras")
         assert refused.value.code == 401
-        cookie = ask(address, "/enter", body={"token": token}).headers["Set-Cookie"].split(";")[0]
-        told = json.load(ask(address, "/api/cameras", cookie=cookie))
-        assert {row["camera"] for row in told["cameras"]} == {"photo", "xray"}
+        cookie = send(address, "/enter", body={"token": token}).headers["Set-Cookie"].split(";")[0]
+        record = json.load(send(address, "/api/cameras", cookie=cookie))
+        assert {row["camera"] for row in record["cameras"]} == {"photo", "xray"}
         # Through ssh -L the browser asks localhost by the same port.
         request = urllib.request.Request(f"{address}/", headers={"Host": f"localhost:{port}"})
         assert urllib.request.urlopen(request, timeout=600).status == 200
@@ -138,7 +138,7 @@ def test_the_page_that_holds_the_token_is_this_users_and_is_taken_away(campaign,
     """By a browser's entry, or by any end that a terminal gives; nothing else is left either."""
     (tmp_path / "browser.py").write_text(BROWSER)
     (tmp_path / "temporary").mkdir()
-    browser = f"{sys.executable} {tmp_path / 'browser.py'} {tmp_path / 'told.json'} %s"
+    browser = f"{sys.executable} {tmp_path / 'browser.py'} {tmp_path / 'record.json'} %s"
     run = subprocess.Popen(
         [*COMMAND, str(campaign)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={**os.environ, "PYTHONUTF8": "1", "BROWSER": browser, "TMPDIR": str(tmp_path / "temporary")},
@@ -149,13 +149,13 @@ def test_the_page_that_holds_the_token_is_this_users_and_is_taken_away(campaign,
             if (tmp_path / "told.json").is_file():
                 break
             time.sleep(0.05)
-        told = json.loads((tmp_path / "told.json").read_text())
-        assert told["mode"] == 0o600
-        page = Path(told["path"])
-        address, token = re.search(r"url=(http://[\d.:]+)/#([\w-]{43})", told["text"]).groups()
-        assert b"workbench.js" in ask(address, "/").read() and page.is_file()
+        record = json.loads((tmp_path / "told.json").read_text())
+        assert record["mode"] == 0o600
+        page = Path(record["path"])
+        address, token = re.search(r"url=(http://[\d.:]+)/#([\w-]{43})", record["text"]).groups()
+        assert b"workbench.js" in send(address, "/").read() and page.is_file()
         if end == "entered":
-            assert ask(address, "/enter", body={"token": token}).status == 200
+            assert send(address, "/enter", body={"token": token}).status == 200
             assert not page.exists()
         run.send_signal(getattr(signal, end if end != "entered" else "SIGINT"))
         _, errors = run.communicate(timeout=600)

@@ -99,9 +99,9 @@ def test_undo_takes_back_ones_own_change_and_nobody_elses(folder, servers):
     one, other = servers
     one.edit(operation="add", pair=place(1))
     other.edit(operation="add", pair=place(2))
-    told = from_bytes(one.edit(operation="undo").content)
+    record = from_bytes(one.edit(operation="undo").content)
     assert edits_of(folder).added == (tuple(place(2)),)
-    assert told["can"] == {"undo": 0, "redo": 1}
+    assert record["can"] == {"undo": 0, "redo": 1}
     one.edit(operation="redo")
     assert set(edits_of(folder).added) == {tuple(place(1)), tuple(place(2))}
 
@@ -124,10 +124,10 @@ def test_a_change_that_contradicts_anothers_is_refused_with_what_is_there(
     assert one.edit(**first, pair=pair).status_code == 200
     there = (folder / "edits.toml").read_bytes()
     answer = other.edit(**second, pair=pair)
-    told = answer.json()
-    assert answer.status_code == 409 and told["ok"] is False
-    assert told["problems"][0]["code"] == "E_CONFLICT" and told["problems"][0]["fix"]
-    assert told["present"][field] and (folder / "edits.toml").read_bytes() == there
+    record = answer.json()
+    assert answer.status_code == 409 and record["ok"] is False
+    assert record["problems"][0]["code"] == "E_CONFLICT" and record["problems"][0]["fix"]
+    assert record["present"][field] and (folder / "edits.toml").read_bytes() == there
     # Whoever was refused sees what is there, and may then change it.
     assert other.pairs()["corrections"] == one.pairs()["corrections"]
     assert other.edit(**second, pair=pair).status_code == 200
