@@ -120,8 +120,8 @@ def test_a_database_is_told_from_a_campaign(campaign):
 BROWSER = """
 import json, pathlib, sys, urllib.parse, urllib.request
 page = pathlib.Path(urllib.request.url2pathname(urllib.parse.urlsplit(sys.argv[2]).path))
-told = {"path": str(page), "mode": page.stat().st_mode & 0o777, "text": page.read_text(encoding="utf-8")}
-pathlib.Path(sys.argv[1] + ".part").write_text(json.dumps(told))
+record = {"path": str(page), "mode": page.stat().st_mode & 0o777, "text": page.read_text(encoding="utf-8")}
+pathlib.Path(sys.argv[1] + ".part").write_text(json.dumps(record))
 pathlib.Path(sys.argv[1] + ".part").rename(sys.argv[1])
 """
 
@@ -146,10 +146,10 @@ def test_the_page_that_holds_the_token_is_this_users_and_is_taken_away(campaign,
     try:
         run.stdout.readline()
         for _ in range(6000):
-            if (tmp_path / "told.json").is_file():
+            if (tmp_path / "record.json").is_file():
                 break
             time.sleep(0.05)
-        record = json.loads((tmp_path / "told.json").read_text())
+        record = json.loads((tmp_path / "record.json").read_text())
         assert record["mode"] == 0o600
         page = Path(record["path"])
         address, token = re.search(r"url=(http://[\d.:]+)/#([\w-]{43})", record["text"]).groups()

@@ -82,7 +82,7 @@ def loops_text(loops: list[dict[str, Any]]) -> str:
     for one in loops:
         name = f"{one['object']}: reference, {one['first']}, {one['second']}"
         if one["mean"] is None:
-            lines.append(f"{name:44} not closed: {one['refused'] or 'no point is within by all'}")
+            lines.append(f"{name:44} not closed: {one['refused'] or 'no point is in view of all'}")
         else:
             lines.append(f"{name:44} {one['mean']:8.3f} {one['p95']:8.3f} {one['max']:8.3f}")
     return "\n".join(lines)
