@@ -1,11 +1,11 @@
-// Two preloaded pictures in turn. The rate is of whole turns: at 2 Hz each is seen for a quarter second.
+// Two preloaded pictures in turn. The rate is of whole turns: at 2 Hz each is shown for a quarter second.
 
 import { signal } from "@preact/signals-core";
 
 export const RATES = { min: 0.5, max: 8, step: 0.5, value: 2 };
 const STILL = "(prefers-reduced-motion: reduce)";
 
-/** A clock that shows A and B in turn; where the system asks for less motion, nothing turns by itself. */
+/** A clock that shows A and B in turn; where the system requests less motion, nothing turns by itself. */
 export class Flicker {
   rate = RATES.value;
   shown: "a" | "b" = "a";

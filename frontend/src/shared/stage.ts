@@ -37,9 +37,9 @@ export interface Wanted {
 export abstract class Stage<P extends Pane> {
   readonly mode = signal<Mode>("side");
   /** Which picture the flicker shows now. */
-  readonly seen = signal<"a" | "b">("a");
+  readonly inTurn = signal<"a" | "b">("a");
   readonly flicker = new Flicker((shown) => {
-    this.seen.value = shown;
+    this.inTurn.value = shown;
     this.showOne(shown);
   });
   readonly curtain: Curtain;
@@ -48,7 +48,7 @@ export abstract class Stage<P extends Pane> {
   protected turned = 0;
   /** The pane that a person moved last: the other one goes after it. */
   protected leader: P;
-  /** Where the view turns to once a mode that was asked for is there. */
+  /** Where the view turns to once a requested mode is there. */
   private arrival: Aim | "fit" | null = null;
   private subject: string | null = null;
   private shown = "";
@@ -116,7 +116,7 @@ export abstract class Stage<P extends Pane> {
     return this.left.layers[1];
   }
 
-  /** Whether all that is in view has been drawn, in the mode that was asked for. */
+  /** Whether all that is in view has been drawn, in the requested mode. */
   get settled(): boolean {
     return this.arrival === null && this.panes.every((pane) => pane.settled);
   }

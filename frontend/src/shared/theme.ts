@@ -31,7 +31,7 @@ export function startTheme(button: HTMLButtonElement): void {
 const known = new Map<string, string>();
 const waiting: (() => void)[] = [];
 
-/** A colour of the page, by its name in the style sheet; asked once, as asking lays the page out. */
+/** A colour of the page, by its name in the style sheet; read once, as reading lays the page out. */
 export function ink(name: string): string {
   if (!waiting.length) onTheme(() => {});
   let colour = known.get(name);

@@ -153,7 +153,7 @@ function drawDoubt(
   );
 }
 
-/** The bands of a curve that have a wavelength and were seen, by wavelength. */
+/** The bands of a curve that have a wavelength and a value, by wavelength. */
 export function samplesOf(
   { layer, spectrum: { values, sigma, flags } }: Curve,
   marks: Mark[],

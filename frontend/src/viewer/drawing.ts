@@ -184,9 +184,9 @@ class Sheet {
       [0, clientHeight].map((y) => this.pane.pixelAt(box.left + x, box.top + y)),
     );
     const places = (axis: 0 | 1, size: number): number[] => {
-      const seen = corners.map((corner) => corner[axis] + 0.5);
-      const first = Math.max(0, Math.ceil(Math.min(...seen) / step));
-      const last = Math.floor(Math.min(size, Math.max(...seen)) / step);
+      const pixels = corners.map((corner) => corner[axis] + 0.5);
+      const first = Math.max(0, Math.ceil(Math.min(...pixels) / step));
+      const last = Math.floor(Math.min(size, Math.max(...pixels)) / step);
       const count = Math.max(0, last - first + 1);
       return Array.from({ length: count }, (_, i) => (first + i) * step - 0.5);
     };

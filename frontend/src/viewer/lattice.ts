@@ -18,7 +18,7 @@ interface Nodes {
 
 const EDGE = 0.5 + 1e-6;
 
-/** The maps of one layer's bands; loaded when first asked for. */
+/** The maps of one layer's bands; loaded on first use. */
 export class Lattice {
   private loaded: Promise<{ reference: Nodes; bands: Nodes[] }> | null = null;
 

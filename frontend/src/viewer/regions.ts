@@ -195,7 +195,7 @@ export class RegionPanel {
     return histogram(found.values[band]!, BINS);
   }
 
-  /** Measure all regions and show them; what was asked for before and ends later is dropped. */
+  /** Measure all regions and show them; what was requested before and ends later is dropped. */
   private async refresh(): Promise<void> {
     const turn = ++this.turn;
     const regions = this.state.regions.value;

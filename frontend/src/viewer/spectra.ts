@@ -28,7 +28,7 @@ type Four = [number, number, number, number];
 const KEPT = 24; // tiles a layer
 const AHEAD = 12; // of KEPT, while a region is read
 
-/** The spectra of one layer; tiles are loaded when asked for, and the last ones kept. */
+/** The spectra of one layer; tiles are loaded on request, and the last ones kept. */
 export class Spectra {
   private readonly tiles = new Map<string, Promise<Tile>>();
   private summed: Promise<Float64Array> | null = null;

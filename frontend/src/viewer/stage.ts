@@ -25,7 +25,7 @@ export class PaintingStage extends Stage<Pane> {
   onPick: (pixel: Point) => void = () => {};
   onMove: () => void = () => {};
   readonly cells: Cell[];
-  /** How much of B is seen over A, 0 to 1. */
+  /** How much of B is visible over A, 0 to 1. */
   readonly opacity = signal(0.5);
   /** By how much differences are brightened. */
   readonly gain = signal(4);

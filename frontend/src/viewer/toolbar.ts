@@ -45,7 +45,7 @@ export function fillToolbar(
   );
   const other = pill(
     "Show the other",
-    "Your system asks for less motion: the pictures do not alternate by themselves",
+    "Your system requests less motion: the pictures do not alternate by themselves",
   );
   other.addEventListener("click", () => flicker.step());
   const begin = pill("Start", "This page was opened by a link: press K to start the flicker");

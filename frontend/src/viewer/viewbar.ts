@@ -138,7 +138,7 @@ export function sayWhatIsShown(caption: HTMLElement, stage: PaintingStage, state
       label.textContent = `${slot.toUpperCase()}: ${name(slot)}`;
     }
     caption.setAttribute("aria-live", turning ? "off" : "polite");
-    caption.dataset["now"] = turning ? stage.seen.value : "";
+    caption.dataset["now"] = turning ? stage.inTurn.value : "";
     const [a, b] = [`A: ${name("a")}`, `B: ${name("b")}`];
     const [first, second] = stage.curtain.level.value ? ["above", "below"] : ["left", "right"];
     const share = Math.round(100 * stage.opacity.value);
@@ -150,7 +150,9 @@ export function sayWhatIsShown(caption: HTMLElement, stage: PaintingStage, state
       side: `${a} · ${b}`,
       grid: stage.slots.value.map((slot) => `${slot.toUpperCase()}: ${name(slot)}`).join(" · "),
     };
-    caption.textContent = turning ? `Now ${stage.seen.value === "a" ? a : b}` : (words[mode] ?? a);
+    caption.textContent = turning
+      ? `Now ${stage.inTurn.value === "a" ? a : b}`
+      : (words[mode] ?? a);
   });
 }
 

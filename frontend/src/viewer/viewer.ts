@@ -193,7 +193,7 @@ const keys: Key[] = [
   }),
   modeKey("C", "curtain", "Curtain"),
   modeKey("O", "opacity", "B over A, by opacity"),
-  key("K", ["k"], "Flicker on and off; where less motion is asked for, the other picture", () => {
+  key("K", ["k"], "Flicker on and off; where less motion is requested, the other picture", () => {
     const off = stage.mode.value === "flicker" && !stage.flicker.byHand;
     stage.setMode(off ? "single" : "flicker");
   }),

@@ -1,4 +1,4 @@
-// Talks to the local server; no other host is asked for anything.
+// Talks to the local server; no request goes to any other host.
 import type { Layer, Point } from "../shared/pane";
 
 export interface Problem {
@@ -68,7 +68,7 @@ async function request(path: string, body?: unknown): Promise<Response> {
 
 const TILE = 256;
 
-/** A picture by its address: tiles are asked for by level, column and row, level 0 in full size. */
+/** A picture by its address: tiles are requested by level, column and row, level 0 in full size. */
 export function layerOf(address: string, size: Point): Layer {
   const maxLevel = Math.max(0, Math.ceil(Math.log2(Math.max(...size) / TILE)));
   const [path, query] = address.split("?");

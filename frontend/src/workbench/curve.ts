@@ -66,7 +66,7 @@ export class Curve {
   }
 }
 
-/** Of thousands of values about as many as can be told apart: the largest of those that fall together, and the last. */
+/** Of thousands of values about as many as can be distinguished: the largest of those that fall together, and the last. */
 export function thinOut(values: readonly number[], most: number): [index: number, value: number][] {
   const every = Math.max(1, Math.ceil(values.length / most));
   const kept: [number, number][] = [];

@@ -33,9 +33,9 @@ export class Figure {
     const map = mapOf(trace, round);
     const frame: Box = [-0.5, -0.5, trace.size[0] - 0.5, trace.size[1] - 0.5];
     const place = placing(frame, turn);
-    const seen = boundsOf(session.pairs);
+    const bounds = boundsOf(session.pairs);
     outline(context, edge(frame, place), ink("--ink"));
-    const moved = (by: PlaneMap) => edge(seen, (x, y) => place(...by(x, y)));
+    const moved = (by: PlaneMap) => edge(bounds, (x, y) => place(...by(x, y)));
     outline(context, moved(mapOf(trace, -1)), ink("--reference"));
     if (round >= 0) outline(context, moved(map), ink("--fit"));
     const every = Math.max(1, Math.floor(rows.length / MOST_LINES));

@@ -121,7 +121,7 @@ export function tilesAround([x, y]: Point, breadth: number, [width, height]: Poi
   return range(y, height).flatMap((row) => range(x, width).map((column): Point => [column, row]));
 }
 
-/** Lines towards the middle, which stays free: light on a dark ground, to be seen on any picture. */
+/** Lines towards the middle, which stays free: light on a dark ground, visible on any picture. */
 function cross(context: CanvasRenderingContext2D): void {
   const [middle, gap] = [SIDE / 2, CROSS / 2];
   const path = new Path2D();

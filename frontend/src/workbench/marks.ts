@@ -69,7 +69,7 @@ export function paintPairs(context: CanvasRenderingContext2D, dots: Dots, scene:
     if (times > 1) addHead(lines, [x + dx, y + dy], [dx, dy]);
   };
   const shows = (row: number): boolean => row !== selected && isMarked(session, row, filter);
-  const seen = findInView(context.canvas, session, half, at, shows, join);
+  const visible = findInView(context.canvas, session, half, at, shows, join);
   context.lineWidth = 0.4 + radius / 4;
   if (times > 1) outline(context, lines, "#fff", 3, 1.2);
   else {
@@ -77,9 +77,9 @@ export function paintPairs(context: CanvasRenderingContext2D, dots: Dots, scene:
     context.stroke(lines);
   }
   context.lineWidth = 0.4 + radius / 4;
-  if (seen.count > MANY) paintMany(context, dots, seen, radius, colour);
-  else paintFew(context, seen, radius, colour);
-  for (const row of [...seen.special, ...(selected in session.pairs ? [selected] : [])]) {
+  if (visible.count > MANY) paintMany(context, dots, visible, radius, colour);
+  else paintFew(context, visible, radius, colour);
+  for (const row of [...visible.special, ...(selected in session.pairs ? [selected] : [])]) {
     const pair = session.pairs[row]!;
     const [x, y] = at(pair[half], pair[half + 1]!);
     const kind = row === selected || session.hand[row] === "" ? "circle" : "square";
@@ -127,7 +127,7 @@ function findInView(
 ): InView {
   const n = session.pairs.length;
   const bin = new Uint8Array(n);
-  const seen: InView = {
+  const visible: InView = {
     x: new Float32Array(n),
     y: new Float32Array(n),
     bin,
@@ -141,16 +141,16 @@ function findInView(
     if (!shows(row)) continue;
     const state = session.state[row]!;
     if (state === "check" || (state === "kept" && session.hand[row] !== "")) {
-      seen.special.push(row);
+      visible.special.push(row);
       continue;
     }
     if (state === "kept") join(row, x, y);
     const share = shareOf(session, row);
-    bin[seen.count] = state === "removed" ? REMOVED : Math.round(share * (BINS - 1));
-    seen.x[seen.count] = x;
-    seen.y[seen.count++] = y;
+    bin[visible.count] = state === "removed" ? REMOVED : Math.round(share * (BINS - 1));
+    visible.x[visible.count] = x;
+    visible.y[visible.count++] = y;
   }
-  return seen;
+  return visible;
 }
 
 /** The head of an arrow at `end` of a line along `by`. */
@@ -166,14 +166,14 @@ function addHead(path: Path2D, [x, y]: Point, [dx, dy]: Point): void {
 /** Circles with a rim, as paths of one shade each. */
 function paintFew(
   context: CanvasRenderingContext2D,
-  seen: InView,
+  visible: InView,
   radius: number,
   colour: (share: number) => string,
 ): void {
   const bins = Array.from({ length: BINS + 1 }, () => new Path2D());
-  for (let i = 0; i < seen.count; i++) {
-    const [x, y, path] = [seen.x[i]!, seen.y[i]!, bins[seen.bin[i]!]!];
-    if (seen.bin[i] === REMOVED) addCross(path, x, y, 0.8 * radius);
+  for (let i = 0; i < visible.count; i++) {
+    const [x, y, path] = [visible.x[i]!, visible.y[i]!, bins[visible.bin[i]!]!];
+    if (visible.bin[i] === REMOVED) addCross(path, x, y, 0.8 * radius);
     else {
       path.moveTo(x + radius, y);
       path.arc(x, y, radius, 0, 2 * Math.PI);
@@ -193,7 +193,7 @@ function paintFew(
 function paintMany(
   context: CanvasRenderingContext2D,
   dots: Dots,
-  seen: InView,
+  visible: InView,
   radius: number,
   colour: (share: number) => string,
 ): void {
@@ -201,12 +201,14 @@ function paintMany(
   const side = Math.round(2 * radius * ratio);
   dots.begin(context.canvas.width, context.canvas.height);
   const rows = Array.from({ length: BINS + 1 }, (): number[] => []);
-  for (let i = 0; i < seen.count; i++) rows[seen.bin[i]!]!.push(i);
+  for (let i = 0; i < visible.count; i++) rows[visible.bin[i]!]!.push(i);
   const grey = packed(GREY, context, 0.8);
-  for (const i of rows[REMOVED]!) dots.cross(seen.x[i]! * ratio, seen.y[i]! * ratio, side, grey);
+  for (const i of rows[REMOVED]!)
+    dots.cross(visible.x[i]! * ratio, visible.y[i]! * ratio, side, grey);
   for (let bin = 0; bin < BINS; bin++) {
     const pixel = packed(colour(bin / (BINS - 1)), context);
-    for (const i of rows[bin]!) dots.square(seen.x[i]! * ratio, seen.y[i]! * ratio, side, pixel);
+    for (const i of rows[bin]!)
+      dots.square(visible.x[i]! * ratio, visible.y[i]! * ratio, side, pixel);
   }
   dots.drawOn(context);
 }
@@ -253,7 +255,7 @@ function line(context: CanvasRenderingContext2D, from: Point, to: Point): void {
   context.stroke();
 }
 
-/** Stroke a path in a colour on a dark ground, to be seen on any picture. */
+/** Stroke a path in a colour on a dark ground, to be visible on any picture. */
 function outline(
   context: CanvasRenderingContext2D,
   path: Path2D,

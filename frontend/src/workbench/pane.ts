@@ -63,7 +63,7 @@ export class MarkedPane extends Pane {
     onTheme(() => this.redraw());
   }
 
-  /** Draw the marks anew with the next frame; asked for many times, done once. */
+  /** Draw the marks anew with the next frame; requested many times, done once. */
   redraw(): void {
     if (this.waiting) return;
     this.waiting = true;

@@ -178,7 +178,7 @@ export class PairStage extends Stage<MarkedPane> {
   private update(): void {
     const proposed = this.store.proposal.peek()?.pair;
     if (!proposed && !this.drag) this.trial.end();
-    else if (proposed && this.mode.peek() !== "side") void this.trial.ask(proposed, null);
+    else if (proposed && this.mode.peek() !== "side") void this.trial.request(proposed, null);
     void this.load();
     this.left.redraw();
     this.right.redraw();
@@ -204,7 +204,7 @@ export class PairStage extends Stage<MarkedPane> {
     const warped = this.trial.number ? `trial&v=${this.trial.number}` : `${map}&v=${version}`;
     const tint = (colour: string): string =>
       this.mode.peek() === "redcyan" ? `&tint=${colour}` : "";
-    // What a browser kept of another day's server, at the same port, is not asked for again.
+    // What a browser kept of another day's server, at the same port, is not requested again.
     const page = Math.round(performance.timeOrigin);
     const [ours, theirs] = [this.bands.left, this.bands.right].map(
       ({ query }) => `bands=${query}&page=${page}`,
@@ -301,7 +301,7 @@ export class PairStage extends Stage<MarkedPane> {
       else this.update();
       return;
     }
-    if (this.isOverlay) void this.trial.ask(from, to);
+    if (this.isOverlay) void this.trial.request(from, to);
     this.drag = { from, to };
     this.left.redraw();
     this.right.redraw();

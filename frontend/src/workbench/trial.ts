@@ -1,4 +1,4 @@
-// What the map would be if a pair lay elsewhere: asked for while it is dragged, before anything is saved.
+// What the map would be if a pair lay elsewhere: requested while it is dragged, before anything is saved.
 import { getJson } from "./api";
 import type { Pair } from "./record";
 import type { Store } from "./store";
@@ -18,7 +18,7 @@ export class Trial {
   ) {}
 
   /** Ask for the map with `pair` at `to`, or with a new pair. */
-  async ask(pair: Pair, to: Pair | null): Promise<void> {
+  async request(pair: Pair, to: Pair | null): Promise<void> {
     this.wanted = { pair, to };
     if (this.busy) return;
     this.busy = true;

@@ -116,7 +116,7 @@ class BuildRecords:
         return self._states(key).get(DONE, {})
 
     def is_begun(self, key: Key) -> bool:
-        """Tell whether anything was ever recorded of a stage."""
+        """Return whether anything was ever recorded of a stage."""
         return bool(self._states(key))
 
     def fingerprint(self, key: Key) -> dict[str, Any]:
@@ -172,7 +172,7 @@ class BuildRecords:
     # --- what is fresh --------------------------------------------------------------------------
 
     def why_stale(self, key: Key, fingerprint: dict[str, Any]) -> str:
-        """Say why a stage must be done; empty where its products stand and fit."""
+        """Report why a stage must be done; empty where its products stand and fit."""
         if UNREADABLE in fingerprint:
             return f"its files cannot be read: {fingerprint[UNREADABLE]}"
         if not (record := self._record(key)):
@@ -373,7 +373,7 @@ def _is_hash(value: Any) -> bool:
 
 
 def _other_use(before: list[dict[str, Any]], now: list[dict[str, Any]]) -> str:
-    """Say how the use of a file as a frame differs, by the first thing that does.
+    """Report how the use of a file as a frame differs, by the first thing that does.
 
     >>> _other_use([{"role": "dark"}], [{"role": "white"}])
     ': role "dark" → "white"'

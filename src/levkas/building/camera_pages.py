@@ -61,7 +61,7 @@ class CameraPage:
 
     @property
     def first(self) -> Capture:
-        """A capture that tells bands and sensors."""
+        """A capture that gives bands and sensors."""
         return [*self.captures, *self.charts][0]
 
 
@@ -99,7 +99,7 @@ def write_camera_page(
     described = path.parent / "camera.json"
     write_json(described, describe_camera(campaign, page.first, measured))
     made += [path, described, *write_sensitivity(path.parent, campaign, page.first)]
-    # A chart that cannot be measured is no fault of the objects: said, not refused.
+    # A chart that cannot be measured is no fault of the objects: reported, not refused.
     warnings = (
         *(written(campaign, problem) for problem in problems),
         *(f"{m.name}: {m.stray_light}" for m in measures if m.stray_light),

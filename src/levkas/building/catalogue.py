@@ -1,4 +1,4 @@
-"""The files of a database that speak of all its layers: catalogue, indices, imprint, manifest."""
+"""The files of a database about all its layers: catalogue, indices, imprint, manifest."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def why_catalogue_is_stale(
     names: list[str],
     others: dict[str, str],
 ) -> str:
-    """Say why the files that speak of all layers are stale; `others` are those of `by_others`."""
+    """Report why the files about all layers are stale; `others` are those of `by_others`."""
     rows = _entries(places, records, captures, names, whole=True)
     if outdated := _outdated(places, records, rows, names, whole=True):
         return describe_outdated(outdated)
@@ -211,7 +211,7 @@ def _published(
     imprint: dict[str, Any],
     spectra: dict[str, str],
 ) -> list[Path]:
-    """Write the files that speak of all layers; those that would say the same are left alone."""
+    """Write the files about all layers; those whose content is the same are left alone."""
     from levkas.campaign.schema.toml import to_toml
     from levkas.core.files import write_changed
     from levkas.database.catalogue import write_catalogue

@@ -283,7 +283,7 @@ class Cluster:
         return future
 
     def next_events(self, patience_s: float) -> list[dict[str, Any]]:
-        """Return what workers have said and what has ended; wait for the first of it."""
+        """Return what workers have reported and what has ended; wait for the first of it."""
         try:
             events = [self.events.get(timeout=patience_s)]
         except queue.Empty:

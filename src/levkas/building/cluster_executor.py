@@ -49,7 +49,7 @@ NEAR = 0.8
 BASE, STREAMED = 200e6, 1.5e9
 """Bytes that a process takes before it reads a frame, and those of a scan whose rows are resampled."""
 WITHOUT_WORKER_S = 10.0
-"""How long there may be no worker before that is said; a restart takes seconds."""
+"""How long there may be no worker before that is reported; a restart takes seconds."""
 LOOK_S = 1.0
 """How long to wait for news before the workers are counted."""
 
@@ -454,7 +454,7 @@ class ClusterExecutor:
             self._await_worker(self._outcomes.due(self._graph[key])._replace(why=why))
 
     def _alone(self) -> Iterator[Step]:
-        """Say once that no worker can go on; after a time refuse what waits for memory.
+        """Report once that no worker can go on; after a time refuse what waits for memory.
 
         Raises ClusterRefused where there was no worker at all for so long.
         """

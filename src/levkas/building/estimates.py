@@ -58,7 +58,7 @@ def _why_outdated(places: Places, layer: LayerId, measured: Mapping[LayerId, str
 
 
 def describe_outdated(outdated: Mapping[LayerId, str]) -> str:
-    """Say in a line what is outdated; empty for nothing."""
+    """Report in a line what is outdated; empty for nothing."""
     if not outdated:
         return ""
     first, why = next(iter(outdated.items()))

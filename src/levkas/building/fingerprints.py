@@ -123,7 +123,7 @@ def measured_path(folder: Path, key: Key) -> Path:
 
 
 def is_measured(records: BuildRecords, key: Key) -> bool:
-    """Tell whether a capture's own registration is there to adjust others with."""
+    """Return whether a capture's own registration is there to adjust others with."""
     return bool(records.fingerprint(key)) and measured_path(records.folder, key).is_file()
 
 

@@ -141,12 +141,12 @@ def by_object(captures: Iterable[Capture]) -> dict[str, list[Capture]]:
 
 
 def has_reference(campaign: Campaign, captures: Sequence[Capture]) -> bool:
-    """Tell whether the captures of an object begin with the reference camera's own."""
+    """Return whether the captures of an object begin with the reference camera's own."""
     return bool(captures) and is_reference(campaign, captures[0])
 
 
 def is_reference(campaign: Campaign, capture: Capture) -> bool:
-    """Tell whether the other captures of its object are registered to this one."""
+    """Return whether the other captures of its object are registered to this one."""
     return capture.camera == campaign.reference.camera and not capture.setup
 
 
@@ -155,7 +155,7 @@ def cameras_with_pages(
 ) -> list[str]:
     """Return the cameras that have a page: those that are calibrated, or saw a chart.
 
-    Of plain images, where nothing is calibrated, nothing but a chart tells.
+    Of plain images, where nothing is calibrated, nothing but a chart decides.
     """
     used = {c.camera for c in captures if campaign.cameras[c.camera].traits.is_calibrated}
     used |= {c.camera for c in charts}
@@ -331,7 +331,7 @@ class BuildReport:
         states = Counter(step.state for step in self.stages)
         counts = [f"{states[s]} {s}" for s in FINISHED if states[s]]
         lines = [f"warning: {warning}" for warning in _gathered(self.warnings)]
-        # What was refused is among the problems, where it is said once.
+        # What was refused is among the problems, where it is reported once.
         lines += [
             s.line for s in self.stages if s.state == "stale" or (_lost(s) and not s.problems)
         ]
@@ -354,7 +354,7 @@ def _lost(step: Step) -> bool:
 
 
 def _gathered(warnings: Iterable[str]) -> list[str]:
-    """Say once what several layers are warned of alike.
+    """Report once what several layers are warned of alike.
 
     >>> _gathered(["a/x: too dark", "a/y: too dark", "a/x: too soft"])
     ['a/x and 1 more: too dark', 'a/x: too soft']

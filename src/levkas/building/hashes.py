@@ -122,7 +122,7 @@ def _sound_entries(rows: Iterable[Sequence[Any]]) -> Iterator[tuple[bytes, Entry
 
 
 def is_old_enough(stamp: Sequence[int], now: int) -> bool:
-    """Tell whether a file read from `now` on cannot be changed any more without another stamp.
+    """Return whether a file read from `now` on cannot be changed any more without another stamp.
 
     >>> is_old_enough((1, 10**18 + 1, 10**18 + 1, 1), 10**18 + TICK_NS)
     False

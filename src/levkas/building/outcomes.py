@@ -192,7 +192,7 @@ class Outcomes:
         return step
 
     def _stands(self, key: Key) -> bool:
-        """Tell whether what a task made is what it was before this build, and undamaged.
+        """Return whether what a task made is what it was before this build, and undamaged.
 
         A layer that is older than the registration or the reference beside it would be false.
         """
@@ -218,7 +218,7 @@ OF_THE_MACHINES = ("E_MEMORY", "E_WORKER")
 
 
 def is_of_the_disk(problems: Iterable[Problem]) -> bool:
-    """Tell whether nothing but the disk refused: nothing is wrong with frames and parameters."""
+    """Return whether nothing but the disk refused: nothing is wrong with frames and parameters."""
     codes = {problem.code for problem in problems}
     return bool(codes) and codes <= DISK_CODES
 
@@ -321,7 +321,7 @@ def no_longer_there(
 
 
 def describe(keys: Iterable[Key], records: BuildRecords) -> str:
-    """Say what is no longer in the campaign; empty where nothing of it is in the database."""
+    """Report what is no longer in the campaign; empty where nothing of it is in the database."""
     there = [key for key in keys if records.made_by(key)]
     layers = {(key.object, key.layer) for key in there if key.object and key.camera}
     counts = {

@@ -111,7 +111,7 @@ def _connect(path: Path, mode: str) -> sqlite3.Connection:
 
 
 def _has_locks(folder: Path) -> bool:
-    """Tell whether files can be locked there: on some file systems of clusters they cannot."""
+    """Return whether files can be locked there: on some file systems of clusters they cannot."""
     if os.name == "nt":
         return True
     descriptor = os.open(folder, os.O_RDONLY)

@@ -329,7 +329,7 @@ def _links_of_layer(campaign: Campaign, places: Places, capture: Capture) -> lis
 
 
 def _checks(errors: dict[str, Any]) -> str:
-    """Say how far a person's check points are off; empty where there are none."""
+    """Report how far a person's check points are off; empty where there are none."""
     found = errors.get("check_points") or []
     numbers = [one["error"] for one in found if one["error"] is not None]
     if not numbers:
@@ -342,7 +342,7 @@ def _checks(errors: dict[str, Any]) -> str:
 
 
 def _want_of_marks(errors: dict[str, Any]) -> str:
-    """Say why marks of the object could not be compared; empty where they were, or where nothing was compared."""
+    """Report why marks of the object could not be compared; empty where they were, or where nothing was compared."""
     compared = [s.get("verification") or {} for s in (errors.get("sensors") or {}).values()]
     wants = (describe_want_of_marks(one["marks"]) for one in compared if "marks" in one)
     return next(filter(None, wants), "")

@@ -256,7 +256,7 @@ def _done(
 
 
 def _catalogue(plan: Plan, outcomes: Outcomes, *, whole: bool, stale: bool) -> Step:
-    """Write what speaks of all layers where it is stale; of a dry build, say whether it is."""
+    """Write what lists all layers where it is stale; of a dry build, report whether it is."""
     campaign, places, records = plan.campaign, outcomes.places, outcomes.records
     if outcomes.dry:
         return _state_of_catalogue(plan, places, records, listed_are_stale=stale)
@@ -276,7 +276,7 @@ def _count(plan: Plan) -> int:
 
 
 def _numbered(steps: Iterator[Step], graph: Graph, total: int) -> Iterator[Step]:
-    """Say of every step how many tasks are behind it; a lost capture takes its later ones along."""
+    """Report of every step how many tasks are behind it; a lost capture takes its later ones along."""
     stages: dict[tuple[str, str], list[str]] = {}
     places = {key: number for number, key in enumerate(graph, 1)}
     place = 0
@@ -415,7 +415,7 @@ def _page(
             return
         refused = records.with_report(key, refused)
         if not is_of_the_disk(refused.problems):
-            put_away_stage(key, records)  # an older one speaks of layers that may be gone
+            put_away_stage(key, records)  # an older one lists layers that may be gone
             records.refuse(key, prints, within(plan.campaign, refused.problems))
         yield refused_step(key, refused)
         return

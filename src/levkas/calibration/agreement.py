@@ -103,7 +103,7 @@ class Contradiction:
 
     @property
     def names(self) -> tuple[str, str]:
-        """The file and the other, with as many folders as tell them apart."""
+        """The file and the other, with as many folders as distinguish them."""
         if isinstance(self.by, str):
             return self.path.name, self.by
         parts = 1

@@ -208,7 +208,7 @@ def _errors(loss: object, best: np.ndarray) -> np.ndarray:
 
 
 MOST_PIXELS = 1_000_000  # of a dark, in the likelihood
-MOST_BANDS = 16  # of a cube, each with a black of its own; of more the sensels' own levels tell it
+MOST_BANDS = 16  # of a cube, each with a black of its own; of more the sensels' own levels give it
 SMOOTH = 25  # sensels a side of a neighbourhood: its mean is known to a twenty-fifth of the noise
 GLOWS = 5.0  # deviations by which these means vary by more than noise makes them, from which on a dark glows
 ALIKE = 0.25  # share of the sensels of a glowing dark that noise and pattern are fitted to: those of middle level
@@ -291,7 +291,7 @@ def unclip(
     return replace(dark, mean=mean, variance=None, black=np.zeros_like(dark.black), fit=fit)
 
 
-FEWEST_SHOTS = 3  # whose mean tells more than that it is clipped
+FEWEST_SHOTS = 3  # whose mean shows more than that it is clipped
 
 
 def unclip_means(

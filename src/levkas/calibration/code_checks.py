@@ -73,7 +73,7 @@ def check_codes(values: np.ndarray, path: Path, camera: str, bits: int, full: fl
 
 
 def doubt_codes(frames: Iterable[np.ndarray], bits: int, full: float) -> list[str]:
-    """Return what speaks against `bits`, looking at some bright frames of one sensor.
+    """Return what contradicts `bits`, looking at some bright frames of one sensor.
 
     Examples
     --------

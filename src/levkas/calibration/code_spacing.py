@@ -116,7 +116,7 @@ def find_step(frames: Iterable[np.ndarray]) -> float:
     Parameters
     ----------
     frames : iterable of ndarray
-        Raw, as in the file; bright ones tell most. On a compression curve it is the step in the dark.
+        Raw, as in the file; bright ones show most. On a compression curve it is the step in the dark.
 
     Notes
     -----
@@ -248,7 +248,7 @@ def find_levels(histogram: np.ndarray) -> Levels:
     ----------
     histogram : ndarray, (65536,), int64
         From `count_codes`; frames that fill the range smoothly, such as whites with shading and
-        objects, tell more than darks.
+        objects, show more than darks.
 
     Returns
     -------

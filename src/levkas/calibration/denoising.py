@@ -263,7 +263,7 @@ class Projecting:
 
 
 def describe_removed(subspace: Subspace, removed: np.ndarray, most: float) -> str:
-    """Say what a projection took away, from the fields of `Denoised`."""
+    """Report what a projection took away, from the fields of `Denoised`."""
     share = float(np.median(removed / np.maximum(subspace.noise, 1e-12)))
     return (
         f"hysime kept {subspace.k} of {len(subspace.noise)} dimensions and removed {share:.2f} times "

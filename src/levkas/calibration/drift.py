@@ -31,7 +31,7 @@ EXPLAINED = (
 LAMP = "lamp"
 """Among what is measured of a sensor: how its lamp and its black level changed, band by band."""
 SAMPLE = 200_000  # pixels of a channel that are looked at
-LONG = 10.0  # times its change within a stack: lamps settle, and what one did in a second tells little of a day
+LONG = 10.0  # times its change within a stack: lamps settle, and what one did in a second shows little of a day
 
 
 # --- the light of each shot ---------------------------------------------------------------------

@@ -46,7 +46,7 @@ NEARLY, BEYOND = (
     1.1,
 )  # of saturation: shown at most, and predicted, by a sensel that is full before others
 ROUNDS = 3
-GROUPS = 24  # of pixels of like rate, whose noise two exposures tell
+GROUPS = 24  # of pixels of like rate, whose noise two exposures show
 FEWEST = 200  # pixels of a group: their variance is known to 10 %
 MANY = 500_000  # pixels that are looked at
 DIM = 4.0  # times the least variance of a group: brighter ones say little of noise without light
@@ -64,7 +64,7 @@ def best_exposure(shots: Sequence[Template]) -> Template:
     -------
     shot : Template
         One of `shots`; a share of `TOLERATED` saturated pixels does not count. Where all are saturated, the one with the fewest saturated pixels; its
-        flags tell.
+        flags show where.
 
     Raises
     ------
@@ -449,7 +449,7 @@ def _bends(
     black: float | np.ndarray | None,
     period: tuple[int, int],
 ) -> bool:
-    """Tell whether exposures do not scale because the sensor is not linear."""
+    """Return whether exposures do not scale because the sensor is not linear."""
     more: dict[str, Any] = {"saturation": saturation, "black": black, "period": period}
     points = find_points(timed, darks, contrast=ALIKE, **more)
     return bends(points, saturation - (0.0 if black is None else float(np.mean(black))))
@@ -458,7 +458,7 @@ def _bends(
 def _does_not_scale(scaling: Linearity, *, bent: bool = False) -> Problem:
     return Problem(
         "E_EXPOSURES",
-        "the sensor is not linear, by a curve that its exposures do not tell well"
+        "the sensor is not linear, by a curve that its exposures do not determine well"
         if bent
         else "the counts are not proportional to the exposure",
         field="exposures",

@@ -83,7 +83,7 @@ def flat_field(
         Black level in counts; subtracted where there is no dark. None: not known. Neither dark nor
         black are subtracted from a shot or a white that is above dark.
     noise : NoiseModel, optional
-        Variance of one shot over its signal. Without it stacks speak for themselves.
+        Variance of one shot over its signal. Without it noise is that of the stacks.
     defects : ndarray of bool like `shot.mean`, optional
         Pixels to flag as DEFECT.
 

@@ -35,7 +35,7 @@ ROUNDS = 5  # of leaving out what is no part of a hill
 MOST_PAIRS = 40  # of frames that are compared
 QUIET = 2.0  # of the dark's variance: at `BRIGHT` shot noise adds as much again where counts an electron are 1 % of the dark's noise
 ROUNDED = 0.5  # counts of noise: less is the rounding of means, which white and dark share
-BRIGHT = 100.0  # of the dark's noise: a white below is too dim to tell
+BRIGHT = 100.0  # of the dark's noise: a white below is too dim to decide
 
 
 class SceneShots(NamedTuple):
@@ -130,7 +130,7 @@ def find_full_scale(
     -----
     A hard end holds four times the pixels of any code close below it, in frames that have noise. A hill has about
     the noise of the darks, and a fifth of the variance that dimmer levels have at least, from shot to shot or on an even
-    surface from sensel to sensel; so do scenes that are full at the same sensels. Where nothing shows the noise, nothing can be said:
+    surface from sensel to sensel; so do scenes that are full at the same sensels. Where nothing shows the noise, nothing can be decided:
     drawn charts and frames of constants have no full scale, but the highest code of 8 bits or more.
 
     Examples
@@ -152,7 +152,7 @@ def level_of_a_quiet_white(
 ) -> float | None:
     """Return the level of a white that has no more noise than the dark, which light alone cannot have; None of none.
 
-    It is full everywhere, or it was averaged: where no other level shows noise, `find_full_scale` cannot tell.
+    It is full everywhere, or it was averaged: where no other level shows noise, `find_full_scale` cannot decide.
 
     Examples
     --------

@@ -34,7 +34,7 @@ LEVELS = 24  # groups of equal size by signal, a stack
 MANY_BLACK = 0.02  # a dark with more zeros than this was clipped, and its spread is not noise
 BLOCK = 8
 TENTH = 0.593  # lower tenth of chi-squared over its freedom: 64 differences count as 17 (Σρ² 3.78)
-SPREAD = 2.0  # highest over lowest signal that tells gain from read noise
+SPREAD = 2.0  # highest over lowest signal that separates gain from read noise
 
 
 @dataclass(frozen=True)

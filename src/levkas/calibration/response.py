@@ -158,7 +158,7 @@ def fit_series(points: Sequence[Point], full: float) -> SeriesFit:
 
 
 def bends(points: Sequence[Point], full: float) -> bool:
-    """Tell whether the misfit of a series depends on the level, whatever times its exposures really had.
+    """Return whether the misfit of a series depends on the level, whatever times its exposures really had.
 
     Parameters are those of `fit_series`.
 

@@ -17,7 +17,7 @@ GROUPS = 8
 lines, 580 bands of 0.1 to 2 % noise, the rms error of Δ is 0.11 %; 0.07 % with 4 groups, 0.12 % with 16. With every band by
 itself noise passed for a change in 6 of 30 steady scans."""
 FEWEST = 5
-"""Lines of a white that show anything: the scatter of fewer is known too badly to tell a change from flicker."""
+"""Lines of a white that show anything: the scatter of fewer is known too badly to separate a change from flicker."""
 
 
 def lamp_along(white: ShotLevels, lines: int) -> LampChange:

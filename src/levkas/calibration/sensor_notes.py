@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 DARK_SIGMAS = 4.0  # standard errors of an offset of the dark, to be one
 DARK_DOUBT = 0.0002  # reflectance: a tenth of the darkest paint
-NEARLY_FULL = 0.1  # of the shot noise: with less nothing tells how much light is lacking
+NEARLY_FULL = 0.1  # of the shot noise: with less nothing shows how much light is lacking
 AS_LIGHT = "they are taken as proportional to light: export linear frames"
 
 
@@ -61,7 +61,7 @@ def doubts_of(context: SensorContext) -> list[str]:
 
 
 def _note_scale(context: SensorContext) -> list[str]:
-    """Say whether the scale of reflectance that a file of the object states is used."""
+    """Report whether the scale of reflectance that a file of the object states is used."""
     scale = next(
         (s for f in context.sensor.object if (s := read_facts(f.path).reflectance_scale)), None
     )
@@ -128,7 +128,7 @@ def _doubt_bits(context: SensorContext) -> list[str]:
 
 
 def describe_sensor(context: SensorContext) -> list[str]:
-    """Say what was measured of a sensor that a person should know: where it is full, its black, its curve, darks that were clipped."""
+    """Report what was measured of a sensor that a person should know: where it is full, its black, its curve, darks that were clipped."""
     return [
         *_describe_white_shots(context),
         *_describe_full_scale(context),
@@ -226,7 +226,7 @@ def _describe_offset(context: SensorContext) -> list[str]:
 
 
 def _describe_dark_offset(context: SensorContext) -> list[str]:
-    """Say by how much the darks are off by the noise of dim pixels, in the mean of all bands and in the worst."""
+    """Report by how much the darks are off by the noise of dim pixels, in the mean of all bands and in the worst."""
     found: dict[str, dict[str, float]] = context.measured.get(DARK_OFFSET, {})
     if not found or OFFSET in context.measured:  # by its exposures it is known better
         return []

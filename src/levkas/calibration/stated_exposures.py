@@ -81,7 +81,7 @@ def require_black(context: SensorContext) -> None:
 
 
 def doubt_scaling(context: SensorContext, taken: Times, other: Times) -> str:
-    """Say that counts are scaled from the white's time to the object's without a series that shows that they scale."""
+    """Report that counts are scaled from the white's time to the object's without a series that shows that they scale."""
     object_times, white_times = listed(taken), listed(other)
     if not object_times or not white_times:
         return ""

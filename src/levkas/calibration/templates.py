@@ -378,7 +378,7 @@ def union_of(*masks: np.ndarray | None) -> np.ndarray | None:
 
 
 def describe_gaps(lost: np.ndarray, label: str = "") -> str:
-    """Say how many values were lost.
+    """Report how many values were lost.
 
     >>> describe_gaps(np.array([True, False, False, False]), "550 nm")
     '550 nm: 1 value (25 %) is not a finite number: flagged as defect'
@@ -387,7 +387,7 @@ def describe_gaps(lost: np.ndarray, label: str = "") -> str:
 
 
 def describe_lost(count: int, total: int, label: str = "") -> str:
-    """Say that `count` values of `total` were lost."""
+    """Report that `count` values of `total` were lost."""
     value = f"{f'{label}: ' if label else ''}{count} value"
     share = f"({100 * count / total:.2g} %)"
     if count == 1:

@@ -2,7 +2,7 @@
 
 A white is smooth. Where it has the detail of the object, at the scale of several sensels and with a good part of
 its contrast, the board was not there: the quotient would be 1. What sensor and lens give to every frame (response of
-single sensels, dust, vignetting) is finer, fainter or rarer than that, and an object without detail tells nothing.
+single sensels, dust, vignetting) is finer, fainter or rarer than that, and an object without detail shows nothing.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ CONTRAST = 0.25  # share of the object's contrast that the white shows at least
 LEAST, FEWEST = 0.02, 6  # share of the frame, and blocks together: dust has less
 MOST = 0.5  # share of the frame beyond which the white is none
 STEP, NOISE = 0.03, 5.0  # of an edge, relative; and over the detail that the whole white has
-LINES, BRIGHT = 16, 0.2  # lines that tell what moves; share of the brightest band that a band has
+LINES, BRIGHT = 16, 0.2  # lines that show what moves; share of the brightest band that a band has
 MOVING, USUAL = 0.05, 4.0  # rms along the scan, relative; and over that of the steadier samples
 LONG = 0.25  # of the frame's shorter side: a scratch or a hair is shorter
 
@@ -248,7 +248,7 @@ def _means(plane: np.ndarray, side: int) -> np.ndarray:
 
 
 def _state(blocks: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Return 1 where a block of the white shows the object, −1 where it shows the board, 0 where nothing tells."""
+    """Return 1 where a block of the white shows the object, −1 where it shows the board, 0 where nothing decides."""
     own, lit, common, sound = blocks
     alike = common / np.maximum(np.sqrt(own * lit), 1e-12)
     part = common / np.maximum(own, 1e-12)
@@ -316,7 +316,7 @@ def _note_edges(edges: np.ndarray, size: tuple[int, int]) -> tuple[str, ...]:
 
 
 def _note_detail(found: BoardDetail, edges: np.ndarray | None, size: tuple[int, int]) -> list[str]:
-    """Say what detail of the board is divided into the object, and what specks may be; long edges are named already."""
+    """Report what detail of the board is divided into the object, and what specks may be; long edges are named already."""
     from scipy.ndimage import binary_dilation, label
 
     notes = []

@@ -18,7 +18,7 @@ AROUND = 3.0  # px over which the object's detail is averaged before it weighs
 BESIDE = 1.5  # px, the same of its slopes
 FLOOR = 0.002  # rms of an object's detail below which noise, not detail, weighs
 SIGMAS = 4.0  # of the estimate, for texture; a white is judged once a band
-FEW = 20  # px of specks that nothing tells, together: less is not spoken of
+FEW = 20  # px of undecided specks, together: less is not reported
 HALF = 0.5  # slope of the object's detail on a speck: 0 of the board's, 1 of the sensor's
 SPECK_SIGMAS = 2.5  # from that, which is 3.5 and more from the other side
 TEXTURE = 0.015  # rms of a pixel: good boards have less than half of it
@@ -193,7 +193,7 @@ def _standing_out(of_white: np.ndarray, sound: np.ndarray) -> np.ndarray:
 
 
 def _judged(scene: np.ndarray, lit: np.ndarray, sound: np.ndarray, marked: np.ndarray) -> _Specks:
-    """Say of every marked part of a white whether the object has it, all together and one by one.
+    """Report of every marked part of a white whether the object has it, all together and one by one.
 
     Slopes of the logarithms are compared: an edge of the object beside a speck hides little of it.
     """

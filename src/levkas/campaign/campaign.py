@@ -105,7 +105,7 @@ class Campaign(Document):
         return corners, self.path.name if corners else ""
 
     def is_joint(self, camera: str) -> bool:
-        """Tell whether the captures of a camera are adjusted together."""
+        """Return whether the captures of a camera are adjusted together."""
         keys = {**self.registration.declared(), **self.cameras[camera].registration.declared()}
         return bool(keys.get("joint")) and method_of(keys).joint
 

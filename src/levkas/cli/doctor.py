@@ -249,7 +249,7 @@ def _package(
 
 
 def _import_error(module: str) -> str:
-    """Say why a module cannot be imported; "" where it can."""
+    """Report why a module cannot be imported; "" where it can."""
     try:
         importlib.import_module(module)
     except (ImportError, OSError, AttributeError) as error:
@@ -348,7 +348,7 @@ def _line(finding: MachineFinding, width: int) -> str:
 
 
 def _find_memory() -> MachineFinding:
-    """Say how much memory there is and is free, of a container where one limits it."""
+    """Report how much memory there is and is free, of a container where one limits it."""
     total, free = memory_bytes()
     source = f"by {MEMORY}" if chosen_memory() else f"what is free; {MEMORY} sets another bound"
     return MachineFinding(
@@ -362,7 +362,7 @@ def _find_memory() -> MachineFinding:
 
 
 def _find_disk(folder: Path) -> MachineFinding:
-    """Say how much space is free where `folder` stands."""
+    """Report how much space is free where `folder` stands."""
     purpose = f"databases below {folder}"
     try:
         free = shutil.disk_usage(folder).free
@@ -374,7 +374,7 @@ def _find_disk(folder: Path) -> MachineFinding:
 
 
 def _find_threads() -> MachineFinding:
-    """Say how many threads can run at a time, and which variables limit the libraries."""
+    """Report how many threads can run at a time, and which variables limit the libraries."""
     names = (
         *(THREADS, TILE, "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
         "MKL_NUM_THREADS",
@@ -390,7 +390,7 @@ def _find_threads() -> MachineFinding:
 
 
 def _find_instructions() -> MachineFinding:
-    """Say which instruction set the numerical libraries are held to."""
+    """Report which instruction set the numerical libraries are held to."""
     name, purpose = "instructions", "the same bytes on different processors"
     try:
         found = describe_instructions()
@@ -401,7 +401,7 @@ def _find_instructions() -> MachineFinding:
 
 
 def _find_kernel_cache() -> MachineFinding:
-    """Say whether compiled kernels can be kept: beside the package, or where the user's caches are."""
+    """Report whether compiled kernels can be kept: beside the package, or where the user's caches are."""
     purpose = "compiled kernels are cached; without the cache every start takes seconds longer"
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     places = [Path(chosen)] if chosen else [Path(levkas.__file__).parent, _user_cache()]

@@ -252,5 +252,5 @@ def convert(
         points=len(points), written=[str(p) for p in paths], losses=lost,
     )  # fmt: skip
     if not as_json:
-        said = "".join(f"; {loss}" for loss in lost)
-        typer.echo(f"{len(points)} points: {', '.join(str(p) for p in paths)}{said}")
+        lost_text = "".join(f"; {loss}" for loss in lost)
+        typer.echo(f"{len(points)} points: {', '.join(str(p) for p in paths)}{lost_text}")

@@ -33,12 +33,12 @@ def inspect(
     """
     from levkas.workbench.server.app import serve
 
-    def tell(address: Address) -> None:
+    def print_address(address: Address) -> None:
         typer.echo(f"The workbench is at {address.url}")
         typer.echo(
             f"From another machine: ssh -L {address.port}:127.0.0.1:{address.port} …, then open "
             "the same address. Press Ctrl-C to stop."
         )
 
-    serve(campaign, output=output, port=port, browse=not no_open, announce=tell)
+    serve(campaign, output=output, port=port, browse=not no_open, announce=print_address)
     typer.echo("Stopped. Corrections are in edits.toml; `levkas build` applies them.")

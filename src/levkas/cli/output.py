@@ -275,6 +275,6 @@ def _clock(seconds: float) -> str:
 
 
 def _with_where(step: Any, text: str) -> str:
-    """Say behind a step on how many workers it was done, where there are any."""
+    """Report behind a step on how many workers it was done, where there are any."""
     where = getattr(step, "where", "")
     return f"{text} ({where})" if where else text

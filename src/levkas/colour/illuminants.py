@@ -115,7 +115,7 @@ def light_on_grid(light: Light) -> np.ndarray:
     Parameters
     ----------
     light : str or (wavelengths (n,), power (n,))
-        A name that `illuminant` knows, a black body such as ``"4000 K"``, or a measured spectrum, nm; beyond
+        A name of `illuminant`, a black body such as ``"4000 K"``, or a measured spectrum, nm; beyond
         its ends it keeps its first and last value.
 
     Returns

@@ -107,7 +107,7 @@ def require_path(path: str | Path) -> None:
 
 
 def is_address(path: str | Path) -> bool:
-    """Tell whether a path was meant as an address; as a path it would make a folder ``s3:``.
+    """Return whether a path was meant as an address; as a path it would make a folder ``s3:``.
 
     >>> is_address("s3://museum/icons"), is_address(Path("/home/https:/museum.org")), is_address("C:/icons")
     (True, True, False)

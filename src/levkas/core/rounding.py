@@ -46,7 +46,7 @@ def round_root(variance: np.ndarray, *, out: np.ndarray | None = None) -> np.nda
 
 
 def is_rounded(values: np.ndarray, drop: int) -> bool:
-    """Tell whether the last `drop` bits of all finite numbers are zero."""
+    """Return whether the last `drop` bits of all finite numbers are zero."""
     for row in range(0, len(values), ROWS):
         part = np.ascontiguousarray(values[row : row + ROWS], np.float32)
         if not _all_round(part.reshape(-1).view(np.uint32), np.uint32((1 << drop) - 1)):

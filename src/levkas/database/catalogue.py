@@ -59,7 +59,7 @@ class Entry:
         return LayerId(self.object, self.camera, self.setup)
 
     def to_row(self) -> list[str]:
-        """Return the cells; an unknown sampling is empty. A measured layer's row does not tell its kind."""
+        """Return the cells; an unknown sampling is empty. A measured layer's row does not state its kind."""
         cells = [getattr(self, field.name) for field in fields(self)]
         cells = cells[:-1] if self.kind == MEASURED else cells
         return ["" if isinstance(c, float) and math.isnan(c) else str(c) for c in cells]

@@ -82,7 +82,7 @@ def find_escapes(root: Path, names: Iterable[str]) -> Iterator[Problem]:
             )
         elif (found := what_stands_at(path)) not in ("a file", "a folder", "no such file"):
             if path.is_symlink() and "link" in found:
-                continue  # to nothing: what is missing is said elsewhere
+                continue  # to nothing: what is missing is reported elsewhere
             yield _problem("E_UNREADABLE", path, "it is not a file", found)
 
 

@@ -243,7 +243,7 @@ def check_array(path: Path, names: Sequence[str]) -> list[Problem]:
     """Check one Zarr array: its description, that every shard or chunk is there and decodes, no more.
 
     `names` are its files, relative with ``/``. A chunk that is not there reads as the fill value, so it is
-    a problem unless the array is said to leave empty ones out, which no store of Levkas does.
+    a problem unless the array is declared to leave empty ones out, which no store of Levkas does.
     """
     import zarr
 

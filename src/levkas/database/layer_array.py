@@ -226,7 +226,7 @@ class LayerAccessor:
         return xarray.DataArray(made.variable, self._array.coords, name=kind)
 
     def _is_unchanged(self) -> bool:
-        """Tell whether the values are those of the layer, in whatever type; NaN may stand for any."""
+        """Return whether the values are those of the layer, in whatever type; NaN may stand for any."""
         root, layer = self._place
         if self._array.encoding.get("source") == f"{root}/{layer.object}/{layer.name}":
             return True

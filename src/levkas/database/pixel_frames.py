@@ -159,7 +159,7 @@ class FramePixels:
     part: GridPart = GridPart()
 
     def inside(self, points: np.ndarray) -> np.ndarray:
-        """Tell which of the (n, 2) points lie on the image, to the outer edges of its pixels."""
+        """Return which of the (n, 2) points lie on the image, to the outer edges of its pixels."""
         if self.size is None:
             return np.isfinite(points).all(axis=1)
         with np.errstate(invalid="ignore"):
@@ -360,7 +360,7 @@ def map_points(
 
 
 def warn_of_turns(database: str | Path, name: str, frames: Iterable[str]) -> list[str]:
-    """Say of frames whose files viewers turn or mirror that their coordinates are those of the file as stored."""
+    """Report of frames whose files viewers turn or mirror that their coordinates are those of the file as stored."""
     layers = Records(place(database), name).layers
     warnings = []
     for layer in dict.fromkeys(parse_frame(frame).layer for frame in frames):

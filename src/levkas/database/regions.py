@@ -46,7 +46,7 @@ class Region:
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
     def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Tell which pixel centres lie within; a polygon by the even-odd rule.
+        """Return which pixel centres lie within; a polygon by the even-odd rule.
 
         Examples
         --------

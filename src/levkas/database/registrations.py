@@ -135,7 +135,7 @@ def describe_lying(record: Mapping[str, Any]) -> list[str]:
 
 
 def unchecked_share(record: Mapping[str, Any]) -> float:
-    """Return the share of a layer, 0 … 1, where nothing confirms its map; 0 where a record does not tell."""
+    """Return the share of a layer, 0 … 1, where nothing confirms its map; 0 where a record has none."""
     return _share(record, "unchecked")
 
 
@@ -190,7 +190,7 @@ def object_outline(record: Mapping[str, Any]) -> np.ndarray:
 
 
 def beyond_checks(record: Mapping[str, Any], points: np.ndarray) -> np.ndarray:
-    """Tell which points, (n, 2) reference px, nothing confirms: outside the object's outline, or too far from windows that agree."""
+    """Return which points, (n, 2) reference px, nothing confirms: outside the object's outline, or too far from windows that agree."""
     outline = object_outline(record)
     lost = ~contains(outline, points) if len(outline) else np.zeros(len(points), bool)
     for sensor in (record.get("trace") or {}).get("sensors") or ():
@@ -204,7 +204,7 @@ def beyond_checks(record: Mapping[str, Any], points: np.ndarray) -> np.ndarray:
 
 
 def shares_light(record: Mapping[str, Any], wavelengths: Iterable[float]) -> bool:
-    """Tell whether a layer can be compared with the reference by likeness (SSIM).
+    """Return whether a layer can be compared with the reference by likeness (SSIM).
 
     An X-ray cannot: where none of its bands has a wavelength, nm, it must show the detail of a colour camera.
     """

@@ -340,7 +340,7 @@ def _problem(root: Path, name: str, code: str, why: str, **more: Any) -> Problem
 
 
 def _once(problems: Iterable[Problem]) -> Iterator[Problem]:
-    """Leave out what was said of a file before in other words."""
+    """Leave out what was reported of a file before in other words."""
     reported: set[str | None] = set()
     for problem in problems:
         if problem.file not in reported:

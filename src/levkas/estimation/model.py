@@ -18,7 +18,7 @@ BLOCK = 256
 
 
 class Model(Protocol):
-    """A fitted estimator: ``model(responses)`` returns spectra and, where it knows it, their sigma."""
+    """A fitted estimator: ``model(responses)`` returns spectra and, where it estimates it, their sigma."""
 
     def __call__(self, responses: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]: ...
     def arrays(self) -> dict[str, np.ndarray]: ...

@@ -245,7 +245,7 @@ def metamer_floor(
     -------
     floor : dict or None
         `pairs`: pixels whose nearest neighbour in responses is within their noise; `rmse`: the standard
-        deviation of spectra about what their responses tell, the reference's sigma taken off; `p95`.
+        deviation of spectra about what their responses determine, the reference's sigma taken off; `p95`.
         None where sigma is not known or no pair is that near.
 
     Notes

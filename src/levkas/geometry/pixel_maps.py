@@ -34,7 +34,7 @@ AT_ONCE = 8
 CHECKS = 400
 """Check points on either axis, at most: fewer would miss the slope of a ledge."""
 FEW = 50
-"""Of these few tell already that most lattices do not serve."""
+"""These few show already that most lattices do not serve."""
 COARSE, COARSER = 1.1, 1.5
 """Source px per grid px: from the first on the kernel is widened against aliasing, from the second
 on by the whole scale; between them gradually, so that bands of nearly one scale are treated alike."""

@@ -122,7 +122,7 @@ def _widths(part, widest):
 
 @njit
 def _inside(x, y, source):
-    """Tell whether a place is on the area of a pixel of the source."""
+    """Return whether a place is on the area of a pixel of the source."""
     width = source.values.shape[1]
     return -0.5 <= x <= width - 0.5 and -0.5 <= y <= source.height - 0.5
 

@@ -88,7 +88,7 @@ def _size(pair: PairAgreement) -> float:
 
 
 def _sentence(name: str, pairs: Sequence[PairAgreement]) -> str:
-    """Say by how much a layer differs from others, where, and what may be the cause."""
+    """Report by how much a layer differs from others, where, and what may be the cause."""
     others = [p.names[p.names[0] == name] for p in pairs]
     bands = [(pair, band) for pair in pairs for band in pair.contradictions]
     ratios = [b.ratio if p.names[1] == name else 1 / b.ratio for p, b in bands]
@@ -238,7 +238,7 @@ def agreement_text(found: Sequence[ObjectAgreement]) -> str:
 
 
 def describe_changes(one: ObjectAgreement) -> str:
-    """Say how much of an object changed, and what chance alone marks."""
+    """Report how much of an object changed, and what chance alone marks."""
     if one.changes is None:
         return "No layer of one has the bands of a layer of the other, with its noise known: changes were not looked for."
     return (

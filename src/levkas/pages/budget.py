@@ -23,7 +23,7 @@ EXTENTS = {
     "campaign": "all cameras",
 }
 SHOWN = 8
-"""Sources that a plot tells apart; the others are summed."""
+"""Sources that a plot distinguishes; the others are summed."""
 
 
 class BudgetRow(NamedTuple):
@@ -94,7 +94,7 @@ def _in_short(
     shared: Mapping[str, np.ndarray],
     unknown: Sequence[str],
 ) -> str:
-    """Say the expanded uncertainty of one pixel and of many, in the middle band."""
+    """Report the expanded uncertainty of one pixel and of many, in the middle band."""
     middle = len(labels) // 2
     common = float(np.sqrt(sum(v[middle] ** 2 for n, v in shared.items() if n != "noise")))
     one = COVERAGE * float(np.hypot(common, mean.random[middle]))

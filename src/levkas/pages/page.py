@@ -164,7 +164,7 @@ def embed_png(data: bytes) -> str:
 
 
 def describe_flags(shares: dict[str, float]) -> str:
-    """Say the share of pixels under each flag: ``saturated 0.4 %``; shares below 0.005 % are left out.
+    """Report the share of pixels under each flag: ``saturated 0.4 %``; shares below 0.005 % are left out.
 
     >>> describe_flags({"saturated": 0.004, "outside": 0.0})
     'saturated 0.40 %'
@@ -174,7 +174,7 @@ def describe_flags(shares: dict[str, float]) -> str:
 
 
 def describe_model(model: dict[str, Any]) -> str:
-    """Say the model of a registration in words.
+    """Report the model of a registration in words.
 
     >>> describe_model({"kind": "levkas", "sensors": [{"base": "cubic", "chromatic": "affine"}]})
     'cubic; shift between bands: affine'

@@ -93,7 +93,7 @@ def _noise(ranges: Sequence[Mapping[str, Any]], quantity: str) -> str:
 
 
 def _snr(ranges: Sequence[Mapping[str, Any]]) -> str:
-    """Say the middle of the bands and the least; values below black have no decibels.
+    """Report the middle of the bands and the least; values below black have no decibels.
 
     >>> _snr([{"snr": 100.0}, {"snr": None}]), _snr([{"snr": -2.0}])
     ('100 (20.0 dB), least 100', '-2, least -2')

@@ -123,6 +123,6 @@ def _next(
     if lost:
         return "Correct the refused frames, listed below, and build again."
     if any(mark == "warn" for mark, _ in agreement):
-        return "Find out which of the cameras that contradict each other is wrong: a white or a chart that all of them saw tells it."
+        return "Find out which of the cameras that contradict each other is wrong: a white or a chart that all of them saw decides it."
     notes = [(row.glare_share or 0.0, f"{row.name}: {row.notes[0]}") for row in rows if row.notes]
     return max(notes)[1] if notes else "No action is needed."

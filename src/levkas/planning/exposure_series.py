@@ -27,7 +27,7 @@ from levkas.planning.tables import PlanRefused, value_problem
 if TYPE_CHECKING:
     from levkas.planning.tables import StudioCameraKeys
 
-CELL = 4  # sensels a side whose mean tells how dark a place is, noise averaged out
+CELL = 4  # sensels a side whose mean gives how dark a place is, noise averaged out
 DETECTABLE = 3.0  # deviations of such a mean by which the darkest paint must stand above the dark
 SPARE = 0.9  # of the usable range: lamps drift and times are rounded
 MOST = 12  # exposures of a series
@@ -212,7 +212,7 @@ def plan_series(
     Raises
     ------
     NoAdvice
-        E_EXPOSURES where no exposure time is known, E_ONE_SHOT where nothing tells the noise, E_WHITE_DARK where the darkest paint cannot be
+        E_EXPOSURES where no exposure time is known, E_ONE_SHOT where nothing gives the noise, E_WHITE_DARK where the darkest paint cannot be
         distinguished from the dark, E_VALUE where no exposure of the sensor reaches the SNR.
     PlanRefused
         E_VALUE where the region lies outside the frame.

@@ -372,7 +372,7 @@ def trade_off(judge: Judge, arrangement: Arrangement) -> TradeOff:
 
 
 def _why(judge: Judge, best: Arrangement, values: dict[str, float]) -> list[str]:
-    """Say what each change from the optimum would cost."""
+    """Report what each change from the optimum would cost."""
     sentences = []
     shiny = "varnish" if judge.thing.varnish else "gold" if judge.thing.gold else None
 

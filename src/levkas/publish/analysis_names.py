@@ -151,7 +151,7 @@ def find_band(bands: Sequence[Band], text: str) -> int | None:
 
 
 def near_bands(analysis: Analysis, bands: Sequence[tuple[Band, str]]) -> str:
-    """Say which bands a database has that are nearest to those of a ratio; `bands` are with their cameras."""
+    """Report which bands a database has that are nearest to those of a ratio; `bands` are with their cameras."""
     reasons = []
     for text in analysis.bands:
         if find_band([band for band, _ in bands], text) is not None:

@@ -63,7 +63,7 @@ def _bad_bands(header: EnviHeader, bands: int) -> tuple[int, ...] | None:
 
 
 def _gains(header: EnviHeader) -> list[str]:
-    """Say which gains and offsets of the header are not applied; nothing of those without effect."""
+    """Report which gains and offsets of the header are not applied; nothing of those without effect."""
     there = []
     for key in GAINS:
         numbers = header.numbers(key) if header.fields.get(key) else []

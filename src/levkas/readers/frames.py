@@ -162,7 +162,7 @@ def _foreign(path: Path, name: str) -> UnreadableCapture:
 def read_facts(path: str | Path) -> Facts:
     """Return what a capture's headers declare, sizes checked.
 
-    No pixel is decoded, but for camera raw, whose levels LibRaw knows only after. Facts of a file that
+    No pixel is decoded, but for camera raw, whose levels LibRaw has only after. Facts of a file that
     was not touched since are read once a process.
 
     Raises

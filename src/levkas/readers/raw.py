@@ -61,7 +61,7 @@ _idle: list[subprocess.Popen[bytes]] = []
 def read_raw_facts(path: Path) -> Facts:
     """Return size, levels and pattern of the visible area, and the shot's exposure and date.
 
-    LibRaw knows the levels of some cameras only when it has unpacked the pixels, so this takes
+    LibRaw has the levels of some cameras only when it has unpacked the pixels, so this takes
     nearly as long as `read_raw_mosaic`.
     """
     found = _read.get((path, stamp_of(path))) or _decode(path, pixels=False)[0]

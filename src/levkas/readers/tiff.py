@@ -85,7 +85,7 @@ def read_tiff_facts(path: Path) -> Facts:
 
 
 def _previews(path: Path, pages: Sequence[int]) -> list[str]:
-    """Say that a page before the first image is none."""
+    """Report that a page before the first image is none."""
     if not pages[0]:
         return []
     first = directories_of(path)[0]
@@ -426,7 +426,7 @@ def _describe(page: Any, shape: tuple[int, ...]) -> dict[str, Any]:
 
 
 def _encoding(page: Any, space: Any) -> str | None:
-    """Return the tone curve that profile or EXIF state of the codes; of a mosaic they speak of its picture."""
+    """Return the tone curve that profile or EXIF state of the codes; of a mosaic they are those of its picture."""
     if page.photometric == MOSAIC:
         return None
     profile = value_of(page.tags, "InterColorProfile")

@@ -19,7 +19,7 @@ WAVELENGTHS = 65000
 """Tag of the first band page, or of every one, of a spectral TIFF; what stands before it is a render."""
 PREVIEW = 4
 """Of the largest page: a page of a fourth of its pixels or less, half a side, is a preview or a step of a pyramid. Bands of
-one camera have one size; twice or half the number tells the same pages apart."""
+one camera have one size; twice or half the number separates the same pages."""
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,7 @@ def advice_on_shape(share: float, scale: float = 1.0) -> str:
 
 
 def is_unlike(scale: float) -> bool:
-    """Tell whether two pictures sample the object so differently that it may be why a map folds."""
+    """Return whether two pictures sample the object so differently that it may be why a map folds."""
     return bool(max(scale, 1 / max(scale, 1e-9)) > UNLIKE)
 
 

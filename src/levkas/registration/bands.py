@@ -19,7 +19,7 @@ from levkas.geometry.transforms import Affine, Transform
 STRETCH_PERCENT = (0.5, 99.5)
 #: Share of the bands that must be valid where their mean is.
 LEAST_BANDS_SHARE = 0.5
-#: Share of the pixels of the fullest band that a band must have; half of it, or 1.5 times, tells the same bands apart
+#: Share of the pixels of the fullest band that a band must have; half of it, or 1.5 times, separates the same bands
 #: where some are bad as a whole and others lack glints.
 LEAST_PRESENT = 0.5
 #: Px between the nodes of a lattice on which maps are evaluated.

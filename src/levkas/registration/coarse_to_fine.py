@@ -220,7 +220,7 @@ class SensorTask:
         return measure_fine_displacement(predictors, image, whole, step=step)
 
     def light_of(self, band: BandImage, transform: Transform, step: int) -> Light:
-        """Tell whether a band sees light that the reference sees too.
+        """Return whether a band sees light that the reference sees too.
 
         Its wavelength says so. Where it has none, two pictures in colours do; one picture stored as three alike is of
         unknown light.
@@ -573,7 +573,7 @@ class _Refinement:
 
 
 def _is_less(now: tuple[float | None, float], before: tuple[float | None, float]) -> bool:
-    """Tell whether a finer grid has less information, by how windows scatter about the model.
+    """Return whether a finer grid has less information, by how windows scatter about the model.
 
     Not where neighbouring windows have that much more on it: then it is the model that lacks a term.
     """

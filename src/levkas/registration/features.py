@@ -139,7 +139,7 @@ def find_key_points(
 
 
 def _supported(found: KeyPoints, valid: np.ndarray) -> np.ndarray:
-    """Tell which key points have no invalid pixel within half their radius."""
+    """Return which key points have no invalid pixel within half their radius."""
     import cv2
 
     if valid.all():

@@ -242,7 +242,7 @@ def nearest_within(outline: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def contains(outline: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Tell which points, (n, 2), lie inside a polygon, (m, 2): a ray to the right crosses its sides an odd number of times.
+    """Return which points, (n, 2), lie inside a polygon, (m, 2): a ray to the right crosses its sides an odd number of times.
 
     >>> contains(np.array([[0.0, 0], [10, 0], [0, 10]]), np.array([[2.0, 2], [8, 8]])).tolist()
     [True, False]

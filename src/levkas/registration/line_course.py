@@ -298,7 +298,7 @@ def _without_course(shift: np.ndarray, information: np.ndarray) -> tuple[np.ndar
 
 
 def _have_common_edges(information: np.ndarray) -> bool:
-    """Tell whether parts, (lines, parts) 1/px², show their detail in the same lines, beside a smooth course of it."""
+    """Return whether parts, (lines, parts) 1/px², show their detail in the same lines, beside a smooth course of it."""
     whole = (information > 0).all(1)
     if whole.sum() < SETTINGS.least_lines:
         return False
@@ -311,7 +311,7 @@ def _have_common_edges(information: np.ndarray) -> bool:
 
 
 def _has_outer_parts(shifts: LineShifts, axis: int) -> bool:
-    """Tell whether the outer parts are displaced too, along `axis`, as far as their noise allows to tell; a ledge displaces the parts within it."""
+    """Return whether the outer parts are displaced too, along `axis`, as far as their noise shows; a ledge displaces the parts within it."""
     least = SETTINGS.outer * shifts.covariance()[axis]
     outer = shifts.covariance(shifts.outer)[axis] + shifts.by_chance(shifts.outer)[axis]
     return bool(outer > least)
@@ -390,7 +390,7 @@ def _fit_beside_cubic(basis: np.ndarray, common: np.ndarray) -> tuple[np.ndarray
 
 
 def _is_feigned(shifts: LineShifts, sizes: np.ndarray) -> bool:
-    """Tell whether a coder's blocks or edges along the lines explain what parts have in common.
+    """Return whether a coder's blocks or edges along the lines explain what parts have in common.
 
     Blocks of JPEG move what lies at their borders by a tenth of a pixel, every eighth line alike.
     """
@@ -444,7 +444,7 @@ def _take_wave(shifts: LineShifts, sizes: np.ndarray) -> tuple[float, float, Cou
 
 
 def _is_overtone(frequency: float, of: float, lines: int) -> bool:
-    """Tell whether one frequency, 1/lines, is two to four times another one, as in a saw-tooth, or the same."""
+    """Return whether one frequency, 1/lines, is two to four times another one, as in a saw-tooth, or the same."""
     times = np.arange(1, 5)
     return bool(
         min(np.abs(frequency - times * of).min(), np.abs(of - times * frequency).min()) < 1 / lines

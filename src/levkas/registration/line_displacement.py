@@ -255,7 +255,7 @@ def _measure_pictures(
 
 
 def _are_parallel(transform: Transform, shape: Sequence[int], step: int) -> bool:
-    """Tell whether a line of one picture stays within the lines about a step of the other, over the whole width."""
+    """Return whether a line of one picture stays within the lines about a step of the other, over the whole width."""
     corners = np.array([[0, 0], [shape[1], 0], [0, shape[0]], [shape[1], shape[0]]]) * step - 0.5
     a, b, c, d = transform(corners)
     drift = [np.abs(side).min() for side in (b - a, d - c, c - a, d - b)]

@@ -42,7 +42,7 @@ def _mirror(g, d):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def find_known(start, stop, images, known):  # type: ignore[no-untyped-def]
-    """Tell where all predictors and their derivatives are finite; the frame's rim never is."""
+    """Return where all predictors and their derivatives are finite; the frame's rim never is."""
     k, h, w = images.shape
     total = np.empty(w, np.float32)
     for i in range(max(start, 1), min(stop, h - 1)):

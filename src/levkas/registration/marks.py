@@ -78,7 +78,7 @@ class MarkSettings:
 
 SETTINGS = MarkSettings()
 #: Correlation of marks that is found in every pair of pictures of one object that both hold marks.
-TELLING = 0.25
+DISTINCTIVE = 0.25
 #: Of one degree of freedom.
 MEDIAN_OF_CHI_SQUARE = 0.455
 _LAPLACIAN = np.outer((1, -2, 1), (1, -2, 1)).astype(np.float32) / 6
@@ -143,7 +143,7 @@ class Marks:
 
 @dataclass(frozen=True)
 class _Detail:
-    """Fine detail and what tells it from drawing and noise, each (h, w), float32, of one picture."""
+    """Fine detail and what separates it from drawing and noise, each (h, w), float32, of one picture."""
 
     fine: np.ndarray
     laplacian: np.ndarray
@@ -277,7 +277,7 @@ def white_noise(shape: tuple[int, int]) -> np.ndarray:
 
 
 def describe_want_of_marks(record: Mapping[str, Any] | None) -> str:
-    """Say why marks could not be compared, of what `Marks.to_dict` wrote; empty where they could.
+    """Report why marks could not be compared, of what `Marks.to_dict` wrote; empty where they could.
 
     >>> marks = Marks(0.0, 0.001, 40, (0.002, 0.05), (0.1, 0.1)).to_dict()
     >>> describe_want_of_marks(marks)[-62:]
@@ -285,19 +285,19 @@ def describe_want_of_marks(record: Mapping[str, Any] | None) -> str:
     """
     if record is None:
         why = "too little lies beside the outlines"
-    elif record["correlation"] >= TELLING:
+    elif record["correlation"] >= DISTINCTIVE:
         return ""
     elif not all(record["held"]):
         names = ("the reference", "this picture")
         lacking = [name for name, held in zip(names, record["held"], strict=True) if not held]
         shows = "show" if len(lacking) > 1 else "shows"
         why = f"{' and '.join(lacking)} {shows} no cracks, losses, strokes or weave there"
-    elif record["at_most"] >= TELLING:
+    elif record["at_most"] >= DISTINCTIVE:
         why = "too little of them lies beside the outlines"
     else:  # the verdict says it
         return ""
     return (
-        "Another panel by the same pattern would have the same outlines. Marks beside the outlines would tell it, but "
+        "Another panel by the same pattern would have the same outlines. Marks beside the outlines would show it, but "
         f"{why}."
     )
 

@@ -2,7 +2,7 @@
 
 The paper's method matches one to one by a row of `MATCHERS` (`match`). The default method also accepts inverted
 contrast and mirror images, and keeps how size, direction and descriptor of two key points compare
-(`match_mutually`, `match_widely`): where most matches are wrong these tell which agree.
+(`match_mutually`, `match_widely`): where most matches are wrong these show which agree.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ def _reduced(band: BandImage, by: int) -> np.ndarray:
 def is_smooth_in_wavelength(
     chromatic: ChromaticShifts, shown: Sequence[BandImage], bands: Sequence[BandImage]
 ) -> bool:
-    """Tell whether measured bands predict those between them: each lies where its neighbours predict it."""
+    """Return whether measured bands predict those between them: each lies where its neighbours predict it."""
     if len(shown) == len(bands):
         return True
     return error_between_bands(chromatic, [band.wavelength for band in shown]) <= SMOOTH_PX

@@ -281,7 +281,7 @@ class SelectedModel:
 
         Delete-a-group jackknife over the folds ([kott2001]_): it sees errors that whole blocks share,
         which residuals of single windows do not. Without a share f of the information, a map moves by
-        f / (1 - f) of its variance. Where windows cannot tell which model is right, the spread between
+        f / (1 - f) of its variance. Where windows do not decide which model is right, the spread between
         models is added ([buckland1997]_): a stiff model is steady where it is wrong.
         """
         if not self.folds:
@@ -410,7 +410,7 @@ class ModelComparison:
         return float(np.sqrt(total / (2 * weight))) if weight else np.inf
 
     def is_withstood_by(self, standing: Transform) -> bool:
-        """Tell whether a given map, which was not fitted to these observations, predicts them as well as the best model."""
+        """Return whether a given map, which was not fitted to these observations, predicts them as well as the best model."""
         squares, information = _misfit(self._judged, standing)
         self.scores[STANDING] = float(np.sqrt(squares / information))
         return not self.best.score < self.scores[STANDING] * (1 - SETTINGS.gain)

@@ -2,7 +2,7 @@
 
 Pairs of matches propose similarities, and all matches vote.
 
-A key point knows its size and its direction. Two matches determine a similarity, and most pairs of
+A key point has a size and a direction. Two matches determine a similarity, and most pairs of
 wrong ones contradict the sizes and directions of their own key points; so do most wrong matches that
 lie near a wrong similarity by chance. One right match in two hundred is found where random samples
 of four are not.
@@ -84,7 +84,7 @@ def find_pose_cluster(
 
 @njit(inline="always")
 def _alike(ratio):  # type: ignore[no-untyped-def]
-    """Tell whether two similarities differ by less than 1.5 times and 20 degrees, modulo 180."""
+    """Return whether two similarities differ by less than 1.5 times and 20 degrees, modulo 180."""
     size = ratio.real * ratio.real + ratio.imag * ratio.imag
     return LEAST_SIZE < size < MOST_SIZE and abs(ratio.imag) < SLOPE * abs(ratio.real)
 

@@ -211,7 +211,7 @@ def cell_px(shape: Sequence[int]) -> int:
 
 
 def has_colours(bands: Sequence[np.ndarray]) -> bool:
-    """Tell whether three or more bands, (h, w), NaN where invalid, are more than one grey picture stored as colours.
+    """Return whether three or more bands, (h, w), NaN where invalid, are more than one grey picture stored as colours.
 
     >>> rng = np.random.default_rng(1)
     >>> grey, other = rng.normal(size=(2, 40, 50)).astype(np.float32)
@@ -253,7 +253,7 @@ class ReferenceStack:
         return self.palette.images.shape[1], self.palette.images.shape[2]
 
     def covers(self, wavelength: float) -> bool:
-        """Tell whether a wavelength, nm, lies among those of the reference's bands; not where any is unknown."""
+        """Return whether a wavelength, nm, lies among those of the reference's bands; not where any is unknown."""
         if len(self._wavelengths) < LEAST_BANDS or not np.isfinite(self._wavelengths).all():
             return False
         low, high = min(self._wavelengths) - NEAR_NM, max(self._wavelengths) + NEAR_NM

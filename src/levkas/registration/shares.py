@@ -11,7 +11,7 @@ from typing import Any
 
 Numbers = Mapping[str, Any]
 LEAST_OUTSIDE = 0.005
-"""Share of the layer from which on it is said that the outline leaves it out; less is no percent."""
+"""Share of the layer from which on it is reported that the outline leaves it out; less is no percent."""
 
 
 def object_share(numbers: Numbers) -> float:

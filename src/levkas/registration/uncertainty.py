@@ -33,7 +33,7 @@ class UncertaintySettings:
     decimals : int
         Of sigma, reference px.
     folds_factor : float
-        What folds say of a map is this much too little: few of them tell a variance badly, and what errs
+        The variance over folds is this much too small: of few of them it is uncertain, and what errs
         alike over more than a block none of them shows. Measured on pairs of pictures
         (`benchmarks/pairs.py`).
     bands_factor : float

@@ -26,7 +26,7 @@ from levkas.registration.advice import (
     percent,
 )
 from levkas.registration.line_displacement import describe_displacement
-from levkas.registration.marks import TELLING
+from levkas.registration.marks import DISTINCTIVE
 from levkas.registration.shares import (
     Numbers,
     checked_share,
@@ -35,7 +35,7 @@ from levkas.registration.shares import (
 )
 
 Finding = Literal["refuse", "warn", "unchecked"]
-"""Result of one rule: refused, contradicted somewhere, or not checked somewhere, which is only said."""
+"""Result of one rule: refused, contradicted somewhere, or not checked somewhere, which is only reported."""
 
 
 class Limits(NamedTuple):
@@ -52,7 +52,7 @@ class Limits(NamedTuple):
 
 ANISOTROPY, AREA_RATIO, SECOND_PEAK_RATIO = Limits(1.5, 2.0), Limits(1.8, 3.0), Limits(0.85, 0.95)
 OVERLAP, COVERAGE, PREDICTED = Limits(0.8, 0.1), Limits(0.9, 0.6), Limits(0.5, 0.2)
-MARKS, LINES = Limits(TELLING, 0.15), Limits(0.1, 1.0)
+MARKS, LINES = Limits(DISTINCTIVE, 0.15), Limits(0.1, 1.0)
 FINE = Limits(0.1, 1.0)
 
 
@@ -487,7 +487,7 @@ def is_checked(n: Numbers) -> Objection | None:
 def bears_the_same_marks(n: Numbers) -> Objection | None:
     """Refuse or warn where both pictures hold marks that two hands cannot share, and these lie at other places.
 
-    Where either holds none nothing is said, nor where lines are displaced, which takes marks apart. Other light, or unknown
+    Where either holds none nothing is reported, nor where lines are displaced, which takes marks apart. Other light, or unknown
     light, may show other marks (film has grain, an X-ray the wood): the map is doubtful there, and not refused.
     """
     marks, lines = n.get("marks"), lines_lie_still(n)
@@ -519,7 +519,7 @@ def lines_lie_still(n: Numbers) -> Objection | None:
 
 
 def agrees_within_windows(n: Numbers) -> Objection | None:
-    """Refuse or warn where parts smaller than a check window lie beside the map; nothing more is said where lines are displaced."""
+    """Refuse or warn where parts smaller than a check window lie beside the map; nothing more is reported where lines are displaced."""
     fine, lines = n.get("fine_displacement"), lines_lie_still(n)
     if not fine or (lines and lines.decision != "unchecked"):
         return None
@@ -582,7 +582,7 @@ def lies_where_declared(n: Numbers) -> Objection | None:
 
 
 def is_compared(n: Numbers) -> Objection | None:
-    """Say where less than half of the reference's windows could be compared."""
+    """Report where less than half of the reference's windows could be compared."""
     if n["cover"] is None or n["cover"] >= SETTINGS.least_cover:
         return None
     return Objection(

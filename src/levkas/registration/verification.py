@@ -305,7 +305,7 @@ class Overlap:
         return left, top, max(min(x + wide, w) - left, 1), max(min(y + high, h) - top, 1)
 
     def shows(self, points: np.ndarray) -> np.ndarray:
-        """Tell which reference points, (n, 2), lie on valid px of both pictures."""
+        """Return which reference points, (n, 2), lie on valid px of both pictures."""
         mapped = self.transform(points)
         known = np.isfinite(mapped).all(1)
         good = known.copy()

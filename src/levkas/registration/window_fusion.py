@@ -187,7 +187,7 @@ def total_information(windows: Sequence[WindowShifts]) -> float | None:
 
 
 def has_information(information: np.ndarray) -> np.ndarray:
-    """Tell which windows, (n, 2, 2), carry any information, (n,) bool."""
+    """Return which windows, (n, 2, 2), carry any information, (n,) bool."""
     return np.asarray(np.trace(information, axis1=1, axis2=2) > 0)
 
 

@@ -132,7 +132,7 @@ def _of_bands(marked: np.ndarray) -> np.ndarray:
 
 
 def describe_above(counts: np.ndarray, labels: Sequence[str]) -> list[str]:
-    """Say in which bands more than a few per cent are brighter than the white, or darker than the dark; nothing where none is.
+    """Report in which bands more than a few per cent are brighter than the white, or darker than the dark; nothing where none is.
 
     >>> counts = [[9, 1], [100, 100], [9, 1], [100, 100], *[[0, 0]] * 4, [99, 99], [99, 99]]
     >>> describe_above(np.array(counts), ["500 nm", "600 nm"])[0][:47]

@@ -1,4 +1,4 @@
-"""The uncertainty budget of a layer: what its frames showed, what is declared, and what nobody knows.
+"""The uncertainty budget of a layer: what its frames showed, what is declared, and what is unknown.
 
 Rows are `levkas.calibration.error_sources.ErrorSource`. What a build measures on the way is in what calibration measured of each sensor.
 """

@@ -478,7 +478,7 @@ def _require_one_size(context: SensorContext) -> None:
 def _noise_of_bands(context: SensorContext) -> tuple[NoiseModel | None, WhiteArea]:
     """Fit the sensor's noise once, on a few bands spread over the range: it is the same sensor.
 
-    The same bands tell where the white shows the object in place of the board.
+    The same bands show where the white shows the object in place of the board.
     """
     bands = context.sensor.bands
     chosen = sorted({len(bands) // 4, len(bands) // 2, (3 * len(bands)) // 4})

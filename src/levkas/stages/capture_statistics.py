@@ -232,7 +232,7 @@ def note_lamp(
 
 
 def describe_lamp(measured: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Say how well the light is known between white and object, from what was measured of each sensor."""
+    """Report how well the light is known between white and object, from what was measured of each sensor."""
     bands = {
         label: one
         for of_sensor in measured.values()

@@ -59,11 +59,11 @@ class KnownReflectance(NamedTuple):
     Parameters
     ----------
     reflectance : ndarray, (patches, bands)
-        NaN where nobody knows.
+        NaN where unknown.
     why : dict of label to str
         Of bands in which only the grey patches, or none, are known: why.
     spread : dict of label to float
-        By how much greys differ over the wavelengths that a band may see, relative, where nobody knows them.
+        By how much greys differ over the wavelengths that a band may see, relative, where these are unknown.
     """
 
     reflectance: np.ndarray
@@ -290,7 +290,7 @@ def _scatter(
 ) -> PatchScatter:
     """Return what patches of a band miss beyond light and noise, those too that its light is not fitted to.
 
-    Of a filter that leaks the greys tell the level, and the coloured patches what the leak does to paints.
+    Of a filter that leaks the greys give the level, and the coloured patches what the leak does to paints.
     """
     there = _usable(patches, i) & np.isfinite(reflectance)
     part = _of_band(found, patches, i, there, reflectance, chart)
@@ -395,7 +395,7 @@ def _unevenness(
     return float(np.sqrt(max(np.median(ratios), 0.0))) if ratios else 0.0
 
 
-# --- what is said of it -------------------------------------------------------------------------
+# --- what is reported of it -------------------------------------------------------------------------
 
 
 def _light(
@@ -460,7 +460,7 @@ def _digits(value: float) -> float:
 
 
 def _notes(fitted: SensorLight, record: Mapping[str, Any], reference: ChartReference) -> list[str]:
-    """Say by which chart the values are reflectance and how well, and what is in doubt."""
+    """Report by which chart the values are reflectance and how well, and what is in doubt."""
     bands = record["bands"]
     worst = max(bands, key=lambda label: bands[label]["held_out"])
     held, even = bands[worst]["held_out"], bands[worst]["held_out_even_light"]

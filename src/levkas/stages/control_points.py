@@ -42,13 +42,13 @@ def use_of(campaign: Campaign, camera: str) -> str:
 
 
 def are_accepted(campaign: Campaign, camera: str) -> bool:
-    """Tell whether a camera is to be placed by its points alone: seeds, with `accept`."""
+    """Return whether a camera is to be placed by its points alone: seeds, with `accept`."""
     own, common = campaign.cameras[camera].registration, campaign.registration
     return (own.accept or common.accept) == BY_HAND and use_of(campaign, camera) == "seeds"
 
 
 def placed_in(capture: Capture, band: str, channel: str) -> tuple[str, str]:
-    """Return (sensor, band) that a table of points speaks of.
+    """Return (sensor, band) that a table of points is of.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Exposures of one sensor: an object's shots as one, its white, and the noise that both tell."""
+"""Exposures of one sensor: an object's shots as one, its white, and the noise by both."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def _merge(
 
 
 def _describe_choice(merged: Merged, shots: Sequence[Template]) -> str:
-    """Say which exposures do not scale with the others; empty where all were merged."""
+    """Report which exposures do not scale with the others; empty where all were merged."""
     if not merged.left_out:
         return ""
     taken = sorted({s.exposure_s or 0.0 for s in shots} - set(merged.left_out))
@@ -148,7 +148,7 @@ def white_of(
     merged: bool = False,
     band: str = "",
 ) -> Template | None:
-    """The white of one exposure, the best one; or several of them merged, above dark; or what a chart tells.
+    """The white of one exposure, the best one; or several of them merged, above dark; or the light by a chart.
 
     `band` is named where each has frames of its own.
     """
@@ -237,7 +237,7 @@ def noise_of(
     darks: list[Template],
 ) -> NoiseModel | None:
     """Noise of the sensor from stacks, darks among them, or from single shots where there are no stacks."""
-    if context.light is not None:  # smooth: it tells no noise
+    if context.light is not None:  # smooth: it shows no noise
         whites = [None] * len(whites)
     pattern, step = context.sensor.pattern, context.step
     black = 0.0 if context.black_level is None else context.black_level

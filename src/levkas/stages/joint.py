@@ -174,7 +174,7 @@ def _summary(
     names: Sequence[str],
     transforms: Mapping[str, Transform],
 ) -> dict[str, Any]:
-    """What is said of the adjustment: with whom, and how far it moved the bands."""
+    """The record of the adjustment: with whom, and how far it moved the bands."""
     points = _points(record, observed)
     moved: list[float] = []
     for label, transform in transforms.items():
@@ -274,7 +274,7 @@ def _place(record: dict[str, Any], observed: SensorObservations) -> int:
 
 
 def _shown(outside: Sequence[Sequence[float]], points: np.ndarray) -> np.ndarray:
-    """Tell which points, (n, 2), lie in none of the cells (x, y, width, height) that the target does not show."""
+    """Return which points, (n, 2), lie in none of the cells (x, y, width, height) that the target does not show."""
     shown = np.ones(len(points), bool)
     for x, y, width, height in outside:
         low, high = np.array([x, y]) - 0.5, np.array([x + width, y + height]) - 0.5

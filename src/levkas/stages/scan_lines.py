@@ -117,7 +117,7 @@ class Strip:
 def describe_loss(
     context: SensorContext, lost: np.ndarray, shape: tuple[int, int, int]
 ) -> list[str]:
-    """Say how many values of a scan are no finite numbers, of counts by band; nothing where all are.
+    """Report how many values of a scan are no finite numbers, of counts by band; nothing where all are.
 
     Raises CalibrationRefused where a band has no finite value at all.
     """

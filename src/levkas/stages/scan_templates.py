@@ -53,7 +53,7 @@ BLOCK_SAMPLES = 4_000_000
 MOST_LINES = 256
 """Of a mirror scanner's dark that was clipped: its levels are then known to a sixteenth of its noise."""
 TRIPLES = 64
-"""Threes of neighbouring lines of a mirror scanner's dark and white that tell its noise."""
+"""Threes of neighbouring lines of a mirror scanner's dark and white that show its noise."""
 MOST_VALUES = 2_000_000
 """Of these that are looked at: every so-many-th sample, all bands."""
 
@@ -260,7 +260,7 @@ def _of_pushbroom(context: SensorContext, shape: tuple[int, int, int]) -> ScanTe
 
 
 def _note_lamp_of(context: SensorContext, white: Template) -> None:
-    """Note how the lamp changed between the whites of a mirror scanner; a scan tells nothing of its own."""
+    """Note how the lamp changed between the whites of a mirror scanner; a scan shows nothing of its own."""
     if white.shots is None:
         return
     labels = [band.label for band in context.sensor.bands]
@@ -347,7 +347,7 @@ def _area_behind_mirror(
 def _of_one_line(dark: FrameLines, step: int) -> Template | FrameLines:
     """Return a mirror scanner's dark that was clipped as one line, of many: no single line shows its level.
 
-    Every `step`-th line and sample tells whether it was.
+    Every `step`-th line and sample shows whether it was.
     """
     if np.mean(dark.thinned(step).black) <= MANY_ZEROS:
         return dark

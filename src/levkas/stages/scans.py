@@ -51,7 +51,7 @@ PASSING_BYTES, STRIPS_BYTES, PICTURE_BYTES = 1e8, 8e5, 7
 
 
 def is_streamed(capture: Capture, campaign: Campaign) -> bool:
-    """Tell whether a capture is a line scan in ENVI files that is larger than is held in memory.
+    """Return whether a capture is a line scan in ENVI files that is larger than is held in memory.
 
     Dark and white of a mirror scanner are as large, and have to be ENVI files too.
     """
@@ -296,7 +296,7 @@ class ScanPass:
             del cube  # its memory is that of the lines, which may have been done with
 
     def notes(self) -> tuple[str, ...]:
-        """Say what was lost and taken away; raises CalibrationRefused where a band has no finite value."""
+        """Report what was lost and taken away; raises CalibrationRefused where a band has no finite value."""
         notes = describe_loss(self._scan.context, self.lost, self._scan.shape)
         if (made := self._projecting) is not None:
             notes.append(describe_removed(made.subspace, made.removed, made.most))

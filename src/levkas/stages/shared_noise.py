@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
 
 NOISE_PX = 320
-"""Side of the noise that is resampled to see what neighbours share: it tells variances to 1 %."""
+"""Side of the noise that is resampled to see what neighbours share: it gives variances to 1 %."""
 LEAST_SHARED = 1.04
 """Less is chance."""
 NOISES, REACH, MOST_REACH, CHANCE = 4, 4.0, 16, 0.006

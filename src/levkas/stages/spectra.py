@@ -166,7 +166,7 @@ class BandWeights(NamedTuple):
 def weights_of_bands(
     campaign: Campaign, capture: Capture, bands: Sequence[Band]
 ) -> list[BandWeights | None]:
-    """Return what each of some bands of a capture sees of every wavelength; None of a channel that nobody knows.
+    """Return what each of some bands of a capture sees of every wavelength; None of a channel of unknown sensitivity.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ class BoardInBands(NamedTuple):
 def board_of(campaign: Campaign, capture: Capture, sensor: SensorFrames) -> BoardInBands:
     """Return the reflectance of the white board as the bands of a sensor see it.
 
-    A channel whose sensitivity nobody knows takes the mean over 400–700 nm.
+    A channel of unknown sensitivity takes the mean over 400–700 nm.
 
     Raises
     ------

@@ -46,7 +46,7 @@ SAMPLED, SIDE = 64, 4
 """Of an overlap: stretches of lines over the whole scan in which strips are compared, and side, px, of the blocks of
 which means are compared. Single pixels would show what interpolation takes from fine detail, blocks do not."""
 WEIGHED_LINES = 64
-"""Whose noise tells how much a band counts where strips are matched."""
+"""Whose noise gives how much a band counts where strips are matched."""
 MOST_RATIO = 1.5
 """Of the difference of two strips to what their sigmas predict; beyond it there is a warning. Noise alone is 1.0."""
 TAPER = 4
@@ -202,7 +202,7 @@ class Seam:
         }
 
     def notes(self, names: str) -> Iterator[str]:
-        """Say how two strips were joined, and whether they differ by more than noise."""
+        """Report how two strips were joined, and whether they differ by more than noise."""
         joint, worst = self.joint, float(np.nanmax(np.abs(self.difference)))
         swing = f", {joint.course} of ± {joint.swing:.2f} px" if joint.swing >= 0.01 else ""
         noise = "" if np.isnan(self.ratio) else f", {self.ratio:.2f} times their noise"

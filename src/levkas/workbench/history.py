@@ -89,7 +89,7 @@ class CorrectionStep:
         return CorrectionStep(self.new, self.gone, values, outline)
 
     def changes(self, edits: FrameEdits, outline: Outline) -> bool:
-        """Tell whether the step would change anything: not where others have changed the same meanwhile."""
+        """Return whether the step would change anything: not where others have changed the same meanwhile."""
         if self.outline is not None:
             return self.outline[0] == outline
         return self.onward(edits) != edits

@@ -285,7 +285,7 @@ def test_where_less_motion_is_asked_for_nothing_turns_by_itself(browser, address
     fragment = "#a=vis/colour&b=nir/colour&mode=flicker&rate=8"
     page = open_object(browser, address("file", fragment=fragment), reduced_motion="reduce")
     settle(page)
-    state = "levkasViewer.stage.seen.value"
+    state = "levkasViewer.stage.inTurn.value"
     seen = set()
     for _ in range(10):
         seen.add(page.evaluate(state))
@@ -312,7 +312,7 @@ def test_a_link_to_the_flicker_waits_for_a_person_to_start_it(browser, address):
     turns = """async () => {
       const seen = new Set(), from = performance.now();
       while (performance.now() - from < 1500) {
-        seen.add(levkasViewer.stage.seen.value);
+        seen.add(levkasViewer.stage.inTurn.value);
         await new Promise(requestAnimationFrame);
       }
       return seen.size;

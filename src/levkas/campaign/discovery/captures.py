@@ -75,7 +75,7 @@ class SensorFrames:
     chart : tuple of FrameRef
         Of the chart that takes the place of a white, band by band as the object's.
     without_reference : tuple of str
-        Bands that were left out: nobody knows what the chart reflects there.
+        Bands that were left out: the chart's reflectance there is unknown.
     remarks : tuple of str
         Why these darks and whites were taken, where others could have been.
     """

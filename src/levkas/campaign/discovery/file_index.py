@@ -492,7 +492,7 @@ def _patterns_of_sensor(
 
 
 def declared_targets(campaign: Campaign) -> tuple[str, ...]:
-    """Return every value of {target} that campaign.toml knows."""
+    """Return every value of {target} that campaign.toml declares."""
     targets = campaign.targets
     own = [n for c in campaign.cameras.values() for n in (*(c.dark or ()), *(c.white_names or ()))]
     white = targets.white.names if targets.white else ()
@@ -521,7 +521,7 @@ def files_of_other_case(index: FileIndex) -> dict[tuple[str, str, str], tuple[Pa
     -------
     files : dict
         (object, camera, setup) → the first such file, and the pattern that it nearly fits. The
-        object is spelled as the campaign knows it, else as the file does.
+        object is spelled as in campaign.toml, else as the file does.
     """
     campaign = index.campaign
     targets = dict.fromkeys((*declared_targets(campaign), *index.objects))

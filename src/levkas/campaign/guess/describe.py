@@ -390,7 +390,7 @@ def _exposure_keys(group: CameraGroup, files: FilePatterns) -> dict[str, Guess]:
 
 
 def _check_exposures(group: CameraGroup, notes: CameraNotes) -> None:
-    """Say what names and headers state of exposures, and doubt them where only some frames do."""
+    """Report what names and headers state of exposures, and doubt them where only some frames do."""
     stated: dict[str, set[float]] = {}
     silent: dict[str, set[str | None]] = {}
     for role in ("dark", "white", "object"):
@@ -417,7 +417,7 @@ def _check_exposures(group: CameraGroup, notes: CameraNotes) -> None:
 
 
 def _check_templates(group: CameraGroup, samples: Samples, notes: CameraNotes) -> None:
-    """Say what darks and whites look like, and doubt those that do not look it."""
+    """Report what darks and whites look like, and doubt those that do not look it."""
     means: dict[str, float] = {}
     for role in ("dark", "white", "object"):
         found = samples.of_some(group.of_role(role), 3)

@@ -38,7 +38,7 @@ paintings of one size before one background have their outlines in common."""
 MOST_CHANCE = 0.5
 """Share of tiles alike at other shifts that is counted off; a pattern that repeats has more."""
 FEWEST = 6
-"""Tiles with structure in both frames, without which nothing is said."""
+"""Tiles with structure in both frames, without which frames are not compared."""
 
 
 class Detail(NamedTuple):

@@ -121,7 +121,7 @@ def name_targets(
     ----------
     captures : sequence of CaptureFile
     samples : Frames
-        What frames show; used where names do not tell shots, bands and objects apart.
+        What frames show; used where names do not distinguish shots, bands and objects.
     undecided_as_bands : bool
         Whether files of which nothing decides whether they are bands or objects are taken for bands.
 

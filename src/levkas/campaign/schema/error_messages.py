@@ -116,7 +116,7 @@ def _named(record: dict[str, Any], where: list[int | str]) -> str:
 
 
 def _known_keys(where: list[int | str], document: type[BaseModel]) -> list[str]:
-    """Return the keys that the schema knows at a place such as ``["cameras", "nir"]``."""
+    """Return the keys of the schema at a place such as ``["cameras", "nir"]``."""
     model: Any = document
     is_name = False
     for step in where:

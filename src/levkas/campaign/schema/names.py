@@ -16,7 +16,7 @@ _DIRECTIONS = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 
 
 def is_safe_name(name: str) -> bool:
-    """Tell whether a name can be part of file names and frame names on every system.
+    """Return whether a name can be part of file names and frame names on every system.
 
     >>> is_safe_name("lctf-vis"), is_safe_name("d80@soft")
     (True, False)

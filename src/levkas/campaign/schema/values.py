@@ -165,7 +165,7 @@ def _crossing_sides(corners: tuple[tuple[float, float], ...]) -> tuple[int, int]
 
 
 def _meet(a: Point, b: Point, c: Point, d: Point) -> bool:
-    """Tell whether the lines from a to b and from c to d have a point in common."""
+    """Return whether the lines from a to b and from c to d have a point in common."""
     if max(a[0], b[0]) < min(c[0], d[0]) or max(c[0], d[0]) < min(a[0], b[0]):
         return False
     if max(a[1], b[1]) < min(c[1], d[1]) or max(c[1], d[1]) < min(a[1], b[1]):

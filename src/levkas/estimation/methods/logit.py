@@ -24,7 +24,7 @@ MARGIN = 1.01
 
 @dataclass(frozen=True, eq=False)
 class LogitModel:
-    """A model of z with the highest reflectance h that it knows."""
+    """A model of z with the highest reflectance h of its training."""
 
     inner: Model
     highest: float

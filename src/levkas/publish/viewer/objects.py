@@ -288,7 +288,7 @@ def _budget_of(
         budget = read_budget(item.database, LayerId(item.name, *layer))
     except (
         Refused
-    ):  # the crate is made of that file too, and refuses it by the name that its author knows
+    ):  # the crate is made of that file too, and refuses it by the name that its author gave
         return {}
     if not budget.sources:
         return {}

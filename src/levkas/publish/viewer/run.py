@@ -96,7 +96,7 @@ def write_viewer(
     beside: Sequence[tuple[str, str]] = (),
     notes: Annotations | None = None,
 ) -> Iterator[str]:
-    """Write ``index.html`` and ``viewer/`` beside a database, saying what is done.
+    """Write ``index.html`` and ``viewer/`` beside a database, reporting what is done.
 
     Parameters
     ----------

@@ -182,7 +182,7 @@ class DarkModel:
 
 
 def same_time(one: float | None, other: float | None) -> bool:
-    """Tell whether two exposures are known, and one.
+    """Return whether two exposures are known, and one.
 
     >>> same_time(0.1, 0.1005), same_time(None, None)
     (True, False)

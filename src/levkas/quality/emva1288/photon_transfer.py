@@ -209,7 +209,7 @@ def _notes(
     if lacking := sorted({b.exposure_s or 0.0 for b in whites if model.lacks(b)}):
         had = sorted({d.exposure_s for d in model.darks if d.exposure_s})
         notes.append(
-            f"no dark of {_seconds(lacking)}, the exposure of the white, and those of {_seconds(had)} tell no dark "
+            f"no dark of {_seconds(lacking)}, the exposure of the white, and those of {_seconds(had)} give no dark "
             "current: PRNU, DSNU and linearity are doubtful where there is one. Capture darks at the exposure of "
             "the white"
         )

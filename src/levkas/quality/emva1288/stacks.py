@@ -159,7 +159,7 @@ def _scaling(
                 replace(shot, mean=shot.mean - np.float32(level - black))
                 for shot, level in zip(shots, levels, strict=True)
             ]
-            # A free offset would hide a bend where darks tell the black.
+            # A free offset would hide a bend where darks give the black.
             found = check_linearity(
                 shots, saturation=bench.saturation, black=black, fit_offset=hidden, **more
             )

@@ -95,7 +95,7 @@ class PatchMeans:
     unknown : tuple of str
         Sources of error that nothing is known of.
     name : str
-        Of the layer in what is said of it; its own by default.
+        Of the layer in the report; its own by default.
     """
 
     layer: LayerId

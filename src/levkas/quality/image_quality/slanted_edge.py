@@ -179,7 +179,7 @@ def _respond(values: np.ndarray, axis: str, noise: float, period: int) -> EdgeRe
     """Return the response of a nearly upright edge that rises from 0 to 1."""
     rows, columns = values.shape
     y = np.arange(rows) - (rows - 1) / 2
-    # The sum of a row tells where its edge lies.
+    # The sum of a row gives where its edge lies.
     line = np.polyfit(y, columns - 0.5 - values.sum(1), 1)
     _check_angle(float(line[0]), least=0)  # shading is in it
     side = _room(line, y, columns)

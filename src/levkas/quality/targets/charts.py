@@ -80,7 +80,7 @@ CHARTS = {
 
 
 def chart_of(name: str) -> Chart:
-    """Return a chart by its name, or a word that `levkas look` knows; spaces, hyphens and case do not matter.
+    """Return a chart by its name, or a word of `levkas look`; spaces, hyphens and case do not matter.
 
     Raises
     ------
@@ -133,7 +133,7 @@ class ChartReference(NamedTuple):
         return np.where(self.covers(wavelengths), np.array(rows), np.nan)
 
     def covers(self, wavelengths: np.ndarray) -> np.ndarray:
-        """Tell where the spectra are known: where they were measured, and 5 nm beyond; not at NaN."""
+        """Return where the spectra are known: where they were measured, and 5 nm beyond; not at NaN."""
         low, high = self.wavelengths[0] - NEAR_NM, self.wavelengths[-1] + NEAR_NM
         return np.asarray((wavelengths >= low) & (wavelengths <= high))
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 LEAST_AGREEMENT = 0.9
 """Rank correlation of a band's patches with the published ones; a band below it sees another light than it says."""
 LEAST_OF_ALL = 0.3
-"""The same of all patches in a band that knows the greys alone: paints in the infrared reach 0.4 to 0.7."""
+"""The same of all patches in a band in which the greys alone are known: paints in the infrared reach 0.4 to 0.7."""
 LONG_SIDES = (900, 1400, 2000)
 """Sizes, px, at which the detector is tried: it wants patches 30 px apart or more."""
 STEPS = (0.1, 0.05, 0.02)
@@ -105,11 +105,11 @@ def locate_chart(
     size = (values.shape[1], values.shape[0])
     place_patches(found, chart, size)
     # Grey pictures do not say which way up a chart lies, and corners are easily named in another
-    # order; the patches tell.
+    # order; the patches decide.
     compare = partial(rank_agreement, wavelengths=wavelengths, chart=chart, reference=reference)
     best = _best_way(values, found, chart, compare, known=known)
     if best.agreement < LEAST_AGREEMENT and np.isnan(wavelengths).all():
-        # Channels that nobody knows may be infrared, where paints look otherwise.
+        # Channels of unknown wavelength may be infrared, where paints look otherwise.
         compare = partial(grey_agreement, chart=chart)
         best = _best_way(values, found, chart, compare, known=known)
     if not best.agreement >= LEAST_AGREEMENT:

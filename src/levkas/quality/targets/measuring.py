@@ -230,7 +230,7 @@ def measure(
     reflective = photograph or all(s.cube.quantity == "reflectance" for s in sightings)
     visible = ~np.isfinite(wavelengths) | ((wavelengths > 380) & (wavelengths < 740))
     visible &= ~unfit
-    if reference is not None:  # a channel in the infrared tells no colour
+    if reference is not None:  # a channel in the infrared has no colour
         unfit = unfit | (np.isfinite(wavelengths) & ~reference.covers(wavelengths))
     clean = table.saturated.max() <= SATURATED
     if reference is None:
@@ -304,7 +304,7 @@ INFRARED = 690.0
 def _misfits(
     bands: Sequence[Band], sightings: Sequence[Sighting], reference: ChartReference | None
 ) -> list[str]:
-    """Say which bands rank the patches otherwise than their wavelength should, and what they look like."""
+    """Report which bands rank the patches otherwise than their wavelength should, and what they look like."""
     notes = [
         f"the corners were {s.located.turned} to fit the chart"
         for s in sightings
@@ -329,7 +329,7 @@ def _misfits(
 
 
 def _unknown_bands(bands: Sequence[Band], reference: ChartReference | None) -> list[str]:
-    """Say of which bands nothing is published; they are compared with nothing."""
+    """Report of which bands nothing is published; they are compared with nothing."""
     if reference is None:
         return []
     wavelengths = np.array([band.wavelength for band in bands], float)

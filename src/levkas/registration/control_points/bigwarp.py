@@ -23,7 +23,7 @@ COLUMNS = {6: (2, False), 7: (2, True), 8: (3, False), 9: (3, True)}
 
 
 def recognises(data: bytes) -> bool:
-    """Tell whether the first row is a name, true or false, and numbers."""
+    """Return whether the first row is a name, true or false, and numbers."""
     first = next(iter(rows(decode(data[:4096].rpartition(b"\n")[0] or data[:4096]))), [])
     return len(first) in COLUMNS and first[1].strip().lower() in ("true", "false")
 

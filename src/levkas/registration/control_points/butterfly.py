@@ -31,7 +31,7 @@ REMARK = "Assumes moving image(s) resized and padded to match target image dimen
 
 
 def recognises(data: bytes) -> bool:
-    """Tell whether the first line is the program's name."""
+    """Return whether the first line is the program's name."""
     return data[:64].removeprefix(b"\xef\xbb\xbf").lstrip(b'"').startswith(b"Butterfly Registrator")
 
 

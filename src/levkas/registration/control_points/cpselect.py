@@ -19,7 +19,7 @@ PLACES = ("fixed_x", "fixed_y", "moving_x", "moving_y")
 
 
 def recognises(data: bytes) -> bool:
-    """Tell whether the first line names the four coordinates."""
+    """Return whether the first line names the four coordinates."""
     return table.names(data, PLACES)
 
 

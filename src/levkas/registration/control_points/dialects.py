@@ -59,7 +59,7 @@ class Dialect:
 
     @property
     def recognises(self) -> Callable[[bytes], bool]:
-        """Tell from its content whether a file is of this dialect."""
+        """Return whether a file is of this dialect, by its content."""
         return self.module.recognises
 
 
@@ -121,7 +121,7 @@ def sniff(data: bytes) -> str:
 
 
 def qgis_without_header(data: bytes) -> bool:
-    """Tell whether rows are the five to eight numbers of an old `.points` file, y upwards.
+    """Return whether rows are the five to eight numbers of an old `.points` file, y upwards.
 
     >>> qgis_without_header(b"10.5 -3 99.25 -18 1\\n")
     True

@@ -26,7 +26,7 @@ _OUTPUT = re.compile(r"(InputPoint|OutputPoint)\s*=\s*\[([^][]*)\]")
 
 
 def recognises(data: bytes) -> bool:
-    """Tell whether it starts with `point` or `index` and a count, or is transformix's table."""
+    """Return whether it starts with `point` or `index` and a count, or is transformix's table."""
     start = data[:4096].lstrip(b"\xef\xbb\xbf")
     return bool(re.match(rb"\s*(point|index)\s+\d+\s", start, re.IGNORECASE)) or (
         b"InputPoint" in start and b"OutputPoint" in start

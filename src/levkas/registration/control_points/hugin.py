@@ -27,7 +27,7 @@ _WORD = re.compile(r'([a-zA-Z]+)("[^"]*"|[^\s"]+)')
 
 
 def recognises(data: bytes) -> bool:
-    """Tell whether there are lines of pictures and of points."""
+    """Return whether there are lines of pictures and of points."""
     if data.startswith(b"# hugin project file"):
         return True
     lines = data.split(b"\n")
@@ -36,7 +36,7 @@ def recognises(data: bytes) -> bool:
 
 
 def _names(words: list[bytes], letter: bytes) -> bool:
-    """Tell whether a picture is among the words of a line: ``n0``."""
+    """Return whether a picture is among the words of a line: ``n0``."""
     return any(word.startswith(letter) and word[1:].isdigit() for word in words)
 
 

@@ -29,7 +29,7 @@ MOST_FRAMES = 5000
 
 
 def is_table_of_frames(path: Path) -> bool:
-    """Tell whether a file is a CSV with the columns object and camera, and the four coordinates."""
+    """Return whether a file is a CSV with the columns object and camera, and the four coordinates."""
     with path.open("rb") as file:
         first = file.readline(4096).removeprefix(b"\xef\xbb\xbf").decode("utf-8", "replace")
     cells = {cell.strip().strip('"') for cell in first.split(",")}

@@ -25,7 +25,7 @@ PROPERTIES = ("name", "weight", "enabled", "check")
 
 
 def recognises(data: bytes) -> bool:
-    """Tell whether the header names axes."""
+    """Return whether the header names axes."""
     return _HEADER.match(data[:64]) is not None
 
 

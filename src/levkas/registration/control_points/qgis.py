@@ -34,7 +34,7 @@ _TITLE = re.compile(rb"^[ \t]*\"?map_?x\"?[ \t]*[,;\t ]", re.IGNORECASE | re.MUL
 
 
 def recognises(data: bytes) -> bool:
-    """Tell whether there is the header, or the line of the reference system."""
+    """Return whether there is the header, or the line of the reference system."""
     start = data[:65536].lstrip(b"\xef\xbb\xbf")
     return start.startswith(b"#CRS") or _TITLE.search(start) is not None
 

@@ -19,12 +19,12 @@ PLACES = ("reference_x", "reference_y", "x", "y")
 
 
 def recognises(data: bytes) -> bool:
-    """Tell whether the first line names the four coordinates."""
+    """Return whether the first line names the four coordinates."""
     return names(data, PLACES)
 
 
 def names(data: bytes, places: tuple[str, ...]) -> bool:
-    """Tell whether the first line has columns of these names."""
+    """Return whether the first line has columns of these names."""
     first = data[:1024].removeprefix(b"\xef\xbb\xbf").split(b"\n")[0].decode("utf-8", "replace")
     return set(places) <= {cell.strip().strip('"') for cell in first.split(",")}
 

@@ -428,7 +428,7 @@ def basis_of(frame: RegistrationView) -> dict[str, Any] | None:
 
 
 def reasons_of(frame: RegistrationView, reasons: list[str]) -> list[str]:
-    """Return the reasons of a verdict but for those that speak of other sensors of the camera."""
+    """Return the reasons of a verdict but for those about other sensors of the camera."""
     names = [f"sensor {s.name}: " for s in frame.capture.sensors if s.name]
     mine = f"sensor {frame.view.sensor.name}: "
     others = tuple(name for name in names if name != mine)
