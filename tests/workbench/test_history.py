@@ -132,13 +132,13 @@ def test_new_pairs_of_a_later_build_take_no_number_that_a_person_knows():
     [
         "no JSON",
         "[]",
-        '{"version": 2, "objects": {"icon": {"cameras": {"xray": {}}}}}',
-        '{"version": 1, "objects": []}',
-        '{"version": 1, "objects": {"icon": {"cameras": {"xray": {"done": 3}}}}}',
+        '{"version": 3, "objects": {"icon": {"cameras": {"xray": {}}}}}',
+        '{"version": 2, "objects": []}',
+        '{"version": 2, "objects": {"icon": {"cameras": {"xray": {"done": 3}}}}}',
         *(
             json.dumps(
                 {
-                    "version": 1,
+                    "version": 2,
                     "objects": {
                         "icon": {
                             "turn": 45,
@@ -148,11 +148,11 @@ def test_new_pairs_of_a_later_build_take_no_number_that_a_person_knows():
                 }
             )
             for step in (
-                {"gone": {"__class__": [[1, 2, 3, 4]]}, "new": {}, "values": {}},
-                {"gone": {"added": [[1, 2, 3]]}, "new": {}, "values": {}},
-                {"gone": {}, "new": {"note": [[1, 2, 3, 4]]}, "values": {}},
-                {"gone": {}, "new": {}, "values": {"added": [1, 2]}},
-                {"gone": {}, "new": {}, "values": {"stop": ["<b>", 2.0]}},
+                {"removed": {"__class__": [[1, 2, 3, 4]]}, "new": {}, "values": {}},
+                {"removed": {"added": [[1, 2, 3]]}, "new": {}, "values": {}},
+                {"removed": {}, "new": {"note": [[1, 2, 3, 4]]}, "values": {}},
+                {"removed": {}, "new": {}, "values": {"added": [1, 2]}},
+                {"removed": {}, "new": {}, "values": {"stop": ["<b>", 2.0]}},
             )
         ),
     ],

@@ -94,17 +94,17 @@ def write_camera_page(
     records.forget(page_key(page.camera))
     make_folder(path.parent)
     measured = measured_of(page, records)
-    measures, problems, made = _measured(page, campaign, places, records, templates)
+    measures, problems, files = _measured(page, campaign, places, records, templates)
     write_text(path, _page(page.camera, campaign, measured, measures, problems))
     described = path.parent / "camera.json"
     write_json(described, describe_camera(campaign, page.first, measured))
-    made += [path, described, *write_sensitivity(path.parent, campaign, page.first)]
+    files += [path, described, *write_sensitivity(path.parent, campaign, page.first)]
     # A chart that cannot be measured is no fault of the objects: reported, not refused.
     warnings = (
         *(written(campaign, problem) for problem in problems),
         *(f"{m.name}: {m.stray_light}" for m in measures if m.stray_light),
     )
-    return Written(made, {"warnings": list(warnings)}, warnings=warnings)
+    return Written(files, {"warnings": list(warnings)}, warnings=warnings)
 
 
 def prints_of_page(
@@ -133,8 +133,8 @@ def prints_of_page(
         prints[f"file {declared}"] = records.hashes(campaign.root / declared)
     for capture in page.charts:
         name = f"chart {capture.object}/{capture.layer}"
-        made = fingerprints.of_calibration(campaign, capture, records.hashes)
-        prints[name] = digest(made)
+        fingerprint = fingerprints.of_calibration(campaign, capture, records.hashes)
+        prints[name] = digest(fingerprint)
         prints[f"{name} kind"] = campaign.targets.charts[capture.object]
         if named := edges_of(campaign, capture):
             prints[f"{name} edges"] = [[s, [list(p.box) for p in e]] for s, e in named.items()]
@@ -206,15 +206,15 @@ def _measured(
         light = _evenness(measured.get(capture.setup, {}))
         try:
             chart = kind_of(campaign.targets.charts[capture.object])
-            made = develop_chart(capture, campaign, templates)
+            developed = develop_chart(capture, campaign, templates)
             spectra = reference_of(chart) if chart else None
-            found = measure_capture(name, made, chart, spectra, evenness=light)
+            found = measure_capture(name, developed, chart, spectra, evenness=light)
             white = campaign.cameras[page.camera].white_chart
             if white is not None and isinstance(found, ChartMeasure):
                 found = replace(found, notes=(*found.notes, BY_ITSELF))
             measures.append(found)
             problems += problems_of(name, capture, Refused(*found.edges.problems))
-            files += write_chart(places, campaign, capture, made, found)
+            files += write_chart(places, campaign, capture, developed, found)
         except WriteRefused:
             raise
         except Exception as error:

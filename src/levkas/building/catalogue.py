@@ -63,12 +63,12 @@ def write_catalogue_of(
             return Step(key, "fresh", warnings=foreign_files(others))
         records.forget(key)
         warnings = put_away_estimates(places, records, outdated)
-        made = _published(places, entries, names, imprint, spectra)
+        paths = _published(places, entries, names, imprint, spectra)
         manifest = places.output / MANIFEST
-        listed = [path.relative_to(places.output).as_posix() for path in (*made, manifest)]
+        listed = [path.relative_to(places.output).as_posix() for path in (*paths, manifest)]
         records.put_away_left(key, listed)
         write_manifest(places.output, dict(records.products_that_stand()))
-        records.keep(key, prints, [*made, manifest])
+        records.keep(key, prints, [*paths, manifest])
     return Step(key, "done", why, warnings=(*warnings, *foreign_files(others)))
 
 
@@ -112,11 +112,11 @@ def by_others(places: Places, records: BuildRecords) -> dict[str, str]:
     from levkas.database.manifest import is_partial, walk_files
 
     keys = (*records.recorded(), CATALOGUE)
-    made = {name for key in keys for name in records.made_by(key)} | {TABLE, IMPRINT, MANIFEST}
+    paths = {name for key in keys for name in records.made_by(key)} | {TABLE, IMPRINT, MANIFEST}
     estimated = _estimated_files(places)
     there = [
         name
-        for name in sorted(set(walk_files(places.output)) - made)
+        for name in sorted(set(walk_files(places.output)) - paths)
         if not (is_partial(name) or _OF_ALL_LAYERS.fullmatch(name) or name.startswith(estimated))
     ]
     return {n: records.hashes(places.output / n) for n in there if (places.output / n).is_file()}
@@ -217,16 +217,16 @@ def _published(
     from levkas.database.catalogue import write_catalogue
     from levkas.database.store import write_index
 
-    made = [write_catalogue(places.output, entries), places.output / IMPRINT]
-    write_changed(made[-1], (MARK + to_toml(imprint)).encode())
+    paths = [write_catalogue(places.output, entries), places.output / IMPRINT]
+    write_changed(paths[-1], (MARK + to_toml(imprint)).encode())
     for setup, table in spectra.items():
-        made.append(places.output / "setups" / setup / "spd.csv")
-        write_changed(made[-1], table.encode())
+        paths.append(places.output / "setups" / setup / "spd.csv")
+        write_changed(paths[-1], table.encode())
     for name in sorted({*names, *(entry.object for entry in entries)}):
         store = places.store(name)
         if store.is_dir() and any(path.is_dir() for path in store.iterdir()):
-            made.append(write_index(store))
-    return made
+            paths.append(write_index(store))
+    return paths
 
 
 DEFAULT = "default"

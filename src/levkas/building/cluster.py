@@ -25,7 +25,7 @@ from levkas.core.machine import THREADS, count_threads, memory_bound
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
-    from levkas.building.worker import Job, Made
+    from levkas.building.worker import Job, TaskResult
 
 SLOT, BYTES = "levkas", "levkas-memory"
 """Resources of a worker: one task of ours at a time, and the memory that it may take, bytes."""
@@ -292,10 +292,10 @@ class Cluster:
             events.append(self.events.get())
         return events
 
-    def result(self, future: Future) -> Made | None:
+    def result(self, future: Future) -> TaskResult | None:
         """Return what a task has made; None where the scheduler cannot say it now."""
         try:
-            made: Made = future.result(timeout=ANSWER_S)
+            made: TaskResult = future.result(timeout=ANSWER_S)
         except (TimeoutError, CancelledError):
             return None
         return made
@@ -376,7 +376,7 @@ async def _prepare(topic: str, dask_worker: Worker) -> None:
     dask_worker.log_event(topic, {"worker": dask_worker.address, "bytes": size, **reported})
 
 
-def _do(job: Job) -> Made:
+def _do(job: Job) -> TaskResult:
     """Do a task on a worker, and say there that it has begun and how far it is; raises RuntimeError."""
     from levkas.building.worker import work
 

@@ -29,7 +29,7 @@ from levkas.building.cluster import Cluster, no_workers_s
 from levkas.building.fingerprints import of_calibration
 from levkas.building.graph import Graph, Step, Task, captures_of
 from levkas.building.outcomes import Due, Outcomes
-from levkas.building.worker import PATIENCE_S, Job, Made, code_digest, digest_of
+from levkas.building.worker import PATIENCE_S, Job, TaskResult, code_digest, digest_of
 from levkas.core.instructions import instructions_in_use
 from levkas.core.problems import Problem, Refused
 from levkas.core.progress import FRAMES
@@ -411,36 +411,36 @@ class ClusterExecutor:
     def _landed(self, flight: Flight, now: float) -> Iterator[Step]:
         """Record what a task made, as soon as its files are visible here."""
         assert flight.future is not None
-        if (made := self._cluster.result(flight.future)) is None:
+        if (result := self._cluster.result(flight.future)) is None:
             return
-        if not made.is_visible:
+        if not result.is_visible:
             flight.landed = flight.landed or now
             if now - flight.landed > PATIENCE_S:
                 why = "the result is not visible on this machine"
                 yield from self._refuse(flight, self._lost(flight, why))
             return
         task, hashes = flight.due.task, self._records.hashes
-        self._note_progress(flight, made.peak, made.frames)
-        if made.damaged is not None:
-            yield from self._mend(flight, made)
+        self._note_progress(flight, result.peak, result.frames)
+        if result.damaged is not None:
+            yield from self._mend(flight, result)
             return
         try:
-            if made.refused is not None:
-                raise made.refused
-            assert made.written is not None
-            for path, entry in made.entries.items():
+            if result.refused is not None:
+                raise result.refused
+            assert result.written is not None
+            for path, entry in result.entries.items():
                 hashes.take(path, entry)
-            other = made.instructions != instructions_in_use()
-            notes = {"seconds": made.seconds, "attempts": flight.attempts}
-            notes |= {"instructions": made.instructions} if other else {}
-            step = self._outcomes.keep(flight.due, made.written, **notes)
+            other = result.instructions != instructions_in_use()
+            notes = {"seconds": result.seconds, "attempts": flight.attempts}
+            notes |= {"instructions": result.instructions} if other else {}
+            step = self._outcomes.keep(flight.due, result.written, **notes)
         except Refused as error:
             step = self._outcomes.refuse(task, error)
         yield from self._end(task, step)
 
-    def _mend(self, flight: Flight, made: Made) -> Iterator[Step]:
+    def _mend(self, flight: Flight, result: TaskResult) -> Iterator[Step]:
         """Do a task again whose products are damaged, and then the one that would read them."""
-        key, refused = made.damaged, made.refused
+        key, refused = result.damaged, result.refused
         assert key is not None and refused is not None
         self._redone[key] += 1
         if self._redone[key] > REDONE:

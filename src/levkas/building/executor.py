@@ -173,8 +173,8 @@ class Executor:
     def _write(self, due: Due, write: Write, seconds: float) -> Step:
         """Write what a task made and record it; runs in the writer's thread."""
         try:
-            made = write(partial(self._records.forget, due.task.key))
-            return self._outcomes.keep(due, made, seconds=seconds)
+            written = write(partial(self._records.forget, due.task.key))
+            return self._outcomes.keep(due, written, seconds=seconds)
         except Exception as error:
             return self._outcomes.refuse(due.task, error)
 

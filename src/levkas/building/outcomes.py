@@ -122,13 +122,15 @@ class Outcomes:
             return Step(key, "refused", problems[0].message, problems=problems, warnings=warnings)
         return Step(key, "fresh", warnings=warnings)
 
-    def keep(self, due: Due, made: Written, **notes: Any) -> Step:
+    def keep(self, due: Due, written: Written, **notes: Any) -> Step:
         """Record what a task made; return how it ended. Raises WriteRefused."""
         key = due.task.key
-        self.records.keep(key, due.prints, made.files, aside=made.aside, **notes, **made.notes)
-        if made.problems:
-            return refused_step(key, Refused(*made.problems))
-        return Step(key, "done", due.why, warnings=made.warnings)
+        self.records.keep(
+            key, due.prints, written.files, aside=written.aside, **notes, **written.notes
+        )
+        if written.problems:
+            return refused_step(key, Refused(*written.problems))
+        return Step(key, "done", due.why, warnings=written.warnings)
 
     def without_reference(self, task: Task) -> Step | None:
         """Return the step of a capture whose reference was lost; move out what was registered to that."""
@@ -254,10 +256,10 @@ def withdraw(
 
 def put_away_stage(key: Key, records: BuildRecords) -> Path | None:
     """Move out what a stage made, and forget it; return where to, None where nothing stood there."""
-    made = records.made_by(key)
-    if made:
+    products = records.made_by(key)
+    if products:
         records.forget(CATALOGUE)  # what it lists is about to change
-    where = records.put_away(made)
+    where = records.put_away(products)
     if records.is_begun(key):
         records.drop(key)
     return where

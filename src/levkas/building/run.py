@@ -123,13 +123,15 @@ def build(
         sweep_older_records(places.kept)
         sweep_corrections(campaign.root)
         records = BuildRecords(places.kept, places.output, keep_removed=keep_removed, verify=verify)
-        gone = no_longer_there(campaign, records, plan.captures, plan.refusals, plan.pages, objects)
-        total = _count(plan) + bool(describe(gone, records))
+        removed = no_longer_there(
+            campaign, records, plan.captures, plan.refusals, plan.pages, objects
+        )
+        total = _count(plan) + bool(describe(removed, records))
         digests = records.hashes.of_frame if len(plan.names) > 1 else None
         templates = TemplateCache(places.kept / "templates", digests)
         outcomes = Outcomes(campaign, places, records, plan.graph)
         with _executor(where, outcomes, templates) as executor:
-            steps = _steps(plan, outcomes, executor, templates, gone, whole=not objects)
+            steps = _steps(plan, outcomes, executor, templates, removed, whole=not objects)
             yield from _numbered(steps, plan.graph, total)
         if not objects:
             templates.remove_all_but(_used_templates(records))
@@ -203,7 +205,7 @@ def _steps(
     outcomes: Outcomes,
     executor: Executor | DryRun | ClusterExecutor,
     templates: TemplateCache,
-    gone: Sequence[Key],
+    removed: Sequence[Key],
     *,
     whole: bool,
 ) -> Iterator[Step]:
@@ -231,8 +233,8 @@ def _steps(
         stale |= step.state == "stale"
         yield step
     if not outcomes.dry:
-        yield from removal(gone, records)
-    elif why := describe(gone, records):
+        yield from removal(removed, records)
+    elif why := describe(removed, records):
         stale = True
         yield Step(REMOVED, "stale", why)
     step = _catalogue(plan, outcomes, whole=whole, stale=stale)
@@ -331,10 +333,10 @@ def status(
     plan = plan_of(campaign)
     check_apart(campaign, places.output, plan.captures)
     records = BuildRecords(places.kept, places.output, verify=verify)
-    gone = no_longer_there(campaign, records, plan.captures, plan.refusals, plan.pages, None)
+    removed = no_longer_there(campaign, records, plan.captures, plan.refusals, plan.pages, None)
     templates = TemplateCache(places.kept / "templates", records.hashes.of_frame)
     outcomes = Outcomes(campaign, places, records, plan.graph, dry=True, unread=not verify)
-    steps = [*_steps(plan, outcomes, DryRun(outcomes), templates, gone, whole=True)]
+    steps = [*_steps(plan, outcomes, DryRun(outcomes), templates, removed, whole=True)]
     report = summarise(steps, places.output)
     states = {step.key: step.state for step in steps}
     return replace(report, draws=partial(draw, plan.graph, states))

@@ -55,9 +55,9 @@ class CalibratedCache:
 
         self.let_go()
         self.templates.used.clear()
-        made = calibrate(capture, self.campaign, self.templates)
-        self._keep(capture, made.packed())
-        return made
+        native = calibrate(capture, self.campaign, self.templates)
+        self._keep(capture, native.packed())
+        return native
 
     def native(self, capture: Capture) -> CalibratedCapture:
         """Return a calibrated capture."""
@@ -137,9 +137,9 @@ class Stages:
         from levkas.stages.calibrate import write_calibrated
 
         capture, _ = captures_of(task)
-        made = self.held.calibrate(capture)
+        native = self.held.calibrate(capture)
         used = sorted(self.held.templates.used)
-        write = partial(write_calibrated, made, capture, self.campaign, self.places)
+        write = partial(write_calibrated, native, capture, self.campaign, self.places)
         return lambda before: _with_notes(write(before), templates=used)
 
     def _measure(self, task: Task) -> Write:
@@ -208,5 +208,5 @@ class Stages:
         return partial(write_resampled, resample(native, target, frame), target, frame)
 
 
-def _with_notes(made: Written, **notes: Any) -> Written:
-    return made._replace(notes={**made.notes, **notes})
+def _with_notes(written: Written, **notes: Any) -> Written:
+    return written._replace(notes={**written.notes, **notes})

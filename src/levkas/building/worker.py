@@ -81,7 +81,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Made:
+class TaskResult:
     """What a task made, or why it was refused, or whose products it cannot read.
 
     Parameters
@@ -165,7 +165,7 @@ _alone = threading.Lock()
 _workplaces: dict[str, Workplace] = {}
 
 
-def work(job: Job, say: Callable[[int, int], object], is_wanted: Callable[[], bool]) -> Made:
+def work(job: Job, say: Callable[[int, int], object], is_wanted: Callable[[], bool]) -> TaskResult:
     """Do a task.
 
     Parameters
@@ -192,12 +192,12 @@ def work(job: Job, say: Callable[[int, int], object], is_wanted: Callable[[], bo
             _workplaces[job.build] = Workplace.open(job)
         started = time.monotonic()
         try:
-            made = _workplaces[job.build].do(job, is_wanted)
+            result = _workplaces[job.build].do(job, is_wanted)
         except NotShared:
             _workplaces.clear()  # the campaign is read again
             raise
         seconds = round(time.monotonic() - started, 2)
-        return replace(made, seconds=seconds, peak=watch.bytes, frames=watch.frames)
+        return replace(result, seconds=seconds, peak=watch.bytes, frames=watch.frames)
 
 
 @dataclass
@@ -223,7 +223,7 @@ class Workplace:
             records, plan.graph, Stages(plan.campaign, places, records, templates, plan.graph)
         )
 
-    def do(self, job: Job, is_wanted: Callable[[], bool]) -> Made:
+    def do(self, job: Job, is_wanted: Callable[[], bool]) -> TaskResult:
         """Do a task and return what it made, or why it was refused."""
         task = self.graph.get(job.key)
         if task is None or digest_of(task) != job.task:
@@ -244,21 +244,21 @@ class Workplace:
             refused = refusal_of(task, error)
             if not isinstance(refused, InternalError):
                 refused = Refused(*refused.problems)  # others need not be known where it is read
-            return Made(None, refused, error.key if isinstance(error, Damaged) else None)
+            return TaskResult(None, refused, error.key if isinstance(error, Damaged) else None)
         self.sound[job.key] = {str(p): entry[-1] for p, entry in entries.items()}
-        return Made(written, entries=entries, instructions=instructions_in_use())
+        return TaskResult(written, entries=entries, instructions=instructions_in_use())
 
     def _take(self, reads: Mapping[Key, Mapping[str, Any]]) -> None:
         """Take the records of what a task reads, and read all of that once; wait until it is visible here."""
         until = time.monotonic() + PATIENCE_S
         for key, record in reads.items():
             self.records.take(key, record)
-            made = self.records.hashes_of(key)
-            while self.sound.get(key) != made and (name := self.records.damaged(key)):
+            recorded = self.records.hashes_of(key)
+            while self.sound.get(key) != recorded and (name := self.records.damaged(key)):
                 if time.monotonic() > until:
                     raise Damaged(key, Problem("E_DAMAGED", "a file was damaged", found=name))
                 time.sleep(PAUSE_S)
-            self.sound[key] = made
+            self.sound[key] = recorded
 
 
 class Watch:

@@ -280,8 +280,8 @@ def _between_files(
             yield from _compared(fact, valued)
             firsts += valued[:1]
         if fact.name in OF_ONE_NOISE:
-            for made in _compared(fact, firsts):
-                yield replace(made, severity="noted", aside="; one noise model serves all bands")
+            for problem in _compared(fact, firsts):
+                yield replace(problem, severity="noted", aside="; one noise model serves all bands")
 
 
 def _values(

@@ -118,11 +118,11 @@ def fit_clipped_dark(frames: Sequence[np.ndarray], *, step: float = 1.0) -> Dark
         return _loss(full, edges, table, alone=len(frames) == 1)
 
     options = {"xatol": 1e-4, "fatol": 5e-3, "maxiter": 4000, "maxfev": 4000}
-    made = minimize(loss, start[free], method="Nelder-Mead", options=options)
-    made = minimize(loss, made.x, method="Nelder-Mead", options=options)
-    errors = _errors(loss, made.x)
+    optimum = minimize(loss, start[free], method="Nelder-Mead", options=options)
+    optimum = minimize(loss, optimum.x, method="Nelder-Mead", options=options)
+    errors = _errors(loss, optimum.x)
     found, error = np.full(4, np.nan), np.full(4, np.nan)
-    found[free], error[free] = made.x, errors
+    found[free], error[free] = optimum.x, errors
     noise, fixed = np.exp(found[1]), np.exp(found[2])
     numbers = found[0], noise, fixed, error[0], noise * error[1], fixed * error[2], zeros / step
     return DarkLevel(*(float(n * step) for n in numbers))

@@ -134,7 +134,7 @@ def _smaller(mosaic: Planes, table: np.ndarray, *, together: bool) -> Planes:
     """
     rows, columns = table.shape
     size = (mosaic[0].shape[0] // rows, mosaic[0].shape[1] // columns)
-    made: list[Planes] = []
+    planes: list[Planes] = []
     for channel in range(int(table.max()) + 1):
         y, x = np.argwhere(table == channel)[0]
         values, flags, variance = (a[y::rows, x::columns][: size[0], : size[1]] for a in mosaic)
@@ -144,8 +144,8 @@ def _smaller(mosaic: Planes, table: np.ndarray, *, together: bool) -> Planes:
             moved = warp(values, move, size, flags=flags, variance=variance)
             assert moved.variance is not None
             values, flags, variance = moved.values, moved.flags, moved.variance
-        made.append((values, flags, variance))
-    values, flags, variance = (np.stack(part, -1) for part in zip(*made, strict=True))
+        planes.append((values, flags, variance))
+    values, flags, variance = (np.stack(part, -1) for part in zip(*planes, strict=True))
     return values, flags, variance
 
 
@@ -157,11 +157,11 @@ def _trial(known: Planes, table: np.ndarray, interpolate: Interpolate) -> np.nda
         return np.stack([_curve(none, none) for none in np.empty((channels, 0))])
     which = table[np.arange(high)[:, None] % rows, np.arange(wide) % columns]
     mosaic = [np.take_along_axis(a, which[..., None], 2)[..., 0] for a in known]
-    made, noted, spread = interpolate(*mosaic)
+    planes, noted, spread = interpolate(*mosaic)
     assert spread is not None
     rough = disagreement(mosaic[0], mosaic[2], (rows, columns))
     inner = np.s_[EDGE * rows : -EDGE * rows, EDGE * columns : -EDGE * columns]
-    miss = ((made - known[0]) ** 2 - spread - known[2])[inner]
+    miss = ((planes - known[0]) ** 2 - spread - known[2])[inner]
     sound = ((noted | known[1])[inner] == 0) & np.isfinite(miss)
     used = [sound[..., k] & (which[inner] != k) for k in range(channels)]
     return np.stack([_curve(rough[inner][u], miss[..., k][u]) for k, u in enumerate(used)])

@@ -286,34 +286,34 @@ def average_steady(
     """
     light = CellMeans(period)
     clips: dict[str, float | None] = {"saturation": saturation, "black_clip": black_clip}
-    made = average(light.watch(read()), exposure_s=exposure_s, **clips)
+    template = average(light.watch(read()), exposure_s=exposure_s, **clips)
     channels, differing = light.channels, DifferingShots()
-    moments = times_s if times_s is not None and len(times_s) == made.count else None
+    moments = times_s if times_s is not None and len(times_s) == template.count else None
     if level is None:
         shots = measure_offsets(channels)
     else:
-        level = _as_frame(level, made.mean.shape)
+        level = _as_frame(level, template.mean.shape)
         under = cell_means(level, period)
-        if white and made.count > 1:
+        if white and template.count > 1:
             differing = find_differing_shots(channels - under)
-        kept = [k for k in range(made.count) if k not in set(differing.left_out)]
-        if len(kept) < made.count:
+        kept = [k for k in range(template.count) if k not in set(differing.left_out)]
+        if len(kept) < template.count:
             read = partial(_some_of, read, frozenset(kept))
-            made = average(read(), exposure_s=exposure_s, **clips)
+            template = average(read(), exposure_s=exposure_s, **clips)
             moments = None if moments is None else [moments[k] for k in kept]
         shots = measure_light(channels[kept], under)
     shots = replace(
         shots, times_s=None if moments is None else tuple(moments), **differing._asdict()
     )
     lamp = level is None or STEADY[0] < shots.levels.min() <= shots.levels.max() < STEADY[1]
-    if lamp and _explained(made, shots, level, period) > EXPLAINED:
+    if lamp and _explained(template, shots, level, period) > EXPLAINED:
         steadied = (
             _steadied(frame, found, level, period)
             for frame, found in zip(read(), shots.levels, strict=True)
         )
         again = average(steadied, exposure_s=exposure_s)
-        made = replace(again, saturated=made.saturated, black=made.black)
-    return replace(made, shots=shots)
+        template = replace(again, saturated=template.saturated, black=template.black)
+    return replace(template, shots=shots)
 
 
 def _some_of(
@@ -379,15 +379,15 @@ def _steadied(
     period: tuple[int, int],
 ) -> np.ndarray:
     """Return a shot at the mean level of its stack, float32."""
-    made = frame.astype(np.float32)
-    made -= 0.0 if level is None else level
-    for plane, found in zip(_channels(made, period), levels.astype(np.float32), strict=True):
+    steadied = frame.astype(np.float32)
+    steadied -= 0.0 if level is None else level
+    for plane, found in zip(_channels(steadied, period), levels.astype(np.float32), strict=True):
         if level is None:
             plane -= found
         else:
             plane /= found
-    made += 0.0 if level is None else level
-    return made
+    steadied += 0.0 if level is None else level
+    return steadied
 
 
 # --- between white and object -------------------------------------------------------------------

@@ -190,7 +190,7 @@ def equalise_phases(
     down, across = np.arange(values.shape[0]) % rows, np.arange(values.shape[1]) % columns
     spread = scale[np.ix_(down, across)].astype(np.float32)
     table = np.where(kept, 0, 1)
-    made = interpolate(
+    equalised = interpolate(
         np.where(spread > 0, values, 0) * spread,
         flags,
         None if variance is None else np.where(spread > 0, variance, 0) * spread**2,
@@ -198,7 +198,11 @@ def equalise_phases(
         _common,
         gains.weights,
     )
-    return made[0][:, :, 0], made[1][:, :, 0], None if made[2] is None else made[2][:, :, 0]
+    return (
+        equalised[0][:, :, 0],
+        equalised[1][:, :, 0],
+        None if equalised[2] is None else equalised[2][:, :, 0],
+    )
 
 
 def _common(place: Place, channel: int) -> Taps:

@@ -152,7 +152,7 @@ def flat_field(
     marks = (as_marks(shot.saturated), lit_saturated, as_marks(shot.black), as_marks(bad))
     known = noise is not None or all(side.known for side in sides)
     shape, size = shot.mean.shape, sides[0].mean.shape
-    made = np.empty(size, np.float32), np.empty(size, np.uint8)
+    outputs = np.empty(size, np.float32), np.empty(size, np.uint8)
     variance = np.empty(size if known else (0, 0), np.float32)
     width = size[1]
     wide = tuple(side.as_wide_as(width) for side in sides)
@@ -165,8 +165,8 @@ def flat_field(
         dark_correlation(under, white_under),
         _shares_of_line(wide, model) if known else np.empty((3, 0)),
     )
-    in_threads(_flatten, size[0], inputs, *made, variance, worth=made[0].size)
-    values, flags = (part.reshape(shape) for part in made)
+    in_threads(_flatten, size[0], inputs, *outputs, variance, worth=outputs[0].size)
+    values, flags = (part.reshape(shape) for part in outputs)
     quantity = "counts" if white is None and board.unit is None else "reflectance"
     return Calibrated(values, flags, variance.reshape(shape) if known else None, quantity, notes)
 

@@ -106,7 +106,7 @@ def give_back(
     """
     found = _find(timed, levels, full, saturation, noise or NoiseModel(1.0, 1.0))
     leak = None if noise is None else _fit(found)
-    made, apart = [], []
+    corrected, apart = [], []
     for shot, marks, beside in zip(timed, full, found, strict=True):
         lost = marks.copy()
         if leak is None:
@@ -119,9 +119,9 @@ def give_back(
             mean = shot.mean.copy()
             mean.flat[beside.at[counts]] += leaked[counts]
             shot = replace(shot, mean=mean)
-        made.append(shot)
+        corrected.append(shot)
         apart.append(lost)
-    return made, apart
+    return corrected, apart
 
 
 def _find(

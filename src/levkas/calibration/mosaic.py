@@ -286,7 +286,7 @@ def _weigh(first_row, stop, planes, plan, out):  # type: ignore[no-untyped-def]
     `planes` are values, flags, variance, and the rows with any flag.
     """
     values, flags, variance, marked = planes
-    made, noted, spread = out
+    colours, noted, spread = out
     rows, columns, start, dy, dx, weight, _, channels, reach = plan
     height, width = values.shape
     known, kinds = len(spread) > 0, 0
@@ -303,7 +303,7 @@ def _weigh(first_row, stop, planes, plan, out):  # type: ignore[no-untyped-def]
                 total = 0.0
                 for i in range(begin, end):
                     total += weight[i] * values[y + dy[i], x + dx[i]]
-                made[y, x, k] = total
+                colours[y, x, k] = total
                 if known:
                     total = 0.0
                     for i in range(begin, end):
@@ -390,7 +390,7 @@ def demosaic(
     True
     """
     table, stencil = method_of(pattern, method, channels)
-    made, noted, spread = interpolate(values, flags, variance, table, stencil)
+    colours, noted, spread = interpolate(values, flags, variance, table, stencil)
     if variance is not None and spread is not None:
         side = 8 * max(table.shape)
         spread += interpolation_variance(
@@ -399,7 +399,7 @@ def demosaic(
             lambda v, f, u: interpolate(v, f, u, table, stencil),
             compares=not lay_out(table, (side, side), stencil).own.all(),
         )
-    return made, noted, spread
+    return colours, noted, spread
 
 
 def method_of(
@@ -458,10 +458,10 @@ def interpolate(
         np.any(flags, axis=1),
     )
     full = (*shape, plan.channels)
-    made, noted = np.empty(full, np.float32), np.zeros(full, np.uint8)
+    colours, noted = np.empty(full, np.float32), np.zeros(full, np.uint8)
     spread = np.empty(full if variance is not None else (0, *full[1:]), np.float32)
-    in_threads(_weigh, shape[0], planes, plan, (made, noted, spread), worth=made.size)
-    return made, noted, None if variance is None else spread
+    in_threads(_weigh, shape[0], planes, plan, (colours, noted, spread), worth=colours.size)
+    return colours, noted, None if variance is None else spread
 
 
 def _is_bayer(table: np.ndarray) -> bool:

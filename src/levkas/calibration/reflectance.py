@@ -176,7 +176,7 @@ def _template(
         saturation = float(np.iinfo(shots[0].dtype).max)
     rows = as_pattern(pattern) if isinstance(pattern, Sequence) else ((None,),)
     try:
-        made = average_steady(
+        template = average_steady(
             lambda: shots,
             level,
             period=(len(rows), len(rows[0])),
@@ -184,14 +184,14 @@ def _template(
             exposure_s=exposure_s,
             white=name == "white",
         )
-        require_agreement(made.shots)
-        made = close_gaps(made)
+        require_agreement(template.shots)
+        template = close_gaps(template)
     except CalibrationRefused as refused:
         problems = (
             replace(p, message=f"{name}: {p.message}", field=name) for p in refused.problems
         )
         raise CalibrationRefused(*problems) from None
-    return made, shots
+    return template, shots
 
 
 def _full_scale(

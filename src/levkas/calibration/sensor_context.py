@@ -299,9 +299,9 @@ class SensorContext:
         level = self.level_under(frames, darks) if dark or len(frames) > 1 else 0.0
         make = partial(self._dark, frames) if dark else partial(self._averaged, frames, level)
         if not kept or self.cache is None:
-            made = make()
+            template = make()
         else:
-            made = self.cache.template(
+            template = self.cache.template(
                 frames,
                 make,
                 saturation=self.saturation,
@@ -313,9 +313,9 @@ class SensorContext:
             )
         if frames[0] in self.sensor.white:
             with placing(frames):
-                require_agreement(made.shots)
-            self.note_white(made, frames)
-        return self.whole(made, frames)
+                require_agreement(template.shots)
+            self.note_white(template, frames)
+        return self.whole(template, frames)
 
     def note_white(self, white: Template, frames: Sequence[FrameRef]) -> None:
         """Note the shots of a white that were left out, in `measured`; each frame is a shot."""
@@ -425,10 +425,10 @@ class SensorContext:
 
     def darks(self, frames: Sequence[FrameRef]) -> list[Template]:
         """Average darks exposure by exposure, shortest first, and note those that were clipped."""
-        made = self.templates(frames)
-        for dark in made:
+        averaged = self.templates(frames)
+        for dark in averaged:
             self.note_dark(dark, frames[0].band or "")
-        return made
+        return averaged
 
     def note_dark(self, dark: Template, band: str = "") -> None:
         """Note black and noise of a dark that was clipped, or that they cannot be had, in `measured`."""

@@ -401,10 +401,10 @@ def _filled(values: np.ndarray, lost: np.ndarray) -> np.ndarray:
     planes = filled[..., None] if filled.ndim == 2 else filled
     marks = lost[..., None] if lost.ndim == 2 else lost
     for band in range(planes.shape[2]):
-        plane, gone = planes[..., band], marks[..., band]
-        if gone.all():
+        plane, defects = planes[..., band], marks[..., band]
+        if defects.all():
             raise no_values(band, planes.shape)
-        plane[gone] = np.median(plane[~gone])
+        plane[defects] = np.median(plane[~defects])
     return filled
 
 

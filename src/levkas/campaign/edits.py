@@ -137,8 +137,8 @@ def merge(base: FrameEdits, ours: FrameEdits, theirs: FrameEdits) -> FrameEdits:
     for name in (f.name for f in fields(FrameEdits)):
         first, one, other = (getattr(edits, name) for edits in (base, ours, theirs))
         if isinstance(first, tuple):
-            gone, new = set(first) - set(one), set(one) - set(first)
-            merged[name] = tuple(sorted((set(other) - gone) | new))
+            removed, new = set(first) - set(one), set(one) - set(first)
+            merged[name] = tuple(sorted((set(other) - removed) | new))
         else:
             merged[name] = other if other != first else one
     return FrameEdits(**merged)

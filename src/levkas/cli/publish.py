@@ -74,7 +74,7 @@ def publish(
             typer.echo(missing.text)
         raise typer.Exit(0 if missing.ok else 1)
     wanted = run.find_subject(subject, notes=notes)
-    made = run.publish(
+    publication = run.publish(
         wanted,
         output=output,
         editions=edition,
@@ -83,7 +83,7 @@ def publish(
         analyse=analyse or (),
         bag=bag,
     )
-    steps = draw_steps(made, as_json)
+    steps = draw_steps(publication, as_json)
     report = run.summarise(steps)
     print_report("publish", as_json, True, [], **report.to_dict())
     if not as_json:
@@ -120,8 +120,8 @@ def export(
     from levkas.publish.export import run
 
     chosen = {"objects": objects or (), "cameras": cameras or ()}
-    made = run.export(database, form, output=output, overwrite=overwrite, **chosen)
-    steps = draw_steps(made, as_json)
+    exported = run.export(database, form, output=output, overwrite=overwrite, **chosen)
+    steps = draw_steps(exported, as_json)
     files = [str(path) for step in steps for path in step.files]
     print_report("export", as_json, True, [], files=files)
     if not as_json:

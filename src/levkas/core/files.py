@@ -488,12 +488,12 @@ def remove(path: str | Path) -> None:
         return
     with refusing(path, None):
         if path.is_dir() and not path.is_symlink():
-            gone = _partial(path)
+            discarded = _partial(path)
             fault("rename", path)
             with contextlib.suppress(FileNotFoundError):
-                path.rename(gone)
+                path.rename(discarded)
                 _sync_folder(path.parent)
-                discard(gone)
+                discard(discarded)
         else:
             discard(path)
     _sync_folder(path.parent)

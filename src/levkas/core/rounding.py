@@ -60,12 +60,12 @@ def _rounded(values: np.ndarray, drop: int, out: np.ndarray | None, root: bool) 
     step = tile_rows(ROWS, len(values))
     for row in range(0, len(values), step):  # a cube's worth of temporaries is too much
         part, into = values[row : row + step], result[row : row + step]
-        made = into if into.flags.c_contiguous else np.empty(into.shape, np.float32)
-        if made is not part:
-            made[...] = part
-        _round(made.reshape(-1), half, keep, root)
-        if made is not into:
-            into[...] = made
+        rounded = into if into.flags.c_contiguous else np.empty(into.shape, np.float32)
+        if rounded is not part:
+            rounded[...] = part
+        _round(rounded.reshape(-1), half, keep, root)
+        if rounded is not into:
+            into[...] = rounded
     return result
 
 

@@ -78,11 +78,11 @@ class Components:
         """Yield the first components of a layer, (rows, x, count) float32 from top to bottom; NaN of unsound pixels."""
         for values, sound, _ in _blocks(layer, flags, None):
             with steady_libraries():
-                made = (np.where(sound[..., None], values, 0.0) - self.mean) @ self.loadings[
+                scores = (np.where(sound[..., None], values, 0.0) - self.mean) @ self.loadings[
                     :count
                 ].T
-            made[~sound] = np.nan
-            yield made.astype(np.float32)
+            scores[~sound] = np.nan
+            yield scores.astype(np.float32)
 
 
 def find_components(

@@ -158,11 +158,11 @@ def region_statistics(
         "n": ("band", count),
         "pixels": ((), pixels),
     }
-    made = xarray.Dataset(
+    dataset = xarray.Dataset(
         found, coords={k: v for k, v in layer.coords.items() if v.dims == ("band",)}
     )
     if not bins:
-        return made
+        return dataset
     edges = (
         np.linspace(low, high, bins + 1) if np.isfinite(low) else np.linspace(0.0, 1.0, bins + 1)
     )
@@ -170,7 +170,7 @@ def region_statistics(
     for values, sound in blocks.read():
         for band in range(bands):
             counts[band] += np.histogram(values[sound[:, band], band], edges)[0]
-    return made.assign(histogram=(("band", "bin"), counts)).assign_coords(edges=("edge", edges))
+    return dataset.assign(histogram=(("band", "bin"), counts)).assign_coords(edges=("edge", edges))
 
 
 @dataclass(frozen=True)

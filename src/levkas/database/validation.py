@@ -307,9 +307,9 @@ def _by_structure(
         more = manifest.problems + tuple(_check_damaged_manifest(root, manifest, names, threads))
         yield Checked(NAME, more, total, total)
     elif ours:
-        gone = [name for name in (CATALOGUE, NAME) if name not in names]
+        lacking = [name for name in (CATALOGUE, NAME) if name not in names]
         why = "it is missing, so its content could not be checked"
-        missing = tuple(_problem(root, name, "E_MISSING", why) for name in gone)
+        missing = tuple(_problem(root, name, "E_MISSING", why) for name in lacking)
         yield Checked("", missing, total, total)
 
 

@@ -315,15 +315,15 @@ def _resample_planes(
             None if cube is None else _planes(cube[..., some])
             for cube in (frame.values, frame.flags, frame.variance)
         )
-        made = _result((some.stop - first, *warped.values.shape[:2]), variance is not None, None)
+        part = _result((some.stop - first, *warped.values.shape[:2]), variance is not None, None)
         for k in range(some.stop - first):
             plane = partial(_plane, band=k)
             one = _Frame(plane(values), plane(flags), plane(variance), frame.top, frame.height)
-            out = Warped(plane(made.values), plane(made.flags), plane(made.variance))
+            out = Warped(plane(part.values), plane(part.flags), plane(part.variance))
             absent += _resample(next(lattices), shape, rows, one, out)
         for name in ("values", "flags", "variance"):
-            if getattr(made, name) is not None:
-                _interleave(getattr(made, name), getattr(warped, name)[..., some])
+            if getattr(part, name) is not None:
+                _interleave(getattr(part, name), getattr(warped, name)[..., some])
     return absent
 
 

@@ -277,15 +277,15 @@ def _gather(source, result, at, spot, b, always, weights):
         for k in range(columns):
             weight, tap = v[r] * u[k], float(source.values[y0 + r, x0 + k, b])
             flag = source.flags[y0 + r, x0 + k, b] if source.flags.size else np.uint8(0)
-            gone = not np.isfinite(tap) or flag & OUTSIDE
+            missing = not np.isfinite(tap) or flag & OUTSIDE
             if (x0 + k, y0 + r) == near:
                 own = flag
-                if gone:
+                if missing:
                     _leave_out(result, row, x, b, np.uint8(own | OUTSIDE))
                     return 0
-            elif (flag or gone) and abs(weight) >= least:
+            elif (flag or missing) and abs(weight) >= least:
                 others |= (flag & ~OUTSIDE) | NEAR
-            if gone:
+            if missing:
                 lacking |= weight != 0.0
             else:
                 value += weight * tap

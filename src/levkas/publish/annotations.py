@@ -207,15 +207,15 @@ class _Reader:
             if (found := body.get(key, PLAIN)) != expected:
                 self.refuse(f"{where}.body.{key}", found, expected)
         text = self._plain(body.get("value"), f"{where}.body.value", LONGEST_TEXT)
-        made = item.get("modified", item.get("created", ""))
-        if made != "" and not (isinstance(made, str) and _DATE.fullmatch(made)):
-            self.refuse(f"{where}.modified", made, "a date as ISO 8601 has it")
+        modified = item.get("modified", item.get("created", ""))
+        if modified != "" and not (isinstance(modified, str) and _DATE.fullmatch(modified)):
+            self.refuse(f"{where}.modified", modified, "a date as ISO 8601 has it")
         name, target = self._target(_single(item.get("target")), f"{where}.target")
         author = self._author(_single(item.get("creator")), f"{where}.creator")
         note = {
             "type": "Annotation",
             "motivation": "commenting",
-            **({"modified": made} if made else {}),
+            **({"modified": modified} if modified else {}),
             **({"creator": {"type": "Person", "name": author}} if author else {}),
             "body": {"type": "TextualBody", "value": text, "format": PLAIN},
             "target": target,

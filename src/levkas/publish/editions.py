@@ -174,10 +174,10 @@ def _write_layer(publication: Publication, root: Path, entry: Entry) -> Entry:
         centroids_of(source),
     )
     kind = publication.facts.cameras.get(entry.camera, {}).get("kind")
-    made, _ = write_layer(
+    written, _ = write_layer(
         root, layer, shrink(source, size), verdict=entry.verdict, encoded=kind == "image"
     )
-    return replace(made, quantity=entry.quantity)
+    return replace(written, quantity=entry.quantity)
 
 
 def centroids_of(path: Path) -> dict[str, float]:

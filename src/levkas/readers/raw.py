@@ -143,8 +143,8 @@ def _decode(path: Path, *, pixels: bool) -> tuple[dict[str, Any], bytearray]:
         late = f"no end after {PATIENCE_S} s"
         if status == OUT_OF_TIME:
             late = "no end after as much processor time as its size allows"
-        gone = timer.is_alive() and status != OUT_OF_TIME
-        found_instead = f"the decoder ended with status {status}" if gone else late
+        crashed = timer.is_alive() and status != OUT_OF_TIME
+        found_instead = f"the decoder ended with status {status}" if crashed else late
         raise _refused(path, found_instead) from error
     except (
         BaseException

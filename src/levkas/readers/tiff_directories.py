@@ -147,8 +147,8 @@ def _directory(
         return int(value >> (room - wide) if order == ">" else value & ((1 << wide) - 1))
 
     sizes = number(SUBFILE_TYPE), number(WIDTH), number(LENGTH)
-    made = Directory(*sizes, WAVELENGTHS in stored)
-    return made, _unpacked(path, handle, order + ("Q" if big else "I"))
+    directory = Directory(*sizes, WAVELENGTHS in stored)
+    return directory, _unpacked(path, handle, order + ("Q" if big else "I"))
 
 
 def _unpacked(path: Path, handle: BinaryIO, form: str) -> int:

@@ -294,7 +294,7 @@ class GreyImages(Sequence[np.ndarray]):
         self._images = images
         parts = np.array_split(np.arange(len(images)), min(SETTINGS.most_greys, len(images)))
         self._groups = [range(len(images)), *(parts if len(images) > 1 else ())]
-        self._made: dict[int, np.ndarray] = {}
+        self._features: dict[int, np.ndarray] = {}
 
     def __len__(self) -> int:
         return len(self._groups)
@@ -308,9 +308,9 @@ class GreyImages(Sequence[np.ndarray]):
     def __getitem__(self, i: Any) -> Any:
         if isinstance(i, slice):
             return [self[k] for k in range(*i.indices(len(self)))]
-        if i not in self._made:
-            self._made[i] = _mean([self._images[k] for k in self._groups[i]])
-        return self._made[i]
+        if i not in self._features:
+            self._features[i] = _mean([self._images[k] for k in self._groups[i]])
+        return self._features[i]
 
 
 def _mean(images: Sequence[np.ndarray]) -> np.ndarray:

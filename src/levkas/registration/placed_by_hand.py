@@ -113,7 +113,7 @@ class PlacedByHand:
     def matches(self) -> Matches:
         """Return the table of the pairs, each with its mark; deleted ones last."""
         marked = self.given.mark(self.pairs[:, :2], self.pairs[:, 2:])
-        gone = self.given.deleted
+        deleted = self.given.deleted
         found = Matches.of(
             self.pairs[:, :2],
             self.pairs[:, 2:],
@@ -122,11 +122,11 @@ class PlacedByHand:
             reason=marked.reason,
         )
         left = Matches.of(
-            gone[:, :2],
-            gone[:, 2:],
-            weight=np.zeros(len(gone)),
-            state=np.full(len(gone), MatchState.REMOVED, object),
-            reason=np.full(len(gone), HandMark.DELETED, object),
+            deleted[:, :2],
+            deleted[:, 2:],
+            weight=np.zeros(len(deleted)),
+            state=np.full(len(deleted), MatchState.REMOVED, object),
+            reason=np.full(len(deleted), HandMark.DELETED, object),
         )
         names = Matches.__dataclass_fields__
         return Matches(**{n: np.concatenate([getattr(found, n), getattr(left, n)]) for n in names})

@@ -203,8 +203,8 @@ class Trace:
         kept = np.asarray(self.scale_errors < self.reject).copy()
         if self.pinned is not None:
             kept |= self.pinned
-        gone = self.removed[: number if number >= 0 else self.rounds + number]
-        kept[gone[gone >= 0]] = False
+        dropped = self.removed[: number if number >= 0 else self.rounds + number]
+        kept[dropped[dropped >= 0]] = False
         return kept
 
     def to_dict(self) -> dict[str, Any]:

@@ -293,30 +293,30 @@ def _design(line: np.ndarray, spacing: int, count: int) -> np.ndarray:
         return np.stack([np.ones(len(line)), line / spacing], 1)[:, :count]
     u = np.clip(line / spacing, 0, count - 3 - 1e-9)
     first = u.astype(int)
-    made = np.zeros((len(line), count))
+    basis = np.zeros((len(line), count))
     weights = spline_weights(u - first)
     for k in range(4):
-        made[np.arange(len(line)), first + k] = weights[:, k]
-    return made
+        basis[np.arange(len(line)), first + k] = weights[:, k]
+    return basis
 
 
 def _fit(windows: _Windows, spacing: int, count: int) -> _Course:
     """Fit offsets by weighted least squares with Huber's weights, both axes with their own."""
     design = _design(windows.line, spacing, count)
     bend = np.diff(np.eye(count), n=2, axis=0) if count > 2 else np.zeros((0, count))
-    made = np.empty((count, 2))
+    coefficients = np.empty((count, 2))
     for axis in range(2):
         weight = 1 / np.linalg.inv(windows.information)[:, axis, axis]
         goal, robust = windows.shift[:, axis], np.ones(len(weight))
         for _ in range(10):
             w = weight * robust
             normal = design.T @ (w[:, None] * design) + STIFFNESS * w.sum() * bend.T @ bend
-            made[:, axis] = np.linalg.lstsq(normal, design.T @ (w * goal), rcond=None)[0]
-            miss = np.abs(goal - design @ made[:, axis]) * np.sqrt(weight)
+            coefficients[:, axis] = np.linalg.lstsq(normal, design.T @ (w * goal), rcond=None)[0]
+            miss = np.abs(goal - design @ coefficients[:, axis]) * np.sqrt(weight)
             robust = np.minimum(
                 1.0, 1.5 * 1.4826 * max(np.median(miss), 1e-12) / np.maximum(miss, 1e-12)
             )
-    return _Course(spacing, made)
+    return _Course(spacing, coefficients)
 
 
 def _chosen(halves: Sequence[_Windows], height: int) -> _Course:

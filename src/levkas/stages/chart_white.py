@@ -71,7 +71,7 @@ class KnownReflectance(NamedTuple):
     spread: dict[str, float]
 
 
-def lights_by_chart(capture: Capture, campaign: Campaign, made: Native) -> dict[str, ChartLight]:
+def lights_by_chart(capture: Capture, campaign: Campaign, native: Native) -> dict[str, ChartLight]:
     """Fit the light of every sensor of a capture to the chart in its counts above dark.
 
     Parameters
@@ -79,7 +79,7 @@ def lights_by_chart(capture: Capture, campaign: Campaign, made: Native) -> dict[
     capture : Capture
         Whose sensors have frames of a `chart`.
     campaign : Campaign
-    made : Native
+    native : Native
         Those frames, calibrated without a white.
 
     Raises
@@ -95,12 +95,12 @@ def lights_by_chart(capture: Capture, campaign: Campaign, made: Native) -> dict[
     lights: dict[str, ChartLight] = {}
     near: np.ndarray | None = None
     for sensor in capture.sensors:
-        cube = made.cubes[sensor.name]
+        cube = native.cubes[sensor.name]
         try:
             found = locate_in_cube(cube, chart, reference, corners=corners, near=near)
             near = found.corners if near is None else near
             known = known_reflectance(campaign, capture, sensor.bands, chart, reference)
-            times = made.measured[sensor.name].get("exposures_s", {})
+            times = native.measured[sensor.name].get("exposures_s", {})
             fitted = _fit_bands(sensor, cube, chart, found, known)
         except ChartRefused as refused:
             named = [_named(p, capture.camera) for p in refused.problems]

@@ -118,11 +118,11 @@ def measure_charts(
             )
         return found
     _refuse(path, "a campaign", {"--kind": kind, "--object": objects, "--edge": edges})
-    for capture, chart, made in _of_campaign(path, cameras, report):
+    for capture, chart, developed in _of_campaign(path, cameras, report):
         spectra = _reference(chart, reference)
         name = f"{capture.object}/{capture.layer}"
         try:
-            measured = measure_capture(name, made, chart, spectra, corners=corners)
+            measured = measure_capture(name, developed, chart, spectra, corners=corners)
             report.measures.append(measured)
             report.problems.extend(problems_of(name, capture, Refused(*measured.edges.problems)))
         except Refused as refused:
@@ -159,10 +159,10 @@ def _measure_cubes(
     for subject in subjects:
         file = str(next(iter(subject.files.values())))
         try:
-            made = _measure_subject(subject, corners, reference, tuple(edges))
-            report.measures.append(made)
-            on_grid += [made] * subject.on_grid
-            report.problems.extend(replace(p, file=p.file or file) for p in made.edges.problems)
+            measured = _measure_subject(subject, corners, reference, tuple(edges))
+            report.measures.append(measured)
+            on_grid += [measured] * subject.on_grid
+            report.problems.extend(replace(p, file=p.file or file) for p in measured.edges.problems)
         except Refused as refused:
             if not subject.certain and all(p.code in NOT_FOUND for p in refused.problems):
                 continue
@@ -347,8 +347,8 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
     }
     count = 2 * min(_shots_of(parts[0]))
     steps = _steps_of(whole)
-    made = (dict(whole.cubes), shots, patterns, whole.captured or "")
-    return Developed(*made, steps, count, top, edges, common)
+    read = (dict(whole.cubes), shots, patterns, whole.captured or "")
+    return Developed(*read, steps, count, top, edges, common)
 
 
 def _joined(first: Capture, second: Capture) -> Capture:
@@ -392,11 +392,11 @@ def edges_of(campaign: Campaign, capture: Capture) -> dict[str, tuple[EdgePlace,
     return {sensor: tuple(places) for sensor, places in found.items()}
 
 
-def _steps_of(made: Native) -> dict[str, tuple[float, ...]]:
-    found = {name: of_sensor.get(ROUNDING, {}) for name, of_sensor in made.measured.items()}
+def _steps_of(developed: Native) -> dict[str, tuple[float, ...]]:
+    found = {name: of_sensor.get(ROUNDING, {}) for name, of_sensor in developed.measured.items()}
     return {
         name: tuple(float(found[name].get(band.label, 0.0)) for band in cube.bands)
-        for name, cube in made.cubes.items()
+        for name, cube in developed.cubes.items()
     }
 
 
@@ -431,7 +431,7 @@ def _halves(capture: Capture) -> tuple[Capture, Capture] | None:
 
 def measure_capture(
     name: str,
-    made: Developed,
+    developed: Developed,
     chart: Chart | None,
     reference: ChartReference | None,
     *,
@@ -440,18 +440,24 @@ def measure_capture(
 ) -> ChartMeasure | EdgeTargetMeasure:
     """Find the chart in every sensor's cube, and measure it; without a chart, its slanted edges."""
     if chart is None:
-        encoded = made.top is not None
-        return measure_edges_of(name, made.cubes, made.edges, made.patterns, encoded=encoded)
+        encoded = developed.top is not None
+        return measure_edges_of(
+            name, developed.cubes, developed.edges, developed.patterns, encoded=encoded
+        )
     sightings: list[Sighting] = []
-    for sensor, cube in made.cubes.items():
+    for sensor, cube in developed.cubes.items():
         near = sightings[0].located.corners if sightings else None
         found = locate_in_cube(cube, chart, reference, corners=corners, near=near)
-        shots, steps = made.shots.get(sensor), made.steps.get(sensor)
-        pattern = made.patterns.get(sensor)
-        edges = made.edges.get(sensor, ())
-        sighting = Sighting(sensor, found, cube, shots, steps, made.count, pattern, edges=edges)
-        sighting = replace(sighting, common=made.common.get(sensor))
-        sightings.append(decode_sighting(sighting, chart, made.top) if made.top else sighting)
+        shots, steps = developed.shots.get(sensor), developed.steps.get(sensor)
+        pattern = developed.patterns.get(sensor)
+        edges = developed.edges.get(sensor, ())
+        sighting = Sighting(
+            sensor, found, cube, shots, steps, developed.count, pattern, edges=edges
+        )
+        sighting = replace(sighting, common=developed.common.get(sensor))
+        sightings.append(
+            decode_sighting(sighting, chart, developed.top) if developed.top else sighting
+        )
     return measure(name, chart, sightings, reference, evenness=evenness)
 
 
@@ -551,7 +557,7 @@ def write_chart(
     places: Places,
     campaign: Campaign,
     capture: Capture,
-    made: Developed,
+    developed: Developed,
     measure: ChartMeasure | EdgeTargetMeasure,
 ) -> list[Path]:
     """Write charts/CHART/: calibrated cubes in native pixels, one a sensor, and what was measured."""
@@ -565,19 +571,20 @@ def write_chart(
     credits = Credits(
         title=f"{_kind(measure)}, {capture.layer}",
         creator=described.creator,
-        date=made.captured or described.date or "",
+        date=developed.captured or described.date or "",
         rights=described.licence,
     )
     centroids = broad_centroids(campaign, capture.camera, capture.bands)
     layer = Layer(chart, capture.camera, capture.setup, credits=credits, centroids=centroids)
     written = []
-    for sensor, cube in made.cubes.items():
+    for sensor, cube in developed.cubes.items():
         stem = "_".join(part for part in (layer.stem, sensor) if part)
         written += write_tiffs(folder / stem, layer, cube)
     record = folder / f"{layer.stem}.json"
-    codes = {"greatest_code": made.top} if made.top else {}
+    codes = {"greatest_code": developed.top} if developed.top else {}
     named = {
-        sensor: {label: list(box) for label, box in places} for sensor, places in made.edges.items()
+        sensor: {label: list(box) for label, box in places}
+        for sensor, places in developed.edges.items()
     }
     edges = {"named_edges": named} if named else {}
     write_json(record, {"chart": _kind(measure), **codes, **edges, **measure.to_dict()})

@@ -172,7 +172,7 @@ class FrameLines:
     def thinned(self, step: int, darks: Sequence[Template] = ()) -> Template:
         """Average every `step`-th sample of every `step`-th line, gaps closed; `darks` are thinned like it."""
         level = self.context.level_under(self.frames, darks)
-        made = average_steady(
+        template = average_steady(
             lambda: (
                 np.concatenate([lines[:, ::step] for lines in self._thin(file, step)])
                 for file in self.files
@@ -182,7 +182,7 @@ class FrameLines:
             times_s=capture_times(self.frames),
             white=self.frames[0] in self.context.sensor.white,
         )
-        return timed(self.context.whole(made, self.frames), self.times)
+        return timed(self.context.whole(template, self.frames), self.times)
 
     def agreeing(self, thinned: Template) -> FrameLines:
         """Return the shots that show what most of them do; raises CalibrationRefused where they contradict each other."""
@@ -282,12 +282,12 @@ def average_lines(
 
     level = context.level_under(frames, darks)
     white = frames[0] in context.sensor.white
-    made = average_steady(lines, level, saturation=context.saturation, white=white)
-    if white and made.shots is not None and (lost := made.shots.left_out):
+    template = average_steady(lines, level, saturation=context.saturation, white=white)
+    if white and template.shots is not None and (lost := template.shots.left_out):
         count = sum(file.shape[0] for file in files)
         name = f"{len(lost)} of {count} lines of {frames[0].path.name}"
         context.measured.setdefault(WHITE_SHOTS, {})[""] = {"left_out": [name], "apart": 0.0}
-    return context.whole(made, frames)
+    return context.whole(template, frames)
 
 
 def _pairs(frame: FrameRef) -> list[np.ndarray]:
@@ -355,10 +355,10 @@ def _of_one_line(dark: FrameLines, step: int) -> Template | FrameLines:
     starts = spread(range(0, file.shape[0]), MOST_LINES)
     lines = (context.checked(file.read(y, y + 1), file.frame) for y in starts)
     line = average(lines, saturation=context.saturation)
-    made = context.unclipped(context.whole(line, dark.frames), _pairs(file.frame))
-    made = timed(made, dark.times)
-    context.note_dark(made)
-    return dark if made.fit is None else made
+    template = context.unclipped(context.whole(line, dark.frames), _pairs(file.frame))
+    template = timed(template, dark.times)
+    context.note_dark(template)
+    return dark if template.fit is None else template
 
 
 def _columns(line: Template, step: int) -> Template:
@@ -457,8 +457,8 @@ def _triples(context: SensorContext, frame: FrameRef) -> Template | None:
     with np.errstate(invalid="ignore"):
         spread = np.square(rest) / 6  # 1 + 4 + 1 variances of one shot
         saturated, black = np.any(codes >= full, axis=1), np.any(codes <= 0, axis=1)
-    made = Template(mean.astype(np.float32), spread.astype(np.float32), 2, saturated, black)
-    return context.whole(made, [frame])
+    template = Template(mean.astype(np.float32), spread.astype(np.float32), 2, saturated, black)
+    return context.whole(template, [frame])
 
 
 def _mean_line(dark: Template) -> Template:

@@ -298,8 +298,8 @@ class ScanPass:
     def notes(self) -> tuple[str, ...]:
         """Report what was lost and taken away; raises CalibrationRefused where a band has no finite value."""
         notes = describe_loss(self._scan.context, self.lost, self._scan.shape)
-        if (made := self._projecting) is not None:
-            notes.append(describe_removed(made.subspace, made.removed, made.most))
+        if (projection := self._projecting) is not None:
+            notes.append(describe_removed(projection.subspace, projection.removed, projection.most))
         labels = [band.label for band in self._scan.bands]
         with placing(self._scan.context.sensor.object):
             require_light(self.above, labels)

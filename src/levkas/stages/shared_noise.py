@@ -146,10 +146,10 @@ def _moved_noise(
         return 1.0, 1.0
     noise = _white_noise()
     move = Affine(np.array([[1.0, 0, x], [0, 1.0, y]]))
-    made = warp(noise, move, (NOISE_PX, NOISE_PX), variance=np.ones_like(noise))
-    assert made.variance is not None
+    warped = warp(noise, move, (NOISE_PX, NOISE_PX), variance=np.ones_like(noise))
+    assert warped.variance is not None
     bands = [maps[len(maps) // 2]]  # those of a line scanner differ by hundredths of a pixel
-    values, variance = (np.nan_to_num(part)[..., None] for part in (made.values, made.variance))
+    values, variance = (np.nan_to_num(part)[..., None] for part in (warped.values, warped.variance))
     return float(_over_independent(values, variance, bands, shape)[0]), float(np.median(variance))
 
 
@@ -157,8 +157,8 @@ def _over_independent(
     values: np.ndarray, variance: np.ndarray, maps: Sequence[Transform], shape: tuple[int, int]
 ) -> np.ndarray:
     """Return the mean square of noise (h, w, bands) warped as in the middle of a grid over that of Σw²u², (bands,)."""
-    warped, made = _warped_locally(values, maps, shape, variance)
-    predicted = np.nan_to_num(np.asarray(made))
+    warped, warped_variance = _warped_locally(values, maps, shape, variance)
+    predicted = np.nan_to_num(np.asarray(warped_variance))
     valid = np.isfinite(warped) & (predicted > 0)
     squares, expected = (
         np.where(valid, part, 0).sum((0, 1), dtype=np.float64) for part in (warped**2, predicted)
@@ -184,5 +184,5 @@ def _warped_locally(
         Affine(np.column_stack([slope, start - slope @ corner]))
         for slope, start in zip(slopes, starts, strict=True)
     ]
-    made = warp(values, local, (side, side), variance=variance)
-    return made.values, made.variance
+    warped = warp(values, local, (side, side), variance=variance)
+    return warped.values, warped.variance

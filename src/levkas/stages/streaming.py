@@ -278,8 +278,8 @@ def _tile(
         shape = (last - first, width)
         spans.append(source_rows(laid[first], shape, within, scan.shape[0]))
         parts.append((first, laid[first], within))
-    for gone in [first for first in laid if first != parts[-1][0]]:
-        del laid[gone]
+    for passed in [first for first in laid if first != parts[-1][0]]:
+        del laid[passed]
     spans = [span for span in spans if span[0] < span[1]]
     low, high = (min(s[0] for s in spans), max(s[1] for s in spans)) if spans else (0, 0)
     return _Tile(top, stop, low, high, tuple(parts))

@@ -110,8 +110,8 @@ class _PlacedStrip:
         place = self.transform(np.array([[self.first + 2.0, line]]))
         shift = Affine(np.array([[1.0, 0, place[0, 0] % 1], [0, 1, place[0, 1] % 1]]))
         ones = np.ones((8, 8), np.float32)
-        made = warp(ones, shift, (8, 8), variance=ones).variance
-        return 1.0 if made is None else float(made[3, 3])
+        spread = warp(ones, shift, (8, 8), variance=ones).variance
+        return 1.0 if spread is None else float(spread[3, 3])
 
     def rows(self, start: int, stop: int) -> Calibrated:
         """Return lines `start` to `stop` of the joined scan; NaN and OUTSIDE where the strip has none."""
@@ -126,7 +126,7 @@ class _PlacedStrip:
         flat = self.strip.flat(low, high).flat
         if self.start is not None:
             return _padded(flat, low + self.start[1] - start, stop - start)
-        made = warp(
+        warped = warp(
             flat.values,
             self._map,
             shape,
@@ -135,7 +135,7 @@ class _PlacedStrip:
             rows=(start, stop),
             held=(low, lines),
         )
-        return Calibrated(made.values, made.flags, made.variance, flat.quantity)
+        return Calibrated(warped.values, warped.flags, warped.variance, flat.quantity)
 
 
 def _nothing(strip: Strip, shape: tuple[int, int]) -> Calibrated:
@@ -260,8 +260,8 @@ class JoinedStrips:
     def flat(self, start: int, stop: int) -> FlatLines:
         """Return lines `start` to `stop`, the same for any block; what was lost is in the notes already."""
         _, width, bands = self.shape
-        made = self.strips[0].rows(start, stop)
-        here, covered = _padded_across(made, width), self.strips[0].stop
+        joined = self.strips[0].rows(start, stop)
+        here, covered = _padded_across(joined, width), self.strips[0].stop
         for lying, seam in zip(self.strips[1:], self.seams, strict=True):
             part, common = lying.rows(start, stop), max(0, covered - lying.first)
             zone = slice(lying.first, covered)
@@ -277,9 +277,9 @@ def _padded_across(flat: Calibrated, width: int) -> Calibrated:
     values = np.full((lines, width, bands), np.nan, np.float32)
     flags = np.full(values.shape, Flag.OUTSIDE.value, np.uint8)
     variance = None if flat.variance is None else np.full(values.shape, np.nan, np.float32)
-    made = Calibrated(values, flags, variance, flat.quantity)
-    _put(made, slice(0, samples), flat)
-    return made
+    joined = Calibrated(values, flags, variance, flat.quantity)
+    _put(joined, slice(0, samples), flat)
+    return joined
 
 
 def _columns(flat: Calibrated, columns: slice) -> Calibrated:
@@ -341,19 +341,19 @@ def _greys(strip: Strip, weights: np.ndarray) -> tuple[Greys, np.ndarray]:
     """Return means over the even and over the odd bands of a strip, and how many values each band has lost."""
     lines, samples, bands = strip.shape
     halves = [slice(n if bands > 1 else 0, None, 2) for n in range(2)]
-    made = np.full((2, lines, samples), np.nan, np.float32)
+    joined = np.full((2, lines, samples), np.nan, np.float32)
     lost, step = np.zeros(bands, np.int64), block_lines(strip.shape)
     for start in range(0, lines, step):
         block = strip.flat(start, min(start + step, lines))
         lost += block.lost
         sound = np.isfinite(block.flat.values) & ~is_flagged(block.flat.flags, UNTRUSTED)
         values = np.where(sound, block.flat.values, np.float32(0))
-        for grey, half in zip(made, halves, strict=True):
+        for grey, half in zip(joined, halves, strict=True):
             count = (sound[..., half] * weights[half]).sum(-1)
             known = count > weights[half].sum() / 2
             sums = (values[..., half] * weights[half]).sum(-1)
             np.divide(sums, count, out=grey[start : start + step], where=known)
-    return (made[0], made[1]), lost
+    return (joined[0], joined[1]), lost
 
 
 def _joint(strips: Sequence[Strip], greys: Sequence[Greys], number: int) -> StripJoint:

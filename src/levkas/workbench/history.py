@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-VERSION = 1
+VERSION = 2
 MOST_STEPS = 200
 """Steps that are kept of a camera; the oldest go."""
 MOST_ROWS = 100_000
@@ -33,7 +33,7 @@ class CorrectionStep:
 
     Parameters
     ----------
-    gone, new : dict of str to tuple of pairs
+    removed, new : dict of str to tuple of pairs
         By the field of `FrameEdits`: what the change took away, and what it brought.
     values : dict of str to (before, after)
         Of `reject`, `stop`, `accept` and `note`.
@@ -48,7 +48,7 @@ class CorrectionStep:
     (True, True)
     """
 
-    gone: dict[str, tuple[Pair, ...]] = field(default_factory=dict)
+    removed: dict[str, tuple[Pair, ...]] = field(default_factory=dict)
     new: dict[str, tuple[Pair, ...]] = field(default_factory=dict)
     values: dict[str, tuple[Any, Any]] = field(default_factory=dict)
     outline: tuple[Outline, Outline] | None = None
@@ -64,15 +64,15 @@ class CorrectionStep:
             if not isinstance(one, tuple):
                 step.values[name] = (one, other)
                 continue
-            step.gone[name] = tuple(sorted(set(one) - set(other)))
+            step.removed[name] = tuple(sorted(set(one) - set(other)))
             step.new[name] = tuple(sorted(set(other) - set(one)))
         return step
 
     def onward(self, edits: FrameEdits) -> FrameEdits:
         """Return corrections with this step taken; what others set meanwhile stays."""
         changed: dict[str, Any] = {}
-        for name in {**self.gone, **self.new}:
-            rows = set(getattr(edits, name)) - set(self.gone.get(name, ()))
+        for name in {**self.removed, **self.new}:
+            rows = set(getattr(edits, name)) - set(self.removed.get(name, ()))
             changed[name] = tuple(sorted(rows | set(self.new.get(name, ()))))
         for name, (before, after) in self.values.items():
             changed[name] = after if getattr(edits, name) == before else getattr(edits, name)
@@ -86,7 +86,7 @@ class CorrectionStep:
         """Return the step that takes this one back."""
         values = {name: (after, before) for name, (before, after) in self.values.items()}
         outline = self.outline and self.outline[::-1]
-        return CorrectionStep(self.new, self.gone, values, outline)
+        return CorrectionStep(self.new, self.removed, values, outline)
 
     def changes(self, edits: FrameEdits, outline: Outline) -> bool:
         """Return whether the step would change anything: not where others have changed the same meanwhile."""
@@ -96,7 +96,7 @@ class CorrectionStep:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it JSON-ready."""
-        record = {"gone": self.gone, "new": self.new, "values": self.values}
+        record = {"removed": self.removed, "new": self.new, "values": self.values}
         return record if self.outline is None else {**record, "outline": self.outline}
 
     @classmethod
@@ -104,7 +104,7 @@ class CorrectionStep:
         """Read what `to_dict` gave; raises ValueError, TypeError, KeyError or AttributeError."""
         empty = FrameEdits()
         rows: list[dict[str, tuple[Pair, ...]]] = []
-        for part in (record["gone"], record["new"]):
+        for part in (record["removed"], record["new"]):
             rows.append({name: _rows(name, found) for name, found in part.items()})
         values = {}
         for name, (before, after) in record["values"].items():
@@ -155,7 +155,9 @@ class History:
         kept: list[CorrectionStep] = []
         rows = 0
         for step in reversed(self.done[-MOST_STEPS:]):
-            rows += sum(map(len, (*step.gone.values(), *step.new.values(), *(step.outline or ()))))
+            rows += sum(
+                map(len, (*step.removed.values(), *step.new.values(), *(step.outline or ())))
+            )
             if rows > MOST_ROWS:
                 break
             kept.insert(0, step)

@@ -199,7 +199,7 @@ def _limits(pages: TiffPages, page: int, height: int) -> tuple[float, float]:
 def _halved(image: np.ndarray) -> np.ndarray:
     """Mean of blocks of 2 x 2; an odd last row or column is repeated."""
     height, width = image.shape
-    made = np.empty((-(-height // 2), -(-width // 2)), np.uint8)
+    halved = np.empty((-(-height // 2), -(-width // 2)), np.uint8)
     for start in range(0, height, 2 * ROWS):
         part = image[start : start + 2 * ROWS].astype(np.uint16)
         if part.shape[0] % 2:
@@ -207,8 +207,8 @@ def _halved(image: np.ndarray) -> np.ndarray:
         if width % 2:
             part = np.hstack([part, part[:, -1:]])
         total = part[::2, ::2] + part[1::2, ::2] + part[::2, 1::2] + part[1::2, 1::2]
-        made[start // 2 : start // 2 + total.shape[0]] = (total + 2) // 4
-    return made
+        halved[start // 2 : start // 2 + total.shape[0]] = (total + 2) // 4
+    return halved
 
 
 def _spacing(at: np.ndarray) -> float:

@@ -352,7 +352,11 @@ class CorrectionSession:
         if reject <= (edits.stop or self.found.stop):
             raise refused("`reject` must be above `stop`", reject, "more than `stop`")
         last = self.history.done[-1] if self.history.done else CorrectionStep()
-        if edits != self.edits and not (last.gone or last.outline) and set(last.values) == {name}:
+        if (
+            edits != self.edits
+            and not (last.removed or last.outline)
+            and set(last.values) == {name}
+        ):
             # A slider that is drawn along is one change, not one for each place it passed.
             written = self._set(edits)
             self.history.done.pop()

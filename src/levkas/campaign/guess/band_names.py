@@ -334,7 +334,7 @@ def _marked(
     column: _Column, cluster: Sequence[CaptureFile], tokens: Tokens, kind: str, why: str
 ) -> Mapping[Path, tuple[Token, ...]]:
     """Return the names of a cluster with one part of another kind."""
-    made = {}
+    renamed = {}
     for capture in cluster:
         parts = list(tokens[capture.path])
         token = parts[column.index]
@@ -343,5 +343,5 @@ def _marked(
         if kind == "wavelength":
             fields = code.groupdict() if code else {**fields, "number": token.text}
         parts[column.index] = replace(token, kind=kind, why=why, **fields)
-        made[capture.path] = tuple(parts)
-    return made
+        renamed[capture.path] = tuple(parts)
+    return renamed

@@ -322,11 +322,11 @@ def find_patterns(frames: Sequence[NamedFile]) -> FilePatterns:
         key = tuple(tuple((_literal(t), t.kind) for t in s) for s in frame.segments)
         skeletons[key, frame.path.suffix.lower()].append(frame)
     shown = {"object"} if any(f.role == "object" for f in frames) else {"chart"}
-    made = [_Columns(group, shown) for group in skeletons.values()]
+    skeleton_columns = [_Columns(group, shown) for group in skeletons.values()]
     sensors: dict[str, list[NamedFile]] = defaultdict(list)
     bands: set[str] = set()
     centres: set[float] = set()
-    for one in made:
+    for one in skeleton_columns:
         for frame, values in zip(one.frames, one.values(), strict=True):
             if "sensor" in values:
                 sensors[values["sensor"]].append(frame)
@@ -334,12 +334,12 @@ def find_patterns(frames: Sequence[NamedFile]) -> FilePatterns:
                 bands |= {values["band"]} if "band" in values else set()
                 centres |= {float(values["wavelength"])} if "wavelength" in values else set()
     return FilePatterns(
-        patterns=_merged(made),
+        patterns=_merged(skeleton_columns),
         sensors=dict(sorted(sensors.items())) if len(sensors) > 1 else {},
         wavelengths=tuple(sorted(centres)),
         bands=tuple(sorted(bands, key=natural)),
-        shots=any("{shot}" in one.text for one in made),
-        reasons=tuple(dict.fromkeys(reason for one in made for reason in one.reasons)),
+        shots=any("{shot}" in one.text for one in skeleton_columns),
+        reasons=tuple(dict.fromkeys(reason for one in skeleton_columns for reason in one.reasons)),
     )
 
 
@@ -483,9 +483,9 @@ def _are_wavelengths(texts: Sequence[str], frames: Sequence[NamedFile]) -> bool:
     return min(steps) >= 2 and len(steps) == 1 and same
 
 
-def _merged(made: Sequence[_Columns]) -> tuple[str, ...]:
+def _merged(skeleton_columns: Sequence[_Columns]) -> tuple[str, ...]:
     """Return the patterns, objects' first; templates that only have a number more share theirs by a ``*``."""
-    texts = [(one, one.text) for one in made]
+    texts = [(one, one.text) for one in skeleton_columns]
     texts.sort(key=lambda pair: (not pair[0].of_objects, pair[1]))
     of_objects: dict[str, bool] = {}
     for one, text in texts:

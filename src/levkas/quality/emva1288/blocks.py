@@ -86,12 +86,12 @@ def block_statistics(
     found: dict[str, list[np.ndarray]] = {name: [] for name in names}
     for channel, mean, spread, marks in zip(which, *planes, strict=True):
         found[names[channel]].append(_phase(mean, spread, marks, side, stack.count))
-    made = {}
+    blocks = {}
     for name, phases in found.items():
         mean, temporal, spatial = np.concatenate(phases, axis=1)
         temporal = temporal - shared * np.maximum(mean - dark, 0) ** 2
-        made[name] = Blocks(mean, temporal, spatial, stack.count, stack.exposure_s)
-    return made
+        blocks[name] = Blocks(mean, temporal, spatial, stack.count, stack.exposure_s)
+    return blocks
 
 
 def cut_blocks(plane: np.ndarray, side: int) -> np.ndarray:

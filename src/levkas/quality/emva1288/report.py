@@ -162,17 +162,17 @@ def _cell(interval: Interval | None, factor: float) -> str:
 
 
 def _plain(found: PhotonTransfer) -> dict[str, Any]:
-    made: dict[str, Any] = {"levels": found.levels, "points": found.points}
+    content: dict[str, Any] = {"levels": found.levels, "points": found.points}
     for key, title, unit, factor in ROWS:
         interval = getattr(found, key)
-        made[key] = interval and {
+        content[key] = interval and {
             "value": factor * interval.value,
             "low": factor * interval.low,
             "high": factor * interval.high,
             "unit": unit,
             "name": title,
         }
-    return made
+    return content
 
 
 def sensor_text(sensor: SensorReport) -> str:

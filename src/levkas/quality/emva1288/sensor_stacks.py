@@ -150,14 +150,14 @@ def _channels(frames: Sequence[np.ndarray], bench: SensorContext) -> dict[str, l
         return {"": [f.ravel() for f in frames]}
     names = [name for row in pattern for name in row]
     size = channel_table(pattern).shape
-    made: dict[str, list[np.ndarray]] = {name: [] for name in dict.fromkeys(names)}
+    stacks: dict[str, list[np.ndarray]] = {name: [] for name in dict.fromkeys(names)}
     for frame in frames:
         phases = split(frame, *size)
-        for name, flat in made.items():
+        for name, flat in stacks.items():
             flat.append(
                 np.concatenate([p.ravel() for n, p in zip(names, phases, strict=True) if n == name])
             )
-    return made
+    return stacks
 
 
 def put_darks(sensor: SensorStacks, levels: dict[Key, dict[str, Dark]]) -> None:
