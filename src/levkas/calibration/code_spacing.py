@@ -228,7 +228,12 @@ def _of_fractions(values: np.ndarray) -> Alignment:
 
 def _spacing(values: np.ndarray) -> int | None:
     """Return the distance of neighbouring codes, all but a hundredth of the pixels; None where it is chance."""
-    codes, count = np.unique(values.astype(np.int64), return_counts=True)
+    if values.min() >= 0 and values.max() < MOST_CODES:
+        histogram = count_codes([values.astype(np.uint16)])
+        codes = np.flatnonzero(histogram)
+        count = histogram[codes]
+    else:
+        codes, count = np.unique(values.astype(np.int64), return_counts=True)
     shift = 1
     while shift < MOST_CODES and count[codes % (2 * shift) != 0].sum() <= STRAY * values.size:
         shift *= 2

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -124,11 +125,17 @@ def whole_variance(shown: float | np.ndarray, step: float) -> np.ndarray:
     """
     if not step:
         return np.asarray(shown, float)
-    noise = np.linspace(0, HIDES, 500) * step**2
-    whole = noise + step**2 / 12
-    apparent = whole - hidden_rounding(noise, step)
-    small = np.interp(shown, apparent, whole)
-    return np.where(np.asarray(shown) < apparent[-1], small, shown)
+    whole, shows = (step**2 * one for one in _rounded())
+    small = np.interp(shown, shows, whole)
+    return np.where(np.asarray(shown) < shows[-1], small, shown)
+
+
+@cache
+def _rounded() -> tuple[np.ndarray, np.ndarray]:
+    """Return variances of one value, rounding included, and what repeats show of each, both (500,), of codes 1 apart."""
+    noise = np.linspace(0, HIDES, 500)
+    whole = noise + 1 / 12
+    return whole, whole - hidden_rounding(noise, 1.0)
 
 
 def level_of(dark: np.ndarray) -> float:
@@ -375,15 +382,15 @@ def _groups(
     `smooth`: of the smoother half alone, by neighbours this period of a mosaic away, so that a camera that trembles adds nothing.
     """
     thin = np.s_[:: max(1, stack.mean.size // MANY_PIXELS)]
-    level = np.broadcast_to(black if dark is None else dark.mean, stack.mean.shape).ravel()[thin]
+    level = np.broadcast_to(black if dark is None else dark.mean, stack.mean.shape).flat[thin]
     signal = stack.mean.ravel()[thin].astype(float) - level
     spread = np.asarray(stack.variance).ravel()[thin].astype(float)
     clipped = stack.black.ravel()[thin]
     keep = np.isfinite(signal) & np.isfinite(spread) & ~stack.saturated.ravel()[thin]
     if (gaps := gaps_of(stack, dark)) is not None:
-        keep &= ~np.broadcast_to(gaps, stack.mean.shape).ravel()[thin]
+        keep &= ~np.broadcast_to(gaps, stack.mean.shape).flat[thin]
     if smooth is not None:
-        rough = _roughness(stack.mean, smooth).ravel()[thin] / np.sqrt(np.maximum(signal, 1.0))
+        rough = _roughness(stack.mean, smooth, thin) / np.sqrt(np.maximum(signal, 1.0))
         keep &= rough <= np.median(rough)
     if np.mean(clipped) > MANY_BLACK:
         keep &= ~clipped
@@ -401,22 +408,21 @@ def _groups(
     return found
 
 
-def _roughness(plane: np.ndarray, period: tuple[int, int]) -> np.ndarray:
-    """Return how much each pixel's neighbours of its phase differ, counts; infinite at the border."""
-    rough = np.full(plane.shape, np.inf, np.float32)
-    y, x = (slice(step, -step) for step in period)
-    down = np.abs(plane[2 * period[0] :, x] - plane[: -2 * period[0], x])
-    across = np.abs(plane[y, 2 * period[1] :] - plane[y, : -2 * period[1]])
-    rough[y, x] = down + across
+def _roughness(plane: np.ndarray, period: tuple[int, int], thin: slice) -> np.ndarray:
+    """Return how much the neighbours of its phase of each pixel of `thin` differ, counts; infinite at the border."""
+    (height, width), (down, across) = plane.shape[:2], period
+    y, x, *band = np.unravel_index(np.arange(plane.size)[thin], plane.shape)
+    rough = np.full(len(y), np.inf, np.float32)
+    inside = (y >= down) & (y < height - down) & (x >= across) & (x < width - across)
+    y, x, *band = (index[inside] for index in (y, x, *band))
+    rough[inside] = np.abs(plane[y + down, x, *band] - plane[y - down, x, *band])
+    rough[inside] += np.abs(plane[y, x + across, *band] - plane[y, x - across, *band])
     return rough
 
 
 def _mean_variance(spread: np.ndarray, freedom: int, step: float) -> float:
     """Return the mean of sample variances without those that neither chance nor rounding explains."""
-    from scipy.special import gammainccinv
-
-    limit = 2 * float(gammainccinv(freedom / 2, 1e-6)) / freedom
-    kept = spread
+    limit, kept = _largest_by_chance(freedom), spread
     for _ in range(20):
         inside = spread[spread <= max(limit * kept.mean(), step**2 / 2)]
         if len(inside) == len(kept) or not len(inside):
@@ -492,3 +498,11 @@ def _line(
             read = np.sum(weight**2 * dim * variance) / np.sum((weight * dim) ** 2)
         expected = read * dim + gain * np.maximum(light, 0.0)
     return float(gain), float(read)
+
+
+@cache
+def _largest_by_chance(freedom: int) -> float:
+    """Return the sample variance that one in a million exceeds, over the true one."""
+    from scipy.special import gammainccinv
+
+    return 2 * float(gammainccinv(freedom / 2, 1e-6)) / freedom

@@ -320,15 +320,12 @@ def row_reach(
         return (float(y.min()), float(y.max())) if y.size else (np.nan, np.nan)
     rows = len(lattice.table)
     first, weights = lagrange(np.arange(start, stop) * ((rows - 1) / (shape[0] - 1)), rows)
-    least, most = np.inf, -np.inf
-    for f, w in zip(first, weights, strict=True):
-        a, b, c, d = np.tensordot(w, lattice.table[f : f + NODES, :, 4:8], 1).swapaxes(0, 1)
-        n = lattice.segment
-        # A cubic stays between the least and the largest of its Bézier points.
-        ends = (a, a + b * n / 3, a + 2 * b * n / 3 + c * n**2 / 3, a + n * (b + n * (c + n * d)))
-        least = min(least, *(float(e.min()) for e in ends))
-        most = max(most, *(float(e.max()) for e in ends))
-    return least, most
+    nodes = lattice.table[first[:, None] + np.arange(NODES), :, 4:8]
+    a, b, c, d = np.moveaxis(np.einsum("rk,rkts->rts", weights, nodes), -1, 0)
+    n = lattice.segment
+    # A cubic stays between the least and the largest of its Bézier points.
+    ends = (a, a + b * n / 3, a + 2 * b * n / 3 + c * n**2 / 3, a + n * (b + n * (c + n * d)))
+    return float(min(e.min() for e in ends)), float(max(e.max() for e in ends))
 
 
 def tap_rows(least: float, most: float, reach: float, height: int) -> tuple[int, int]:

@@ -292,19 +292,18 @@ def flag_and_count(
     other: tuple[np.ndarray, np.ndarray] | None = None,
     gains: np.ndarray | None = None,
 ) -> dict[str, int]:
-    """Set GLARE and VEILED in the flags of reflectance; return pixels by sign, and how many are inside.
+    """Set GLARE and VEILED in the flags of reflectance; return pixels by sign.
 
     `other` are values and flags of the same pixels of the same camera under its default setup. Pixels are
     judged one by one: rows give what the whole layer gives, for the same `gains` of the setups.
     """
     from levkas.quality.image_quality.glare import find_glare, flag_glare
 
-    inside = int(np.count_nonzero(~is_flagged(cube.flags, Flag.OUTSIDE).any(-1)))
     if cube.quantity != "reflectance":
-        return {"inside": inside}
+        return {}
     glare = find_glare(cube.values, cube.flags, cube.sigma, other=other, gains=gains)
     flag_glare(cube.flags, glare)
-    return {"inside": inside, **glare.counts()}
+    return glare.counts()
 
 
 def add_counts(total: dict[str, int], more: Mapping[str, int]) -> None:
@@ -394,9 +393,10 @@ class LayerStatistics:
         for cube in blocks:
             first, self._rows = self._rows, self._rows + len(cube.values)
             other = self.default.rows(first, self._rows) if self.default else None
-            add_counts(self.glare, flag_and_count(cube, other, self.gains))
-            self.thin.append(self._thinned(cube, first))
             mean, valid = grey_of(cube.values, cube.flags)
+            counts = flag_and_count(cube, other, self.gains)
+            add_counts(self.glare, {"inside": int(np.count_nonzero(valid)), **counts})
+            self.thin.append(self._thinned(cube, first))
             self.mean.append(mean)
             self.valid.append(valid)
             self.flags += count_flags(cube.flags)

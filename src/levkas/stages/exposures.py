@@ -354,17 +354,35 @@ def _note_shot_noise(
     stacks = [stack for stack in stacks if not stack.above_dark]
     name = labels[0] if len(labels) == 1 else ""
 
-    def groups(some: Sequence[Template]) -> Groups:
-        levels = [level_under(one, darks, black=context.black_level) for one in some]
-        return smooth_groups(some, levels, context.step, context.period)
-
-    if found := find_flattening(groups([*stacks, *darks])):
+    known = [
+        smooth_groups(
+            [one],
+            [level_under(one, darks, black=context.black_level)],
+            context.step,
+            context.period,
+        )
+        for one in (*stacks, *darks)
+    ]
+    if found := find_flattening(_joined(known)):
         context.measured.setdefault(FLATTENING, {})[name] = found._asdict()
-    alike = [one for one in stacks if one.exposure_s == stacks[0].exposure_s]
-    quiet = [one for one in darks if one.exposure_s == alike[0].exposure_s] if alike else []
-    quiet = [one for one in quiet if np.mean(one.black) <= MANY_ZEROS]  # others have lost noise
-    if offset := find_dark_offset(groups(alike), groups(quiet)):
+    time = stacks[0].exposure_s if stacks else None
+    taken = list(zip((*stacks, *darks), known, strict=True))
+    alike = [group for one, group in taken[: len(stacks)] if one.exposure_s == time]
+    quiet = [
+        group
+        for one, group in taken[len(stacks) :]
+        if stacks
+        and one.exposure_s == time
+        and np.mean(one.black) <= MANY_ZEROS  # others have lost noise
+    ]
+    if offset := find_dark_offset(_joined(alike), _joined(quiet)):
         context.measured.setdefault(DARK_OFFSET, {})[name] = offset._asdict()
+
+
+def _joined(parts: Sequence[Groups]) -> Groups:
+    if not parts:
+        return Groups(*np.empty((3, 0)))
+    return Groups(*(np.concatenate(rows) for rows in zip(*parts, strict=True)))
 
 
 def _with_gaps(
