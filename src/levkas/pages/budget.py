@@ -24,6 +24,8 @@ EXTENTS = {
 }
 SHOWN = 8
 """Sources that a plot distinguishes; the others are summed."""
+LEAST_BANDS = 6
+"""Of fewer bands the table says as much as a plot."""
 
 
 class BudgetRow(NamedTuple):
@@ -139,7 +141,7 @@ def _row(row: ErrorSource, mean: MeanSpectrum, shared: Mapping[str, np.ndarray])
 
 def _figure(shared: Mapping[str, np.ndarray], mean: MeanSpectrum) -> Figure | None:
     """Draw by how much of its square each source widens a value's uncertainty, band by band."""
-    if len(mean.values) < 2 or not shared:
+    if len(mean.values) < LEAST_BANDS or not shared:
         return None
     return Figure(
         _draw(shared, mean),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -73,26 +74,29 @@ def neighbour_correlation(
     shape : (rows, columns) of the grid
     mosaic : Mosaic, optional
     """
+    from scipy.signal import correlate
+
     one = [maps[len(maps) // 2]]
     slope = one[0].jacobian(np.array([[shape[1], shape[0]]]) / 2)[0]
     scale = float(np.sqrt(abs(np.linalg.det(slope))))
     reach = int(np.clip(np.ceil(REACH / max(scale, 1e-6)), 1, MOST_REACH))
-    total = np.zeros((2 * reach + 1, 2 * reach + 1))
-    for seed in range(NOISES):
-        noise = _white_noise(seed)
-        if mosaic is not None:
-            table, method = method_of(*mosaic)
-            noise = interpolate(noise, np.zeros(noise.shape, np.uint8), None, table, method)[0]
-            noise = np.ascontiguousarray(noise[..., noise.shape[2] // 2])
-        warped = _warped_locally(noise[..., None], one, shape)[0][..., 0]
-        warped = np.nan_to_num(warped)
-        inner = warped[reach:-reach, reach:-reach]
-        height, width = inner.shape
-        for dy, dx in np.ndindex(total.shape):
-            total[dy, dx] += np.vdot(inner, warped[dy : dy + height, dx : dx + width]).real
+    noise = np.stack([_noise_of(seed, mosaic) for seed in range(NOISES)], axis=-1)
+    fields = np.nan_to_num(_warped_locally(noise, one, shape)[0])
+    inner = fields[reach:-reach, reach:-reach]
+    total = correlate(fields, inner, mode="valid", method="fft")[..., 0]
     found = np.round(total / total[reach, reach], 4)
     found[np.abs(found) < CHANCE] = 0.0
     return np.asarray(found)
+
+
+def _noise_of(seed: int, mosaic: Mosaic | None) -> np.ndarray:
+    """Return white noise of the sensor, of a mosaic that of the middle channel once demosaiced, (h, w)."""
+    noise = _white_noise(seed)
+    if mosaic is None:
+        return noise
+    table, method = method_of(*mosaic)
+    noise = interpolate(noise, np.zeros(noise.shape, np.uint8), None, table, method)[0]
+    return noise[..., noise.shape[2] // 2]
 
 
 def shared_by_strips(
@@ -133,8 +137,11 @@ def shared_by_strips(
     return factors
 
 
+@cache
 def _white_noise(seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).standard_normal((NOISE_PX, NOISE_PX)).astype(np.float32)
+    noise = np.random.default_rng(seed).standard_normal((NOISE_PX, NOISE_PX)).astype(np.float32)
+    noise.flags.writeable = False
+    return noise
 
 
 def _moved_noise(
@@ -184,5 +191,5 @@ def _warped_locally(
         Affine(np.column_stack([slope, start - slope @ corner]))
         for slope, start in zip(slopes, starts, strict=True)
     ]
-    warped = warp(values, local, (side, side), variance=variance)
+    warped = warp(values, local if len(local) > 1 else local[0], (side, side), variance=variance)
     return warped.values, warped.variance
