@@ -74,8 +74,6 @@ def neighbour_correlation(
     shape : (rows, columns) of the grid
     mosaic : Mosaic, optional
     """
-    from scipy.signal import correlate
-
     one = [maps[len(maps) // 2]]
     slope = one[0].jacobian(np.array([[shape[1], shape[0]]]) / 2)[0]
     scale = float(np.sqrt(abs(np.linalg.det(slope))))
@@ -83,7 +81,9 @@ def neighbour_correlation(
     noise = np.stack([_noise_of(seed, mosaic) for seed in range(NOISES)], axis=-1)
     fields = np.nan_to_num(_warped_locally(noise, one, shape)[0])
     inner = fields[reach:-reach, reach:-reach]
-    total = correlate(fields, inner, mode="valid", method="fft")[..., 0]
+    whole, middle = (np.fft.rfft2(v, fields.shape[:2], (0, 1)) for v in (fields, inner))
+    product = np.sum(whole * np.conj(middle), axis=-1)
+    total = np.fft.irfft2(product, fields.shape[:2])[: 2 * reach + 1, : 2 * reach + 1]
     found = np.round(total / total[reach, reach], 4)
     found[np.abs(found) < CHANCE] = 0.0
     return np.asarray(found)
