@@ -411,7 +411,7 @@ def _groups(
 def _roughness(plane: np.ndarray, period: tuple[int, int], thin: slice) -> np.ndarray:
     """Return how much the neighbours of its phase of each pixel of `thin` differ, counts; infinite at the border."""
     (height, width), (down, across) = plane.shape[:2], period
-    y, x, *band = np.unravel_index(np.arange(plane.size)[thin], plane.shape)
+    y, x, *band = np.unravel_index(np.arange(0, plane.size, thin.step), plane.shape)
     rough = np.full(len(y), np.inf, np.float32)
     inside = (y >= down) & (y < height - down) & (x >= across) & (x < width - across)
     y, x, *band = (index[inside] for index in (y, x, *band))
