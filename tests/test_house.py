@@ -19,7 +19,7 @@ DEEP: set = set()
 SPEECH = {
     "told", "foretold", "seen", "unseen", "foreseen", "ask", "asked", "asks", "believe",
     "believes", "believed", "learnt", "heard", "borne", "ladder", "climbs", "mate", "mates",
-    "rig", "rival", "rivals", "strange", "lent", "settled",
+    "rig", "rival", "rivals", "strange", "strangers", "lent", "settled",
 }  # fmt: skip
 """Words that are not the field's: data are declared, measured, observed or requested."""
 BLOCKS = (ast.For, ast.While, ast.If, ast.With, ast.Try, ast.Match)

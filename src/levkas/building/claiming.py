@@ -76,7 +76,7 @@ def claim(
 
     check_apart(campaign, places.output, captures)
     require_outside(places.output, fix=FIX)
-    if problems := list(_strangers(campaign, places, set(objects))):
+    if problems := list(_foreign_products(campaign, places, set(objects))):
         raise CampaignInvalid(*problems[:10])
     for folder in (places.output, places.kept):
         make_folder(folder)
@@ -106,7 +106,7 @@ def _not_apart(campaign: Campaign, why: str, output: str) -> Problem:
     return Problem("E_VALUE", why, *where, output, "a separate folder", FIX)
 
 
-def _strangers(campaign: Campaign, places: Places, objects: set[str]) -> Iterator[Problem]:
+def _foreign_products(campaign: Campaign, places: Places, objects: set[str]) -> Iterator[Problem]:
     """Yield what stands where the build would write, and is not of this campaign's builds."""
     found = stands_in(places.output)
     if found and not (found == "a folder" and made(places.output) == "database"):

@@ -327,9 +327,9 @@ def _check_damaged_manifest(
             details = {"found": f"sha256 {digest}", "expected": entry.sha256}
             yield _problem(root, entry.name, "E_DAMAGED", "its bytes have changed", **details)
     unknown = [n for n in names if n not in manifest.files and n != NAME]
-    strangers = {_hash(root / n) for n in unknown}
+    hashes_of_unknown = {_hash(root / n) for n in unknown}
     for entry in manifest.files.values():
-        if entry.name not in here and entry.sha256 not in strangers:
+        if entry.name not in here and entry.sha256 not in hashes_of_unknown:
             yield _problem(root, entry.name, "E_MISSING", "it is missing")
 
 

@@ -180,11 +180,11 @@ def require_ours(folder: Path, kind: Kind, *, fix: str) -> None:
     if not found:
         return
     ours = made(folder) if found == "a folder" else None
-    strangers = _strangers(folder, kind) if ours == kind else []
-    if ours == kind and not strangers:
+    foreign = _foreign_files(folder, kind) if ours == kind else []
+    if ours == kind and not foreign:
         return
-    if strangers:
-        found = f"{len(strangers)} files that Levkas did not write, the first: {strangers[0]}"
+    if foreign:
+        found = f"{len(foreign)} files that Levkas did not write, the first: {foreign[0]}"
     elif ours:
         found = f"a {ours} by Levkas"
     elif found == "a folder":
@@ -257,7 +257,7 @@ def _raw_files(root: Path, objects: set[str]) -> set[str]:
     return hashes - {""}
 
 
-def _strangers(folder: Path, kind: Kind) -> list[str]:
+def _foreign_files(folder: Path, kind: Kind) -> list[str]:
     """Files that the manifests of a folder do not list."""
     listed = {NAME}
     if kind == "bag":

@@ -136,8 +136,8 @@ def propose(listing: Listing) -> Proposal:
     shapes = [group.frames[0].facts.shape for group in groups]
     sizes = [shape[0] * shape[1] for shape in shapes]
     reference, why = _reference(cameras, sizes, _beside_scans(groups, cameras))
-    cameras, strangers = _without_strangers(cameras, reference)
-    left_out += strangers
+    cameras, unrelated = _without_unrelated(cameras, reference)
+    left_out += unrelated
     how = "by their histograms" if by_eye else "by their names"
     targets, objects, more = _targets(listing, cameras, reference.name, how)
     unknown += [text for camera in cameras for text in camera.unknown] + more
@@ -286,7 +286,7 @@ def _shown(camera: CameraGuess) -> set[str]:
     return objects or {target for target, role in camera.targets.items() if role == "chart"}
 
 
-def _without_strangers(
+def _without_unrelated(
     cameras: Sequence[CameraGuess], reference: CameraGuess
 ) -> tuple[list[CameraGuess], list[str]]:
     """Leave out cameras that saw no object of the reference camera: nothing of them can be registered."""

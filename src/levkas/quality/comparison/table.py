@@ -363,7 +363,7 @@ def compare(
             *(unknown_name(what, n, there, file=file, field="--object") for n in unknown)
         )
     truth = find_truth(known.truth, beside)
-    checks, strangers = (
+    checks, unmatched = (
         read_check_points(known.points, found, known.frame) if known.points else ({}, [])
     )
     where = OwnFiles(Path(output).resolve(), overwrite=overwrite) if output else None
@@ -376,4 +376,4 @@ def compare(
         output=where,
         time_limit_s=time_limit_s or TIME_LIMIT_S,
     )
-    return Comparison(draw(rows), [*problems, *strangers])
+    return Comparison(draw(rows), [*problems, *unmatched])
