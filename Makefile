@@ -9,7 +9,7 @@ export PYTHONUTF8 := 1
 WORKERS ?= 2
 PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -rfEs
 
-.PHONY: env demo test test-slow exhaustive test-all lint format hooks bench docs reference lock frontend peers compare fuzz clean
+.PHONY: env demo test test-slow exhaustive coverage test-all lint format hooks bench docs reference lock frontend peers compare fuzz clean
 
 env: $(READY)
 	@echo "The environment is $(VENV). Next: make demo | test | lint | docs; CONTRIBUTING.md says more."
@@ -31,6 +31,10 @@ exhaustive: $(READY)
 	$(PYTEST) -m hypothesis --hypothesis-profile=explore
 	LEVKAS_EVERY_CASE=1 $(PYTEST) tests/building/test_faults.py tests/building/test_staleness.py \
 		tests/building/test_same_bytes.py tests/cli/test_hostile_commands.py
+
+# Which lines and branches of the package the fast tests run; `benchmarks/house.py` reads coverage.json.
+coverage: pages
+	$(PYTEST) -m "not slow" --cov=levkas --cov-branch --cov-report=json
 
 test-all: pages
 	$(PYTEST) --durations=50

@@ -12,6 +12,9 @@ is built in this process with every module loaded before; a module counts once o
 run on any thread, so imports and compiled kernels do not count. The first pixel is there when a function of `levkas.readers` has returned an array
 of two or more dimensions for the first time. "Lines that stand twice" are those of `WINDOW` or more lines in a row,
 imports, docstrings and blank lines left out, that stand word by word at another place of the same folder too.
+
+Where `make coverage` has left its coverage.json, the share of lines and branches that the fast tests run is shown too, per cent.
+Compiled kernels and processes of their own do not count as run.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ import argparse
 import ast
 import importlib
 import inspect
+import json
 import pkgutil
 import re
 import subprocess
@@ -275,11 +279,34 @@ def write_column(name: str, figures: dict[str, int]) -> None:
     PAGE.write_text(head + table + tail, encoding="utf-8")
 
 
+# --- tests
+
+
+def coverage() -> Iterator[tuple[str, int]]:
+    """Yield what of the package, and of each part of it, the fast tests run; nothing where they were not measured."""
+    path = ROOT / "coverage.json"
+    if not path.exists():
+        return
+    run, whole = Counter[str](), Counter[str]()
+    for name, file in json.loads(path.read_text(encoding="utf-8"))["files"].items():
+        inner = Path(name).relative_to("src/levkas").parts
+        summary = file["summary"]
+        for part in ("the package", inner[0] if len(inner) > 1 else "root"):
+            run[part] += summary["covered_lines"] + summary["covered_branches"]
+            whole[part] += summary["num_statements"] + summary["num_branches"]
+    for part in sorted(whole, key=lambda part: (part != "the package", part)):
+        yield (
+            f"Lines and branches of {part} that fast tests run, %",
+            round(100 * run[part] / whole[part]),
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--column", help="column of docs/development/house.md to set")
     given = parser.parse_args()
-    figures = {**dict(sizes()), **dict(dependencies()), **dict(habits()), **dict(way_of_a_frame())}
+    parts = (sizes(), dependencies(), habits(), way_of_a_frame(), coverage())
+    figures = {name: number for part in parts for name, number in part}
     for name, number in figures.items():
         print(f"{number:9,}  {name}")
     if given.column:
