@@ -31,11 +31,16 @@ const mean = (values: number[], sigma: number, n: number, size: Mean["size"]): M
   size,
 });
 
+const pixel = (values: number[], sigma: number[] | null): Parameters<typeof meanOfPixel>[0] => ({
+  values: Float32Array.from(values),
+  sigma: sigma && Float32Array.from(sigma),
+});
+
 // R = 0.495 with 0.0059 of its own; 0.0025 by the white and 0.0015 by the lamp: docs/explanation/how_sure.md.
 const worked = [row("relative", [0.005 / 0.99]), row("relative", [0.003])];
 
 test("a pixel has its noise and what is common; the mean of many keeps what is common", () => {
-  const one = uncertain(layer(worked, [500]), meanOfPixel([0.495], [0.0059]))!;
+  const one = uncertain(layer(worked, [500]), meanOfPixel(pixel([0.495], [0.0059])))!;
   expect(uOf(one, 0)).toBeCloseTo(0.0066, 4);
   expect(plusMinus(0.495, uOf(one, 0))).toBe("0.495\u00a0±\u00a00.013");
   const many = uncertain(layer(worked, [500]), mean([0.495], 0.0059, 10_000, [100, 100]))!;
@@ -56,7 +61,7 @@ test("what two bands share leaves their ratio, and not their difference", () => 
 
 test("errors that each band has alone add up in the ratio", () => {
   const rows = [row("relative", [0.03, 0.04], { shared: false })];
-  const [ratio] = compare(uncertain(layer(rows), meanOfPixel([0.5, 0.25], null))!, 0, 1);
+  const [ratio] = compare(uncertain(layer(rows), meanOfPixel(pixel([0.5, 0.25], null)))!, 0, 1);
   expect(ratio[1]).toBeCloseTo(2 * 0.05, 9);
 });
 
@@ -68,16 +73,16 @@ test("absolute errors do not grow with the value, and lines of a scan average", 
 
 test("an error that is nil at a value does not move it, and its mate on the other side oppositely", () => {
   const bent: BudgetRow = { ...row("relative", [0.01, 0.01]), zero: [1, 1] };
-  const curve = uncertain(layer([bent]), meanOfPixel([1, 0.5], null))!;
+  const curve = uncertain(layer([bent]), meanOfPixel(pixel([1, 0.5], null)))!;
   expect([uOf(curve, 0), uOf(curve, 1)]).toEqual([0, 0.0025]);
   const stray: BudgetRow = { ...row("reflectance", [0.02, 0.02]), zero: [0.4, 0.4] };
-  const light = uncertain(layer([stray]), meanOfPixel([0.9, 0.1], null))!;
+  const light = uncertain(layer([stray]), meanOfPixel(pixel([0.9, 0.1], null)))!;
   // 0.02 · 0.5 downwards and 0.02 · 0.3 upwards: the difference errs by their sum.
-  expect(compare(light, 0, 1)[1][1]).toBeCloseTo(0.016, 9);
+  expect(compare(light, 0, 1)[1][1]).toBeCloseTo(0.016, 8);
 });
 
 test("an error of the wavelength moves a value by the slope of the spectrum", () => {
-  const one = uncertain(layer([row("nm", [1, 1])]), meanOfPixel([0.2, 0.5], null))!;
+  const one = uncertain(layer([row("nm", [1, 1])]), meanOfPixel(pixel([0.2, 0.5], null)))!;
   expect(uOf(one, 0)).toBeCloseTo(0.003, 9);
   expect(slopesOf([400, 410, 430].map(band), [0, 1, 9])).toEqual([0.1, 0.2, 0.4]);
   // In any order of bands, and none where a band has no wavelength or no value.
@@ -102,7 +107,7 @@ test("neighbours that share noise make a mean less sure, a pixel alone not", () 
 
 test("nothing is stated where the errors of a layer are not recorded", () => {
   const silent = { bands: [band(500)], name: "vis" } as unknown as Layer;
-  expect(uncertain(silent, meanOfPixel([0.5], [0.01]))).toBeNull();
+  expect(uncertain(silent, meanOfPixel(pixel([0.5], [0.01])))).toBeNull();
   expect(plusMinus(0.5, undefined)).toBe("0.5000");
   expect(plusMinus(NaN, 0.1)).toBe("–");
   expect(plusMinus(-0.05, 0.006)).toBe("−0.050\u00a0±\u00a00.012");
@@ -128,4 +133,23 @@ test("channels without a wavelength have their uncertainty in the line", () => {
   expect(describeChannels(rgb, spectrum)).toBe("null 0.500\u00a0±\u00a00.020");
   const silent = { bands: [band(null)] } as unknown as Layer;
   expect(describeChannels(silent, spectrum)).toBe("null 0.500");
+});
+
+test("what a region has in common of sigma does not become smaller, and moves bands together", () => {
+  const rows = [row("sigma", [0.8, -0.8]), { ...row("sigma", [0.36, 0.36]), pixel: true }];
+  const many = uncertain(layer(rows), mean([0.5, 0.25], 0.02, 10_000, [100, 100]))!;
+  expect(uOf(many, 0)).toBeCloseTo(0.016, 4);
+  // Apart by twice what one is; of pixels' own no more than a hundredth is left.
+  expect(compare(many, 0, 1)[1][1]).toBeCloseTo(0.032, 4);
+  const one = uncertain(layer(rows), meanOfPixel(pixel([0.5, 0.25], [0.02, 0.02])))!;
+  expect(uOf(one, 0)).toBeCloseTo(0.02, 9);
+});
+
+test("a place that is known to some px makes a value on a slope uncertain", () => {
+  const known = layer([]);
+  known.budget!.place = { columns: 2, rows: 2, tables: [[0, 0.2, 0, 0.2]], of: [0, -1] };
+  const slopes = { x: [0.03, 0.03], y: [0.04, 0.04], at: [0.5, 0.3] as [number, number] };
+  const one = uncertain(known, { ...mean([0.5, 0.5], 0, 1, [1, 1]), slopes })!;
+  expect(uOf(one, 0)).toBeCloseTo(0.1 * 0.05, 9);
+  expect(uOf(one, 1)).toBe(0);
 });

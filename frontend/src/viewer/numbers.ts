@@ -45,8 +45,8 @@ export function describeU({ budget }: Layer): string {
 }
 
 /** A pixel's own noise and what its layer's pixels share; null where the latter is not recorded. */
-export function uncertainPixel(layer: Layer, { values, sigma }: Spectrum): Uncertain | null {
-  return uncertain(layer, meanOfPixel(values, sigma));
+export function uncertainPixel(layer: Layer, spectrum: Spectrum): Uncertain | null {
+  return uncertain(layer, meanOfPixel(spectrum));
 }
 
 /** Two cells: standard and expanded uncertainty of a band; empty where they are not known. */

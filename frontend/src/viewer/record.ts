@@ -60,7 +60,7 @@ export interface LatticeFacts {
 
 /** One source of error that pixels share. */
 export interface BudgetRow {
-  unit: "relative" | "reflectance" | "nm";
+  unit: "relative" | "reflectance" | "nm" | "sigma";
   /** Standard uncertainty of each band. */
   size: number[];
   /** Whether one draw of the error holds for all bands. */
@@ -69,6 +69,17 @@ export interface BudgetRow {
   line: boolean;
   /** Value of each band at which the error is nil; 0 where there is none. */
   zero?: number[];
+  /** Of a part of sigma: whether every pixel has a draw of its own. */
+  pixel?: boolean;
+}
+
+/** How well places are known, px: tables on an even lattice over the grid, line by line, and which one is each band's. */
+export interface PlaceFacts {
+  columns: number;
+  rows: number;
+  tables: number[][];
+  /** −1 of a band whose place is exact, or not known. */
+  of: number[];
 }
 
 export interface Budget {
@@ -77,6 +88,7 @@ export interface Budget {
   unknown: string[];
   /** Of the noise of a pixel with its neighbours', itself in the middle. */
   correlation: number[][];
+  place?: PlaceFacts;
 }
 
 export interface Layer {

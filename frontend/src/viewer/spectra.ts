@@ -1,13 +1,24 @@
 // Spectra of single pixels, from tiles of script files: the very numbers of the TIFF.
 import type { Point } from "../shared/pane";
-import type { Layer, SpectraFacts } from "./record";
+import { marksOf } from "./numbers";
+import type { Layer, Mark, PageRecord, SpectraFacts } from "./record";
 import type { Bounds } from "./shapes";
 import { inflate, loadScript, toBytes } from "./tiles";
+import type { Gradient } from "./uncertainty";
 
 export interface Spectrum {
   values: Float32Array;
   sigma: Float32Array | null;
   flags: Uint8Array | null;
+  /** Of a pixel of a layer whose places are known. */
+  slopes?: Gradient | undefined;
+}
+
+/** Whether a value with these flags counts: no bit but trusted ones; 256 answers. */
+export function soundness(marks: Mark[]): boolean[] {
+  return Array.from({ length: 256 }, (_, bits) =>
+    marksOf(bits, marks).every(({ trusted }) => trusted),
+  );
 }
 
 export interface Tile extends Spectrum {
@@ -32,14 +43,29 @@ const AHEAD = 12; // of KEPT, while a region is read
 export class Spectra {
   private readonly tiles = new Map<string, Promise<Tile>>();
   private summed: Promise<Float64Array> | null = null;
+  private readonly isSound: boolean[];
 
   constructor(
     private readonly layer: Layer,
     private readonly facts: SpectraFacts,
-  ) {}
+    marks: Mark[],
+  ) {
+    this.isSound = soundness(marks);
+  }
 
   /** Read one pixel; x and y are integers on the grid. */
   async read(x: number, y: number): Promise<Spectrum> {
+    const spectrum = await this.pixel(x, y);
+    if (!this.hasPlaces) return spectrum;
+    const here: [Point, Point] = [
+      [x, y],
+      [x, y],
+    ];
+    const slopes = [await this.rise(...here, [1, 0]), await this.rise(...here, [0, 1])] as const;
+    return { ...spectrum, slopes: { x: slopes[0], y: slopes[1], at: this.share([x, y]) } };
+  }
+
+  private async pixel(x: number, y: number): Promise<Spectrum> {
     const { columns, rows, bands } = this.facts;
     const [column, row] = [Math.floor(x / columns), Math.floor(y / rows)];
     const tile = await this.tile(column, row);
@@ -54,6 +80,53 @@ export class Spectra {
       sigma: tile.sigma && pick(tile.sigma, new Float32Array(bands)),
       flags: tile.flags && pick(tile.flags, new Uint8Array(bands)),
     };
+  }
+
+  /** The sum of the central differences of a run of pixels, along it, of every band; 0 where its ends are not sound. */
+  async rise([x0, y0]: Point, [x1, y1]: Point, along: Point): Promise<number[]> {
+    const [dx, dy] = along;
+    const [after, last, first, before] = await Promise.all([
+      this.sound(x1 + dx, y1 + dy, along),
+      this.sound(x1, y1, along),
+      this.sound(x0, y0, along),
+      this.sound(x0 - dx, y0 - dy, along),
+    ]);
+    return Array.from(last, (value, i) => {
+      const rise = (after[i]! + value - first[i]! - before[i]!) / 2;
+      return Number.isFinite(rise) ? rise : 0;
+    });
+  }
+
+  /** Values of a pixel, NaN where they are not sound; those beside the grid as a line through the last two has them. */
+  private async sound(x: number, y: number, [dx, dy]: Point): Promise<Float32Array> {
+    const { width, height } = this.facts;
+    if (x < 0 || y < 0 || x >= width || y >= height) {
+      const inwards = x < 0 || y < 0 ? 1 : -1;
+      const [u, v] = [inwards * dx, inwards * dy];
+      if (x + 2 * u < 0 || y + 2 * v < 0 || x + 2 * u >= width || y + 2 * v >= height)
+        return new Float32Array(this.bands).fill(NaN);
+      const near = await this.sound(x + u, y + v, [dx, dy]);
+      const far = await this.sound(x + 2 * u, y + 2 * v, [dx, dy]);
+      return near.map((value, i) => 2 * value - far[i]!);
+    }
+    const { values, flags } = await this.pixel(x, y);
+    return flags ? values.map((value, i) => (this.isSound[flags[i]!] ? value : NaN)) : values;
+  }
+
+  /** Whether it is known how well the layer's places are. */
+  get hasPlaces(): boolean {
+    return this.layer.budget?.place !== undefined;
+  }
+
+  /** Width and height of the grid. */
+  get size(): [width: number, height: number] {
+    return [this.facts.width, this.facts.height];
+  }
+
+  /** Where a place lies on the grid, from 0 to 1. */
+  share([x, y]: Point): Point {
+    const [width, height] = this.size;
+    return [x / Math.max(1, width - 1), y / Math.max(1, height - 1)];
   }
 
   /** Bands of the layer. */
@@ -154,9 +227,11 @@ export class Spectra {
 /** The spectra of every layer that has them; one reader a layer, for its files are scripts that load once. */
 export type LayerSpectra = Map<Layer, Spectra>;
 
-export function openSpectra(layers: Layer[]): LayerSpectra {
+export function openSpectra({ layers, flags }: PageRecord): LayerSpectra {
   return new Map(
-    layers.flatMap((layer) => (layer.spectra ? [[layer, new Spectra(layer, layer.spectra)]] : [])),
+    layers.flatMap((layer) =>
+      layer.spectra ? [[layer, new Spectra(layer, layer.spectra, flags)]] : [],
+    ),
   );
 }
 

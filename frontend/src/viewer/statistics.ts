@@ -1,9 +1,9 @@
 // Mean, standard deviation and number of sound pixels of a region, band by band; and histograms.
 import type { Point } from "../shared/pane";
-import { marksOf } from "./numbers";
 import type { Mark } from "./record";
 import { boundsOf, contains, type Region } from "./shapes";
-import type { Spectra, Sums } from "./spectra";
+import { soundness, type Spectra, type Sums } from "./spectra";
+import type { Gradient } from "./uncertainty";
 
 export interface Statistics {
   /** All pixels of the region on the grid. */
@@ -19,19 +19,14 @@ export interface Statistics {
   size: [columns: number, rows: number];
   /** Sound values of each band, once they were read, and while they are kept. */
   values: Float32Array[] | null;
+  /** Of the means; absent where they are not wanted. */
+  slopes?: Gradient | undefined;
 }
 
 export interface Histogram {
   low: number;
   high: number;
   counts: number[];
-}
-
-/** Whether a value with these flags counts: no bit but trusted ones; 256 answers. */
-function soundness(marks: Mark[]): boolean[] {
-  return Array.from({ length: 256 }, (_, bits) =>
-    marksOf(bits, marks).every(({ trusted }) => trusted),
-  );
 }
 
 /** Visit the tiles that a region has pixels in: places of these pixels in the tile, and how many pixels the tile has. */
@@ -108,7 +103,54 @@ export async function measure(
     noises: all.map(({ noise }) => noise),
     size: spectra.sizeWithin(boundsOf(region)),
     values: null,
+    slopes:
+      noise && spectra.hasPlaces
+        ? await meanSlopes(
+            spectra,
+            region,
+            all.map(({ n }) => n),
+          )
+        : undefined,
   };
+}
+
+/** Slopes of the mean of a region, means of central differences: of a line or column of pixels the ends alone count. */
+async function meanSlopes(spectra: Spectra, region: Region, counts: number[]): Promise<Gradient> {
+  const [x0, y0, x1, y1] = boundsOf(region);
+  const inside = contains(region);
+  const [width, height] = spectra.size;
+  const xs = range(Math.max(0, Math.ceil(x0)), Math.min(width - 1, Math.floor(x1)));
+  const ys = range(Math.max(0, Math.ceil(y0)), Math.min(height - 1, Math.floor(y1)));
+  const mean = async (lines: Point[][], along: Point): Promise<number[]> => {
+    const sums = counts.map(() => 0);
+    for (const line of lines)
+      for (const run of runsOf(line.map((place) => (inside(...place) ? place : null))))
+        (await spectra.rise(...run, along)).forEach((rise, i) => (sums[i]! += rise));
+    return sums.map((sum, i) => sum / counts[i]!);
+  };
+  return {
+    x: await mean(
+      ys.map((y) => xs.map((x): Point => [x, y])),
+      [1, 0],
+    ),
+    y: await mean(
+      xs.map((x) => ys.map((y): Point => [x, y])),
+      [0, 1],
+    ),
+    at: spectra.share([(x0 + x1) / 2, (y0 + y1) / 2]),
+  };
+}
+
+const range = (low: number, high: number): number[] =>
+  Array.from({ length: Math.max(0, high - low + 1) }, (_, i) => low + i);
+
+/** First and last places of the runs of a line that are not interrupted. */
+function runsOf(line: (Point | null)[]): [first: Point, last: Point][] {
+  return line.flatMap((first, i) => {
+    if (!first || line[i - 1]) return [];
+    const after = line.indexOf(null, i);
+    return [[first, line[after < 0 ? line.length - 1 : after - 1]!]];
+  });
 }
 
 /** Number, mean and sum of squared differences from the mean, with a sum of squared sigmas. */

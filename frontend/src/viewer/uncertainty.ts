@@ -1,5 +1,7 @@
 // How sure numbers are: what pixels have alone and what they share, combined to first order (JCGM 100:2008, Eq. 13).
-import type { BudgetRow, Layer } from "./record";
+import type { Point } from "../shared/pane";
+import type { Layer, PlaceFacts } from "./record";
+import type { Spectrum } from "./spectra";
 
 /** A mean of pixels: of each band, the sum of their squared sigmas and their number; within how many columns and rows. */
 export interface Mean {
@@ -7,6 +9,15 @@ export interface Mean {
   noises: ArrayLike<number>;
   counts: ArrayLike<number>;
   size: [columns: number, rows: number];
+  /** Slopes of the mean in x and in y, per px, and where on the grid its middle lies, from 0 to 1. */
+  slopes?: Gradient | undefined;
+}
+
+/** Slopes in x and in y of every band, per px, at a place of the grid, from 0 to 1. */
+export interface Gradient {
+  x: ArrayLike<number>;
+  y: ArrayLike<number>;
+  at: Point;
 }
 
 /** Values, errors that move all bands by these coefficients, and variances that each band has alone. */
@@ -24,33 +35,74 @@ type Known = Pick<Layer, "bands" | "budget">;
 /** The mean of some pixels with its errors; null where the errors of the layer are not recorded. */
 export function uncertain(layer: Known, mean: Mean): Uncertain | null {
   if (!layer.budget) return null;
-  const { rows, correlation } = layer.budget;
+  const { rows, correlation, place } = layer.budget;
   const values = layer.bands.map((_, i) => mean.values[i]!);
   const factor = neighbours(correlation, mean.size);
-  const alone = values.map((_, i) => (factor * mean.noises[i]!) / mean.counts[i]! ** 2);
+  const random = values.map((_, i) => (factor * mean.noises[i]!) / mean.counts[i]! ** 2);
+  const alone = random.map((variance, i) => {
+    const used = rows.reduce(
+      (sum, { unit, size }) => sum + (unit === "sigma" ? size[i]! ** 2 : 0),
+      0,
+    );
+    return variance * Math.max(0, 1 - used);
+  });
   const shared: number[][] = [];
   const slopes = slopesOf(layer.bands, values);
   for (const row of rows) {
     const moves = values.map((value, i) => {
-      const by = row.unit === "nm" ? slopes[i]! : moveBy(row.unit, value, row.zero?.[i] ?? 0);
+      const by =
+        row.unit === "nm"
+          ? slopes[i]!
+          : row.unit === "sigma"
+            ? Math.sqrt(row.pixel ? random[i]! : mean.noises[i]! / mean.counts[i]!)
+            : moveBy(row.unit, value, row.zero?.[i] ?? 0);
       return (by * row.size[i]!) / Math.sqrt(row.line ? mean.size[1] : 1);
     });
     if (row.shared) shared.push(moves);
     else moves.forEach((move, i) => (alone[i]! += move * move));
   }
+  if (place && mean.slopes) {
+    const sigma = placeSigma(place, mean.slopes.at);
+    for (const along of [mean.slopes.x, mean.slopes.y])
+      shared.push(values.map((_, i) => sigma(i) * (along[i] || 0)));
+  }
   return { values, shared, alone };
 }
 
 /** By how much an error of size 1 moves a value; one that is nil at a value has the other sign beyond it. */
-function moveBy(unit: BudgetRow["unit"], value: number, zero: number): number {
+function moveBy(unit: "relative" | "reflectance", value: number, zero: number): number {
   if (unit === "relative") return zero > 0 ? value * (1 - value / zero) : value;
   return zero > 0 ? zero - value : 1;
 }
 
+/** How well the place of a band is known at a place of the grid, 0 to 1: linear between the places of its table. */
+function placeSigma(
+  { columns, rows, tables, of }: PlaceFacts,
+  [x, y]: Point,
+): (band: number) => number {
+  const cell = (at: number, count: number): [first: number, share: number] => {
+    const place = Math.min(1, Math.max(0, at)) * (count - 1);
+    const first = Math.min(count - 2, Math.floor(place));
+    return [first, place - first];
+  };
+  const [[column, u], [row, v]] = [cell(x, columns), cell(y, rows)];
+  return (band) => {
+    const table = tables[of[band]!];
+    if (!table) return 0;
+    const line = (at: number): number =>
+      (1 - u) * table[at * columns + column]! + u * table[at * columns + column + 1]!;
+    return (1 - v) * line(row) + v * line(row + 1);
+  };
+}
+
 /** One pixel as a mean. */
-export function meanOfPixel(values: ArrayLike<number>, sigma: ArrayLike<number> | null): Mean {
+export function meanOfPixel({
+  values,
+  sigma,
+  slopes,
+}: Pick<Spectrum, "values" | "sigma" | "slopes">): Mean {
   const noises = Array.from(values, (_, i) => (sigma ? sigma[i]! ** 2 : 0));
-  return { values, noises, counts: noises.map(() => 1), size: [1, 1] };
+  return { values, noises, counts: noises.map(() => 1), size: [1, 1], slopes };
 }
 
 /** By how much more the variance of a mean is, as neighbours share noise: exact for rectangles of even noise. */

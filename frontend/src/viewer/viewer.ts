@@ -55,7 +55,7 @@ const address = new Address();
 const size: Point = [width, height];
 const stage = new PaintingStage(find("stage"), size, state);
 const layers = new LayerList(find("layers"), record, state);
-const spectra = openSpectra(record.layers);
+const spectra = openSpectra(record);
 const angles = new AngleMaps(spectra, record.flags, () =>
   SLOTS.map((slot) => state[slot].peek()?.picture.angle),
 );

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-Extent = Literal["pixel", "line", "frame", "camera", "campaign"]
-"""What one draw of an error is common to: the pixels of a line, of a capture, all captures of a camera, or all cameras."""
-Unit = Literal["relative", "reflectance", "nm", "px"]
-"""Of a size: of the value, absolute, of the wavelength (times the slope of the spectrum), of the place (times that of the picture)."""
+Extent = Literal["pixel", "line", "region", "frame", "camera", "campaign"]
+"""What one draw of an error is common to: the pixels of a line, of a region of one paint, of a capture, all captures of a camera,
+or all cameras."""
+Unit = Literal["relative", "reflectance", "nm", "px", "sigma"]
+"""Of a size: of the value, absolute, of the wavelength (times the slope of the spectrum), of the place (times that of the picture),
+of the published sigma of the pixels."""
 Basis = Literal["measured", "declared", "unknown"]
 
 COVERAGE = 2.0
@@ -33,7 +35,8 @@ class ErrorSource:
         What errs.
     unit : Unit
     size : mapping of str to float
-        Standard uncertainty of each band, by label; bands without one are not known.
+        Standard uncertainty of each band, by label; bands without one are not known. Bands of one draw that it moves in opposite
+        directions have opposite signs.
     common_to : Extent
         Within what one draw of the error holds.
     all_bands : bool
@@ -187,6 +190,8 @@ class MeanSpectrum:
         Standard uncertainty by what pixels do not share: 0 where it is not known.
     wavelengths : ndarray, (n,), nm
         NaN where a band has none.
+    sigma : ndarray, (n,), optional
+        Root mean square of the pixels' sigma; that of one pixel is `random`.
     gradient : ndarray, (2, n), per px, optional
         Slope of the mean in x and in y.
     lines : int
@@ -199,6 +204,7 @@ class MeanSpectrum:
     wavelengths: np.ndarray
     gradient: np.ndarray | None = None
     lines: int = 1
+    sigma: np.ndarray | None = None
 
     @property
     def slope(self) -> np.ndarray:
@@ -225,7 +231,8 @@ def uncertain_mean(
     ----------
     mean : MeanSpectrum
     sources : iterable of ErrorSource
-        Those common to a pixel are in `mean.random` and are left out. Two rows of one name in two units are two errors.
+        Those common to a pixel are in `mean.random` and are left out; but for rows in units of sigma, which are shares of it that
+        bands have in common, or a region, and leave the rest to each pixel and band. Two rows of one name in two units are two errors.
     layer, camera : str
         Whose errors they are: a capture's, and its camera's in all captures.
     region : hashable
@@ -238,21 +245,23 @@ def uncertain_mean(
     >>> uncertain_mean(grey, [white], layer="icon1/d80").sigma.round(5).tolist()
     [0.00583]
     """
-    n = len(mean.values)
+    n, sources = len(mean.values), [*sources]
+    of_sigma = [_sizes(mean, source) for source in sources if source.unit == "sigma"]
+    left = np.sqrt(np.maximum(1 - np.sum(np.square(of_sigma), 0), 0)) * mean.random
     parts: dict[Part, np.ndarray] = {
-        ("noise", layer, (region, k)): np.where(np.arange(n) == k, mean.random, 0.0)
+        ("noise", layer, (region, k)): np.where(np.arange(n) == k, left, 0.0)
         for k in range(n)
-        if mean.random[k] > 0
+        if left[k] > 0
     }
-    owners = {"line": layer, "frame": layer, "camera": camera or layer, "campaign": ""}
+    owners = dict.fromkeys(get_args(Extent), layer) | {"camera": camera or layer, "campaign": ""}
     for source in sources:
-        if source.common_to == "pixel":
+        if source.common_to == "pixel" and source.unit != "sigma":
             continue
-        sizes = np.array([source.size.get(label, 0.0) for label in mean.labels])
+        sizes = _sizes(mean, source)
         if source.common_to == "line":
             sizes = sizes / np.sqrt(mean.lines)
         owner = source.owner or owners[source.common_to]
-        draw: Hashable = region if source.common_to == "line" else ""
+        draw: Hashable = region if source.common_to in ("pixel", "line", "region") else ""
         for axis, row in enumerate(_coefficients(mean, source) * sizes):
             if not row.any():
                 continue
@@ -265,9 +274,16 @@ def uncertain_mean(
     return Uncertain(np.asarray(mean.values, float), parts)
 
 
+def _sizes(mean: MeanSpectrum, source: ErrorSource) -> np.ndarray:
+    return np.array([source.size.get(label, 0.0) for label in mean.labels])
+
+
 def _coefficients(mean: MeanSpectrum, source: ErrorSource) -> np.ndarray:
     """Return by how much an error of one unit moves the values, (1 or 2, n)."""
     values = np.asarray(mean.values, float)
+    if source.unit == "sigma":
+        whole = source.common_to != "pixel" and mean.sigma is not None
+        return np.asarray(mean.sigma if whole else mean.random, float)[None]
     if source.unit == "px":
         return np.zeros((2, len(values))) if mean.gradient is None else mean.gradient
     if source.unit == "nm":

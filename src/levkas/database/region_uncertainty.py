@@ -19,7 +19,9 @@ from levkas.calibration.error_sources import (
     uncertain_mean,
 )
 from levkas.core.problems import Problem
+from levkas.core.text import read_json
 from levkas.database.catalogue import DatabaseRefused
+from levkas.database.layout import ESTIMATE, LayerId
 from levkas.database.regions import TRUSTED, Region, RegionRefused
 
 if TYPE_CHECKING:
@@ -27,11 +29,11 @@ if TYPE_CHECKING:
 
     from levkas.core.cube import Band
     from levkas.database.described import Pixels
-    from levkas.database.layout import LayerId
 
 Of = Literal["mean", "difference", "ratio", "delta_e"]
 PROVENANCE = "provenance.json"
 PLACE = "place"
+LONG_NAMES = {"sigma": "part of sigma by {}, which a region of one paint has in common"}
 NONE = np.ones((1, 1))
 """Correlation of noise that no neighbours share."""
 
@@ -52,18 +54,21 @@ class LayerBudget:
 
 
 def read_budget(root: Path, layer: LayerId) -> LayerBudget:
-    """Return the budget of a layer by its object's provenance; an empty one where that says nothing of it.
+    """Return the budget of a layer by its object's provenance, or by the record of an estimate; an empty one where none says anything.
 
     Raises
     ------
     DatabaseRefused
         ``E_DAMAGED`` where that is none.
     """
-    path = root / "objects" / layer.object / PROVENANCE
+    path = root / (layer.path + ESTIMATE)
+    estimated = path.is_file()
+    path = path if estimated else root / "objects" / layer.object / PROVENANCE
     if not path.is_file():
         return LayerBudget()
     try:
-        return _budget_in(json.loads(path.read_text(encoding="utf-8")), layer)
+        record = json.loads(path.read_text(encoding="utf-8"))
+        return _budget_of_estimate(record) if estimated else _budget_in(record, layer)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         problem = Problem(
             "E_DAMAGED",
@@ -83,11 +88,28 @@ def _budget_in(record: Mapping[str, Any], layer: LayerId) -> LayerBudget:
         s["stage"]: s for s in steps if (s["camera"], s["setup"]) == (layer.camera, layer.setup)
     }
     rows = mine.get("calibrate", {}).get("uncertainty", [])
-    correlation = mine.get("resample", {}).get("noise_correlation")
-    return LayerBudget(
-        tuple(ErrorSource.from_dict(row) for row in rows),
-        NONE if correlation is None else np.array(correlation, float),
-    )
+    return _as_budget(rows, mine.get("resample", {}).get("noise_correlation"))
+
+
+def _budget_of_estimate(record: Mapping[str, Any]) -> LayerBudget:
+    """Read the budget of an estimated layer off its record."""
+    return _as_budget(record.get("uncertainty", []), record.get("noise_correlation"))
+
+
+def _as_budget(rows: Sequence[Mapping[str, Any]], correlation: Any) -> LayerBudget:
+    known = tuple(ErrorSource.from_dict(row) for row in rows)
+    return LayerBudget(known, NONE if correlation is None else np.array(correlation, float))
+
+
+def mean_correlation(several: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the mean of correlations of neighbours, (2r + 1, 2r + 1) each, of the widest reach among them.
+
+    >>> mean_correlation([NONE, np.full((3, 3), 0.5)])[1].tolist()
+    [0.25, 0.75, 0.25]
+    """
+    reach = max(len(one) // 2 for one in several)
+    wide = [np.pad(one, reach - len(one) // 2) for one in several]
+    return np.asarray(np.mean(wide, axis=0))
 
 
 def budget_variables(budget: LayerBudget, band: xarray.DataArray) -> dict[str, xarray.DataArray]:
@@ -98,15 +120,15 @@ def budget_variables(budget: LayerBudget, band: xarray.DataArray) -> dict[str, x
     """
     import xarray
 
-    found = {}
+    found: dict[str, xarray.DataArray] = {}
     for row in budget.sources:
         if not row.size or row.common_to == "pixel":
             continue
         sizes = np.array([row.size.get(str(label), np.nan) for label in np.atleast_1d(band.values)])
         percent = row.unit == "relative"
         attributes: dict[str, Any] = {
-            "long_name": f"standard uncertainty by {row.name}",
-            "units": {"relative": "%", "reflectance": "1"}.get(row.unit, row.unit),
+            "long_name": LONG_NAMES.get(row.unit, "standard uncertainty by {}").format(row.name),
+            "units": {"relative": "%", "reflectance": "1", "sigma": "1"}.get(row.unit, row.unit),
             "pdf_shape": "gaussian",
             "common_to": row.common_to,
             "basis": row.basis,
@@ -124,6 +146,9 @@ def budget_variables(budget: LayerBudget, band: xarray.DataArray) -> dict[str, x
         name = "u_" + row.name.replace(" ", "_")
         if name in found:  # a second part of the same source, in another unit
             name += f"_{row.unit}"
+        several = name
+        while name in found:  # draws of their own
+            name = f"{several}_{sum(other.startswith(several) for other in found) + 1}"
         found[name] = xarray.DataArray(
             100 * sizes if percent else sizes, {"band": band}, ("band",), attrs=attributes
         )
@@ -133,9 +158,14 @@ def budget_variables(budget: LayerBudget, band: xarray.DataArray) -> dict[str, x
 def position_sigmas(
     root: Path, layer: LayerId, labels: Sequence[str], places: np.ndarray
 ) -> np.ndarray:
-    """Return how well the place of each band is known at (p, 2) px of the grid, by the layer's registration, (p, n) px; NaN where it is not."""
+    """Return how well the place of each band is known at (p, 2) px of the grid, by the layer's registration, (p, n) px; NaN where it is not.
+
+    Of an estimated layer it is that of the least known of its sources, in its reference channel.
+    """
     from levkas.database.pixel_frames import Frame, MappingRefused, Records, position_sigma_at
 
+    if (record := root / (layer.path + ESTIMATE)).is_file():
+        return _of_sources(root, layer, read_json(record).get("from", ()), labels, places)
     found = np.full((len(places), len(labels)), np.nan)
     try:
         records = Records(root, layer.object)
@@ -146,6 +176,17 @@ def position_sigmas(
     except MappingRefused:
         return found
     return found / float(np.hypot(*(corners[1] - corners[0])))
+
+
+def _of_sources(
+    root: Path, layer: LayerId, sources: Sequence[str], labels: Sequence[str], places: np.ndarray
+) -> np.ndarray:
+    """Return how well the places of an estimated layer are known, (p, n) px."""
+    found = np.full((len(places), len(labels)), np.nan)
+    for source in sources:
+        key = LayerId.parse(layer.object, str(source))
+        found = np.fmax(found, position_sigmas(root, key, [""], places))
+    return found
 
 
 def with_place(budget: LayerBudget, labels: Sequence[str], sigmas_px: np.ndarray) -> LayerBudget:
@@ -207,15 +248,17 @@ def mean_of_region(
             np.where(sound, part, 0.0).sum((0, 1), dtype=float) / count
             for part in (values, *_slopes(values, good))
         )
-    random = np.zeros(len(count))
+    random, sigma = np.zeros((2, len(count)))
     if noise is not None:
         spread = np.where(sound, noise, 0.0).astype(float)
+        sigma = np.sqrt(np.square(spread).sum((0, 1)) / np.maximum(count, 1))
         random = np.array([_of_mean(spread[..., k], correlation) for k in range(len(count))])
     wavelengths = np.array([band.wavelength for band in bands])
     return MeanSpectrum(
         *([band.label for band in bands], mean, random, wavelengths),
         gradient=np.nan_to_num(slopes),
         lines=int(inside.any(1).sum()),
+        sigma=sigma,
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import nan
+from math import nan, sqrt
 from pathlib import Path
 
 import numpy as np
@@ -25,12 +25,21 @@ from levkas.database.layers import Layer, write_layer
 from levkas.database.layout import ESTIMATE, LayerId
 from levkas.database.manifest import write_manifest
 from levkas.database.reader import Database
+from levkas.database.region_uncertainty import mean_correlation, read_budget
 from levkas.database.store import write_index
 from levkas.estimation.methods import find_method
-from levkas.estimation.samples import EstimationRefused, require_layers
+from levkas.estimation.samples import (
+    EstimationRefused,
+    read_lattice,
+    require_layers,
+    side_by_side,
+)
 from levkas.estimation.stored import StoredModel, read_model
+from levkas.estimation.uncertainty import SAMPLES, Estimate, channels_of
 
 BLOCK_ROWS = 64
+SAMPLED = 4 * SAMPLES
+"""Pixels of a lattice among which those are chosen at which slopes are taken."""
 
 
 @dataclass(frozen=True)
@@ -109,15 +118,21 @@ def _apply_to(
         ),
         estimate=facts,
     )  # fmt: skip
-    cube = estimate_cube(database, name, stored)
+    estimate = sample_estimate(database, name, stored)
+    cube = estimate_cube(database, name, stored, estimate)
     entry, written = write_layer(database.path, described, cube, verdict=ESTIMATED)
     record = database.path / "objects" / name / f"{described.stem}{ESTIMATE}"
     sources = {
         source: hash_file(database.path / "objects" / name / f"{key.stem}.tif")
         for source, key in zip(stored.sources, keys, strict=True)
     }
+    here = all(painting in database for painting in stored.training)
+    rows = [row.to_dict() for row in estimate.rows(same_cameras=here)] if estimate else []
+    budgets = [read_budget(database.path, key) for key in keys]
+    shared = mean_correlation([budget.correlation for budget in budgets])
     write_json(record, {"kind": ESTIMATED, **facts, "model": {"file": model.name, "sha256": hash_file(model)},
-                        "sources": sources, "held_out_rmse": list(stored.sigma)})  # fmt: skip
+                        "sources": sources, "held_out_rmse": list(stored.sigma),
+                        "uncertainty": rows, "noise_correlation": shared.round(4).tolist()})  # fmt: skip
     others = [
         e
         for e in read_catalogue(database.path)
@@ -128,10 +143,37 @@ def _apply_to(
     return (*written, record)
 
 
-def estimate_cube(database: Database, name: str, stored: StoredModel) -> Cube:
+def sample_estimate(database: Database, name: str, stored: StoredModel) -> Estimate | None:
+    """Return some sound pixels of a painting with what makes their estimates uncertain; None where it has none."""
+    keys = [LayerId.parse(name, source) for source in stored.sources]
+    layers = [database[name][key.camera, key.setup] for key in keys]
+    height, width = layers[0].shape[:2]
+    lattice = [read_lattice(layer, max(1, int(sqrt(height * width / SAMPLED)))) for layer in layers]
+    known = np.logical_and.reduce([np.isfinite(values).all(2) for values, _, _ in lattice])
+    good = np.logical_and.reduce([known, *(sound for _, sound, _ in lattice)])
+    good = good if good.any() else known
+    if not good.any():
+        return None
+    some = np.linspace(0, np.count_nonzero(good) - 1, SAMPLES).astype(int)
+    responses, noise = (side_by_side(lattice, part, good) for part in (0, 2))
+    assert responses is not None
+    channels = [
+        channels_of(layer, source, read_budget(database.path, key).sources)
+        for layer, source, key in zip(layers, stored.sources, keys, strict=True)
+    ]
+    labels = [band.label for band in stored.bands]
+    return Estimate(
+        *(stored.model, stored.errors, responses[some]),
+        *(None if noise is None else noise[some], channels, labels),
+    )
+
+
+def estimate_cube(
+    database: Database, name: str, stored: StoredModel, estimate: Estimate | None
+) -> Cube:
     """Estimate the spectra of a painting, with sigma; a flag of any source channel is one of every band.
 
-    Sigma is the method's own where it has one, else the RMSE of the band on held-out paintings.
+    Sigma is the method's own where it has one, else that of the prediction on held-out paintings and of the responses' noise.
     """
     keys = [LayerId.parse(name, source) for source in stored.sources]
     layers = [database[name][key.camera, key.setup] for key in keys]
@@ -139,7 +181,7 @@ def estimate_cube(database: Database, name: str, stored: StoredModel) -> Cube:
     shape = (height, width, len(stored.bands))
     values, sigma = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
     flags = np.zeros(shape, np.uint8)
-    known = np.asarray(stored.sigma, np.float32)
+    noises = [a.sigma for a in layers]
     for start in range(0, height, BLOCK_ROWS):
         rows = slice(start, start + BLOCK_ROWS)
         responses = np.concatenate([a.isel(y=rows).values for a in layers], axis=2).astype(float)
@@ -148,7 +190,10 @@ def estimate_cube(database: Database, name: str, stored: StoredModel) -> Cube:
         with steady_libraries():
             spectra, spread = stored.model(responses[valid])
         values[rows][valid] = spectra
-        sigma[rows][valid] = known if spread is None else spread
+        if spread is None and estimate is not None:
+            noise = [(None if s is None else s.isel(y=rows).values,) for s in noises]
+            spread = estimate.sigma(side_by_side(noise, 0, valid))
+        sigma[rows][valid] = spread
         joined = np.bitwise_or.reduce(marks, axis=2)
         flags[rows] = np.where(valid, joined & ~np.uint8(Flag.OUTSIDE), joined | Flag.OUTSIDE)[
             ..., None

@@ -14,7 +14,7 @@ from levkas.core.problems import Problem, Refused
 from levkas.database.reader import Database
 from levkas.estimation.budget import Budget, measure_budget
 from levkas.estimation.charts import read_chart
-from levkas.estimation.methods import METHODS, EstimationMethod
+from levkas.estimation.methods import METHODS, EstimationMethod, Model
 from levkas.estimation.plan import (
     ExperimentPlan,
     choose_layers,
@@ -46,6 +46,16 @@ from levkas.estimation.splits import (
 )
 from levkas.estimation.stored import StoredModel, bands_of
 from levkas.estimation.training import Criterion, Training, mean_square, select_training
+from levkas.estimation.uncertainty import (
+    SAMPLES,
+    ModelErrors,
+    PredictionError,
+    carry_on,
+    channels_of,
+    noise_of_residuals,
+    slopes_of,
+    training_rows,
+)
 
 MOST_PIXELS = 40_000
 """Of a painting that are scored and drawn."""
@@ -259,9 +269,35 @@ def fit_models(
         for score in scores:
             model = METHODS[score.method].fit(training, np.random.default_rng(seed))
             sigma = tuple(float(e) for e in score.by_band()[0])
-            yield StoredModel(
-                score.method, model, part.sources, source.target, bands, tuple(names), sigma
-            )
+            errors = _errors_of(source, model, training, part.sources, names, score)
+            facts = score.method, model, part.sources, source.target, bands, tuple(names), sigma
+            yield StoredModel(*facts, errors)
+
+
+def _errors_of(
+    source: SampleSource,
+    model: Model,
+    training: Training,
+    sources: Sequence[str],
+    names: Sequence[str],
+    score: MethodScore,
+) -> ModelErrors:
+    """Return what the estimates of a model have in common, by its held-out errors and the budgets of its training."""
+    some = training.take(np.linspace(0, len(training) - 1, SAMPLES).astype(int))
+    noise = noise_of_residuals(
+        slopes_of(model, some.responses), some.response_sigma, training.spectrum_sigma
+    )
+    root = source.database.path
+    channels = [
+        channels_of(source.layer(names[0], layer), layer, training_rows(root, names, layer))
+        for layer in sources
+    ]
+    labels = [band.label for band in bands_of(source.layer(names[0], source.target))]
+    return ModelErrors(
+        PredictionError.measure(score.residuals(), noise),
+        tuple(training_rows(root, names, source.target)),
+        tuple(carry_on(model, some.responses, channels, labels)),
+    )
 
 
 def _models_of(

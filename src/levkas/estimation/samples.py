@@ -161,14 +161,14 @@ class SampleSource:
                 )
             )
         gold = self._mirrors(name, step)[good]
-        spectra = _of(lattice[:1], 0, good)
+        spectra = side_by_side(lattice[:1], 0, good)
         assert spectra is not None
         gold &= _rises(spectra, np.asarray(target.wavelength.values, float))
         rows, columns = (places * step for places in np.nonzero(good))
-        responses = _of(lattice[1:], 0, good)
+        responses = side_by_side(lattice[1:], 0, good)
         assert responses is not None
         return PaintSamples(
-            responses, spectra, _of(lattice[1:], 2, good), _of(lattice[:1], 2, good),
+            responses, spectra, side_by_side(lattice[1:], 2, good), side_by_side(lattice[:1], 2, good),
             gold, rows, columns,
         )  # fmt: skip
 
@@ -262,13 +262,15 @@ def _blocks(array: xarray.DataArray, step: int) -> Iterator[np.ndarray]:
         yield array.isel(y=slice(start, start + rows)).values
 
 
-def _of(lattice: Sequence[tuple[Any, ...]], part: int, good: np.ndarray) -> np.ndarray | None:
-    """Return one part of several layers side by side, (n, channels); None where a layer lacks it."""
+def side_by_side(
+    lattice: Sequence[tuple[Any, ...]], part: int, good: np.ndarray
+) -> np.ndarray | None:
+    """Return one part of several layers side by side, (n, channels); None where a layer lacks it; no sigma is 0."""
     arrays = [layer[part] for layer in lattice]
     if any(array is None for array in arrays):
         return None
     values = np.concatenate([array[good] for array in arrays], axis=1).astype(np.float64)
-    return np.where(np.isfinite(values), values, 0.0) if part == 2 else values
+    return np.where(np.isfinite(values), values, 0.0) if part else values
 
 
 def _rises(spectra: np.ndarray, wavelengths: np.ndarray) -> np.ndarray:

@@ -152,9 +152,13 @@ class MethodScore:
         """Test paintings in order."""
         return list(dict.fromkeys(error.object for error in self.errors))
 
+    def residuals(self) -> np.ndarray:
+        """Return estimated − measured of all pixels of paint, (n, bands)."""
+        return np.concatenate([e.residuals[~e.gold] for e in self.errors]).astype(float)
+
     def by_band(self) -> tuple[np.ndarray, np.ndarray]:
         """Return RMSE and R² of every band, over paint."""
-        residuals = np.concatenate([e.residuals[~e.gold] for e in self.errors]).astype(float)
+        residuals = self.residuals()
         measured = np.concatenate([e.measured[~e.gold] for e in self.errors]).astype(float)
         squared = np.square(residuals).mean(0)
         return np.sqrt(squared), metrics.r2(measured + residuals, measured)

@@ -14,6 +14,7 @@ from levkas.core.problems import Problem
 from levkas.core.text import read_json
 from levkas.estimation.methods import Model, load_model, save_model
 from levkas.estimation.samples import EstimationRefused
+from levkas.estimation.uncertainty import ModelErrors
 
 if TYPE_CHECKING:
     from levkas.database.layer_array import LayerArray
@@ -37,6 +38,8 @@ class StoredModel:
         Paintings that it was fitted on.
     sigma : tuple of float
         RMSE of each band on held-out paintings.
+    errors : ModelErrors
+        What all its estimates have in common.
     """
 
     method: str
@@ -46,11 +49,13 @@ class StoredModel:
     bands: tuple[Band, ...]
     training: tuple[str, ...]
     sigma: tuple[float, ...]
+    errors: ModelErrors
 
     def facts(self) -> dict[str, Any]:
         """Return all but the model itself."""
         record = {name: value for name, value in vars(self).items() if name != "model"}
-        return {**record, "bands": [asdict(band) for band in self.bands]}
+        bands = [asdict(band) for band in self.bands]
+        return {**record, "bands": bands, "errors": self.errors.to_dict()}
 
     def save(self, path: Path) -> list[Path]:
         """Write ``NAME.npz`` and ``NAME.json``; return both."""
@@ -110,8 +115,10 @@ def read_model(path: Path) -> StoredModel:
         sigma = tuple(float(value) for value in record["sigma"])
         if str(record["method"]) != method or len(sigma) != len(bands):
             raise ValueError(f"the facts of a model by {record['method']}, of {len(sigma)} bands")
+        errors = ModelErrors.from_dict(record["errors"], len(bands))
+        target = str(record["target"])
         return StoredModel(
-            method, model, names["sources"], str(record["target"]), bands, names["training"], sigma
+            *(method, model, names["sources"], target, bands, names["training"], sigma, errors)
         )
     except (KeyError, TypeError, ValueError) as error:
         raise EstimationRefused(

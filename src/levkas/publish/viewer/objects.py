@@ -18,7 +18,7 @@ from levkas.core.text import counted, parse_bounded, read_text
 from levkas.database.catalogue import ESTIMATED
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.pixel_frames import Frame
-from levkas.database.region_uncertainty import read_budget
+from levkas.database.region_uncertainty import position_sigmas, read_budget
 from levkas.database.registrations import describe_pairs, read_registration, unchecked_share
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.tiff_pages import open_pages
@@ -41,7 +41,8 @@ FACTS = {
 LEFT_OUT = "Left out: its registration was refused."
 KINDS = {".tif": "spectral TIFF", ".flags.tif": "flags", ".sigma.tif": "sigma", ".png": "preview"}
 UP = ("..", "..", "..")
-PLACE = "place on the painting"
+LATTICE = 9
+"""Places a side of the grid at which it is written how well places are known; between them it changes by a few parts in a hundred."""
 NOISE = "noise of the pixels"
 
 
@@ -269,7 +270,7 @@ def _write_layer(
         "pictures": pictures,
         "thumbnail": thumbnail,
         "spectra": {**spectra, "folder": f"layers/{number}/spectra"},
-        **_budget_of(item, layer, [band.label for band in bands], record, noise=spectra["sigma"]),
+        **_budget_of(item, layer, [band.label for band in bands], spectra),
         "lattice": {**lattice, "file": script} if lattice else None,
         "reference_band": _reference_band(record, bands),
         "downloads": _downloads(item, tiff),
@@ -277,12 +278,13 @@ def _write_layer(
 
 
 def _budget_of(
-    item: Item, layer: tuple[str, str], labels: list[str], record: dict[str, Any], *, noise: bool
+    item: Item, layer: tuple[str, str], labels: list[str], spectra: dict[str, Any]
 ) -> dict[str, Any]:
     """Return what a page needs for the uncertainty of a layer's values; {} where its errors are not recorded.
 
     ``rows`` have unit, size of each band, whether one draw holds for all bands (``shared``) and for one line of a scan alone (``line``),
-    and at which value of each band the error is nil (``zero``), where it is at one. ``unknown`` names what is in no row.
+    and at which value of each band the error is nil (``zero``), where it is at one; parts of sigma, whether each pixel has its own
+    (``pixel``). ``unknown`` names what is in no row, ``place`` has how well places are known.
     """
     try:
         budget = read_budget(item.database, LayerId(item.name, *layer))
@@ -294,21 +296,48 @@ def _budget_of(
         return {}
     rows: list[dict[str, Any]] = []
     for source in budget.sources:
-        if source.common_to == "pixel" or source.unit == "px" or not source.size:
+        of_pixel = source.common_to == "pixel"
+        if (of_pixel and source.unit != "sigma") or source.unit == "px" or not source.size:
             continue
         row = {"unit": source.unit, "shared": source.all_bands, "line": source.common_to == "line"}
+        row |= {"pixel": True} if of_pixel else {}
         size, zero = (
             [float(f"{known.get(label, 0.0):.4g}") for label in labels]
             for known in (source.size, source.zero_at)
         )
         rows.append({**row, "size": size, **({"zero": zero} if any(zero) else {})})
     unknown = list(dict.fromkeys(s.name for s in budget.sources if s.basis == "unknown"))
-    if any("sigma" in band for band in record.get("bands", {}).values()):
-        unknown.append(PLACE)
-    if not noise:
+    if not spectra["sigma"]:
         unknown.append(NOISE)
-    correlation = budget.correlation.round(4).tolist()
-    return {"budget": {"rows": rows, "unknown": unknown, "correlation": correlation}}
+    made = {"rows": rows, "unknown": unknown, "correlation": budget.correlation.round(4).tolist()}
+    return {"budget": {**made, **_places_of(item, layer, labels, spectra)}}
+
+
+def _places_of(
+    item: Item, layer: tuple[str, str], labels: list[str], spectra: dict[str, Any]
+) -> dict[str, Any]:
+    """Return how well the places of every band are known, on a lattice over the grid; {} where that is not known of any.
+
+    Bands of one table share it; where a table does not reach, it has its nearest number.
+    """
+    sides = (max(1, spectra[side] - 1) for side in ("width", "height"))
+    x, y = np.meshgrid(*(np.linspace(0.0, side, LATTICE) for side in sides))
+    places = np.stack([x.ravel(), y.ravel()], 1)
+    known = position_sigmas(item.database, LayerId(item.name, *layer), labels, places)
+    tables: dict[tuple[float, ...], int] = {}
+    of = []
+    for sigma in known.T:
+        there = np.isfinite(sigma)
+        if not there.any() or not sigma[there].any():
+            of.append(-1)
+            continue
+        apart = np.square(places[:, None] - places[there]).sum(2)
+        near = sigma[there][apart.argmin(1)]
+        table = tuple(float(f"{one:.3g}") for one in near)
+        of.append(tables.setdefault(table, len(tables)))
+    if not tables:
+        return {}
+    return {"place": {"columns": LATTICE, "rows": LATTICE, "tables": [*tables], "of": of}}
 
 
 def _say_estimate(attrs: dict[str, Any]) -> dict[str, Any]:
