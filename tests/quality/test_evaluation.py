@@ -2,6 +2,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from levkas.geometry.transforms import Affine
 from levkas.quality.evaluation.layer_report import Assessment
@@ -15,8 +16,6 @@ from levkas.readers.facts import UnreadableCapture
 
 
 def textured(rng, shape=(64, 80)):
-    from scipy.ndimage import gaussian_filter
-
     return gaussian_filter(rng.standard_normal(shape), 1.5)
 
 
@@ -27,12 +26,25 @@ def test_an_error_of_one_native_pixel_is_half_a_reference_pixel_at_scale_two():
 
 
 def test_points_without_an_inverse_count_as_infinitely_wrong():
-    summary = summarise_errors("550 nm", np.array([0.1, np.nan]))
+    summary = summarise_errors("550 nm", np.array([0.1, np.nan]), np.eye(2))
     assert summary.max == np.inf and summary.mean == np.inf
 
 
+@pytest.mark.parametrize("reach", [0.0, 1.0])
+def test_the_interval_of_a_mean_error_holds_the_mean_of_such_pictures(reach):
+    """Errors that are alike over some px, and those that are not; pictures of 96 px, each with other errors about one mean."""
+    rng, held = np.random.default_rng(4), 0
+    places = np.stack(np.meshgrid(*2 * [np.arange(0.0, 96, 3)]), -1).reshape(-1, 2)
+    for _ in range(400):
+        field = gaussian_filter(rng.standard_normal((96, 96)), reach, mode="wrap")
+        errors = 0.1 + 0.03 * field[::3, ::3].ravel() / field.std()
+        found = summarise_errors("R", errors, places)
+        held += abs(found.mean - 0.1) <= 2 * found.mean_u
+    assert held / 400 == pytest.approx(0.945, abs=0.03)  # of 400 draws: 0.011 by chance
+
+
 def test_no_points_give_no_figure_instead_of_a_flattering_one():
-    assert np.isnan(summarise_errors("R", np.array([])).mean)
+    assert np.isnan(summarise_errors("R", np.array([]), np.zeros((0, 2))).mean)
 
 
 def test_ssim_of_an_image_with_itself_is_one_whatever_gain_and_bias():
@@ -86,8 +98,17 @@ def test_the_table_has_the_words_of_the_screens_and_json_the_keys(decision, word
         "bands": [],
         "check_points": [],
         "ssim": None,
+        "ssim_u": None,
     }
     assessed = Assessment([layer])
     assert assessed.text.splitlines()[1].split()[:2] == ["icon/vis", word]
     assert "held-out errors" in assessed.text.splitlines()[-1]
     assert assessed.results[0]["verdict"] == decision
+
+
+def test_the_table_has_expanded_uncertainties_and_says_so():
+    band = {"error_mean": 0.034, "error_mean_u": 0.003, "error_max": 0.1, "points": 400}
+    layer = {"layer": "icon/vis", "verdict": "accept", "bands": [band], "check_points": []}
+    text = Assessment([layer | {"ssim": 0.95, "ssim_u": 0.002}]).text
+    assert "0.034 ± 0.006" in text and "0.950 ± 0.004" in text
+    assert "expanded uncertainty of a mean, k = 2" in text

@@ -195,7 +195,8 @@ def _errors(trial: Trial, record: dict[str, Any], maps: dict[str, Map]) -> list[
         miss = map_(points[keep]) - goal[keep]
         with np.errstate(all="ignore"):
             away = np.linalg.solve(map_.jacobian(points[keep]), miss[..., None])[..., 0]
-        rows.append(summarise_errors(label, np.linalg.norm(away, axis=1)).to_dict())
+        errors = np.linalg.norm(away, axis=1)
+        rows.append(summarise_errors(label, errors, points[keep]).to_dict())
     return rows
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.calibration.error_sources import COVERAGE
 from levkas.core.problems import Problem, Refused, closest_match
 from levkas.core.text import read_json
 from levkas.database.containment import check_inside
@@ -25,6 +26,7 @@ from levkas.quality.evaluation.similarity import (
     position_errors,
     read_truth,
     summarise_errors,
+    uncertainty_of_mean,
 )
 from levkas.registration.record import DECISIONS
 
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
     Checks = dict[tuple[str, str, str], np.ndarray]
 
 
+THINNED = 4
+"""Every so-many-th pixel a side of a map of SSIM, which is even over 11 px, gives its uncertainty."""
 AS_STORED = "Check that the points were read in the file as it is stored, without heeding its EXIF orientation."
 
 
@@ -50,22 +54,22 @@ class Assessment:
 
     @property
     def text(self) -> str:
-        """A table for people: a line a layer, errors in reference pixels."""
-        head = f"{'layer':28} {'verdict':14} {'bands':>5} {'mean px':>8} {'worst band':>11} {'max px':>8} {'checks':>8} {'SSIM':>6}"
+        """A table for people: a line a layer, errors in reference pixels; means with expanded uncertainty."""
+        head = f"{'layer':28} {'verdict':14} {'bands':>5} {'mean px':>15} {'worst band':>11} {'max px':>8} {'checks':>15} {'SSIM':>15}"
         lines = [head]
         for result in self.results:
             errors = [b for b in result["bands"] if b["error_mean"] is not None]
-            mean = np.mean([b["error_mean"] for b in errors]) if errors else np.nan
             worst = max((b["error_mean"] for b in errors), default=np.nan)
             most = max((b["error_max"] for b in errors), default=np.nan)
-            checks = [c["error_mean"] * c["points"] for c in result["check_points"]]
-            count = sum(c["points"] for c in result["check_points"])
-            check = sum(checks) / count if count else np.nan
-            ssim = np.nan if result["ssim"] is None else result["ssim"]
+            ssim = _with_u(result["ssim"], result["ssim_u"])
             verdict = DECISIONS.get(result["verdict"], result["verdict"]).partition(",")[0]
             lines.append(
                 f"{result['layer']:28} {verdict:14} {len(result['bands']):5d} "
-                f"{_number(mean):>8} {_number(worst):>11} {_number(most):>8} {_number(check):>8} {_number(ssim):>6}"
+                f"{_mean_error(errors):>15} {_number(worst):>11} {_number(most):>8} {_mean_error(result['check_points']):>15} {ssim:>15}"
+            )
+        if any("±" in line for line in lines):
+            lines.append(
+                f"± is the expanded uncertainty of a mean, k = {COVERAGE:g}: how far it may be off what such a picture has everywhere."
             )
         if not any(
             r["check_points"] or any(b["error_mean"] is not None for b in r["bands"])
@@ -75,6 +79,26 @@ class Assessment:
                 "No truth and no check points: the table has no errors. The reports have held-out errors."
             )
         return "\n".join(lines)
+
+
+def _mean_error(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the mean error of bands of one picture, each by its points: what one is off they all are."""
+    counts = np.array([row["points"] for row in rows], float)
+    if not counts.sum():
+        return "–"
+    mean, u = (
+        float(
+            np.average([np.nan if row[key] is None else row[key] for row in rows], weights=counts)
+        )
+        for key in ("error_mean", "error_mean_u")
+    )
+    return _with_u(mean, u)
+
+
+def _with_u(value: float | None, u: float | None) -> str:
+    """Return a number with its expanded uncertainty where that is known."""
+    shown = _number(np.nan if value is None else value)
+    return shown if u is None or not np.isfinite(u) else f"{shown} ± {COVERAGE * u:.3f}"
 
 
 def _number(value: float) -> str:
@@ -112,8 +136,8 @@ def assess(
     Returns
     -------
     assessment : Assessment
-        `results`: a dict a layer with verdict, errors of every band in reference px, and SSIM; `problems`:
-        what could not be evaluated; `text`: a table.
+        `results`: a dict a layer with verdict, errors of every band in reference px, and SSIM, means with their standard
+        uncertainties (``error_mean_u``, ``ssim_u``); `problems`: what could not be evaluated; `text`: a table.
 
     Raises
     ------
@@ -313,9 +337,7 @@ def _assess_layer(
         _band_error(label, band, record, truth, own.get(label))
         for label, band in record.get("bands", {}).items()
     ]
-    ssim = None
-    if decision != "refuse":
-        ssim = layer_ssim(output, record, maps)
+    ssim = layer_ssim(output, record, maps) if decision != "refuse" else None
     return {
         "object": name,
         "camera": camera,
@@ -324,7 +346,8 @@ def _assess_layer(
         "verdict": decision,
         "bands": [b.to_dict() for b in bands],
         "check_points": _checked(record, own),
-        "ssim": ssim,
+        "ssim": ssim and ssim[0],
+        "ssim_u": ssim and ssim[1],
         "seconds": _seconds(output, name, layer),
         "method": record.get("method", ""),
     }
@@ -339,13 +362,16 @@ def _checked(record: dict[str, Any], own: dict[str, np.ndarray]) -> list[dict[st
             errors = position_errors(
                 from_dict(bands[label]["transform"]), pairs[:, :2], pairs[:, 2:]
             )
-            found.append({"of": "evaluation", **summarise_errors(label, errors).to_dict()})
-    declared: dict[str, list[float]] = {}
+            summary = summarise_errors(label, errors, pairs[:, :2])
+            found.append({"of": "evaluation", **summary.to_dict()})
+    declared: dict[str, list[tuple[float, float, float]]] = {}
     for one in (record.get("errors") or {}).get("check_points", []):
-        error = one["error"]
-        declared.setdefault(one["band"], []).append(np.nan if error is None else error)
-    for label, errors_ in declared.items():
-        found.append({"of": "campaign", **summarise_errors(label, np.array(errors_)).to_dict()})
+        error = np.nan if one["error"] is None else one["error"]
+        declared.setdefault(one["band"], []).append((error, *one["reference"]))
+    for label, rows in declared.items():
+        errors, places = np.split(np.array(rows, float), [1], axis=1)
+        summary = summarise_errors(label, errors[:, 0], places)
+        found.append({"of": "campaign", **summary.to_dict()})
     return found
 
 
@@ -363,16 +389,19 @@ def _band_error(
     elif check is not None:
         reference, target = check[:, :2], check[:, 2:]
     else:
-        return summarise_errors(label, np.array([]))
+        return summarise_errors(label, np.array([]), np.zeros((0, 2)))
     on_grid = inside(
         from_dict(record["grid"]["transform"]).inverse(reference), record["grid"]["size"]
     )
     keep = on_grid & np.isfinite(target).all(1) & inside(target, band["size"])
-    return summarise_errors(label, position_errors(transform, reference[keep], target[keep]))
+    errors = position_errors(transform, reference[keep], target[keep])
+    return summarise_errors(label, errors, reference[keep])
 
 
-def layer_ssim(output: Path, record: dict[str, Any], maps: Path | None) -> float | None:
-    """Return the SSIM of one published layer against the reference camera's; None where there is none."""
+def layer_ssim(
+    output: Path, record: dict[str, Any], maps: Path | None
+) -> tuple[float, float] | None:
+    """Return the SSIM of one published layer against the reference camera's, and its standard uncertainty; None where there is none."""
     from levkas.quality.evaluation.similarity import structural_similarity
 
     reference, ours = record["reference"], _grey(output, record["object"], record)
@@ -390,7 +419,11 @@ def layer_ssim(output: Path, record: dict[str, Any], maps: Path | None) -> float
         )
         shown = np.nan_to_num(np.clip(full, 0, 1) * 255).astype(np.uint8)
         write_bytes(maps / f"{layer}_ssim.png", encode_png(shown))
-    return None if np.isnan(score) else score
+    if np.isnan(score):
+        return None
+    some = full[::THINNED, ::THINNED]
+    rows, columns = np.nonzero(np.isfinite(some))
+    return score, uncertainty_of_mean(some[rows, columns], np.stack([columns, rows], 1))
 
 
 def _grey(output: Path, name: str, record: dict[str, Any]) -> tuple[np.ndarray, np.ndarray] | None:
