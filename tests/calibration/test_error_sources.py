@@ -1,9 +1,12 @@
 """Errors that pixels and bands share: what is combined is what draws of the same errors scatter by."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from levkas.calibration.error_sources import (
+    COVERAGE,
     ErrorSource,
     MeanSpectrum,
     Uncertain,
@@ -11,6 +14,10 @@ from levkas.calibration.error_sources import (
     join,
     uncertain_mean,
 )
+from levkas.calibration.flatfield import flat_field
+from levkas.calibration.noise_fit import NoiseModel
+from levkas.calibration.templates import average
+from levkas.calibration.whites import WhiteBoard
 
 LABELS = ["450 nm", "550 nm", "650 nm"]
 NM = np.array([450.0, 550.0, 650.0])
@@ -163,3 +170,25 @@ def test_numbers_that_agree_have_an_expected_ratio_below_one_in_nineteen_of_twen
     )
     assert np.allclose(expected_ratio(first, second), expected[:50])
     assert 0.945 < np.mean(expected < 1) < 0.965
+
+
+def test_the_number_worked_by_hand_in_the_docs_is_what_calibration_gives():
+    """From counts to k = 2: docs/explanation/how_sure.md, by the functions that a build runs."""
+    shot, dark, white = (
+        average([np.full((2, 2), level, np.float32)] * count)
+        for level, count in ((2060, 1), (60, 8), (4060, 4))
+    )
+    noise = NoiseModel(gain=0.25, read_variance=2.0**2)
+    flat = flat_field(shot, dark, white, board=WhiteBoard(0.990), noise=noise)
+    value, sigma = float(flat.values[0, 0]), float(np.sqrt(flat.variance[0, 0]))
+    rows = [
+        ErrorSource("white board", "relative", {"R": 0.005 / 0.990}, "campaign", all_bands=True),
+        ErrorSource("lamp", "relative", {"R": 0.003}, "frame", all_bands=True),
+    ]
+    page = (Path(__file__).parents[2] / "docs/explanation/how_sure.md").read_text("utf-8")
+    for pixels, digits in ((1, 3), (10_000, 4)):
+        mean = MeanSpectrum(["R"], np.array([value]), np.array([sigma / pixels**0.5]), NM[:1])
+        made = uncertain_mean(mean, rows, layer="a")
+        u = COVERAGE * float(made.sigma[0])
+        assert f"R = {value:.{digits}f} ± {u:.{digits}f} (k = 2)" in page
+    assert f"**{sigma:.4f}**" in page and f"**{float(made.sigma[0]):.4f}**" in page

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from math import isnan
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from levkas import __version__
 from levkas.building import fingerprints
 from levkas.building.build_records import BuildRecords, Key, key_of
@@ -21,7 +23,8 @@ from levkas.core.internal_errors import as_refusal
 from levkas.core.problems import Problem, Refused
 from levkas.quality.targets.indicators import WhiteEvenness, lightness_spread
 from levkas.quality.targets.stray_light import NOT_MEASURED
-from levkas.stages.capture_statistics import FEW_BANDS, LAMP_DOUBT, SENSELS, levels_of
+from levkas.stages.budget import budget_of
+from levkas.stages.capture_statistics import FEW_BANDS, LAMP_DOUBT, SENSELS, VIEW, levels_of
 from levkas.stages.charts import edges_of
 from levkas.stages.sources import made_with
 from levkas.stages.written import Written
@@ -31,14 +34,20 @@ if TYPE_CHECKING:
 
     from levkas.building.fingerprints import Inputs
     from levkas.building.graph import Step
+    from levkas.calibration.error_sources import ErrorSource
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.campaign.discovery.file_index import FileIndex
     from levkas.core.cube import Band
     from levkas.database.layout import Places
+    from levkas.pages.budget import UncertaintyBudget
     from levkas.quality.targets.edges import EdgeTargetMeasure
     from levkas.quality.targets.measuring import ChartMeasure
     from levkas.stages.template_cache import TemplateCache
+
+
+GREY = 0.2
+"""Reflectance of an old painting, about; of what is relative in a budget half of it shows half."""
 
 
 @dataclass(frozen=True)
@@ -95,9 +104,11 @@ def write_camera_page(
     make_folder(path.parent)
     measured = measured_of(page, records)
     measures, problems, files = _measured(page, campaign, places, records, templates)
-    write_text(path, _page(page.camera, campaign, measured, measures, problems))
+    budgets = budgets_of(page, campaign, measured)
+    shown = [(s, _describe_budget(rows, page.first, measured[s])) for s, rows in budgets.items()]
+    write_text(path, _page(page.camera, campaign, measured, measures, problems, shown))
     described = path.parent / "camera.json"
-    write_json(described, describe_camera(campaign, page.first, measured))
+    write_json(described, describe_camera(campaign, page.first, measured, budgets))
     files += [path, described, *write_sensitivity(path.parent, campaign, page.first)]
     # A chart that cannot be measured is no fault of the objects: reported, not refused.
     warnings = (
@@ -127,6 +138,7 @@ def prints_of_page(
     }
     for key in ("kind", "bits", "black", "saturation"):
         prints[f"cameras.{page.camera}.{key}"] = getattr(keys, key)
+    prints |= fingerprints.uncertainties(campaign)
     prints["bands"] = [[b.label, str(b.wavelength), str(b.fwhm)] for b in first.bands]
     prints["sensors"] = [[s.name, s.pattern, len(s.bands)] for s in first.sensors]
     if declared := keys.sensitivity:
@@ -173,6 +185,32 @@ def measured_of(page: CameraPage, records: BuildRecords) -> dict[str, dict[str, 
             if any(of_camera.values()):
                 found[capture.setup] = of_camera
     return found
+
+
+def budgets_of(
+    page: CameraPage, campaign: Campaign, measured: Mapping[str, Mapping[str, Mapping[str, Any]]]
+) -> dict[str, tuple[ErrorSource, ...]]:
+    """Return the uncertainty budget of the camera's values under each setup that has one."""
+    captures = {capture.setup: capture for capture in reversed(page.captures)}
+    found = {s: budget_of(campaign, captures[s], facts) for s, facts in measured.items()}
+    return {setup: rows for setup, rows in found.items() if rows}
+
+
+def _describe_budget(
+    rows: Sequence[ErrorSource], first: Capture, measured: Mapping[str, Mapping[str, Any]]
+) -> UncertaintyBudget | None:
+    """Return table and plot of a budget, of values as bright as the mean of the view, or of `GREY` where that is not known."""
+    from levkas.pages.budget import describe_budget
+
+    levels = {band.label: GREY for band in first.bands}
+    levels |= {label: at for one in measured.values() for label, at in one.get(VIEW, {}).items()}
+    noise = {
+        label: float(
+            np.linalg.norm([row.size.get(label, 0.0) for row in rows if row.common_to == "pixel"])
+        )
+        for label in levels
+    }
+    return describe_budget(rows, first.bands, levels, noise)
 
 
 def _of_camera(records: BuildRecords, key: Key) -> dict[str, dict[str, Any]]:
@@ -240,6 +278,7 @@ def _page(
     measured: Mapping[str, Mapping[str, Any]],
     measures: Sequence[ChartMeasure | EdgeTargetMeasure],
     problems: Sequence[Problem],
+    budgets: Sequence[tuple[str, UncertaintyBudget | None]],
 ) -> str:
     """Return the HTML of a camera's page."""
     from levkas.calibration.sensor_context import spread
@@ -285,6 +324,7 @@ def _page(
             light_notes=notes,
             figures=figures,
             whites=whites,
+            budgets=[one for one in budgets if one[1] is not None],
             charts=[describe_chart(m) for m in measures],
             problems=[{"code": p.code, "text": written(campaign, p)} for p in problems],
             footer=f"Levkas {__version__}. Camera {camera}; coordinates are in its native pixels.",
@@ -353,9 +393,12 @@ def write_sensitivity(folder: Path, campaign: Campaign, capture: Capture) -> lis
 
 
 def describe_camera(
-    campaign: Campaign, capture: Capture, measured: Mapping[str, Mapping[str, Any]]
+    campaign: Campaign,
+    capture: Capture,
+    measured: Mapping[str, Mapping[str, Any]],
+    budgets: Mapping[str, Sequence[ErrorSource]],
 ) -> dict[str, Any]:
-    """Return cameras/CAMERA/camera.json: bands, sensors, and what was measured of them, by setup."""
+    """Return cameras/CAMERA/camera.json: bands, sensors, what was measured of them and the uncertainty of values, by setup."""
     keys = campaign.cameras[capture.camera]
     return {
         "camera": capture.camera,
@@ -375,6 +418,7 @@ def describe_camera(
         "measured": {
             setup or "": _without_pictures(of_sensor) for setup, of_sensor in measured.items()
         },
+        "uncertainty": {s or "": [row.to_dict() for row in rows] for s, rows in budgets.items()},
     }
 
 

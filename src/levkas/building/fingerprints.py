@@ -305,10 +305,10 @@ def of_report(
     for capture in captures if len(captures) > 1 else ():  # which are compared
         spectra = _spectra_of_bands(campaign, capture, hashes)
         prints |= {f"bands of {capture.layer}: {key}": value for key, value in spectra.items()}
-    return plain(prints | _uncertainties(campaign))
+    return plain(prints | uncertainties(campaign))
 
 
-def _uncertainties(campaign: Campaign) -> dict[str, Any]:
+def uncertainties(campaign: Campaign) -> dict[str, Any]:
     """What is declared of errors that no frame shows: it is in the budgets alone."""
     white = campaign.targets.white
     found: dict[str, Any] = {}

@@ -361,8 +361,8 @@ class Estimate:
             for row in (*(r for one in here for r in one.rows), *self.errors.training)
             if row.basis == "unknown"
         }
-        learnt = [row for row in self.errors.training if row.size]
-        return (*self._shares(), *known, *learnt, *(replace(row, size={}) for row in unknown.values()))  # fmt: skip
+        inherited = [row for row in self.errors.training if row.size]
+        return (*self._shares(), *known, *inherited, *(replace(row, size={}) for row in unknown.values()))  # fmt: skip
 
     def _shares(self) -> Iterable[ErrorSource]:
         """Yield which parts of the published sigma bands share: noise by every channel, and the prediction of a paint."""

@@ -32,6 +32,7 @@ class CameraReport:
     light_notes: Sequence[str] = ()
     figures: Sequence[Figure] = ()
     whites: Sequence[Sequence[str]] = ()
+    budgets: Sequence[tuple[str, Any]] = ()
     charts: Sequence[ChartSection] = ()
     problems: Sequence[dict[str, str]] = ()
     radiometry: Sequence[Any] = ()

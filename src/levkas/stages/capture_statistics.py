@@ -31,6 +31,7 @@ SENSELS = "sensels"
 """Among what is measured of a sensor: of the object's picture, not of the camera."""
 NOISE, ROUNDING = "noise_shares", "rounding"
 """The same: what shots, white and darks add to the noise of each band, and the step of its codes, reflectance."""
+PHOTONS, WHITE_FRAMES, DARK_FRAMES = "photons and read noise", "white frames", "dark frames"
 VIEW = "mean_of_view"
 """The same: mean of all that each band shows, reflectance; stray light is a share of it."""
 

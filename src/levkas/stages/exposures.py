@@ -36,7 +36,16 @@ from levkas.core.cube import Cube, Flag, is_flagged
 from levkas.core.problems import Problem
 from levkas.core.rounding import round_root, round_values
 from levkas.quality.image_quality.glare import mark_glare
-from levkas.stages.capture_statistics import NOISE, ROUNDING, VIEW, note_lamp, note_noise
+from levkas.stages.capture_statistics import (
+    DARK_FRAMES,
+    NOISE,
+    PHOTONS,
+    ROUNDING,
+    VIEW,
+    WHITE_FRAMES,
+    note_lamp,
+    note_noise,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -470,9 +479,9 @@ def _note_shares(
         if white_under is under:
             of_dark, of_other = (1 - ratio) ** 2 * of_dark, 0.0
         counts = {
-            "photons and read noise": _variance_of(shot, phase, noise, signal),
-            "white frames": ratio**2 * _variance_of(white, phase, noise, light),
-            "dark frames": of_dark + ratio**2 * of_other,
+            PHOTONS: _variance_of(shot, phase, noise, signal),
+            WHITE_FRAMES: ratio**2 * _variance_of(white, phase, noise, light),
+            DARK_FRAMES: of_dark + ratio**2 * of_other,
         }
         notes[label] = {
             name: float(f"{per_count[label] * found**0.5:.4g}") for name, found in counts.items()

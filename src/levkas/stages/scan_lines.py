@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from levkas.calibration.flatfield import Calibrated, describe_darks, less_sure
+from levkas.calibration.flatfield import Calibrated, describe_darks, less_sure, pair_darks
 from levkas.calibration.sensor_context import (
     SensorContext,
     placed,
@@ -20,13 +20,16 @@ from levkas.calibration.templates import (
     CalibrationRefused,
     Template,
     as_absent,
+    bands_alike,
     describe_lost,
     gaps_of,
     no_values,
+    pick_bands,
     single_shot,
 )
 from levkas.calibration.whites import WhiteBoard
 from levkas.core.cube import Flag
+from levkas.stages.capture_statistics import DARK_FRAMES, PHOTONS, WHITE_FRAMES
 from levkas.stages.exposures import flatten
 from levkas.stages.scan_templates import (
     FrameLines,
@@ -61,17 +64,60 @@ class Strip:
     def notes(self) -> tuple[str, ...]:
         """What exposures leave in doubt, known before a line is calibrated."""
         context, times = self.context, times_of(self.file.frame)
-        darks = [lines_of(dark, 0, 1) for dark in self.templates.darks]
-        white = None if self.templates.white is None else lines_of(self.templates.white, 0, 1)
+        shot, darks, white = self._line(0)
         doubt = doubt_scaling(context, times, times_in(white)) if white is not None else ""
-        none = np.zeros((1, 1, len(context.sensor.bands)), bool)
-        shot = timed(Template(none.astype(np.float32), None, 1, none, none), times)
         notes = (
             doubt,
             *describe_darks(shot, darks, white, context.black),
             *self.templates.area.notes,
         )
         return tuple(note for note in notes if note)
+
+    def _line(self, at: int) -> tuple[Template, list[Template], Template | None]:
+        """Return an empty line, and the darks and the white of line `at`."""
+        none = np.zeros((1, 1, len(self.context.sensor.bands)), bool)
+        empty = Template(none.astype(np.float32), None, 1, none, none)
+        white = self.templates.white
+        return (
+            timed(empty, times_of(self.file.frame)),
+            [lines_of(dark, at, at + 1) for dark in self.templates.darks],
+            None if white is None else lines_of(white, at, at + 1),
+        )
+
+    def noise_shares(self, levels: np.ndarray) -> dict[str, dict[str, float]]:
+        """Return what lines, white and darks add to the noise of each band at some levels, (bands,), all in reflectance.
+
+        By the white and the darks of the middle line, and the noise model: that of the published sigma within a seventh.
+        """
+        shot, darks, white = self._line(self.shape[0] // 2)
+        noise, labels = self.templates.noise, [band.label for band in self.context.sensor.bands]
+        if noise is None or white is None:
+            return {}
+        board = np.broadcast_to(np.asarray(self.context.reflectance, float), len(labels))
+        found = {}
+        for bands in bands_alike(shot, *darks, white) or [np.arange(len(labels))]:
+            own = [pick_bands(dark, bands) for dark in darks]
+            object_, lit = (pick_bands(one, bands) for one in (shot, white))
+            under, white_under, scale, _ = pair_darks(
+                object_, own or None, lit, self.context.black_level
+            )
+            light = np.median((lit.mean - white_under.mean).reshape(-1, len(bands)), 0)
+            light = np.maximum(light, 1e-9)
+            per_count = board[bands] * scale / light
+            signal = levels[bands] / per_count
+            ratio = signal / light
+            of_dark, of_other = (d.share * noise.read_under(d) for d in (under, white_under))
+            if white_under is under:
+                of_dark, of_other = of_dark * (1 - ratio) ** 2, 0.0
+            counts = {
+                PHOTONS: noise.variance(signal),
+                WHITE_FRAMES: np.square(ratio) * noise.variance(light) / lit.count,
+                DARK_FRAMES: of_dark + np.square(ratio) * of_other,
+            }
+            sizes = {name: per_count * np.sqrt(variance) for name, variance in counts.items()}
+            for k, band in enumerate(bands):
+                found[labels[band]] = {n: float(f"{size[k]:.4g}") for n, size in sizes.items()}
+        return found
 
     def flat(self, start: int, stop: int) -> FlatLines:
         """Flat-field lines `start` to `stop`; the same values for any block that they are part of."""

@@ -21,7 +21,7 @@ from levkas.core.rounding import round_root
 from levkas.readers.frames import read_facts
 from levkas.registration.bands import BandImage
 from levkas.stages.above_white import COUNTS, count_above, describe_above, require_light
-from levkas.stages.capture_statistics import Middle, describe_lamp
+from levkas.stages.capture_statistics import NOISE, VIEW, Middle, describe_lamp
 from levkas.stages.exposures import cube_of, mark_glare_in
 from levkas.stages.scan_lines import FlatLines, Strip, describe_loss
 from levkas.stages.scan_templates import block_lines
@@ -207,6 +207,7 @@ class Scan:
             values[rows], flags[rows] = block.values, block.flags
             if sigma is not None:
                 sigma[rows] = block.sigma
+        calibration.note()
         cube = Cube(values, flags, sigma, self.bands, self.quantity)
         return cube, (*self.source.notes, *calibration.notes())
 
@@ -221,6 +222,7 @@ class Scan:
             pictures.add(cube)
             middle.add(cube)
             yield cube
+        calibration.note()
         self._summary = ScanSummary(calibration.notes(), pictures.images(), middle.focus())
 
     @property
@@ -277,13 +279,15 @@ class Scan:
 class ScanPass:
     """One pass over lines of a scan, which counts what frames lost and what denoising takes away.
 
-    `lost` are the values of each band, (bands,), that are no finite numbers, `above` what `count_above` gives.
+    `lost` are the values of each band, (bands,), that are no finite numbers, `above` what `count_above` gives, `sums` and `counts`
+    are of the values that are.
     """
 
     def __init__(self, scan: Scan) -> None:
         self._scan = scan
         self.lost = np.zeros(scan.shape[2], np.int64)
         self.above = np.zeros((COUNTS, scan.shape[2]), np.int64)
+        self.sums, self.counts = np.zeros((2, scan.shape[2]))
         self._projecting = Projecting(scan.subspace) if scan.subspace else None
 
     def blocks(self) -> Iterator[Cube]:
@@ -292,8 +296,28 @@ class ScanPass:
             self.lost += block.lost
             cube = self._scan._finished(block.flat, self._projecting)
             self.above += count_above(cube)
+            for line in cube.values:  # one by one: sums do not depend on how lines come in
+                known = np.isfinite(line)
+                self.sums += line.sum(0, where=known, dtype=float)
+                self.counts += known.sum(0)
             yield cube
             del cube  # its memory is that of the lines, which may have been done with
+
+    def note(self) -> None:
+        """Note the mean of the view, and what makes the noise there, in what was measured of the sensor."""
+        scan = self._scan
+        if scan.quantity != "reflectance":
+            return
+        levels = self.sums / np.maximum(self.counts, 1)
+        strip = (
+            scan.source.strips[0].strip if isinstance(scan.source, JoinedStrips) else scan.source
+        )
+        measured, labels = scan.context.measured, [band.label for band in scan.bands]
+        measured[VIEW] = {
+            b: float(f"{at:.4g}") for b, at in zip(labels, levels.tolist(), strict=True)
+        }
+        if shares := strip.noise_shares(levels):
+            measured[NOISE] = shares
 
     def notes(self) -> tuple[str, ...]:
         """Report what was lost and taken away; raises CalibrationRefused where a band has no finite value."""
