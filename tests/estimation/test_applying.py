@@ -74,8 +74,9 @@ def test_the_mean_of_an_estimated_region_is_no_better_known_than_its_paint(own_p
         layer = levkas.open(own_paintings)["icon3"]["guess"]
         one, many = (layer.uncertainty(rectangle=(20, 20, *end)) for end in ((20, 20), (31, 31)))
         np.testing.assert_allclose(one.u, layer.sigma.values[20, 20], rtol=1e-3)
-        missed = many.u_by_source.sel(source="prediction")
-        assert (many.u_random < 0.15 * one.u_random).all() and (many.u - missed).max() < 1e-4
+        assert (many.u_random < 0.1 * one.u_random).all()
+        missed = [found.u_by_source.sel(source="prediction") for found in (one, many)]
+        np.testing.assert_allclose(missed[1], missed[0], rtol=0.4)  # sigma is not the same everywhere
         apart = layer.uncertainty(
             rectangle=(20, 20, 31, 31), bands=["590 nm", "610 nm"], of="difference"
         )

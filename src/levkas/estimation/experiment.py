@@ -47,6 +47,7 @@ from levkas.estimation.splits import (
 from levkas.estimation.stored import StoredModel, bands_of
 from levkas.estimation.training import Criterion, Training, mean_square, select_training
 from levkas.estimation.uncertainty import (
+    APART_PX,
     SAMPLES,
     ModelErrors,
     PredictionError,
@@ -294,7 +295,7 @@ def _errors_of(
     ]
     labels = [band.label for band in bands_of(source.layer(names[0], source.target))]
     return ModelErrors(
-        PredictionError.measure(score.residuals(), noise),
+        PredictionError.measure(score.residuals(), noise, score.pairs(APART_PX)),
         tuple(training_rows(root, names, source.target)),
         tuple(carry_on(model, some.responses, channels, labels)),
     )

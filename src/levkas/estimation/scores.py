@@ -156,6 +156,16 @@ class MethodScore:
         """Return estimated − measured of all pixels of paint, (n, bands)."""
         return np.concatenate([e.residuals[~e.gold] for e in self.errors]).astype(float)
 
+    def pairs(self, apart: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return which of the `residuals` lie beside one another, `apart` px or the next multiple of their lattice, (m,) each, int."""
+        found, start = [], 0
+        for error in self.errors:
+            rows, columns = error.rows[~error.gold], error.columns[~error.gold]
+            found.append(start + _neighbours(rows, columns, apart))
+            start += len(rows)
+        first, second = np.concatenate(found, axis=1)
+        return first, second
+
     def by_band(self) -> tuple[np.ndarray, np.ndarray]:
         """Return RMSE and R² of every band, over paint."""
         residuals = self.residuals()
@@ -187,6 +197,21 @@ class MethodScore:
             }
             for chunk in rows
         ]
+
+
+def _neighbours(rows: np.ndarray, columns: np.ndarray, apart: int) -> np.ndarray:
+    """Return which places lie beside one another in a row or a column, (2, m)."""
+    places = np.unique(columns)
+    step = int(np.diff(places).min()) if len(places) > 1 else 1
+    away, width = step * -(-apart // step), int(columns.max(initial=0)) + 1
+    key = rows.astype(np.int64) * 2 * (width + away) + columns
+    order = np.argsort(key, kind="stable")
+    found = []
+    for move in (away, away * 2 * (width + away)):
+        at = np.minimum(np.searchsorted(key[order], key + move), len(key) - 1)
+        there = key[order][at] == key + move
+        found.append(np.stack([np.flatnonzero(there), order[at[there]]]))
+    return np.concatenate(found, axis=1)
 
 
 def summarise(values: np.ndarray, *, lower_is_worse: bool = False) -> dict[str, float]:

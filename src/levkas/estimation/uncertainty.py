@@ -37,6 +37,8 @@ STEP = 0.005
 """Reflectance by which responses are changed to find slopes: about their errors; half and twice it move U by less than 1 %."""
 SAMPLES = 100
 """Pixels at which slopes are taken; their mean is known to a tenth of their scatter."""
+APART_PX, LEAST_PAIRS = 4, 100
+"""How far pixels lie apart, px, that were interpolated from no common ones; and fewest pairs, by which an error is known to a tenth."""
 PATTERNS, LEFT = 6, 0.02
 """Patterns over the bands of what a prediction misses: as many as leave this share of its variance, and no more than six."""
 
@@ -51,18 +53,26 @@ class PredictionError:
         Of which each error is a sum, with independent coefficients of variance 1.
     rest : ndarray, (bands,)
         Standard deviation of what each band has beyond them.
+    alone : ndarray, (bands,)
+        Of what single pixels are missed by beyond that and beyond the noise of their responses.
     """
 
     patterns: np.ndarray
     rest: np.ndarray
+    alone: np.ndarray
 
     @property
     def sigma(self) -> np.ndarray:
-        """Standard deviation of each band, (bands,)."""
+        """Standard deviation of each band that the pixels of a paint have in common, (bands,)."""
         return np.sqrt(np.square(self.patterns).sum(0) + np.square(self.rest))
 
     @classmethod
-    def measure(cls, residuals: np.ndarray, noise: np.ndarray | float = 0.0) -> PredictionError:
+    def measure(
+        cls,
+        residuals: np.ndarray,
+        noise: np.ndarray | float = 0.0,
+        pairs: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> PredictionError:
         """Describe held-out errors by patterns.
 
         Parameters
@@ -71,6 +81,9 @@ class PredictionError:
             Estimated − measured.
         noise : ndarray, (bands, bands), or float
             Covariance by noise of the measured spectra and of the responses, which is not the estimator's.
+        pairs : tuple of ndarray, (m,) and (m,), int, optional
+            Pixels that lie near one another and have no noise in common: what both are missed by is measured, whatever the noise is.
+            Without it, or of fewer than `LEAST_PAIRS`, noise is taken off.
 
         Examples
         --------
@@ -78,7 +91,11 @@ class PredictionError:
         >>> found.patterns.round(3).tolist(), found.sigma.round(3).tolist()
         ([[0.03, 0.06]], [0.03, 0.06])
         """
-        moment = residuals.T @ residuals / len(residuals) - noise
+        whole = residuals.T @ residuals / len(residuals) - noise
+        moment = whole
+        if pairs is not None and len(pairs[0]) >= LEAST_PAIRS:
+            moment = residuals[pairs[0]].T @ residuals[pairs[1]] / len(pairs[0])
+            moment = (moment + moment.T) / 2
         values, vectors = np.linalg.eigh(moment)
         order = np.argsort(-values, kind="stable")
         values, vectors = np.maximum(values[order], 0), vectors[:, order]
@@ -86,11 +103,13 @@ class PredictionError:
         count = min(PATTERNS, 1 + int(np.searchsorted(part, 1 - LEFT)), len(values))
         signs = np.where(vectors.sum(0) < 0, -1.0, 1.0)
         patterns = (vectors * signs * np.sqrt(values)).T
-        return cls(patterns[:count], np.sqrt(np.square(patterns[count:]).sum(0)))
+        alone = np.diag(whole) - np.square(patterns).sum(0)
+        rest = np.sqrt(np.square(patterns[count:]).sum(0))
+        return cls(patterns[:count], rest, np.sqrt(np.maximum(alone, 0)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return it, JSON-ready."""
-        return {"patterns": self.patterns.tolist(), "rest": self.rest.tolist()}
+        return {name: getattr(self, name).tolist() for name in ("patterns", "rest", "alone")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,12 +139,12 @@ class ModelErrors:
         """Read what `to_dict` gave; raises KeyError, TypeError or ValueError where it is none of so many bands."""
         prediction = record["prediction"]
         patterns = np.array(prediction["patterns"], float).reshape(-1, bands)
-        rest = np.array(prediction["rest"], float).reshape(bands)
+        others = (np.array(prediction[name], float).reshape(bands) for name in ("rest", "alone"))
         rows = (
             tuple(ErrorSource.from_dict(row) for row in record[name])
             for name in ("training", "cameras")
         )
-        return cls(PredictionError(patterns, rest), *rows)
+        return cls(PredictionError(patterns, *others), *rows)
 
 
 class Channels(NamedTuple):
@@ -150,6 +169,7 @@ def uncertain_spectrum(
     responses: Uncertain,
     prediction: PredictionError | None = None,
     *,
+    pixels: int = 1,
     layer: str = "",
     region: object = 0,
 ) -> Uncertain:
@@ -162,6 +182,8 @@ def uncertain_spectrum(
         Means of a region, of one layer or of several, as `levkas.calibration.error_sources.join` puts them together.
     prediction : PredictionError, optional
         Of the model; where it knows its own sigma, that is its size, less the noise of the responses.
+    pixels : int
+        Of how many the responses are means.
     layer : str
         Whose prediction it is.
     region : object
@@ -174,7 +196,7 @@ def uncertain_spectrum(
     >>> from levkas.estimation.methods.linear_model import LinearModel
     >>> double = LinearModel(np.array([[0]]), False, np.array([[2.0]]), np.zeros(1), 1)
     >>> grey = Uncertain(np.array([0.4]), {("white board", "", 0): np.array([0.004])})
-    >>> made = uncertain_spectrum(double, grey, PredictionError(np.array([[0.03]]), np.zeros(1)))
+    >>> made = uncertain_spectrum(double, grey, PredictionError(np.array([[0.03]]), *np.zeros((2, 1))))
     >>> made.values.tolist(), made.sigma.round(4).tolist()
     ([0.8], [0.031])
     """
@@ -186,14 +208,18 @@ def uncertain_spectrum(
         return made
     scale = np.ones(len(made.values))
     if own is not None:
-        noise = made.by_source().get(NOISE, np.zeros(len(made.values)))
+        noise = made.by_source().get(NOISE, 0.0) * pixels**0.5
         left = np.sqrt(np.maximum(np.square(own[0]) - np.square(noise), 0))
-        scale = left / np.maximum(prediction.sigma, 1e-12)
+        scale = left / np.maximum(np.hypot(prediction.sigma, prediction.alone), 1e-12)
     parts: dict[Part, np.ndarray] = dict(made.parts)
-    alone = np.diag(scale * prediction.rest)
-    for k, row in enumerate((*(scale * prediction.patterns), *alone)):
-        if row.any():
-            parts[PREDICTION, layer, (str(region), k)] = row
+    common = (*(scale * prediction.patterns), *np.diag(scale * prediction.rest))
+    for name, rows in (
+        (PREDICTION, common),
+        (NOISE, np.diag(scale * prediction.alone / pixels**0.5)),
+    ):
+        for k, row in enumerate(rows):
+            if row.any():
+                parts[name, f"{layer}, {PREDICTION}", (str(region), k)] = row
     return Uncertain(made.values, parts)
 
 
@@ -337,7 +363,8 @@ class Estimate:
 
     def sigma(self, noise: np.ndarray | None) -> np.ndarray:
         """Return sigma of estimates whose method has none of its own, of responses with noise (m, channels), (m, bands)."""
-        variance = np.square(self.errors.prediction.sigma)[None]
+        prediction = self.errors.prediction
+        variance = (np.square(prediction.sigma) + np.square(prediction.alone))[None]
         return np.sqrt(variance if noise is None else variance + np.square(noise) @ self.gains)
 
     def rows(self, *, same_cameras: bool) -> tuple[ErrorSource, ...]:
@@ -365,22 +392,20 @@ class Estimate:
         return (*self._shares(), *known, *inherited, *(replace(row, size={}) for row in unknown.values()))  # fmt: skip
 
     def _shares(self) -> Iterable[ErrorSource]:
-        """Yield which parts of the published sigma bands share: noise by every channel, and the prediction of a paint."""
-        _, own = self.model(self.responses)
-        total = self.sigma(self.noise) if own is None else own
-        level = np.sqrt(np.square(total).mean(0))
-        free = np.zeros(len(level))
+        """Yield which parts of the published sigma bands share: noise by every channel, and the prediction of a paint.
+
+        Of a method with a sigma of its own they are those of its held-out errors and of noise.
+        """
+        prediction = self.errors.prediction
+        level = np.sqrt(np.maximum(np.square(self.sigma(self.noise)).mean(0), 1e-24))
         if self.noise is not None:
-            free = np.square(self.noise).mean(0) @ self.gains / np.square(level)
             each = (self.slopes * self.noise[:, None]).mean(0).T
             names = [f"{one.layer} {label}" for one in self.channels for label in one.labels]
             for name, moved in zip(names, each, strict=True):
                 yield self._share(NOISE, moved / level, name, common_to="pixel")
-        prediction = self.errors.prediction
-        scale = np.sqrt(np.maximum(1 - free, 0)) / np.maximum(prediction.sigma, 1e-12)
         for k, pattern in enumerate(prediction.patterns, 1):
-            yield self._share(PREDICTION, scale * pattern, f"pattern {k}")
-        yield self._share(PREDICTION, scale * prediction.rest, all_bands=False)
+            yield self._share(PREDICTION, pattern / level, f"pattern {k}")
+        yield self._share(PREDICTION, prediction.rest / level, all_bands=False)
 
     def _share(self, name: str, size: np.ndarray, owner: str = "", **more: Any) -> ErrorSource:
         sizes = dict(zip(self.labels, size.tolist(), strict=True))
