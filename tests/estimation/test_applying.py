@@ -76,7 +76,9 @@ def test_the_mean_of_an_estimated_region_is_no_better_known_than_its_paint(own_p
         np.testing.assert_allclose(one.u, layer.sigma.values[20, 20], rtol=1e-3)
         assert (many.u_random < 0.1 * one.u_random).all()
         missed = [found.u_by_source.sel(source="prediction") for found in (one, many)]
-        np.testing.assert_allclose(missed[1], missed[0], rtol=0.4)  # sigma is not the same everywhere
+        np.testing.assert_allclose(
+            missed[1], missed[0], rtol=0.4
+        )  # sigma is not the same everywhere
         apart = layer.uncertainty(
             rectangle=(20, 20, 31, 31), bands=["590 nm", "610 nm"], of="difference"
         )
