@@ -209,8 +209,14 @@ function explainU(readings: Reading[]): string {
   }
   missing.delete("");
   const each = [...missing].map(([words, names]) => `${words} (${names.join(", ")})`);
+  const ofSigma = known.filter(({ layer }) =>
+    layer.budget!.rows.some((row) => row.unit === "sigma"),
+  );
+  const also = ofSigma.map(
+    ({ layer }) => ` Sigma of ${layer.name} has what its prediction misses, too.`,
+  );
   const not = each.length ? ` Not contained: ${each.join("; ")}.` : "";
-  return `Sigma is the noise of the pixel alone, U with k\u00a0=\u00a0${COVERAGE} also has what all pixels share.${not}`;
+  return `Sigma is the noise of the pixel alone, U with k\u00a0=\u00a0${COVERAGE} also has what all pixels share.${also.join("")}${not}`;
 }
 
 async function read(
