@@ -121,7 +121,7 @@ def test_regions_have_the_uncertainty_of_the_database(page, database):
     pairs = page.locator(".region-pair")
     found = region_numbers(page)
     # In the second one are flagged pixels, whose neighbours have no noise in common with them, and no slopes of their own.
-    for k, rel in enumerate([1e-3, 2e-2]):
+    for k, rel in enumerate([3e-3, 2e-2]):
         a, b = shapes[k]["points"]
         sure = expected(database, rectangle=(*map(min, a, b), *map(max, a, b)))
         assert float(found[k]["u"]) == pytest.approx(sure.sigma[2], rel=rel)
@@ -140,8 +140,9 @@ def test_regions_have_the_uncertainty_of_the_database(page, database):
     a, b = shapes[0]["points"]
     sure = expected(database, rectangle=(*map(min, a, b), *map(max, a, b)))
     mine = [row for row in rows if row["layer"] == "vis"][: len(sure.sigma)]
-    assert [float(row["u"]) for row in mine] == pytest.approx(sure.sigma.tolist(), rel=1e-3)
-    assert [float(row["U"]) for row in mine] == pytest.approx((2 * sure.sigma).tolist(), rel=1e-3)
+    # How well places are known has three digits there.
+    assert [float(row["u"]) for row in mine] == pytest.approx(sure.sigma.tolist(), rel=3e-3)
+    assert [float(row["U"]) for row in mine] == pytest.approx((2 * sure.sigma).tolist(), rel=3e-3)
     assert {row["u"] + row["U"] for row in rows if row["layer"] == "nir"} == {""}
 
 
@@ -168,7 +169,7 @@ def test_a_place_has_its_noise_and_what_all_pixels_share(page, database):
     )
     cells = page.locator("tbody[data-layer=vis] td[data-expanded]")
     shown = [float(cells.nth(k).get_attribute("data-expanded")) for k in range(cells.count())]
-    assert shown == pytest.approx((2 * sure.sigma).tolist(), rel=1e-3)
+    assert shown == pytest.approx((2 * sure.sigma).tolist(), rel=3e-3)
     path, _ = saved(page, "Save places as CSV")
     with path.open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["layer"] == "vis"]
