@@ -1,6 +1,7 @@
 """The budget of a build: what is measured, declared and not known, in records, report and in what is read from regions."""
 
 import json
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -15,7 +16,10 @@ from levkas.building.hashes import Hashes
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.stages.budget import budget_of
+from levkas.stages.calibrate import develop
 from levkas.stages.capture_statistics import DARK_FRAMES, PHOTONS, WHITE_FRAMES
+from levkas.stages.spectra import read_certificate
+from levkas.stages.template_cache import TemplateCache
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from sigma_of_builds import Camera, built, scene, write_campaign
@@ -154,6 +158,15 @@ def test_what_is_declared_is_in_every_number_and_rebuilds_the_report_alone(campa
         ("[cameras.cam.uncertainty]\nlinearity = 5\n", "cameras.cam.uncertainty.linearity"),
         ("[cameras.cam.uncertainty]\nflat = 0.1\n", "cameras.cam.uncertainty.flat"),
         ("[setups.default]\nangle_deg = 120\n", "setups.default.angle_deg"),
+        ("[setups.default]\nangle_uncertainty_deg = 2\n", "setups.default.angle_deg"),
+        (
+            "[setups.default]\nangle_deg = 85\nangle_uncertainty_deg = 20\n",
+            "setups.default.angle_uncertainty_deg",
+        ),
+        ("[cameras.cam.uncertainty]\nlinearity = 0.5\n", "cameras.cam.uncertainty.linearity"),
+        ("[cameras.cam.uncertainty]\nlinearity = nan\n", "cameras.cam.uncertainty.linearity"),
+        ('[cameras.cam.uncertainty]\nlinearity = "1 %"\n', "cameras.cam.uncertainty.linearity"),
+        ("[cameras.cam.uncertainty]\nstray_light = [0.1]\n", "cameras.cam.uncertainty.stray_light"),
     ],
 )
 def test_uncertainties_that_are_none_are_refused(campaign, tmp_path, keys, field):
@@ -165,6 +178,36 @@ def test_uncertainties_that_are_none_are_refused(campaign, tmp_path, keys, field
     with pytest.raises(Refused) as refused:
         summarise(build(folder))
     assert [p.field for p in refused.value.problems] == [field]
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        "400,0.98,0.005\n600,0.98,\n800,0.98,0.005",
+        "400,0.98,-0.005\n800,0.98,0.005",
+        "400,0.98,0.5\n800,0.98,0.5",
+        "400,98,0.005\n800,98,0.005",
+        "400,0.98,0.97\n800,0.98,0.96",
+    ],
+)
+def test_a_third_column_that_is_no_uncertainty_refuses_the_white(campaign, tmp_path, rows):
+    """Partly empty, negative, per cent beside shares and the other way round, and the spectrum of a second board."""
+    folder = shutil.copytree(campaign, tmp_path / "c", ignore=shutil.ignore_patterns("database*"))
+    path = folder / "campaign.toml"
+    path.write_text(path.read_text().replace("reflectance = 1.0", 'reflectance = "board.csv"'))
+    (folder / "board.csv").write_text(f"nm,R,u\n{rows}\n")
+    problems = summarise(build(folder)).problems
+    assert [p.field for p in problems] == ["targets.white.reflectance"]
+    assert problems[0].file.endswith("board.csv")
+
+
+@pytest.mark.parametrize("rows", ["400,0.98,\n800,0.98,", "400,98,0.49\n800,98,0.49"])
+def test_a_third_column_is_used_or_empty(tmp_path, rows):
+    path = tmp_path / "board.csv"
+    path.write_text(f"nm,R,u\n{rows}\n")
+    _, values, errors = read_certificate(path)
+    assert values.tolist() == [0.98, 0.98]
+    assert errors is None if rows.endswith(",") else errors.tolist() == [0.0049, 0.0049]
 
 
 def test_the_dataset_of_a_layer_has_the_budget_as_obsarray_reads_it(campaign, tmp_path):
@@ -200,6 +243,96 @@ def test_bands_share_what_they_have_in_common_by_their_kind(tmp_path, kind, own)
     (capture,), _ = levkas.find_captures(campaign)
     rows = {row.name: row for row in budget_of(campaign, capture, {})}
     assert {name for name, row in rows.items() if not row.all_bands} == own
+
+
+@pytest.mark.parametrize("curve", [0.0, 0.002])
+def test_exposures_that_lie_on_a_line_give_the_budget_how_straight_it_is(tmp_path, curve):
+    """At 3,500 of 4,095 counts a bend of 0.002 takes off 0.17 %: too little to be corrected, and not nothing."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "promises"))
+    import camera as promises
+
+    habits = promises.Habits(curve=curve, series=(0.25, 0.5, 1.0))
+    folder = promises.write_campaign(tmp_path / "c", "bands", habits, (160, 200))
+    campaign = levkas.load_campaign(folder)
+    (capture,), _ = levkas.find_captures(campaign)
+    measured = develop(capture, campaign, TemplateCache(tmp_path / "kept")).measured
+    (row,) = [row for row in budget_of(campaign, capture, measured) if row.name == "linearity"]
+    assert row.basis == "measured" and len(row.size) == 3 and row.zero_at
+    for size in row.size.values():
+        assert size == pytest.approx(curve * 3500 / 4095, rel=0.2, abs=2e-4)
+
+
+def test_values_in_counts_have_a_budget_of_what_needs_no_white(tmp_path):
+    folder = tmp_path / "c"
+    write_campaign(folder, "bands", Camera(SHAPE), scene(SHAPE)[0], whites=1)
+    path = folder / "campaign.toml"
+    text = "".join(x for x in path.read_text().splitlines(True) if not x.startswith("white"))
+    path.write_text(text)
+    assert summarise(build(folder)).ok
+    rows = rows_of(folder)
+    assert {row["unit"] for row in rows.values()} <= {"counts", "relative", "nm"}
+    known = {name for name, row in rows.items() if row.get("size")}
+    assert known == {"photons and read noise", "dark frames", "code spacing", "black level"}
+    unknown = {name for name, row in rows.items() if row["basis"] == "unknown"}
+    assert unknown == {"white board", "linearity", "stray light", "wavelength"}
+    sigma = read(folder).sigma
+    for band, size in rows["photons and read noise"]["size"].items():
+        assert size == pytest.approx(float(np.median(sigma.sel(band=band))), rel=0.2)
+    report = (folder / "database/objects/panel/report.html").read_text()
+    said = re.search(r"No white: values[^<]*", report)
+    assert (
+        said and "e+" not in said[0] and report.count("No white: values are relative counts") == 1
+    )
+    assert read(folder).uncertainty(rectangle=REGION).attrs["not_known"]
+
+
+def test_darks_that_are_clipped_do_not_say_that_the_black_level_is_steady(tmp_path):
+    folder = tmp_path / "c"
+    write_campaign(folder, "bands", Camera(SHAPE, black=0.0), scene(SHAPE)[0], whites=2)
+    campaign = levkas.load_campaign(folder)
+    (capture,), _ = levkas.find_captures(campaign)
+    measured = develop(capture, campaign, TemplateCache(tmp_path / "kept")).measured
+    (row,) = [row for row in budget_of(campaign, capture, measured) if row.name == "black level"]
+    assert set(row.size) == {"750 nm"}  # two seconds of dark current lift that one above zero
+    assert "clipped at zero" in row.advice
+
+
+@pytest.mark.parametrize(
+    "older",
+    [
+        lambda step: step.pop("uncertainty"),
+        lambda step: [row.pop("all_bands") for row in step["uncertainty"]],
+        lambda step: step.update(uncertainty={"rows": []}),
+        lambda step: [row.update(size=[0.1]) for row in step["uncertainty"]],
+        lambda step: [row.update(size={"450 nm": "x"}) for row in step["uncertainty"]],
+        lambda step: [row.update(unit="percent") for row in step["uncertainty"]],
+    ],
+)
+def test_a_budget_of_another_version_is_refused_with_what_to_do(campaign, tmp_path, older):
+    from levkas.core.problems import Refused
+
+    folder = shutil.copytree(campaign, tmp_path / "c")
+    path = folder / "database/objects/panel/provenance.json"
+    record = json.loads(path.read_text())
+    for step in record["steps"]:
+        if step["stage"] == "calibrate":
+            older(step)
+    path.write_text(json.dumps(record))
+    layer = read(folder)
+    for reads in (
+        lambda: layer.uncertainty(rectangle=REGION),
+        lambda: levkas.open(folder / "database")["panel"].dataset("cam"),
+    ):
+        with pytest.raises(Refused, match="Build it again") as refused:
+            reads()
+        assert refused.value.problems[0].file == str(path)
+
+
+def test_a_layer_without_provenance_says_that_it_has_no_budget(campaign, tmp_path):
+    folder = shutil.copytree(campaign, tmp_path / "c")
+    (folder / "database/objects/panel/provenance.json").unlink()
+    (said,) = read(folder).uncertainty(rectangle=REGION).attrs["not_known"]
+    assert "no budget" in said
 
 
 def test_a_ratio_of_two_bands_knows_the_slope_of_the_whole_spectrum(campaign):

@@ -393,6 +393,7 @@ def test_every_key_is_documented_in_the_section_of_its_table():
             "cameras.NAME.registration": "`[registration]`",
             "cameras.NAME.wavelengths": "`[cameras.NAME]`",
             "cameras.NAME.uncertainty": "`[cameras.NAME]`",
+            "cameras.NAME.stray_light": "`[cameras.NAME]`",
             "campaign.reference": "`[campaign]`",
             "publication.creators": "`[[publication.creators]]`",
             "targets.white": "`[targets]`",

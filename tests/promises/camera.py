@@ -1,4 +1,4 @@
-"""A camera, a lamp and an operator that break promises, each by a stated amount; NumPy and tifffile alone.
+"""A camera, a lamp and an operator that break promises, each by a stated amount; NumPy, SciPy and tifffile alone.
 
 It shares no line and no constant with the package, so that neither can lean on the other's assumption.
 """
@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import tifffile
+from scipy.signal import fftconvolve
 
 WAVELENGTHS = (450, 550, 650)
 TILE = 20
@@ -64,6 +65,8 @@ class Habits:
     """Share of the columns in which the white shows the painting, not the board."""
     stray: float = 0.0
     """Share of the mean light of the view that is added everywhere."""
+    stray_px: float = 0.0
+    """Where it is above 0 that share of the light is spread in place of it, as exp(-distance/stray_px)."""
     iso: tuple[int, int] | None = None
     """Of white and object, written into the files; counts follow."""
     stop: tuple[float, float] | None = None
@@ -110,7 +113,8 @@ class Camera:
         """Return the codes of one shot of a reflectance; `factor` is that of ISO and stop."""
         habits = self.habits
         observed = np.broadcast_to(np.asarray(scene, float), self.shape) * self.evenness
-        observed = observed + habits.stray * observed.mean()
+        spread = self._spread(observed) if habits.stray_px else observed.mean()
+        observed = observed + habits.stray * spread
         counts = habits.light * lamp * seconds * observed * self.response + habits.current * seconds
         counts = habits.gain * self.rng.poisson(counts / habits.gain)
         counts = factor * np.minimum(counts - habits.curve * counts**2 / 4095, habits.full)
@@ -118,6 +122,14 @@ class Camera:
         raw = counts + level + self.phase + self.offset
         raw = np.rint(raw + self.rng.normal(0, habits.read, self.shape))
         return (raw.clip(0, habits.top) * habits.shift).astype(np.uint16)
+
+    def _spread(self, light: np.ndarray) -> np.ndarray:
+        """Return the light that falls off exponentially around every point."""
+        tall, wide = self.shape
+        y, x = np.mgrid[-tall : tall + 1, -wide : wide + 1]
+        fall = np.exp(-np.hypot(y, x) / self.habits.stray_px)
+        made, all_of_it = (fftconvolve(a, fall, "same") for a in (light, np.ones(self.shape)))
+        return made / all_of_it - light
 
 
 @dataclass(frozen=True)

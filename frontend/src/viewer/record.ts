@@ -60,7 +60,7 @@ export interface LatticeFacts {
 
 /** One source of error that pixels share. */
 export interface BudgetRow {
-  unit: "relative" | "reflectance" | "nm" | "sigma";
+  unit: "relative" | "reflectance" | "counts" | "nm" | "sigma";
   /** Standard uncertainty of each band. */
   size: number[];
   /** Whether one draw of the error holds for all bands. */

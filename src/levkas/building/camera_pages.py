@@ -24,7 +24,14 @@ from levkas.core.problems import Problem, Refused
 from levkas.quality.targets.indicators import WhiteEvenness, lightness_spread
 from levkas.quality.targets.stray_light import NOT_MEASURED
 from levkas.stages.budget import budget_of
-from levkas.stages.capture_statistics import FEW_BANDS, LAMP_DOUBT, SENSELS, VIEW, levels_of
+from levkas.stages.capture_statistics import (
+    FEW_BANDS,
+    LAMP_DOUBT,
+    SENSELS,
+    STRAYED,
+    VIEW,
+    levels_of,
+)
 from levkas.stages.charts import edges_of
 from levkas.stages.sources import made_with
 from levkas.stages.written import Written
@@ -103,10 +110,12 @@ def write_camera_page(
     records.forget(page_key(page.camera))
     make_folder(path.parent)
     measured = measured_of(page, records)
-    measures, problems, files = _measured(page, campaign, places, records, templates)
-    budgets = budgets_of(page, campaign, measured)
+    measures, problems, files, strayed = _measured(page, campaign, places, records, templates)
+    budgets = budgets_of(page, campaign, measured, strayed)
     shown = [(s, _describe_budget(rows, page.first, measured[s])) for s, rows in budgets.items()]
-    write_text(path, _page(page.camera, campaign, measured, measures, problems, shown))
+    write_text(
+        path, _page(page.camera, campaign, measured, measures, problems, shown, bool(strayed))
+    )
     described = path.parent / "camera.json"
     write_json(described, describe_camera(campaign, page.first, measured, budgets))
     files += [path, described, *write_sensitivity(path.parent, campaign, page.first)]
@@ -115,7 +124,17 @@ def write_camera_page(
         *(written(campaign, problem) for problem in problems),
         *(f"{m.name}: {m.stray_light}" for m in measures if m.stray_light),
     )
-    return Written(files, {"warnings": list(warnings)}, warnings=warnings)
+    return Written(files, {"warnings": list(warnings), STRAYED: strayed}, warnings=warnings)
+
+
+def stray_light_of(records: BuildRecords, capture: Capture) -> Mapping[str, Any]:
+    """Return the stray light that charts showed of a capture's camera, under its setup where they were captured so; empty without any."""
+    return _under(capture.setup, records.notes(page_key(capture.camera)).get(STRAYED, {}))
+
+
+def _under(setup: str, strayed: Mapping[str, Mapping[str, Any]]) -> Mapping[str, Any]:
+    """Return the stray light under a setup, else under the first one."""
+    return strayed.get(setup) or next(iter(strayed.values()), {})
 
 
 def prints_of_page(
@@ -143,6 +162,12 @@ def prints_of_page(
     prints["sensors"] = [[s.name, s.pattern, len(s.bands)] for s in first.sensors]
     if declared := keys.sensitivity:
         prints[f"file {declared}"] = records.hashes(campaign.root / declared)
+    return fingerprints.plain(prints | prints_of_charts(page, campaign, records))
+
+
+def prints_of_charts(page: CameraPage, campaign: Campaign, records: BuildRecords) -> dict[str, Any]:
+    """Return what the charts that a camera saw are made of."""
+    prints: dict[str, Any] = {}
     for capture in page.charts:
         name = f"chart {capture.object}/{capture.layer}"
         fingerprint = fingerprints.of_calibration(campaign, capture, records.hashes)
@@ -150,7 +175,7 @@ def prints_of_page(
         prints[f"{name} kind"] = campaign.targets.charts[capture.object]
         if named := edges_of(campaign, capture):
             prints[f"{name} edges"] = [[s, [list(p.box) for p in e]] for s, e in named.items()]
-    return fingerprints.plain(prints)
+    return prints
 
 
 def _measured_in(
@@ -188,11 +213,17 @@ def measured_of(page: CameraPage, records: BuildRecords) -> dict[str, dict[str, 
 
 
 def budgets_of(
-    page: CameraPage, campaign: Campaign, measured: Mapping[str, Mapping[str, Mapping[str, Any]]]
+    page: CameraPage,
+    campaign: Campaign,
+    measured: Mapping[str, Mapping[str, Mapping[str, Any]]],
+    strayed: Mapping[str, Mapping[str, Any]],
 ) -> dict[str, tuple[ErrorSource, ...]]:
-    """Return the uncertainty budget of the camera's values under each setup that has one."""
+    """Return the uncertainty budget of the camera's values under each setup that has one; `strayed` is the stray light of its charts."""
     captures = {capture.setup: capture for capture in reversed(page.captures)}
-    found = {s: budget_of(campaign, captures[s], facts) for s, facts in measured.items()}
+    found = {
+        s: budget_of(campaign, captures[s], facts, _under(s, strayed))
+        for s, facts in measured.items()
+    }
     return {setup: rows for setup, rows in found.items() if rows}
 
 
@@ -227,16 +258,25 @@ def _measured(
     places: Places,
     records: BuildRecords,
     templates: TemplateCache,
-) -> tuple[list[ChartMeasure | EdgeTargetMeasure], list[Problem], list[Path]]:
-    """Measure the charts that a camera saw, and write them."""
+) -> tuple[
+    list[ChartMeasure | EdgeTargetMeasure], list[Problem], list[Path], dict[str, dict[str, Any]]
+]:
+    """Measure the charts that a camera saw, and write them; return also the stray light that they show, by setup."""
     from levkas.quality.targets.charts import kind_of, reference_of
     from levkas.quality.targets.measuring import ChartMeasure
-    from levkas.stages.charts import develop_chart, measure_capture, problems_of, write_chart
+    from levkas.stages.charts import (
+        develop_chart,
+        measure_capture,
+        problems_of,
+        stray_light_in,
+        write_chart,
+    )
 
     measured = measured_of(page, records)
     files: list[Path] = []
     measures: list[ChartMeasure | EdgeTargetMeasure] = []
     problems = list(page.refused)
+    strayed: dict[str, dict[str, Any]] = {}
     for capture in page.charts:
         name = f"{capture.object}/{capture.layer}"
         key = key_of(capture, f"chart-{capture.object}")
@@ -251,6 +291,10 @@ def _measured(
             if white is not None and isinstance(found, ChartMeasure):
                 found = replace(found, notes=(*found.notes, BY_ITSELF))
             measures.append(found)
+            if shown := stray_light_in(developed, found):  # a trap shows more than a chart's black
+                strayed[capture.setup] = shown | (
+                    strayed.get(capture.setup, {}) if not developed.trapped else {}
+                )
             problems += problems_of(name, capture, Refused(*found.edges.problems))
             files += write_chart(places, campaign, capture, developed, found)
         except WriteRefused:
@@ -258,7 +302,7 @@ def _measured(
         except Exception as error:
             refused = as_refusal(error, f"chart {name}", capture.sensors[0].object[0].path)
             problems += problems_of(name, capture, records.with_report(key, refused))
-    return measures, problems, files
+    return measures, problems, files, strayed
 
 
 def _evenness(measured: Mapping[str, Any]) -> WhiteEvenness | None:
@@ -279,8 +323,9 @@ def _page(
     measures: Sequence[ChartMeasure | EdgeTargetMeasure],
     problems: Sequence[Problem],
     budgets: Sequence[tuple[str, UncertaintyBudget | None]],
+    strayed: bool,
 ) -> str:
-    """Return the HTML of a camera's page."""
+    """Return the HTML of a camera's page; `strayed` is whether stray light was measured."""
     from levkas.calibration.sensor_context import spread
     from levkas.pages.camera import (
         CameraReport,
@@ -313,7 +358,10 @@ def _page(
                 label = drawn[len(drawn) // 2]
                 what = f"{name} {label}".strip()
                 figures += draw_light(fields[label], levels_of(fields[label]), what)
-    if lights and not any(m.stray for m in measures):
+    strayed = strayed or any(
+        STRAYED in one for of_sensors in measured.values() for one in of_sensors.values()
+    )
+    if lights and not strayed:
         notes.append(NOT_MEASURED)
     return render_camera(
         CameraReport(

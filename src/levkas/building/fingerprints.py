@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 CALIBRATION_KEYS = (
     "kind", "bits", "black", "saturation", "exposures", "scan", "denoise", "demosaic", "overrule",
+    "stray_light",
 )  # fmt: skip
 NOT_THERE = "not registered"
 ROLES = ("object", "dark", "white", "chart")
@@ -146,6 +147,8 @@ def of_calibration(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict
             prints[f"file {white.reflectance}"] = hashes(campaign.root / white.reflectance)
             prints |= _spectra_of_bands(campaign, capture, hashes)
     prints |= _white_chart(campaign, capture, hashes)
+    if traps := capture.boxes(campaign.targets.traps.get(capture.object, {})):
+        prints["targets.traps"] = traps
     if len(capture.sensors) > 1:  # bands are in their order, and the first is the others' frame
         prints[f"cameras.{camera.name}.sensors"] = [sensor.name for sensor in capture.sensors]
     for sensor in capture.sensors:

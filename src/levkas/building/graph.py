@@ -84,7 +84,9 @@ def graph_of(
         tasks |= {task.key: task for task in here}
         report = Key(mine[0].object, stage="report")
         layers = tuple(task.key for task in here if task.key.stage == "resample")
-        tasks[report] = Task(report, uses=layers)
+        # Budgets hold the stray light that charts show on the pages of cameras.
+        pages = tuple(dict.fromkeys(page_key(c.camera) for c in mine)) if charts else ()
+        tasks[report] = Task(report, uses=(*layers, *pages))
     for camera in cameras_with_pages(campaign, captures, charts):
         calibrations = [keys_of(campaign, c)["calibrate"] for c in captures if c.camera == camera]
         key = page_key(camera)
@@ -93,6 +95,8 @@ def graph_of(
     tasks[CATALOGUE] = Task(CATALOGUE, uses=pages)
     # What captures that are adjusted together saw comes first, object by object.
     first = [key for key in tasks if key.stage == "measure"]
+    # Pages of cameras wait for all captures: what reads them comes last, each capture stays in one go.
+    first += [key for key in tasks if key.stage != "report" and key != CATALOGUE] if charts else []
     return {task.key: task for task in ordered(tasks, [*first, *tasks])}
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from levkas import __version__
 from levkas.building import fingerprints
 from levkas.building.build_records import Key, key_of
+from levkas.building.camera_pages import stray_light_of
 from levkas.building.fingerprints import written
 from levkas.building.graph import keys_of
 from levkas.calibration.chart_light import CHART_WHITE
@@ -182,7 +183,12 @@ def _budget_of(
 ) -> tuple[ErrorSource, ...]:
     """Return the uncertainty budget of a capture; empty where it was not calibrated."""
     notes = records.notes(key_of(capture, "calibrate"))
-    return budget_of(campaign, capture, notes["measured"]) if "measured" in notes else ()
+    if "measured" not in notes:
+        return ()
+    strayed = stray_light_of(records, capture) if campaign.targets.charts else {}
+    return budget_of(
+        campaign, capture, notes["measured"], strayed, quantity=str(notes.get("quantity", ""))
+    )
 
 
 def _agreement(
@@ -447,9 +453,8 @@ def provenance_of(
             if step := _step(records, key):
                 frames = _frames(campaign, capture, step["inputs"])
                 measured = records.notes(key).get("measured", {})
-                own = {"frames": frames, **_white_of(measured)}
-                if budget := budgets[capture.layer]:
-                    own["uncertainty"] = [row.to_dict() for row in budget]
+                rows = [row.to_dict() for row in budgets[capture.layer]]
+                own = {"frames": frames, **_white_of(measured), "uncertainty": rows}
                 steps.append(step | (own if key.stage == "calibrate" else {}))
     return {
         "object": captures[0].object,

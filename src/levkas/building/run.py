@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from levkas.building import fingerprints
 from levkas.building.build_records import CATALOGUE, BuildRecords, Key
-from levkas.building.camera_pages import prints_of_page, write_camera_page
+from levkas.building.camera_pages import prints_of_charts, prints_of_page, write_camera_page
 from levkas.building.catalogue import (
     by_others,
     foreign_files,
@@ -26,7 +26,7 @@ from levkas.building.catalogue import (
 from levkas.building.claiming import building, check_apart, claim, places_of
 from levkas.building.executor import DryRun, Executor
 from levkas.building.fingerprints import Inputs
-from levkas.building.graph import BuildReport, Graph, Step, Task, draw, summarise
+from levkas.building.graph import BuildReport, Graph, Step, Task, draw, page_key, summarise
 from levkas.building.outcomes import (
     REMOVED,
     Due,
@@ -365,7 +365,12 @@ def _report_prints(plan: Plan, inputs: Inputs, name: str, steps: Sequence[Step])
         layers[f"{step.key.layer} refused"] = "\n".join(written)
     captures = [capture for capture in plan.captures if capture.object == name]
     hashes = inputs.records.hashes
-    return fingerprints.of_report(plan.campaign, name, layers, captures, hashes)
+    prints = fingerprints.of_report(plan.campaign, name, layers, captures, hashes)
+    for camera in dict.fromkeys(c.camera for c in captures):
+        if (page := plan.pages.get(page_key(camera))) is not None:
+            charts = prints_of_charts(page, plan.campaign, inputs.records)
+            prints |= {f"{camera}: {chart}": made for chart, made in charts.items()}
+    return prints
 
 
 def _report(plan: Plan, outcomes: Outcomes, task: Task, steps: list[Step]) -> Iterator[Step]:

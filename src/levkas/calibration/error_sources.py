@@ -16,9 +16,9 @@ import numpy as np
 Extent = Literal["pixel", "line", "region", "frame", "camera", "campaign"]
 """What one draw of an error is common to: the pixels of a line, of a region of one paint, of a capture, all captures of a camera,
 or all cameras."""
-Unit = Literal["relative", "reflectance", "nm", "px", "sigma"]
-"""Of a size: of the value, absolute, of the wavelength (times the slope of the spectrum), of the place (times that of the picture),
-of the published sigma of the pixels."""
+Unit = Literal["relative", "reflectance", "counts", "nm", "px", "sigma"]
+"""Of a size: of the value, absolute (of layers without a white in counts), of the wavelength (times the slope of the spectrum), of the
+place (times that of the picture), of the published sigma of the pixels."""
 Basis = Literal["measured", "declared", "unknown"]
 
 COVERAGE = 2.0
@@ -84,12 +84,18 @@ class ErrorSource:
 
     @classmethod
     def from_dict(cls, row: Mapping[str, Any]) -> ErrorSource:
-        """Read what `to_dict` gave; raises KeyError where it is none."""
-        more = {key: row[key] for key in ("basis", "advice", "owner", "zero_at") if key in row}
-        size = row.get("size", {})
-        return cls(
-            row["source"], row["unit"], size, row["common_to"], all_bands=row["all_bands"], **more
+        """Read what `to_dict` gave; raises KeyError, TypeError or ValueError where it is none."""
+        more = {key: row[key] for key in ("basis", "advice", "owner") if key in row}
+        size, zero_at = (
+            {str(band): float(number) for band, number in dict(row.get(key, {})).items()}
+            for key in ("size", "zero_at")
         )
+        if row["unit"] not in get_args(Unit) or row["common_to"] not in get_args(Extent):
+            raise ValueError(f"{row['source']}: {row['unit']}, common to {row['common_to']}")
+        return cls(
+            *(row["source"], row["unit"], size, row["common_to"]),
+            all_bands=bool(row["all_bands"]), zero_at=zero_at, **more,
+        )  # fmt: skip
 
 
 Part = tuple[str, str, Hashable]

@@ -98,12 +98,16 @@ class SeriesFit(NamedTuple):
     offset, offset_error : float
         Counts above dark where there is no light by the series, and their standard error: not 0 where the dark is another
         than the shots', or the response has a toe below the levels of the series.
+    straightness : float
+        How far the light of its highest level lies off the line of its lowest, relative, where nothing is corrected: the curve
+        of one term that fits best and its standard error, as one; infinite where there are too few points.
     """
 
     response: Response | None = None
     unsure: float = 0.0
     offset: float = 0.0
     offset_error: float = float("inf")
+    straightness: float = float("inf")
 
 
 def fit_series(points: Sequence[Point], full: float) -> SeriesFit:
@@ -130,6 +134,8 @@ def fit_series(points: Sequence[Point], full: float) -> SeriesFit:
     >>> light = np.array([1000.0, 3000.0])
     >>> bool(np.abs(found.response.light(light - 0.06 * light**2 / 4000) / light - 1).max() < 1e-3)
     True
+    >>> bool(fit_series([p._replace(counts=p.time_s * p.group) for p in rows], 4000.0).straightness < 1e-3)
+    True
     >>> round(fit_series([p._replace(counts=p.time_s * p.group + 3) for p in rows], 4000.0).offset, 2)
     3.0
     """
@@ -139,12 +145,16 @@ def fit_series(points: Sequence[Point], full: float) -> SeriesFit:
     line = series.rest(series.log)
     columns = [*series.of_times(), *series.of_levels()[:TERMS], series.rest(1 / series.share)]
     still = series.part(series.without(line, columns))
-    best = min(_fits(still), key=lambda fit: fit.criterion)
+    fits = [*_fits(still)]
+    best = min(fits, key=lambda fit: fit.criterion)
+    bent = min((fit for fit in fits if len(fit.terms) == 1), key=lambda fit: fit.criterion)
+    straightness = float(np.hypot(bent.terms[0] * still.share.max(), bent.error))
     if len(best.terms):  # of fewer terms than the sensor has, the error is not that of the curve
-        whole = (fit for fit in _fits(still) if len(fit.terms) == TERMS)
+        whole = (fit for fit in fits if len(fit.terms) == TERMS)
         best = min(whole, key=lambda fit: fit.criterion)
     sure = abs(best.offset) > SIGMAS * best.offset_error
     shown = SeriesFit(None, 0.0, best.offset * full if sure else 0.0, best.offset_error * full)
+    shown = shown._replace(straightness=straightness)
     if not len(best.terms):
         return shown
     response = Response(tuple(best.terms.tolist()), full, best.error, series.rms(line), best.rms)
@@ -154,7 +164,11 @@ def fit_series(points: Sequence[Point], full: float) -> SeriesFit:
         return shown
     rising = np.all(response.slope(np.linspace(0, full, 50)) > 0)
     good = best.error <= min(SURE, size / SIGMAS) and best.rms <= STRAIGHT and rising
-    return shown._replace(response=response) if good else shown._replace(unsure=size)
+    return (
+        shown._replace(response=response)
+        if good
+        else shown._replace(unsure=size, straightness=max(size, straightness))
+    )
 
 
 def bends(points: Sequence[Point], full: float) -> bool:

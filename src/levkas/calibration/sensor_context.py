@@ -29,7 +29,7 @@ from levkas.calibration.full_scale import (
 )
 from levkas.calibration.linearity import PERIOD, Point, check_linearity, find_points
 from levkas.calibration.patterns import thin_periods
-from levkas.calibration.response import ALIKE, CURVED, Response, fit_series
+from levkas.calibration.response import ALIKE, CURVED, Response, SeriesFit, fit_series
 from levkas.calibration.templates import CalibrationRefused, Template, as_absent, close_gaps
 from levkas.core.problems import Problem
 from levkas.readers.compared_facts import SCALE
@@ -46,6 +46,7 @@ MOST_GLIMPSED = 2
 SHOTS = 4
 """Of a dark that was clipped: what they show of noise and fixed pattern suffices."""
 CLIPPED_DARKS, FULL_SCALE, RESPONSE = "clipped_darks", "full_scale", "response"
+STRAIGHTNESS = "straightness"
 QUIET_WHITE, SENSOR, OFFSET, WHITE_SHOTS = "quiet_white", "sensor", "offset", "white_shots"
 UNSURE_RESPONSE, FLATTENING, DARK_OFFSET = "unsure_response", "flattening", "dark_offset"
 """Names, among what is measured of a sensor, of darks that were clipped, the code at which it is full, its curve, a white
@@ -224,10 +225,11 @@ class SensorContext:
         if self.camera.traits.bands_in == "file" or self.saturation is None:
             return None
         points: list[Point] = []
+        hidden = False
         levels = [self.black or 0.0]
         for which, (shots, darks) in enumerate(self._series()):
-            if darks and all(np.mean(dark.black) > 0.5 for dark in darks):
-                return None  # their level is fitted to the series itself
+            # The level of such darks is fitted to the series itself.
+            hidden |= bool(darks) and all(np.mean(dark.black) > 0.5 for dark in darks)
             found = find_points(
                 *(shots, darks),
                 saturation=self.saturation,
@@ -239,12 +241,16 @@ class SensorContext:
             points += [p._replace(group=p.group + first, series=which) for p in found]
             levels += [float(np.median(dark.mean)) for dark in darks[:1]]
         shown = fit_series(points, self.saturation - levels[-1])
+        if hidden:
+            shown = SeriesFit(straightness=shown.straightness)
         if shown.unsure:
             self.measured[UNSURE_RESPONSE] = shown.unsure
         if abs(shown.offset) > BLACK_ERROR:
             self.measured[OFFSET] = {"counts": shown.offset, "error": shown.offset_error}
         if shown.response is not None:
             self.measured[RESPONSE] = asdict(shown.response)
+        elif np.isfinite(shown.straightness):
+            self.measured[STRAIGHTNESS] = float(f"{shown.straightness:.3g}")
         return shown.response
 
     def _series(self) -> Iterator[tuple[list[Template], list[Template]]]:

@@ -329,7 +329,8 @@ def _uncertain_means(
         mean = found.mean_of_region(pixels, bands, moved, budget.correlation)
         here = found.with_place(budget, labels, sigmas)
         means.append(found.uncertain_region(mean, here, layer, region.vertices.tolist()))
-    return means, [row.name for row in budget.sources if row.basis == "unknown"]
+    unknown = [row.name for row in budget.sources if row.basis == "unknown"]
+    return means, unknown if budget.sources else [found.NO_BUDGET]
 
 
 def _rows_of(array: xarray.DataArray, part: Mapping[str, slice]) -> np.ndarray:

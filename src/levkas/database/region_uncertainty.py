@@ -34,6 +34,10 @@ Of = Literal["mean", "difference", "ratio", "delta_e"]
 PROVENANCE = "provenance.json"
 PLACE = "place"
 LONG_NAMES = {"sigma": "part of sigma by {}, which a region of one paint has in common"}
+NO_BUDGET = "all that pixels share: the layer has no budget"
+OTHER_BUDGET = (
+    "all that pixels share: the layer's budget is of another version of Levkas; build it again"
+)
 NONE = np.ones((1, 1))
 """Correlation of noise that no neighbours share."""
 
@@ -72,9 +76,11 @@ def read_budget(root: Path, layer: LayerId) -> LayerBudget:
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         problem = Problem(
             "E_DAMAGED",
-            "what the layers of this object were made of cannot be read",
+            "what the layers of this object were made of cannot be read, or is of another version of Levkas",
             str(path),
-            found=f"{type(error).__name__}: {error}",
+            found=f"nothing under {error}"
+            if isinstance(error, KeyError)
+            else f"{type(error).__name__}: {error}",
             expected="steps with uncertainties, as a build writes them",
             fix="Build it again.",
         )
@@ -87,7 +93,7 @@ def _budget_in(record: Mapping[str, Any], layer: LayerId) -> LayerBudget:
     mine = {
         s["stage"]: s for s in steps if (s["camera"], s["setup"]) == (layer.camera, layer.setup)
     }
-    rows = mine.get("calibrate", {}).get("uncertainty", [])
+    rows = mine["calibrate"]["uncertainty"] if "calibrate" in mine else []
     return _as_budget(rows, mine.get("resample", {}).get("noise_correlation"))
 
 
@@ -128,7 +134,9 @@ def budget_variables(budget: LayerBudget, band: xarray.DataArray) -> dict[str, x
         percent = row.unit == "relative"
         attributes: dict[str, Any] = {
             "long_name": LONG_NAMES.get(row.unit, "standard uncertainty by {}").format(row.name),
-            "units": {"relative": "%", "reflectance": "1", "sigma": "1"}.get(row.unit, row.unit),
+            "units": {"relative": "%", "reflectance": "1", "sigma": "1", "counts": "count"}.get(
+                row.unit, row.unit
+            ),
             "pdf_shape": "gaussian",
             "common_to": row.common_to,
             "basis": row.basis,

@@ -14,7 +14,7 @@ from levkas.pages.plots import draw_legend, in_style, new_figure, to_svg
 if TYPE_CHECKING:
     from levkas.core.cube import Band
 
-UNITS = {"relative": "%", "reflectance": "", "nm": " nm", "px": " px"}
+UNITS = {"relative": "%", "reflectance": "", "counts": " counts", "nm": " nm", "px": " px"}
 EXTENTS = {
     "pixel": "each pixel",
     "line": "a line",
@@ -85,6 +85,8 @@ def describe_budget(
         if row.basis == "unknown"
     ]
     short = _in_short(labels, mean, shared, [row.source for row in unknown])
+    if any(row.unit == "counts" for row in sources):
+        short = f"No white: values are relative counts. {short}"
     return UncertaintyBudget(
         tuple(rows), tuple(unknown), _figure(_with_parts(shared, known, mean), mean), short
     )
@@ -101,11 +103,11 @@ def _in_short(
     common = float(np.sqrt(sum(v[middle] ** 2 for n, v in shared.items() if n != "noise")))
     one = COVERAGE * float(np.hypot(common, mean.random[middle]))
     many = (
-        f"{COVERAGE * common:.2g} for the mean of many"
+        f"{_plain(COVERAGE * common)} for the mean of many"
         if common
         else "that of a mean of many is not known"
     )
-    short = f"In {labels[middle]}, of a value of {mean.values[middle]:.2g}: U = {one:.2g} for one pixel, {many} (k = {COVERAGE:g})"
+    short = f"In {labels[middle]}, of a value of {_plain(mean.values[middle])}: U = {_plain(one)} for one pixel, {many} (k = {COVERAGE:g})"
     return short + (f". Not contained, as not known: {', '.join(unknown)}." if unknown else ".")
 
 
@@ -126,15 +128,24 @@ def _with_parts(
     return {n: v for n, v in shared.items() if n != "noise"} | parts
 
 
+def _plain(number: float) -> str:
+    """Return a number with two digits, of counts all before the point.
+
+    >>> _plain(0.01234), _plain(1234.5)
+    ('0.012', '1234')
+    """
+    return f"{number:.0f}" if abs(number) >= 100 else f"{number:.2g}"
+
+
 def _row(row: ErrorSource, mean: MeanSpectrum, shared: Mapping[str, np.ndarray]) -> BudgetRow:
     sizes = list(row.size.values())
     scale = 100.0 if row.unit == "relative" else 1.0
-    least, most = (f"{scale * value:.2g}" for value in (min(sizes), max(sizes)))
+    least, most = (_plain(scale * value) for value in (min(sizes), max(sizes)))
     size = (least if least == most else f"{least} to {most}") + UNITS[row.unit]
     share = "in sigma"
     if row.common_to != "pixel":
         found = shared.get(row.name)
-        share = "–" if found is None else f"{found[len(found) // 2]:.2g}"
+        share = "–" if found is None else _plain(found[len(found) // 2])
     common = EXTENTS[row.common_to] + (", all bands" if row.all_bands else ", each band")
     return BudgetRow(row.name, size, share, common, row.basis, row.advice)
 

@@ -15,8 +15,8 @@ import numpy as np
 from levkas.calibration.chart_light import CHART_WHITE
 from levkas.calibration.drift import LAMP
 from levkas.calibration.error_sources import ErrorSource
-from levkas.calibration.sensor_context import RESPONSE
-from levkas.stages.capture_statistics import NOISE, ROUNDING, VIEW
+from levkas.calibration.sensor_context import CLIPPED_DARKS, RESPONSE, STRAIGHTNESS
+from levkas.stages.capture_statistics import BLACK_WANDER, NOISE, ROUNDING, STRAYED, VIEW
 from levkas.stages.spectra import levels_of_board, read_board_uncertainty
 
 if TYPE_CHECKING:
@@ -27,17 +27,29 @@ if TYPE_CHECKING:
 WHITE, LAMP_ROW, BLACK_ROW = "white board", "lamp between white and object", "black level"
 LINEARITY, STRAY, WAVELENGTH, ANGLE = "linearity", "stray light", "wavelength", "angle of the light"
 CHART = "chart as white"
+RAISE_BLACK = "darks that are not clipped at zero: raise the camera's black level (offset)"
+NO_WHITE = "frames of a white board: without them values are counts, which no other camera's or day's can be compared with"
 
 
 def budget_of(
-    campaign: Campaign, capture: Capture, measured: Mapping[str, Mapping[str, Any]]
+    campaign: Campaign,
+    capture: Capture,
+    measured: Mapping[str, Mapping[str, Any]],
+    strayed: Mapping[str, Any] | None = None,
+    *,
+    quantity: str = "reflectance",
 ) -> tuple[ErrorSource, ...]:
-    """Return the rows of a capture's budget, all sensors together; none of values that are no reflectance.
+    """Return the rows of a capture's budget, all sensors together; of values in counts those that need no white.
 
     Parameters
     ----------
     measured : mapping of str to mapping
         What calibration noted of each sensor.
+    strayed : mapping, optional
+        Stray light that charts of the camera showed, as `levkas.quality.targets.stray_light.OfView.to_dict` writes it.
+
+    quantity : str
+        Of the layer's values: ``"reflectance"`` or ``"counts"``.
 
     Raises
     ------
@@ -46,7 +58,7 @@ def budget_of(
     """
     camera = campaign.cameras[capture.camera]
     has_white = any(sensor.white or sensor.chart for sensor in capture.sensors)
-    if not camera.traits.is_calibrated or not has_white:
+    if not camera.traits.is_calibrated or (quantity == "reflectance" and not has_white):
         return ()
     bands = [band for sensor in capture.sensors for band in sensor.bands]
     at_once = camera.traits.bands_in != "files"
@@ -64,18 +76,10 @@ def budget_of(
                 _response_errors(capture, measured),
             ),
             "frames of the white at three exposures or more, or declare `uncertainty.linearity` of the camera",
-            zero_at=levels_of_board(campaign, capture),
+            zero_at=levels_of_board(campaign, capture) if has_white else {},
             all_bands=one_sensor,
         ),
-        _declared(
-            *(STRAY, "reflectance", bands, declared.stray_light, {}),
-            "a chart with black patches, or declare `uncertainty.stray_light` of the camera",
-            zero_at={
-                b: at
-                for of_sensor in measured.values()
-                for b, at in of_sensor.get(VIEW, {}).items()
-            },
-        ),
+        _stray_light(bands, measured, declared.stray_light, strayed or {}),
         _declared(
             *(
                 WAVELENGTH,
@@ -90,7 +94,18 @@ def budget_of(
         ),
         _angle(campaign, capture, bands),
     ]
-    return tuple(rows)
+    return tuple(rows if has_white else _in_counts(rows))
+
+
+def _in_counts(rows: Sequence[ErrorSource]) -> Iterator[ErrorSource]:
+    """Yield the rows of values without a white: what it would be common to is one row, that there is none."""
+    for row in rows:
+        if row.name == WHITE:
+            yield ErrorSource(
+                WHITE, "relative", {}, "campaign", all_bands=True, basis="unknown", advice=NO_WHITE
+            )
+        elif row.name not in (LAMP_ROW, ANGLE):
+            yield replace(row, unit="counts") if row.unit == "reflectance" else row
 
 
 def _noise(
@@ -108,7 +123,8 @@ def _noise(
     labels = {band.label for band in bands}
     for name, size in shares.items():
         own = {label: value for label, value in size.items() if label in labels}
-        yield ErrorSource(name, "reflectance", own, "pixel", all_bands=False)
+        if any(own.values()):  # a black level without darks has no noise
+            yield ErrorSource(name, "reflectance", own, "pixel", all_bands=False)
 
 
 def _white(
@@ -185,23 +201,28 @@ def _light(
         for label, one in found.items()
         if one["black"] is not None
     }
+    for of_sensor in measured.values():
+        black |= of_sensor.get(BLACK_WANDER, {})
     row = ErrorSource(BLACK_ROW, "reflectance", black, "frame", all_bands=at_once and one_sensor)
-    if not black:
-        row = replace(
-            row, basis="unknown", advice="two darks or more, before the object and after it"
-        )
+    if len(black) < len({band.label for band in bands}):
+        clipped = any(of_sensor.get(CLIPPED_DARKS) for of_sensor in measured.values())
+        advice = RAISE_BLACK if clipped else "two darks or more, before the object and after it"
+        row = replace(row, basis=row.basis if black else "unknown", advice=advice)
     yield row
 
 
 def _response_errors(
     capture: Capture, measured: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, float]:
-    """Return the relative error of the curve that an exposure series showed, by band."""
+    """Return the relative error of the curve, or of the line, that an exposure series showed, by band."""
     found: dict[str, float] = {}
     for sensor in capture.sensors:
-        response = measured.get(sensor.name, {}).get(RESPONSE)
-        if response:
-            found |= {band.label: float(response["error"]) for band in sensor.bands}
+        of_sensor = measured.get(sensor.name, {})
+        error = (
+            of_sensor[RESPONSE]["error"] if of_sensor.get(RESPONSE) else of_sensor.get(STRAIGHTNESS)
+        )
+        if error is not None:
+            found |= {band.label: float(error) for band in sensor.bands}
     return found
 
 
@@ -225,6 +246,40 @@ def _declared(
     if size is None:
         return replace(row, basis="unknown", advice=advice)
     return replace(row, size={band.label: float(size) for band in bands}, basis="declared")
+
+
+def _stray_light(
+    bands: Sequence[Band],
+    measured: Mapping[str, Mapping[str, Any]],
+    declared: float | None,
+    strayed: Mapping[str, Any],
+) -> ErrorSource:
+    """Return by what share of the view's light values may err: what traps or a chart showed is not taken off, or its error left.
+
+    Of what is declared and what is measured the smaller counts, as long as they do not contradict each other.
+    """
+    sizes: dict[str, float] = {}
+    found = [
+        one
+        for one in (strayed, *(of_sensor.get(STRAYED) for of_sensor in measured.values()))
+        if one
+    ]
+    numbers = {label: number for one in found for label, number in one["bands"].items()}
+    for band in bands if found else ():
+        share, error = numbers.get(band.label, (found[-1]["share"], found[-1]["error"]))
+        size = float(np.hypot(share, error))
+        if declared is not None and abs(share) - 2 * error <= declared:
+            size = min(size, declared)
+        sizes[band.label] = size
+    if all(size == declared for size in sizes.values()):
+        sizes = {}
+    return _declared(
+        *(STRAY, "reflectance", bands, declared, sizes),
+        "a chart with black patches or a light trap (`targets.traps`), or declare `uncertainty.stray_light` of the camera",
+        zero_at={
+            b: at for of_sensor in measured.values() for b, at in of_sensor.get(VIEW, {}).items()
+        },
+    )
 
 
 def _angle(campaign: Campaign, capture: Capture, bands: Sequence[Band]) -> ErrorSource:

@@ -38,7 +38,7 @@ from levkas.core.threads import each
 from levkas.database.credits import credits_of
 from levkas.readers.frames import UnreadableCapture, read_facts
 from levkas.stages.above_white import count_above, describe_above, require_light
-from levkas.stages.capture_statistics import describe_lamp, note_light, note_sensels
+from levkas.stages.capture_statistics import describe_lamp, note_light, note_sensels, note_traps
 from levkas.stages.chart_white import lights_by_chart
 from levkas.stages.exposures import (
     average_shots,
@@ -149,6 +149,7 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
     cubes, notes, captured = {}, [], None
     measured: dict[str, dict[str, Any]] = {}
     lights = _lights_of(capture, campaign, templates)
+    traps = capture.boxes(campaign.targets.traps.get(capture.object, {}))
     try:
         contexts = []
         for sensor in capture.sensors:
@@ -175,6 +176,7 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
             cube, found = developer_of(camera)(context)
             cube = cubes[sensor.name] = mark_glare_in(cube)
             notes += [*found, *describe_sensor(context)]
+            notes += note_traps(context.measured, cube, traps.get(sensor.name, []), capture.object)
             if not camera.traits.is_scanned:  # of a scan it is among what its lines show
                 counts = count_above(cube)
                 with placing(sensor.object):

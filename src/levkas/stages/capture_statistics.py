@@ -34,6 +34,10 @@ NOISE, ROUNDING = "noise_shares", "rounding"
 PHOTONS, WHITE_FRAMES, DARK_FRAMES = "photons and read noise", "white frames", "dark frames"
 VIEW = "mean_of_view"
 """The same: mean of all that each band shows, reflectance; stray light is a share of it."""
+BLACK_WANDER = "black_wander"
+"""The same: how far the black level of values in counts is known, counts."""
+STRAYED = "stray_light"
+"""The same: the share of the view's light that its light traps show."""
 
 
 # --- the sensor ---------------------------------------------------------------------------------
@@ -283,6 +287,41 @@ def describe_lamp(measured: Mapping[str, Mapping[str, Any]]) -> list[str]:
             f"standard deviation, common to all pixels; {dark}), which sigma of pixels does not include"
         )
     return notes
+
+
+def note_traps(
+    measured: dict[str, Any], cube: Cube, boxes: Sequence[tuple[int, int, int, int]], target: str
+) -> list[str]:
+    """Note in `measured` the stray light that light traps in a sensor's frames show; return what a person should know of it.
+
+    Raises
+    ------
+    CalibrationRefused
+        Where a trap lies beyond the frame.
+    """
+    from levkas.calibration.templates import CalibrationRefused
+    from levkas.core.problems import Problem
+    from levkas.quality.targets.stray_light import describe_trap, stray_light_of_trap
+
+    height, width = cube.values.shape[:2]
+    beyond = [[*box] for box in boxes if box[0] + box[2] > width or box[1] + box[3] > height]
+    if beyond:
+        raise CalibrationRefused(
+            Problem(
+                "E_VALUE",
+                "a light trap lies beyond the frame",
+                field=f"targets.traps.{target}",
+                found=str(beyond[0]),
+                expected=f"[x, y, width, height] within {width} x {height} native px",
+            )
+        )
+    if not boxes or cube.quantity != "reflectance":
+        return []
+    found = stray_light_of_trap(cube, boxes)
+    if found is None:
+        return [f"the light traps of {target} show nothing: stray light is not known by them"]
+    measured[STRAYED] = found.to_dict(cube.bands)
+    return [describe_trap(measured[STRAYED])]
 
 
 # --- a layer on the grid ------------------------------------------------------------------------

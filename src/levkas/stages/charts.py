@@ -33,8 +33,9 @@ from levkas.quality.targets.edges import (
 from levkas.quality.targets.indicators import IndicatorRow, WhiteEvenness
 from levkas.quality.targets.locating import locate_in_cube
 from levkas.quality.targets.measuring import ChartMeasure, Sighting, decode_sighting, measure
+from levkas.quality.targets.stray_light import describe_trap
 from levkas.readers.frames import read_facts
-from levkas.stages.capture_statistics import ROUNDING
+from levkas.stages.capture_statistics import ROUNDING, STRAYED
 from levkas.stages.chart_files import Subject, greatest_code, is_database, subjects_of
 
 if TYPE_CHECKING:
@@ -203,17 +204,19 @@ def measure_edges_of(
     patterns: Mapping[str, np.ndarray] = MappingProxyType({}),
     *,
     encoded: bool = False,
+    trapped: bool = False,
 ) -> EdgeTargetMeasure:
     """Measure the slanted edges of a target without a colour chart.
 
-    `patterns` are mosaics by sensor; `encoded` says that the values are those of a finished photograph.
+    `patterns` are mosaics by sensor; `encoded` says that the values are those of a finished photograph; `trapped` that it has
+    light traps, and needs no edge.
 
     Raises
     ------
     EdgeRefused
         ``E_EDGE_MISSING`` where none is named.
     """
-    if not any(places.values()):
+    if not any(places.values()) and not trapped:
         raise EdgeRefused(
             Problem(
                 "E_EDGE_MISSING", f"{name}: no slanted edge is declared", None, "targets.edges",
@@ -314,6 +317,8 @@ class Developed:
     """Slanted edges that the campaign names, by sensor."""
     common: dict[str, np.ndarray] = field(default_factory=dict)
     """Variance that all shots share, by sensor."""
+    trapped: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Stray light in light traps, by sensor, as `quality.targets.stray_light.OfView.to_dict` writes it."""
 
 
 def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Developed:
@@ -336,7 +341,8 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
         most = min(_shots_of(capture))
         steps = _steps_of(whole)
         return Developed(
-            dict(whole.cubes), {}, patterns, whole.captured or "", steps, most, top, edges
+            *(dict(whole.cubes), {}, patterns, whole.captured or "", steps, most, top, edges),
+            trapped=_trapped(whole),
         )
     first, second, whole = (develop(p, campaign, templates) for p in (*parts, _joined(*parts)))
     shots = {name: (a.values, second.cubes[name].values) for name, a in first.cubes.items()}
@@ -348,7 +354,11 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
     count = 2 * min(_shots_of(parts[0]))
     steps = _steps_of(whole)
     read = (dict(whole.cubes), shots, patterns, whole.captured or "")
-    return Developed(*read, steps, count, top, edges, common)
+    return Developed(*read, steps, count, top, edges, common, _trapped(whole))
+
+
+def _trapped(whole: Native) -> dict[str, dict[str, Any]]:
+    return {name: one[STRAYED] for name, one in whole.measured.items() if STRAYED in one}
 
 
 def _joined(first: Capture, second: Capture) -> Capture:
@@ -373,23 +383,15 @@ def _common_variance(cube: Cube, first: Native, second: Native, name: str) -> np
 
 
 def edges_of(campaign: Campaign, capture: Capture) -> dict[str, tuple[EdgePlace, ...]]:
-    """Return the slanted edges that a campaign names in a capture of a chart, by sensor.
-
-    A frame is CAMERA, CAMERA@SETUP, or either with :BAND, which is the sensor that records that band.
-    """
-    found: dict[str, list[EdgePlace]] = {}
-    for frame, boxes in campaign.targets.edges.get(capture.object, {}).items():
-        layer, _, band = frame.partition(":")
-        if layer != capture.layer:
-            continue
-        for sensor in capture.sensors:
-            if not band or any(b.label == band for b in sensor.bands):
-                named = found.setdefault(sensor.name, [])
-                named += [
-                    EdgePlace(f"edge {len(named) + i} ({x},{y},{w},{h})", (x, y, w, h))
-                    for i, (x, y, w, h) in enumerate(boxes, 1)
-                ]
-    return {sensor: tuple(places) for sensor, places in found.items()}
+    """Return the slanted edges that a campaign names in a capture of a chart, by sensor."""
+    named = capture.boxes(campaign.targets.edges.get(capture.object, {}))
+    return {
+        sensor: tuple(
+            EdgePlace(f"edge {i} ({x},{y},{w},{h})", (x, y, w, h))
+            for i, (x, y, w, h) in enumerate(boxes, 1)
+        )
+        for sensor, boxes in named.items()
+    }
 
 
 def _steps_of(developed: Native) -> dict[str, tuple[float, ...]]:
@@ -441,9 +443,13 @@ def measure_capture(
     """Find the chart in every sensor's cube, and measure it; without a chart, its slanted edges."""
     if chart is None:
         encoded = developed.top is not None
-        return measure_edges_of(
-            name, developed.cubes, developed.edges, developed.patterns, encoded=encoded
+        trapped = bool(developed.trapped)
+        edges_found = measure_edges_of(
+            *(name, developed.cubes, developed.edges, developed.patterns),
+            encoded=encoded,
+            trapped=trapped,
         )
+        return _with_traps(edges_found, developed)
     sightings: list[Sighting] = []
     for sensor, cube in developed.cubes.items():
         near = sightings[0].located.corners if sightings else None
@@ -458,7 +464,37 @@ def measure_capture(
         sightings.append(
             decode_sighting(sighting, chart, developed.top) if developed.top else sighting
         )
-    return measure(name, chart, sightings, reference, evenness=evenness)
+    return _with_traps(measure(name, chart, sightings, reference, evenness=evenness), developed)
+
+
+def _with_traps(
+    measured: ChartMeasure | EdgeTargetMeasure, developed: Developed
+) -> ChartMeasure | EdgeTargetMeasure:
+    """Return what was measured of a chart with what its light traps show among its notes."""
+    notes = tuple(text for one in developed.trapped.values() if (text := describe_trap(one)))
+    text = "; ".join(notes)
+    if isinstance(measured, EdgeTargetMeasure):
+        edges = replace(measured.edges, notes=(*measured.edges.notes, *notes))
+        return replace(measured, edges=edges, stray_light=text)
+    return replace(measured, notes=(*measured.notes, *notes), trapped=text)
+
+
+def stray_light_in(
+    developed: Developed, measured: ChartMeasure | EdgeTargetMeasure
+) -> dict[str, Any]:
+    """Return the stray light that a chart's light traps show, else its greys; empty where neither does.
+
+    As `quality.targets.stray_light.OfView.to_dict` writes it; of several sensors together.
+    """
+    if developed.trapped:
+        first, *others = developed.trapped.values()
+        return first | {
+            "bands": {b: v for one in (first, *others) for b, v in one["bands"].items()}
+        }
+    if isinstance(measured, EdgeTargetMeasure) or measured.stray is None:
+        return {}
+    found = measured.stray.of_view
+    return {} if found is None else found.to_dict(measured.bands)
 
 
 @dataclass(frozen=True)

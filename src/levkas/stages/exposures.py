@@ -28,6 +28,7 @@ from levkas.calibration.sensor_context import (
 )
 from levkas.calibration.shot_noise import Groups, find_dark_offset, find_flattening
 from levkas.calibration.stated_exposures import doubt_scaling
+from levkas.calibration.stray_light import correct_stray_light
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
 from levkas.calibration.white_area import WhiteArea, board_alone, find_white_area
 from levkas.calibration.whites import WhiteBoard, check_white, reflectance_table
@@ -37,6 +38,7 @@ from levkas.core.problems import Problem
 from levkas.core.rounding import round_root, round_values
 from levkas.quality.image_quality.glare import mark_glare
 from levkas.stages.capture_statistics import (
+    BLACK_WANDER,
     DARK_FRAMES,
     NOISE,
     PHOTONS,
@@ -50,6 +52,7 @@ from levkas.stages.capture_statistics import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from levkas.calibration.drift import LampChange
     from levkas.calibration.exposures import Merged
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.campaign.discovery.captures import FrameRef
@@ -326,6 +329,7 @@ def flatten(
         frames = context.sensor.white or context.sensor.object
         problems = (context.with_full_scale(p) for p in refused.problems)
         raise CalibrationRefused(*(placed(p, frames) for p in problems)) from None
+    flat = _without_stray_light(context, flat, dark, white, board)
     if white is not None and not context.camera.traits.is_scanned and context.light is None:
         _note_shot_noise(context, (shot, white), dark, board.labels or ())
     if white is None and context.camera.white_chart is not None:
@@ -340,9 +344,11 @@ def flatten(
             pairs = zip(found.items(), board.unit, strict=True)
             found = {label: step / float(unit) for (label, step), unit in pairs}
         context.measured.setdefault(ROUNDING, {}).update(found)
-    if white is not None and noise is not None and not context.camera.traits.is_scanned:
+    if white is None and not context.camera.traits.is_scanned:
+        _note_black(context, shot, dark, board)
+    if noise is not None and not context.camera.traits.is_scanned:
         _note_shares(context, shot, dark, white, board, noise)
-    if white is not None and not context.camera.traits.is_scanned:
+    if not context.camera.traits.is_scanned:
         context.measured.setdefault(VIEW, {}).update(
             (label, float(f"{_mean_of(_phase(flat.values, phase)):.4g}"))
             for label, phase in _phases(board).items()
@@ -351,6 +357,36 @@ def flatten(
         moved = _moved(context, shot, dark, noise)
     flat = _with_movement(context, flat, moved)
     return _with_gaps(context, flat, (shot, *dark, white), list(board.labels or ()))
+
+
+def _without_stray_light(
+    context: SensorContext,
+    flat: Calibrated,
+    dark: Sequence[Template],
+    white: Template | None,
+    board: WhiteBoard,
+) -> Calibrated:
+    """Return calibrated values without the stray light that is declared of the camera, channel by channel."""
+    stray = context.camera.stray_light
+    if stray is None:
+        return flat
+    light = np.ones((1, 1))
+    if white is not None:
+        light = white.mean - level_under(white, dark, black=context.black_level)
+    table = np.zeros((1, 1), int)
+    if board.pattern is not None:
+        table = channel_table(board.pattern, list(board.labels or ()))
+    (tall, wide), values = table.shape, flat.values.copy()
+    width = None if stray.width_px is None else stray.width_px / (tall * wide) ** 0.5
+    planes = np.broadcast_to(
+        light.reshape(light.shape + (1,) * (values.ndim - light.ndim)), values.shape
+    )
+    for y, x, *band in np.ndindex(tall, wide, *values.shape[2:]):
+        phase = (slice(y, None, tall), slice(x, None, wide), *band)
+        values[phase] = correct_stray_light(values[phase], stray.share, width, light=planes[phase])
+    # What is left of a share 1 − s of the light has the noise of all of it.
+    variance = None if flat.variance is None else flat.variance / np.float32((1 - stray.share) ** 2)
+    return replace(flat, values=values, variance=variance)
 
 
 def _note_shot_noise(
@@ -439,53 +475,85 @@ def _with_lamp(
         return board
     labels = list(board.labels or ())
     lamp = lamp_between(white.shots, shot.shots)
-    channels = len(lamp.factor)
-    # Of a tunable filter before a mosaic, all phases see one band.
-    which = np.arange(channels) if channels == len(labels) else np.zeros(channels, int)
-    if board.pattern is not None:
-        which = channel_table(board.pattern, labels).ravel()
-    lamp = lamp.in_groups(which, len(labels))
-    wander = [
-        black_between(one.shots, shot.shots).in_groups(which, len(labels))
-        for one in dark
-        if one.shots is not None and one.count > 1
-    ]
-    worst = max(wander, key=lambda one: float(one.sigma.max()), default=None)
+    lamp = lamp.in_groups(_channels(board, len(lamp.factor)), len(labels))
     per_count = _per_count(context, shot, dark, white, board).values()
-    note_lamp(context.measured, labels, lamp, worst, [*per_count])
+    note_lamp(context.measured, labels, lamp, _black_level(shot, dark, board), [*per_count])
     known = np.broadcast_to(np.asarray(board.reflectance, float), len(labels))
     return board if np.all(lamp.factor == 1) else replace(board, reflectance=known / lamp.factor)
+
+
+def _channels(board: WhiteBoard, channels: int) -> np.ndarray:
+    """Return the band of each channel of a stack."""
+    labels = list(board.labels or ())
+    if board.pattern is not None:
+        return channel_table(board.pattern, labels).ravel()
+    # Of a tunable filter before a mosaic, all phases see one band.
+    return np.arange(channels) if channels == len(labels) else np.zeros(channels, int)
+
+
+def _black_level(shot: Template, dark: Sequence[Template], board: WhiteBoard) -> LampChange | None:
+    """Return how the black level changed between darks and object, band by band; None of single and of clipped darks."""
+    found = [
+        black_between(one.shots, shot.shots)
+        for one in dark
+        if one.shots is not None
+        and one.count > 1
+        and one.fit is None
+        and np.mean(one.black) <= MANY_ZEROS
+    ]
+    wander = [
+        one.in_groups(_channels(board, len(one.factor)), len(board.labels or ())) for one in found
+    ]
+    return max(wander, key=lambda one: float(one.sigma.max()), default=None)
+
+
+def _note_black(
+    context: SensorContext, shot: Template, dark: Sequence[Template], board: WhiteBoard
+) -> None:
+    """Note how the black level of values in counts wanders."""
+    wander = _black_level(shot, dark, board)
+    if wander is not None and board.unit is None:
+        context.measured.setdefault(BLACK_WANDER, {}).update(
+            (label, float(f"{sigma:.4g}"))
+            for label, sigma in zip(board.labels or (), wander.sigma, strict=True)
+        )
 
 
 def _note_shares(
     context: SensorContext,
     shot: Template,
     dark: list[Template],
-    white: Template,
+    white: Template | None,
     board: WhiteBoard,
     noise: NoiseModel,
 ) -> None:
     """Note in `measured` what shots, white and darks add to the noise of each band where its signal is middling, reflectance."""
     under, white_under, *_ = pair_darks(shot, dark or None, white, context.black_level)
+    if white is None and board.unit is not None:
+        return
     notes = context.measured.setdefault(NOISE, {})
     per_count = _per_count(context, shot, dark, white, board)
     for label, phase in _phases(board).items():
-        signal, light = (
-            max(level_of(_phase(one.mean, phase)) - level_of(_phase(back.mean, phase)), 1e-9)
-            for one, back in ((shot, under), (white, white_under))
-        )
-        ratio = signal / light
+        signal = _signal(shot, under.mean, phase)
         of_dark, of_other = (d.share * noise.read_under(d) for d in (under, white_under))
-        if white_under is under:
-            of_dark, of_other = (1 - ratio) ** 2 * of_dark, 0.0
-        counts = {
-            PHOTONS: _variance_of(shot, phase, noise, signal),
-            WHITE_FRAMES: ratio**2 * _variance_of(white, phase, noise, light),
-            DARK_FRAMES: of_dark + ratio**2 * of_other,
-        }
+        counts = {PHOTONS: _variance_of(shot, phase, noise, signal)}
+        if white is None:
+            counts[DARK_FRAMES] = of_dark
+        else:
+            light = _signal(white, white_under.mean, phase)
+            ratio = signal / light
+            if white_under is under:
+                of_dark, of_other = (1 - ratio) ** 2 * of_dark, 0.0
+            counts[WHITE_FRAMES] = ratio**2 * _variance_of(white, phase, noise, light)
+            counts[DARK_FRAMES] = of_dark + ratio**2 * of_other
         notes[label] = {
             name: float(f"{per_count[label] * found**0.5:.4g}") for name, found in counts.items()
         }
+
+
+def _signal(frames: Template, under: np.ndarray, phase: Phase) -> float:
+    """Return the middling counts of a band above what is under them."""
+    return max(level_of(_phase(frames.mean, phase)) - level_of(_phase(under, phase)), 1e-9)
 
 
 def _variance_of(frames: Template, phase: Phase, noise: NoiseModel, signal: float) -> float:

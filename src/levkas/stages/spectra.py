@@ -134,6 +134,9 @@ def centroids(wavelengths: np.ndarray, table: np.ndarray) -> np.ndarray:
 
 
 VISIBLE = (400.0, 700.0)
+MOST_OF_BOARD, LEAST_OF_BOARD = 0.1, 2e-4
+"""Standard uncertainty of a white board, relative: more is none (0.5 is meant in per cent, 0.98 is a reflectance), and no laboratory
+certifies less than a part in a thousand; half or twice of either changes what is refused in no certificate."""
 COVERED = 0.98
 """Share of a band's sensitivity over which a spectrum must be known."""
 UNEVEN = 0.005
@@ -241,7 +244,7 @@ def board_of(campaign: Campaign, capture: Capture, sensor: SensorFrames) -> Boar
         return BoardInBands(1.0)
     if not isinstance(declared, str):
         return BoardInBands(float(declared))
-    wavelengths, values = read_spectrum(campaign.root / declared)
+    wavelengths, values, _ = read_certificate(campaign.root / declared)
     first, last = float(wavelengths[0]), float(wavelengths[-1])
     known = [band.wavelength for band in bands if not isnan(band.wavelength)]
     if known and (min(known) < first - 1 or max(known) > last + 1):
@@ -312,24 +315,50 @@ def read_board_uncertainty(campaign: Campaign, capture: Capture) -> dict[str, fl
         return None
     boards = levels_of_board(campaign, capture)
     if isinstance(white.reflectance, str):
-        table = read_table(campaign.root / white.reflectance, columns=3)
-        if table.shape[1] == 3 and np.isfinite(table[:, 2]).all():
-            scale = 100.0 if table[:, 1].max() > 2 else 1.0
+        wavelengths, _, errors = read_certificate(campaign.root / white.reflectance)
+        if errors is not None:
             bands = [band for sensor in capture.sensors for band in sensor.bands]
             weights = weights_of_bands(campaign, capture, bands)
             return {
-                band.label: (
-                    float(table[:, 2].mean())
-                    if weight is None
-                    else float(weight.mean_of(table[:, 0], table[:, 2]))
+                band.label: float(
+                    errors.mean() if weight is None else weight.mean_of(wavelengths, errors)
                 )
-                / scale
                 / boards[band.label]
                 for band, weight in zip(bands, weights, strict=True)
             }
     if white.uncertainty is None:
         return None
     return {label: float(white.uncertainty) / level for label, level in boards.items()}
+
+
+def read_certificate(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Read the CSV of a white board: wavelength in nm, its reflectance, and the standard uncertainty of that, None where it has none.
+
+    Raises SpectrumRefused where it is not that, or the third column is no uncertainty of the second.
+    """
+    table = read_table(path, columns=3)
+    scale = 100.0 if table[:, 1].max() > 2 else 1.0
+    wavelengths, values = table[:, 0], table[:, 1] / scale
+    if table.shape[1] < 3 or np.isnan(table[:, 2]).all():
+        return wavelengths, values, None
+    errors = table[:, 2] / scale
+    good = np.isfinite(errors) & (errors >= 0) & (errors <= MOST_OF_BOARD * values)
+    if scale > 1:  # per cent beside shares
+        good &= (errors == 0) | (errors >= LEAST_OF_BOARD * values)
+    if not good.all():
+        row = int(np.argmin(good))
+        raise SpectrumRefused(
+            Problem(
+                "E_VALUE",
+                "the third column of the white's CSV is not its standard uncertainty",
+                str(path),
+                "targets.white.reflectance",
+                ", ".join(f"{number:g}" for number in table[row]),
+                "in each row a number from 0 to a tenth of the second column, in its unit",
+                "Correct the column, or take it out. A certificate's k = 2 is halved.",
+            )
+        )
+    return wavelengths, values, errors
 
 
 def read_spectrum(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -110,6 +111,21 @@ class Capture:
     def layer(self) -> str:
         """Camera and setup as frames are named: ``d80@45-degree``."""
         return f"{self.camera}@{self.setup}" if self.setup else self.camera
+
+    def boxes(
+        self, frames: Mapping[str, tuple[tuple[int, int, int, int], ...]]
+    ) -> dict[str, list[tuple[int, int, int, int]]]:
+        """Return the rectangles of its frames, [x, y, width, height] in native px, by sensor.
+
+        A frame is CAMERA, CAMERA@SETUP, or either with :BAND, which is the sensor that records that band.
+        """
+        found: dict[str, list[tuple[int, int, int, int]]] = {}
+        for frame, boxes in frames.items():
+            layer, _, band = frame.partition(":")
+            for sensor in self.sensors if layer == self.layer else ():
+                if not band or any(b.label == band for b in sensor.bands):
+                    found.setdefault(sensor.name, []).extend(boxes)
+        return found
 
 
 Refusals = dict[tuple[str, str, str], Refused]

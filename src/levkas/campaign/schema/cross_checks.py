@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from itertools import islice
+from math import degrees, radians, tan
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from levkas.campaign.schema.tables import (
     Range,
     RegistrationKeys,
     SensorKeys,
+    Setup,
 )
 from levkas.core.ownership import is_address
 from levkas.core.problems import LONGEST_NAME, MOST_COMPARED, Problem, closest_match
@@ -28,6 +30,8 @@ from levkas.readers.compared_facts import OVERRULED
 from levkas.readers.wavelengths import RANGE_NM, is_plausible
 
 MOST_LISTED = 20
+MOST_BY_ANGLE = 0.3
+"""What a white may have stood otherwise than the object, relative: 17 degrees at 45. With more the light is not known at all."""
 MOST_CAMERAS, MOST_LAYERS, MOST_PATTERNS = 1000, 20_000, 1000
 """Cameras; objects times cameras; patterns for one camera: each is looked up among the files."""
 LONGEST_ENDING = ".published"
@@ -185,7 +189,7 @@ def _targets(document: Document) -> Iterator[Problem]:
                 yield value_problem(
                     f"targets.{role}", f"{name!r} is declared twice", name, f"{other} or {role}"
                 )
-    yield from _edges(document)
+    yield from _boxes(document)
     known = tuple(targets.objects or ())
     # What is like none of them waits for another build.
     for name in islice(
@@ -201,8 +205,8 @@ def _targets(document: Document) -> Iterator[Problem]:
             )
 
 
-def _edges(document: Document) -> Iterator[Problem]:
-    """Yield rectangles of slanted edges of a target that is no chart, or of an unknown camera."""
+def _boxes(document: Document) -> Iterator[Problem]:
+    """Yield rectangles of slanted edges and light traps of a target that is not listed, or of an unknown camera."""
     targets = document.targets
     for target, frames in targets.edges.items():
         if target not in targets.charts:
@@ -213,33 +217,78 @@ def _edges(document: Document) -> Iterator[Problem]:
                 listed(tuple(targets.charts))
                 or f'charts = {{ {target} = "edges" }}, which has no colour chart',
             )
+        yield from _frames_of_boxes(document, f"targets.edges.{target}", frames)
+    for target, frames in targets.traps.items():
+        if target not in targets.charts and target not in (targets.objects or (target,)):
+            yield value_problem(
+                f"targets.traps.{target}",
+                "this target has a light trap and is listed neither in targets.charts nor in targets.objects",
+                target,
+                listed((*targets.charts, *(targets.objects or ()))),
+                f'Write charts = {{ {target} = "trap" }} where it shows nothing else.',
+            )
+        yield from _frames_of_boxes(document, f"targets.traps.{target}", frames)
         for frame in frames:
-            layer, _, _ = frame.partition(":")
-            camera, _, setup = layer.partition("@")
-            if camera not in document.cameras:
-                cameras = tuple(document.cameras)
-                near = closest_match(camera, cameras)
+            camera = document.cameras.get(frame.partition(":")[0].partition("@")[0])
+            if camera is not None and not camera.has_frames:
                 yield value_problem(
-                    f"targets.edges.{target}",
-                    "unknown camera",
+                    f"targets.traps.{target}",
+                    f"stray light is not measured in what a camera of kind {camera.kind!r} captures",
                     frame,
-                    listed(cameras),
-                    near,
+                    fix="Take the frame out.",
                 )
-            elif setup and setup not in document.setups:
-                yield value_problem(
-                    f"targets.edges.{target}",
-                    "unknown setup",
-                    frame,
-                    listed(tuple(document.setups)),
-                )
+
+
+def _frames_of_boxes(document: Document, field: str, frames: Iterable[str]) -> Iterator[Problem]:
+    for frame in frames:
+        layer, _, _ = frame.partition(":")
+        camera, _, setup = layer.partition("@")
+        if camera not in document.cameras:
+            cameras = tuple(document.cameras)
+            near = closest_match(camera, cameras)
+            yield value_problem(
+                field,
+                "unknown camera",
+                frame,
+                listed(cameras),
+                near,
+            )
+        elif setup and setup not in document.setups:
+            yield value_problem(
+                field,
+                "unknown setup",
+                frame,
+                listed(tuple(document.setups)),
+            )
 
 
 # --- setups, registration, files ---------------------------------------------------------------
 
 
+def _angle(where: str, setup: Setup) -> Iterator[Problem]:
+    """Yield an uncertainty of an angle that is none, or with which the light is not known at all."""
+    angle, error = setup.angle_deg, setup.angle_uncertainty_deg
+    if error is None:
+        return
+    if angle is None:
+        yield value_problem(
+            f"{where}.angle_deg",
+            "what `angle_uncertainty_deg` does to values depends on the angle",
+            "no angle",
+            "the angle between light and normal, degrees",
+        )
+    elif (change := tan(radians(angle)) * radians(error)) > MOST_BY_ANGLE:
+        yield value_problem(
+            f"{where}.angle_uncertainty_deg",
+            f"at {angle:g} degrees this makes values uncertain by {100 * change:.0f} %",
+            error,
+            f"at most {degrees(MOST_BY_ANGLE / tan(radians(angle))):.2g}",
+        )
+
+
 def _setups(document: Document) -> Iterator[Problem]:
     for setup, keys in document.setups.items():
+        yield from _angle(f"setups.{setup}", keys)
         if setup == document.campaign.setup and keys.cameras:
             yield value_problem(
                 f"setups.{setup}.cameras",

@@ -214,7 +214,8 @@ class SensorKeys(Table):
     align: Align = "measure"
 
 
-Share = Annotated[Number, Field(ge=0, le=0.5)]
+Share = Annotated[Number, Field(ge=0, le=0.1)]
+"""Of a standard uncertainty that is a share: a larger one is meant in per cent."""
 
 
 class UncertaintyKeys(Table):
@@ -226,6 +227,16 @@ class UncertaintyKeys(Table):
     wavelength_nm: Annotated[Number, Field(ge=0, le=100)] | None = None
     linearity: Share | None = None
     stray_light: Share | None = None
+
+
+class StrayLightKeys(Table):
+    """Stray light that is corrected: the share of the view's light, and the standard deviation of its blur, native px.
+
+    Without `width_px` it lies evenly over the view.
+    """
+
+    share: Annotated[Number, Field(gt=0, le=0.3)]
+    width_px: Annotated[Number, Field(ge=1, le=1e5)] | None = None
 
 
 class CameraKeys(Table):
@@ -251,12 +262,18 @@ class CameraKeys(Table):
     dark: Names | None = None
     white: Annotated[CameraWhite | None, BeforeValidator(_camera_white)] = None
     uncertainty: UncertaintyKeys = UncertaintyKeys()
+    stray_light: StrayLightKeys | None = None
     registration: RegistrationKeys = RegistrationKeys()
 
     @property
     def traits(self) -> CameraKind:
         """What follows of its kind."""
         return KINDS[self.kind]
+
+    @property
+    def has_frames(self) -> bool:
+        """Whether what it captures are calibrated frames: neither lines of a scanner nor finished photographs."""
+        return self.traits.is_calibrated and not self.traits.is_scanned
 
     @property
     def centres(self) -> tuple[float, ...] | None:
@@ -296,6 +313,7 @@ class TargetKeys(Table):
     white: Annotated[White, BeforeValidator(_white)] | None = None
     charts: dict[str, Text] = {}
     edges: dict[str, dict[str, Rectangles]] = {}
+    traps: dict[str, dict[str, Rectangles]] = {}
     objects: Names | None = None
 
 

@@ -18,7 +18,7 @@ from levkas.core.text import counted, parse_bounded, read_text
 from levkas.database.catalogue import ESTIMATED
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.pixel_frames import Frame
-from levkas.database.region_uncertainty import position_sigmas, read_budget
+from levkas.database.region_uncertainty import OTHER_BUDGET, position_sigmas, read_budget
 from levkas.database.registrations import describe_pairs, read_registration, unchecked_share
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.tiff_pages import open_pages
@@ -288,10 +288,8 @@ def _budget_of(
     """
     try:
         budget = read_budget(item.database, LayerId(item.name, *layer))
-    except (
-        Refused
-    ):  # the crate is made of that file too, and refuses it by the name that its author gave
-        return {}
+    except Refused:  # a damaged file is refused by the crate, which is made of it too, by the name that its author gave
+        return {"budget": {"rows": [], "unknown": [OTHER_BUDGET], "correlation": [[1.0]]}}
     if not budget.sources:
         return {}
     rows: list[dict[str, Any]] = []

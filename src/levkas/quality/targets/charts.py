@@ -100,20 +100,20 @@ def chart_of(name: str) -> Chart:
             "there is no such chart",
             field="targets.charts",
             found=name,
-            expected=", ".join((*CHARTS, EDGES)),
-            fix=closest_match(name, (*CHARTS, EDGES))
+            expected=", ".join((*CHARTS, EDGES, TRAP)),
+            fix=closest_match(name, (*CHARTS, EDGES, TRAP))
             or "Name one of these; others may be measured by hand as objects.",
         )
     )
 
 
-EDGES = "edges"
-"""Kind of a target that has slanted edges and no colour chart."""
+EDGES, TRAP = "edges", "trap"
+"""Kinds of a target without a colour chart: of slanted edges, and of a light trap."""
 
 
 def kind_of(name: str) -> Chart | None:
-    """Return a chart by its name, None for a target of slanted edges alone; raises as `chart_of`."""
-    return None if name.strip().lower() == EDGES else chart_of(name)
+    """Return a chart by its name, None for a target of slanted edges or traps alone; raises as `chart_of`."""
+    return None if name.strip().lower() in (EDGES, TRAP) else chart_of(name)
 
 
 class ChartReference(NamedTuple):

@@ -166,7 +166,8 @@ class EdgeTargetMeasure:
     edges: EdgeFindings
     stray: ClassVar[None] = None
     """Needs a chart's greys."""
-    stray_light: ClassVar[str] = ""
+    stray_light: str = ""
+    """A sentence on stray light in light traps; empty without any that is certain."""
 
     @property
     def rows(self) -> tuple[IndicatorRow, ...]:

@@ -42,7 +42,14 @@ from levkas.quality.targets.patches import (
     spread_about_plane,
 )
 from levkas.quality.targets.photographs import Curve, find_curve
-from levkas.quality.targets.stray_light import StrayLight, describe_stray_light, measure_stray_light
+from levkas.quality.targets.stray_light import (
+    OfView,
+    StrayLight,
+    describe_stray_light,
+    join_of_view,
+    measure_stray_light,
+    stray_light_of_chart,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -126,6 +133,8 @@ class ChartMeasure:
         Spatial frequency response and shifts of the bands.
     stray : StrayLight or None
         None where there are no reference spectra, or no reflectance.
+    trapped : str
+        What light traps beside the chart show.
     """
 
     name: str
@@ -139,11 +148,12 @@ class ChartMeasure:
     notes: tuple[str, ...] = ()
     edges: EdgeFindings = field(default_factory=EdgeFindings)
     stray: StrayLight | None = None
+    trapped: str = ""
 
     @property
     def stray_light(self) -> str:
         """A sentence on stray light; empty without any that is certain."""
-        return describe_stray_light(self.stray, self.bands) if self.stray else ""
+        return self.trapped or describe_stray_light(self.stray, self.bands) if self.stray else ""
 
     @property
     def wavelengths(self) -> np.ndarray:
@@ -250,9 +260,9 @@ def measure(
     edges = join_findings([_edges(one, chart) for one in sightings])
     stray = None
     if reference is not None and reflective and not photograph and clean:
-        stray = measure_stray_light(
-            np.where(unfit, np.nan, table.mean), wavelengths, chart, reference
-        )
+        means = np.where(unfit, np.nan, table.mean)
+        stray = measure_stray_light(means, wavelengths, chart, reference)
+        stray = stray._replace(of_view=_stray_of_view(sightings, means, chart, reference))
         rows += _stray_row(stray, bands)
         remarks += filter(None, [describe_stray_light(stray, bands)])
     return ChartMeasure(
@@ -279,6 +289,20 @@ def _join_tables(sightings: Sequence[Sighting]) -> PatchTable:
     )
     temporal = all(t.temporal for t in tables)
     return PatchTable(mean, noise, saturated, tables[0].pixels, temporal, quantised)
+
+
+def _stray_of_view(
+    sightings: Sequence[Sighting], means: np.ndarray, chart: Chart, reference: ChartReference
+) -> OfView | None:
+    """Return the share of the view's light that strays, of all sensors together."""
+    parts = np.split(means, np.cumsum([len(one.cube.bands) for one in sightings])[:-1], axis=1)
+    return join_of_view(
+        [
+            stray_light_of_chart(one.cube, one.located.areas, part, chart, reference)
+            for one, part in zip(sightings, parts, strict=True)
+        ],
+        [len(one.cube.bands) for one in sightings],
+    )
 
 
 def _stray_row(stray: StrayLight, bands: Sequence[Band]) -> list[IndicatorRow]:
