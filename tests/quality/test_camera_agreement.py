@@ -65,6 +65,16 @@ def test_a_wrong_white_is_named_in_every_pair_and_one_within_its_certificate_is_
     assert not any(pair.contradictions for pair in compare_all([*good, doubtful], {}))
 
 
+def test_the_camera_with_the_wrong_white_is_named_where_another_is_slightly_off_too():
+    """As of two-paintings: the first camera contradicts both others, and is the one that is right."""
+    layers = [layer("a", VIS), layer("wrong", NIR, factor=1 / 0.9, seed=1)]
+    pairs = compare_all([*layers, layer("c", VIS + 5, factor=0.972, seed=2)], {})
+    assert all(pair.contradictions for pair in pairs) and len(pairs) == 3
+    first, second = (text for _, text in describe_agreement(pairs).short)
+    assert first.startswith("wrong differs from ") and "white, lamp or angle" in first
+    assert second.startswith("c differs from a by -2.8 %")
+
+
 def test_a_white_that_both_used_is_no_reason_why_they_should_differ():
     white = [relative("white", 0.2, nm, "campaign") for nm in (VIS, NIR)]
     first = layer("a", VIS, sources=white[:1])
