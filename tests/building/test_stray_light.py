@@ -14,6 +14,7 @@ from levkas.building import build, status, summarise
 from levkas.core.problems import Refused
 from levkas.quality.targets.charts import chart_of, reference_of
 from levkas.stages.calibrate import develop
+from levkas.stages.charts import measure_charts
 from levkas.stages.template_cache import TemplateCache
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "promises"))
@@ -154,6 +155,7 @@ def test_a_chart_target_may_be_a_trap_alone(tmp_path):
     assert max(row["size"].values()) == pytest.approx(0.02 / 1.02, rel=0.2)
     page = (folder / "database/cameras/cam/report.html").read_text()
     assert "light traps show" in page and "was not measured" not in page
+    assert "light traps show" in measure_charts(folder).text
 
 
 @pytest.mark.parametrize(
