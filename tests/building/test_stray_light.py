@@ -141,6 +141,7 @@ def test_stray_light_is_taken_off_each_channel_of_a_sensor_lit_unevenly(tmp_path
             assert abs(off.mean()) < 3e-4 and abs(off[truth[inner] < 0.05].mean()) < 3e-4
 
 
+@pytest.mark.slow
 def test_a_chart_target_may_be_a_trap_alone(tmp_path):
     """What is captured as `flare` shows a trap before a white wall, and the panel has none."""
     folder = campaign_of(tmp_path / "c", traps=False, stray=0.02)
