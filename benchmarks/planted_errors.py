@@ -39,18 +39,38 @@ class Kind:
     lamp_at_once: bool = False
     one_sensor: bool = True
     prism: bool = False
+    fwhm: float = 10.0
 
     def labels(self) -> list[str]:
         """Names of the bands."""
         return [f"{nm:g} nm" for nm in self.nm]
 
+    def weights(self, lighting: str) -> list[tuple[np.ndarray, np.ndarray]]:
+        """What each band sees of every wavelength under a lighting: nm, and weights of sum 1."""
+        found = []
+        for centre in self.nm:
+            nm = centre + self.fwhm * np.linspace(-1.2, 1.2, 13)
+            seen = np.exp(-4 * np.log(2) * ((nm - centre) / self.fwhm) ** 2)
+            seen *= LIGHTINGS[lighting](nm)
+            found.append((nm, seen / seen.sum()))
+        return found
+
 
 KINDS = {
-    "bands": Kind(np.arange(400.0, 721, 20)),
-    "mosaic": Kind(np.arange(410.0, 711, 37.5), lamp_at_once=True),
-    "sensors": Kind(np.arange(430.0, 691, 52), lamp_at_once=True, one_sensor=False),
-    "cube": Kind(np.arange(400.0, 721, 10), lamp_at_once=True, prism=True),
+    "bands": Kind(np.arange(400.0, 721, 20), fwhm=15.0),
+    "mosaic": Kind(np.arange(410.0, 711, 37.5), lamp_at_once=True, fwhm=25.0),
+    "sensors": Kind(np.arange(430.0, 691, 52), lamp_at_once=True, one_sensor=False, fwhm=40.0),
+    "cube": Kind(np.arange(400.0, 721, 10), lamp_at_once=True, prism=True, fwhm=5.0),
 }
+LIGHTINGS = {
+    "even": np.ones_like,
+    # Planck's law at 3000 K, and blue at 450 nm below a phosphor at 570 nm.
+    "halogen": lambda nm: (500 / nm) ** 5 / (np.exp(1.4388e7 / (3000 * nm)) - 1),
+    "LED": lambda nm: (
+        np.exp(-(((nm - 450) / 14) ** 2)) + 0.7 * np.exp(-(((nm - 570) / 80) ** 2)) + 0.01
+    ),
+}
+"""Power of a lighting by wavelength, in any unit."""
 
 
 @dataclass(frozen=True)
@@ -146,17 +166,21 @@ def tilt_of(degrees):
     return float(np.cos(np.deg2rad(SLANT + degrees)) / np.cos(np.deg2rad(SLANT)))
 
 
-def capture(kind, panel, errors, seed, *, shots=4):
-    """Calibrate one capture of a panel with errors; return its cube."""
+def capture(kind, panel, errors, seed, *, shots=4, lighting=None):
+    """Calibrate one capture of a panel with errors; return its cube. Without a lighting bands see one wavelength each."""
     made = KINDS[kind] if isinstance(kind, str) else kind
     camera = Camera(panel.shape, Habits(light=LIGHT, seed=seed), line=made.prism)
     lit = (1 + errors.white) * tilt_of(errors.angle)
+    alone = [(np.array([nm]), np.ones(1)) for nm in made.nm]
+    weights = alone if lighting is None else made.weights(lighting)
     frames = {"dark": [], "white": [], "object": []}
-    for k, nm in enumerate(made.nm):
+    for k, (nm, shares) in enumerate(weights):
         camera.habits = replace(
             camera.habits, curve=errors.bend[k] * TOP / LIGHT, stray=errors.stray
         )
-        seen, level = panel.seen(nm + errors.nm[k], errors.place), camera.habits.black
+        each = zip((nm + errors.nm[k]).tolist(), shares.tolist(), strict=True)
+        seen = sum(share * panel.seen(one, errors.place) for one, share in each)
+        level = camera.habits.black
         frames["dark"].append([camera.frame(0.0, 1.0, lamp=0.0) for _ in range(shots)])
         frames["white"].append([camera.frame(lit, 1.0) for _ in range(shots)])
         frames["object"].append([

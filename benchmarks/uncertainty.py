@@ -1,13 +1,13 @@
 """Do intervals hold the truth, and do ten laboratories agree? Errors of known size, planted into simulated captures.
 
-    python benchmarks/uncertainty.py [arrays] [rows] [builds] [laboratories] [--results FILE]
+    python benchmarks/uncertainty.py [arrays] [rows] [builds] [laboratories] [dates] [--results FILE]
 
 Cameras are those of tests/promises, which share no line with the package. `arrays` draws all errors at once and goes through
 `levkas.calibrate`; `rows` draws one at a time; `builds` builds whole campaigns, in which what can be measured is; ten `laboratories`
-measure one panel of even patches, each with errors of its own and with one of two whites.
+measure one panel of even patches, each with errors of its own, with one of two whites and under one of two lightings. `dates` builds
+two sessions of one painting, which lies elsewhere in the second, and looks for changes as `levkas agree` does.
 """
 
-import json
 import sys
 import tempfile
 from dataclasses import replace
@@ -31,6 +31,7 @@ from planted_errors import (
     tilt_of,
 )
 from results import record, taken_option
+from scipy import ndimage
 
 import levkas
 from levkas.building.run import build
@@ -39,11 +40,13 @@ from levkas.database.layout import LayerId
 from levkas.database.region_uncertainty import combine, mean_of_region, uncertain_region, with_place
 from levkas.database.regions import make_region
 from levkas.quality.evaluation.camera_agreement import PatchMeans, compare_all
+from levkas.quality.evaluation.database_agreement import compare_databases
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "promises"))
 from camera import Habits, write_campaign
 
-DRAWS, ALONE, BUILDS, BUILDS_ALONE, PANELS = 400, 24, 40, 8, 6
+DRAWS, ALONE, BUILDS, BUILDS_ALONE, PANELS, DATES = 1000, 24, 40, 36, 6, 6
+COURSES = ("steady", "settling", "wandering")
 
 
 # --- arrays ---------------------------------------------------------------------------------------
@@ -126,20 +129,35 @@ angle_uncertainty_deg = {angle of the light}
 """
 
 
+def draw_course(kind, rng):
+    """Return how a lamp or black level gets to its last level, shares of that evenly in time: steady, settling, or wandering."""
+    at = np.linspace(0, 1, 61)
+    if kind == "steady":
+        return at
+    if kind == "settling":  # with a time constant of a fifth of the session up to all of it
+        rate = rng.uniform(1, 5)
+        return (1 - np.exp(-rate * at)) / (1 - np.exp(-rate))
+    return np.append(0.0, np.cumsum(rng.standard_normal(60)) / 60**0.5)
+
+
 def draw_build(seed, sizes=SIZES, *, of_all=BUILDS):
-    """Build a campaign of a new draw; return (quantity, value − truth, U) of every tile, the budget's rows, and the errors.
+    """Build a campaign of a new draw; return (quantity, value − truth, U) of every tile.
 
     Whites before and after the object say what the lamp did, several darks what the black level did: nothing is declared of them.
+    They drift steadily, settle or wander, three builds in turns, for all bands alike in one of two such turns, else for each by itself.
     """
     rng = np.random.default_rng(seed)
     panel = Panel.draw(rng, *TILES, SHAPE[0] // TILES[0])
     kind = Kind(np.array(MIDDLES, float))
     errors = Errors.draw(EvenDraws(seed, of_all), sizes, kind)
     level = (1 + errors.white) * tilt_of(errors.angle)
+    alike = seed // len(COURSES) % 2
+    lamp, black = (tuple(np.where(alike, e[0], e).tolist()) for e in (errors.lamp, errors.black))
+    course = tuple(draw_course(COURSES[seed % len(COURSES)], rng).tolist())
     habits = Habits(
         light=LIGHT, seed=seed, shots=(6, 6, 3), after=3, clock=30.0, board=(level, level),
-        drift=float(errors.lamp[0]), wander=float(errors.black[0]), stray=errors.stray,
-        curve=float(errors.bend[0]) * TOP / LIGHT,
+        drift=lamp, wander=black, course=course,
+        stray=errors.stray, curve=float(errors.bend[0]) * TOP / LIGHT,
     )  # fmt: skip
     seen = np.stack([panel.seen(nm + d) for nm, d in zip(MIDDLES, errors.nm, strict=True)], -1)
     truth = np.stack([panel.seen(nm) for nm in MIDDLES], -1)
@@ -155,9 +173,7 @@ def draw_build(seed, sizes=SIZES, *, of_all=BUILDS):
             if step.state in ("refused", "failed"):
                 raise SystemExit("\n".join(map(str, step.problems)))
         layer = levkas.open(folder / "database")["panel"]["cam"]
-        steps = json.loads((folder / "database/objects/panel/provenance.json").read_text())["steps"]
-        rows = next(s["uncertainty"] for s in steps if s["stage"] == "calibrate")
-        return _read(layer, panel, truth, rng), {row["source"]: row for row in rows}, errors
+        return _read(layer, panel, truth, rng)
 
 
 def _read(layer, panel, truth, rng):
@@ -196,22 +212,24 @@ def coverage_of_builds(builds):
     """Return the share of truths within U, quantity by quantity, and the spread of (x − truth)/u."""
     found = {}
     for name in QUANTITIES:
-        miss = np.array([e / (u / 2) for rows, *_ in builds for n, e, u in rows if n == name])
+        miss = np.array([e / (u / 2) for rows in builds for n, e, u in rows if n == name])
         found[name] = (float(np.mean(np.abs(miss) <= 2)), float(np.sqrt(np.mean(miss**2))))
     return found
 
 
 def rows_of_builds(count):
-    """Return (error over row, rms) of what builds measure, each drawn alone, in the mean of 10⁴ pixels."""
+    """Return (error over row, rms) of what builds measure, each drawn alone, in the mean of 10⁴ pixels; and by its course."""
     found = {}
     for name in ("lamp between white and object", "black level"):
-        errors, stated = [], []
+        squares = {course: [] for course in COURSES}
         for seed in range(count):
-            read, rows, _ = draw_build(seed, NONE | {name: SIZES[name]}, of_all=count)
-            errors += [e for what, e, _ in read if what == "mean of 10⁴"]
-            middle = 0.3 if rows[name]["unit"] == "relative" else 1.0  # mean of the panel
-            stated += [middle * size for size in rows[name]["size"].values()]
-        found[name] = float(np.sqrt(np.mean(np.square(errors)) / np.mean(np.square(stated))))
+            read = draw_build(seed, NONE | {name: SIZES[name]}, of_all=count)
+            pairs = [(e**2, (u / 2) ** 2) for what, e, u in read if what == "mean of 10⁴"]
+            squares[COURSES[seed % len(COURSES)]] += pairs  # of this source alone
+        squares[""] = [one for several in squares.values() for one in several]
+        for course, own in squares.items():
+            missed, stated = np.mean(own, 0)
+            found[f"{name}, {course}".removesuffix(", ")] = float(np.sqrt(missed / stated))
     return found
 
 
@@ -238,36 +256,45 @@ PATCH, WITHIN = 18, 12
 """Side of a patch, px, and of what is compared of it: bands of a mosaic are interpolated."""
 
 
+def lighting_of(number):
+    """Return the lighting of a laboratory: every kind of camera is under either."""
+    return ("halogen", "LED")[number // 4 % 2]
+
+
 def measure(number, panel, sizes, rng, whites, *, wrong=0.0):
     """Return what one laboratory has on the patches; `wrong` is what its white is off undeclared."""
     name, made = f"laboratory {number}", KINDS[FLEET[number]]
-    white = number % len(whites)
+    white, lighting = number % len(whites), lighting_of(number)
     errors = replace(Errors.draw(rng, sizes, made), white=whites[white] + wrong)
-    cube = capture(FLEET[number], panel, errors, int(rng.integers(1 << 30)))
+    cube = capture(FLEET[number], panel, errors, int(rng.integers(1 << 30)), lighting=lighting)
     rows, parts = budget(made, sizes, cube, white=f"white {white}"), arrays_of(cube, made)
     rows = with_place(rows, made.labels(), np.full(len(made.nm), sizes["place"]))
-    layer, corners = LayerId("panel", name), panel.corners() + (PATCH - WITHIN) // 2
+    layer, corners = LayerId("panel", name, lighting), panel.corners() + (PATCH - WITHIN) // 2
     means = []
     for x, y in corners.tolist():
         region = make_region(None, (x, y, x + WITHIN - 1, y + WITHIN - 1), None)
         means.append(mean_of_region(*parts, region))
     numbers = tuple(uncertain_region(mean, rows, layer, k) for k, mean in enumerate(means))
-    return PatchMeans(layer, corners, tuple(means), numbers, np.full(len(made.nm), 10.0))
+    return PatchMeans(layer, corners, tuple(means), numbers, np.full(len(made.nm), made.fwhm))
 
 
 def compare_laboratories(seed, sizes, *, wrong=None):
-    """Let ten laboratories measure one panel with two whites; return the agreement of all pairs of them."""
+    """Let ten laboratories measure one panel with two whites under two lightings; return the agreement of all pairs of them."""
     rng = np.random.default_rng(seed)
     panel = Panel.draw(rng, 4, 8, PATCH)
     whites = sizes["white board"] * rng.standard_normal(2)
     layers = [
         measure(k, panel, sizes, rng, whites, wrong=0.05 * (k == wrong)) for k in range(len(FLEET))
     ]
-    return compare_all(layers, {})
+    seen = {
+        layer.layer.name: dict(zip(layer.labels, made.weights(lighting_of(k)), strict=True))
+        for k, (layer, made) in enumerate(zip(layers, map(KINDS.get, FLEET), strict=True))
+    }
+    return compare_all(layers, seen)
 
 
 def run_laboratories(count, sizes):
-    """Return shares of regions and of pairs with E_n of 1 or less, and the same per pair of kinds, over some panels."""
+    """Return shares of regions and of pairs with E_n of 1 or less, and the same per pair of kinds and of lightings, over some panels."""
     regions, pairs, kinds = [], [], {}
     for seed in range(count):
         found = compare_laboratories(seed, sizes)
@@ -278,9 +305,11 @@ def run_laboratories(count, sizes):
             regions.append(inside)
             pairs.append(not pair.contradictions)
             names = " – ".join(
-                sorted(FLEET[int(one.name[-1])] for one in (pair.first, pair.second))
+                sorted(FLEET[int(one.camera[-1])] for one in (pair.first, pair.second))
             )
-            kinds.setdefault(names, []).append(inside)
+            lights = "two lightings" if pair.other_light else "one lighting"
+            for group in (names, lights):
+                kinds.setdefault(group, []).append(inside)
     by_kind = {k: float(np.concatenate(v).mean()) for k, v in sorted(kinds.items())}
     return float(np.concatenate(regions).mean()), float(np.mean(pairs)), by_kind
 
@@ -291,9 +320,61 @@ def run_wrong_white(count, sizes):
     for seed in range(count):
         odd = seed % len(FLEET)
         for pair in compare_laboratories(1000 + seed, sizes, wrong=odd):
-            has = str(odd) in (pair.first.name[-1], pair.second.name[-1])
+            has = str(odd) in (pair.first.camera[-1], pair.second.camera[-1])
             (named if has else others).append(bool(pair.contradictions))
     return float(np.mean(named)), float(np.mean(others))
+
+
+# --- dates ----------------------------------------------------------------------------------------
+
+GRID, WIDE, STEP, DISTANCE = (260, 340), 5, 0.01, 40
+"""Pixels of a session; of a change its side, px, its size in reflectance, and how far it is to the next."""
+TURN, SHIFT = np.deg2rad(0.4), np.array([2.3, -1.6])
+
+
+def painting(seed):
+    """Return even areas with edges and grain, (h, w, 3), somewhat larger than a session sees."""
+    rng = np.random.default_rng(seed)
+    shape = tuple(n + 40 for n in GRID)
+    areas = ndimage.gaussian_filter(rng.standard_normal((*shape, 3)), (9, 9, 0))
+    grain = ndimage.gaussian_filter(rng.standard_normal(shape), 1.2) / 0.25
+    tones = 0.15 + 0.6 * (np.digitize(areas, np.quantile(areas, (0.25, 0.5, 0.75))) / 3)
+    return tones * (1 + 0.03 * grain)[..., None]
+
+
+def session(folder, scene, place, seed):
+    """Capture and build a painting that lies at a place, angle and shift; return its database."""
+    turn, shift = place
+    middle = (np.array(GRID) - 1) / 2
+    y, x = (n - m for n, m in zip(np.indices(GRID), middle, strict=True))
+    at = [np.cos(turn) * y - np.sin(turn) * x, np.sin(turn) * y + np.cos(turn) * x]
+    at = np.stack(at) + (middle + 20 + shift)[:, None, None]
+    seen = [ndimage.map_coordinates(scene[..., k], at, order=3) for k in range(3)]
+    habits = Habits(light=LIGHT, seed=seed, shots=(6, 6, 3))
+    write_campaign(folder, "bands", habits, GRID, truth=np.stack(seen, -1))
+    for step in build(folder):
+        if step.state in ("refused", "failed"):
+            raise SystemExit("\n".join(map(str, step.problems)))
+    return folder / "database"
+
+
+def draw_dates(seed):
+    """Return the share of an unchanged painting that is marked at 1 %, and which share of each planted change is."""
+    before, rng = painting(seed), np.random.default_rng(seed)
+    after = before.copy()
+    y, x = (np.arange(60, n + 20 - 40, DISTANCE) for n in GRID)
+    corners = [(a, b) for a in y.tolist() for b in x.tolist()]
+    for a, b in corners:
+        after[a : a + WIDE, b : b + WIDE] += STEP * rng.choice((-1, 1))
+    here, there = (0.0, np.zeros(2)), (TURN, SHIFT)
+    with tempfile.TemporaryDirectory() as name:
+        made = [
+            session(Path(name) / str(k), scene, place, 3 * seed + k)
+            for k, (scene, place) in enumerate(((before, here), (before, there), (after, there)))
+        ]
+        still, changed = (compare_databases(made[0], other)[0].changes for other in made[1:])
+    marked = [changed.mask[a - 20 :, b - 20 :][:WIDE, :WIDE].mean() for a, b in corners]
+    return still.share, marked
 
 
 # --- all of it ------------------------------------------------------------------------------------
@@ -301,7 +382,8 @@ def run_wrong_white(count, sizes):
 
 def tell(path, table, values):
     """Print figures, and bring those of a file up to date."""
-    for (what, aspect), value in values.items():
+    for name, value in values.items():
+        what, aspect = (name, "") if isinstance(name, str) else name
         print(f"{table:24} {what:32} {aspect:10} {value:.4g}", flush=True)
     record(path, table, values)
 
@@ -331,12 +413,25 @@ def run_agreement(path):
     found = {}
     for name, sizes in (("errors as above", SIZES), ("careful", CAREFUL)):
         regions, pairs, kinds = run_laboratories(PANELS, sizes)
-        found[f"{name}: Eₙ ≤ 1", ""] = 100 * regions
+        found[f"{name}: Eₙ ≤ 1"] = 100 * regions
+        found[f"{name}: Eₙ ≤ 1, of two lightings"] = 100 * kinds["two lightings"]
         print(name, pairs, kinds)
     named, others = run_wrong_white(PANELS, CAREFUL)
-    found["careful, a white 5 % off: its pairs named", ""] = 100 * named
-    found["careful, a white 5 % off: others named", ""] = 100 * others
+    found["careful, a white 5 % off: its pairs named"] = 100 * named
+    found["careful, a white 5 % off: others named"] = 100 * others
     tell(path, "laboratories", found)
+
+
+def run_dates(path):
+    """Look for changes between two sessions."""
+    shares, marked = zip(*(draw_dates(seed) for seed in range(DATES)), strict=True)
+    found = np.concatenate(marked)
+    print("false alarms of each, %", np.round(100 * np.array(shares), 3), len(found), "changes")
+    tell(path, "dates", {
+        "false alarms at 1 %": 100 * float(np.mean(shares)),
+        "changes of 0.01 over 5 × 5 px of which half is marked": 100 * float(np.mean(found >= 0.5)),
+        "their pixels that are marked": 100 * float(found.mean()),
+    })  # fmt: skip
 
 
 PARTS = {
@@ -344,6 +439,7 @@ PARTS = {
     "rows": run_alone,
     "builds": run_builds,
     "laboratories": run_agreement,
+    "dates": run_dates,
 }
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ def test_intervals_hold_the_truth_of_frames_with_all_errors():
 @pytest.mark.slow
 def test_one_wrong_white_is_named_by_every_laboratory_and_no_other_pair_is():
     pairs = uncertainty.compare_laboratories(3, uncertainty.CAREFUL, wrong=4)
-    named = {frozenset((p.first.name[-1], p.second.name[-1])) for p in pairs if p.contradictions}
+    named = {frozenset((p.first.camera[-1], p.second.camera[-1])) for p in pairs if p.contradictions}
     assert len(pairs) == 45
     assert {frozenset(("4", str(k))) for k in range(10) if k != 4} <= named
     assert len(named) <= 11
@@ -33,5 +33,10 @@ def test_intervals_hold_the_truth_of_whole_builds():
     found = uncertainty.coverage_of_builds(builds)
     for name, (_, spread) in found.items():
         assert 0.4 < spread < 1.8, name
-    rows = builds[0][1]
-    assert np.isclose(rows["linearity"]["size"]["550 nm"], uncertainty.SIZES["linearity"])
+
+
+@pytest.mark.slow
+def test_a_painting_that_lies_elsewhere_has_not_changed_and_what_changed_is_marked():
+    share, marked = uncertainty.draw_dates(0)
+    assert 0.006 < share < 0.014
+    assert np.mean(np.array(marked) >= 0.5) > 0.9

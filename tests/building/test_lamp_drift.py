@@ -88,7 +88,7 @@ def test_whites_before_and_after_are_interpolated_to_the_time_of_the_object(tmp_
     made = Built(tmp_path / "c", falling, moments, whites=2)
     assert abs(made.bias) < 0.003
     assert made.budget["lamp between white and object"]["size"]["450 nm"] == pytest.approx(
-        0.05 * 0.25 * 0.75, rel=0.1
+        0.05 * np.sqrt(0.25 * 0.75 / 2), rel=0.1
     )
     assert "interpolated to its time" in made.report
     assert "all at once between white and object" not in made.camera

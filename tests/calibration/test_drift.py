@@ -181,6 +181,54 @@ def test_the_light_on_the_object_is_known_as_well_as_stated(lamp, white_at, shot
     assert coverage(lamp, white_at, shot_at, known) > 0.87
 
 
+@pytest.mark.parametrize(
+    ("white_at", "shot_at"),
+    [
+        ([0, 8], [4]),
+        ([0, 8], [1]),
+        ([0, 1, 2, 6, 7, 8], [3, 4, 5]),
+        ([0, 1, 2, 30, 31, 32], [9, 10, 11]),
+    ],
+)
+def test_the_error_of_an_interpolated_lamp_is_as_large_as_stated(white_at, shot_at):
+    """Steady, settling and wandering lamps that change by as much, together: each by itself is not known to be one."""
+    rng, missed, stated = np.random.default_rng(8), [], []
+    end, error = max(white_at), 1e-4
+    for k in range(600):
+        at = np.linspace(0, 1, 200)
+        rate = rng.uniform(1, 5)
+        course = (at, (1 - np.exp(-rate * at)) / (1 - np.exp(-rate)))[k % 3 % 2] * rng.normal()
+        if k % 3 == 2:
+            course = np.cumsum(rng.standard_normal(200)) / 200**0.5
+        white, shot = (np.interp(t, end * at, 1 + 0.02 * course) for t in (white_at, shot_at))
+        levels = white / white.mean() * rng.normal(1, error, len(white))
+        found = lamp_between(
+            ShotLevels(levels[:, None], np.array([error]), tuple(map(float, white_at))),
+            ShotLevels(
+                (shot / shot.mean())[:, None], np.array([error]), tuple(map(float, shot_at))
+            ),
+        )
+        missed.append(shot.mean() / white.mean() - found.factor[0])
+        stated.append(found.sigma[0])
+    rms_missed, rms_stated = (np.sqrt(np.mean(np.square(one))) for one in (missed, stated))
+    assert 0.8 < rms_missed / rms_stated < 1.2
+
+
+def test_a_black_level_between_darks_on_both_sides_is_known_better_than_it_changed():
+    """A walk of the level about an object that was captured amid the darks, whose mean is subtracted."""
+    rng, missed, stated = np.random.default_rng(9), [], []
+    for _ in range(1000):
+        walk = 0.3 * np.cumsum(rng.standard_normal(12))
+        darks = np.append(walk[:3], walk[9:])
+        times = (0.0, 1.0, 2.0, 9.0, 10.0, 11.0)
+        levels = ShotLevels((darks - darks.mean())[:, None], np.array([1e-3]), times)
+        taken = ShotLevels(np.ones((1, 1)), np.array([1e-3]), (5.0,))
+        missed.append(walk[5] - darks.mean())
+        stated.append(black_between(levels, taken).sigma[0])
+    rms_missed, rms_stated = (np.sqrt(np.mean(np.square(one))) for one in (missed, stated))
+    assert 0.8 < rms_missed / rms_stated < 1.4
+
+
 def test_noise_changes_the_lamp_in_none_of_many_bands():
     """Whites of 64 lines and 580 bands, whose levels have noise alone; a drift of 2 % is found in all of them."""
     rng = np.random.default_rng(3)

@@ -39,8 +39,8 @@ class Habits:
     """Share of the signal that is lost where it reaches 4095 counts: y = x − curve x² / 4095."""
     current: float = 0.0
     """Counts a second of dark current."""
-    wander: float = 0.0
-    """Counts by which the black level rises from the first dark to the last shot of the object."""
+    wander: float | tuple[float, ...] = 0.0
+    """Counts by which the black level rises from the first dark to the last shot of all; or of each band."""
     seconds: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Exposures of dark, white and object."""
     series: tuple[float, ...] = ()
@@ -51,8 +51,10 @@ class Habits:
     """Whites of `shots` that are captured after the object, not before it."""
     clock: float = 0.0
     """Seconds from shot to shot, written into the files; 0: the files state no time."""
-    drift: float = 0.0
-    """Share by which the lamp sinks from the first white to the last object, linear in time."""
+    drift: float | tuple[float, ...] = 0.0
+    """Share by which the lamp sinks from the first white to the last object, or to a white after it; or of each band."""
+    course: tuple[float, ...] = (0.0, 1.0)
+    """How lamp and black level get there: shares of `drift` and `wander`, evenly in time, with lines between them."""
     flicker: float = 0.0
     """Spread of the lamp's level from shot to shot, share."""
     reddening: float = 0.0
@@ -168,7 +170,7 @@ def session(
     A chart, (h, w, bands), is captured like the object, under the lamp as it was at first.
     """
     habits, shape = camera.habits, camera.shape
-    before, every = (0, habits.shots[0], sum(habits.shots[:2])), sum(habits.shots)
+    every = sum(habits.shots)
     lamps = np.random.default_rng(habits.seed + 1)
     whites, shots = habits.shots[1:]
     times = habits.series or None
@@ -183,22 +185,23 @@ def session(
             for seconds in times or (habits.seconds[role],):
                 for band in range(bands):
                     place = band / max(bands - 1, 1)
-                    lean = habits.drift + habits.reddening * place
-                    lamp = flicker * (1 - lean * (order + number) / max(last, 1))
+                    lean = _of(habits.drift, band) + habits.reddening * place
+                    lamp = flicker * (1 - lean * _gone(habits, (order + number) / max(last, 1)))
                     nm = WAVELENGTHS[band % len(WAVELENGTHS)]
                     level = np.interp(nm, (400, 700), habits.board)
                     scene = truth[..., band] if truth.ndim == 3 else truth
                     if role == 1:
                         scene = np.where(strip, scene, level)
                     factor, tags = _settings(habits, role)
+                    taken = order + number + habits.shots[0] * (role > 0)
                     if habits.clock:
-                        tags.append(_clock(habits, order + number + habits.shots[0] * (role > 0)))
+                        tags.append(_clock(habits, taken))
                     codes = camera.frame(
                         scene if role else 0.0,
                         seconds,
                         lamp=lamp if role else 0.0,
                         black=habits.black
-                        + habits.wander * (before[role] + number) / max(every - 1, 1),
+                        + _of(habits.wander, band) * _gone(habits, taken / max(every - 1, 1)),
                         factor=factor,
                     )
                     yield Shot(target, number, band, seconds, codes, tags)
@@ -208,6 +211,16 @@ def session(
             view = chart[..., band]
             codes = camera.frame(view, habits.seconds[2], factor=_settings(habits, 2)[0])
             yield Shot("macbeth", number, band, habits.seconds[2], codes, _settings(habits, 2)[1])
+
+
+def _of(value: float | tuple[float, ...], band: int) -> float:
+    """Return a habit of one band."""
+    return value[band] if isinstance(value, tuple) else value
+
+
+def _gone(habits: Habits, when: float) -> float:
+    """Return which share of its drift a lamp has made at a share of the session."""
+    return float(np.interp(when, np.linspace(0, 1, len(habits.course)), habits.course))
 
 
 def _settings(habits: Habits, role: int) -> tuple[float, list[tuple]]:
@@ -307,7 +320,7 @@ def _write_scans(raw: Path, kind: str, camera: Camera, scene: np.ndarray, *, tim
     for role, name in enumerate(("dark", "white", "panel")):
         cube = []
         for band in range(BANDS[kind]):
-            lean = habits.drift + habits.reddening * band / (BANDS[kind] - 1)
+            lean = _of(habits.drift, band) + habits.reddening * band / (BANDS[kind] - 1)
             lamp = (flicker * (1 - lean * age))[:short] if role == 1 else 0.0
             lamp = (flicker * (1 - lean * age))[short:] if role == 2 else lamp
             if role == 1:
@@ -320,7 +333,7 @@ def _write_scans(raw: Path, kind: str, camera: Camera, scene: np.ndarray, *, tim
                     observed if role else 0.0,
                     habits.seconds[role],
                     lamp=lamp,
-                    black=habits.black + habits.wander * (0.0, 0.5, 1.0)[role],
+                    black=habits.black + _of(habits.wander, band) * (0.0, 0.5, 1.0)[role],
                 )
             )
         kept = np.stack(cube, -1)[: lines if role == 2 else short]

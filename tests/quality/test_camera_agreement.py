@@ -1,5 +1,7 @@
 """Cameras that contradict each other are named; those that agree within their uncertainties are not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -132,3 +134,30 @@ def test_patches_are_even_and_without_flags():
 
     places = choose_patches(Rows)
     assert len(places) and (places[:, 0] >= 88).all() and (places[:, 0] < 200).all()
+
+
+def test_one_filter_under_two_lightings_is_two_bands():
+    """Filters 40 nm wide under an even lamp and one with a peak at 530 nm, towards which a filter on its slope sees."""
+    centres = np.arange(410.0, 700, 48)
+    lamps = {"even": np.ones_like, "peak": lambda nm: 0.05 + np.exp(-(((nm - 530) / 15) ** 2))}
+    made, seen = [], {}
+    for name, lamp in lamps.items():
+        bands = {}
+        for centre in centres:
+            nm = np.linspace(centre - 50, centre + 50, 201)
+            bands[f"{centre:g} nm"] = nm, np.exp(-(((nm - centre) / 24) ** 2)) * lamp(nm)
+        shift = [float(nm @ w / w.sum()) for nm, w in bands.values()]
+        one = layer("cam", centres, setup=name)
+        means, numbers = [], []
+        for k, tone in enumerate(TONES):
+            values = np.array([spectrum(nm, tone) @ w / w.sum() for nm, w in bands.values()])
+            mean = replace(one.means[0], values=values)
+            means.append(mean)
+            numbers.append(uncertain_mean(mean, (), layer=name, region=(name, k)))
+        made.append(replace(one, means=tuple(means), numbers=tuple(numbers), fwhm=0 * centres + 40))
+        seen[one.layer.name] = bands
+    assert max(abs(np.array(shift) - centres)) > 5
+    (alike,), (known,) = compare_all(made, {}), compare_all(made, seen)
+    assert max(abs(band.ratio - 1) for band in alike.bands) > 0.03
+    assert max(abs(band.ratio - 1) for band in known.bands) < 0.02
+    assert alike.contradictions and not known.contradictions

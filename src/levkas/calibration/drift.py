@@ -31,6 +31,8 @@ EXPLAINED = (
 LAMP = "lamp"
 """Among what is measured of a sensor: how its lamp and its black level changed, band by band."""
 SAMPLE = 200_000  # pixels of a channel that are looked at
+WANDERING = 0.5
+"""Of the square of a change between whites: what a lamp wandered, the rest being steady. ± 50 % of it are ± 22 % of u."""
 LONG = 10.0  # times its change within a stack: lamps settle, and what one did in a second shows little of a day
 
 
@@ -452,8 +454,11 @@ def lamp_between(white: ShotLevels, shot: ShotLevels) -> LampChange:
     -----
     A lamp that changed by Δ within a stack may have changed as much again until the other one: u = |Δ|. Where files
     state when they were captured u = |Δ| √(gap/span), as far as a lamp wanders, up to 10 |Δ|. Between whites before
-    and after the object the level is interpolated, at a share x of the way, with u = |Δ| x (1 − x): so far is the
-    straight line off where the lamp comes to rest at one end. Flicker f of single shots adds f² w² of each.
+    and after the object the level is interpolated, at a share x of the way. A lamp that changed steadily is then known,
+    one that wandered is off by |Δ| √(x (1 − x)) rms, a Brownian bridge ([karatzas1998]_, 5.6.B). Which it was is not
+    known: half of Δ² counts as wander, u = |Δ| √(x (1 − x)/2) of single shots. With 0 of it a lamp that settles
+    would be certain, with all of it u of the mixture of steady, settling and wandering lamps were 1.4 times too large.
+    Flicker f of single shots adds f² w² of each.
 
     Examples
     --------
@@ -464,15 +469,20 @@ def lamp_between(white: ShotLevels, shot: ShotLevels) -> LampChange:
     >>> timed = replace(two, times_s=(0.0, 60.0)), replace(one, times_s=(15.0,))
     >>> found = lamp_between(*timed)
     >>> found.factor.round(3).tolist(), found.sigma.round(4).tolist()
-    ([1.01], [0.0075])
+    ([1.01], [0.0122])
     """
+    return _between(white, shot, follow=True)
+
+
+def _between(white: ShotLevels, shot: ShotLevels, *, follow: bool) -> LampChange:
+    """Return `lamp_between`; without `follow` whites before and after the object are averaged, not interpolated."""
     stacks = white, shot
     trends = [trend_of(one) for one in stacks]
     freedom = np.array([max(len(one.levels) - 2, 0) for one in stacks])
     squares = sum(n * np.nan_to_num(t.flicker) ** 2 for n, t in zip(freedom, trends, strict=True))
     flicker = np.sqrt(squares / max(int(freedom.sum()), 1))
     factor, drift, weights = np.ones(white.levels.shape[1]), 0.0 * flicker, 1 / len(white.levels)
-    if (bridge := _bridge(white, shot)) is not None:
+    if (bridge := _bridge(white, shot, follow=follow)) is not None:
         factor, drift, weights = bridge
     else:
         for trend, stack in zip(trends, stacks, strict=True):
@@ -490,8 +500,8 @@ def lamp_between(white: ShotLevels, shot: ShotLevels) -> LampChange:
 def black_between(dark: ShotLevels, shot: ShotLevels | None = None) -> LampChange:
     """Estimate how the black level changed between darks, whose levels are counts, and one shot of an object.
 
-    Where files state when both were captured, it wanders on as the lamp does; from darks before and after the object nothing is
-    interpolated, and what changed between them counts whole.
+    Where files state when both were captured, it wanders on as the lamp does; darks before and after the object are averaged,
+    not interpolated.
 
     >>> wander = ShotLevels(np.array([[-1.0], [0.5], [0.5]]), np.array([0.01]))
     >>> black_between(wander).sigma.round(2).tolist()
@@ -503,9 +513,7 @@ def black_between(dark: ShotLevels, shot: ShotLevels | None = None) -> LampChang
     """
     one = np.zeros((1, dark.levels.shape[1]))
     taken = ShotLevels(one, one[0], None if shot is None else shot.times_s)
-    if _bridge(dark, taken) is not None:
-        dark = replace(dark, times_s=None)
-    return lamp_between(dark, taken)
+    return _between(dark, taken, follow=False)
 
 
 class Trend(NamedTuple):
@@ -561,8 +569,10 @@ def _reach(stack: ShotLevels, white: ShotLevels, shot: ShotLevels) -> float:
     return min(float(np.sqrt(gap / span)), LONG) if span > 0 else 1.0
 
 
-def _bridge(white: ShotLevels, shot: ShotLevels) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """Interpolate the white to the time of the object; None where no whites lie before and after it.
+def _bridge(
+    white: ShotLevels, shot: ShotLevels, *, follow: bool
+) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """Interpolate the white to the time of the object, or average it; None where no whites lie before and after it.
 
     Returns
     -------
@@ -581,9 +591,26 @@ def _bridge(white: ShotLevels, shot: ShotLevels) -> tuple[np.ndarray, np.ndarray
     (start, first), (end, last) = (
         (times[part].mean(), white.levels[part].mean(0)) for part in (before, after)
     )
-    share = (moment - start) / (end - start)
+    share, change = (moment - start) / (end - start), last - first
+    late = share if follow else after.mean()
+    weights = np.where(after, late / after.sum(), (1 - late) / before.sum())
+    sides = np.where(after, 1 / after.sum(), -1 / before.sum())
+    every = np.append(times, shot.times_s)
+    own = np.full(len(shot.times_s), 1 / len(shot.times_s))
+    wander = _walk_variance(every, np.append(-weights, own)) / _walk_variance(times, sides)
     noise = np.where(np.isfinite(white.error), white.error, np.inf)
-    known = np.abs(last - first) > SIGMAS * noise
-    factor = np.where(known, first + share * (last - first), 1.0)
-    sigma = np.abs(last - first) * np.where(known, share * (1 - share), 1.0)
-    return factor, sigma, (1 - share) ** 2 / before.sum() + share**2 / after.sum()
+    known = np.abs(change) > SIGMAS * noise
+    factor = np.where(known, first + late * change, 1.0)
+    off = np.sqrt(WANDERING * wander + (1 - WANDERING) * (share - late) ** 2)
+    return factor, np.abs(change) * np.where(known, off, 1.0), float(weights @ weights)
+
+
+def _walk_variance(times: np.ndarray, weights: np.ndarray) -> float:
+    """Return the variance of a weighted sum of a random walk at some times that gains 1 a second; weights sum to 0.
+
+    >>> _walk_variance(np.array([0.0, 4.0, 1.0]), np.array([-0.75, -0.25, 1.0]))  # a bridge, 4 · ¼ · ¾
+    0.75
+    """
+    order = np.argsort(times, kind="stable")
+    passed = np.cumsum(weights[order])[:-1]
+    return float(passed**2 @ np.diff(times[order]))

@@ -278,20 +278,23 @@ def weigh_bands(
     second: PatchMeans,
     sensitivities: Sensitivities,
     settings: AgreementSettings = SETTINGS,
+    *,
+    of_first: Sensitivities | None = None,
 ) -> dict[int, np.ndarray]:
     """Return how the bands of the second are made of the first's, (2, n₁) each, by their number: by a cubic spline and by straight lines.
 
     A narrow band is interpolated between the nearest; a broad one is weighed by its sensitivity, (nm, response), where the first has bands
-    over all that matters of it.
+    over all that matters of it. Bands lie at the centroids of their sensitivities under their light: one filter under two lightings is two bands.
     """
-    nm = first.wavelengths
+    nm = np.array([_centroid(first, k, of_first or {}) for k in range(len(first.labels))])
     known = np.flatnonzero(np.isfinite(nm))
     order = known[np.argsort(nm[known], kind="stable")]
     at, found = nm[order], {}
     if not len(at):
         return {}
-    for k, (label, centre) in enumerate(zip(second.labels, second.wavelengths, strict=True)):
-        if len(same := _same_band(first, centre, second.fwhm[k])):
+    for k, label in enumerate(second.labels):
+        centre = _centroid(second, k, sensitivities)
+        if len(same := _same_band(nm, first.fwhm, centre, second.fwhm[k])):
             found[k] = np.tile(np.arange(len(nm)) == same[0], (2, 1)).astype(float)
             continue
         grid, weights = sensitivities.get(label, (np.array([centre]), np.ones(1)))
@@ -313,11 +316,11 @@ def weigh_bands(
     return found
 
 
-def _same_band(layer: PatchMeans, centre: float, width: float) -> np.ndarray:
+def _same_band(nm: np.ndarray, fwhm: np.ndarray, centre: float, width: float) -> np.ndarray:
     """Return the numbers of the bands that see what a band of some centre and width does."""
     with np.errstate(invalid="ignore"):
-        near = np.abs(layer.wavelengths - centre) <= SAME_NM
-        wider = np.abs(layer.fwhm - width) > SAME_WIDTH * width
+        near = np.abs(nm - centre) <= SAME_NM
+        wider = np.abs(fwhm - width) > SAME_WIDTH * width
     return np.flatnonzero(near & ~wider)
 
 
@@ -326,9 +329,11 @@ def compare_layers(
     second: PatchMeans,
     sensitivities: Sensitivities,
     settings: AgreementSettings = SETTINGS,
+    *,
+    of_first: Sensitivities | None = None,
 ) -> PairAgreement | None:
-    """Compare the bands of the second with what the first predicts; None where none can be."""
-    rows = weigh_bands(first, second, sensitivities, settings)
+    """Compare the bands of the second, whose sensitivities they are, with what the first predicts; None where none can be."""
+    rows = weigh_bands(first, second, sensitivities, settings, of_first=of_first)
     if not rows:
         return None
     bands = np.array([*rows])
@@ -372,11 +377,17 @@ def _weighted(one: Uncertain, weights: np.ndarray) -> Uncertain:
 
 
 def _centre(layer: PatchMeans, k: int, sensitivities: Sensitivities) -> float:
-    """Return the wavelength of a band, nm; of a broad one the centroid of its sensitivity."""
+    """Return the wavelength by which a band is named, nm; of a broad one the centroid of its sensitivity."""
     if np.isfinite(layer.wavelengths[k]):
         return float(layer.wavelengths[k])
-    grid, weights = sensitivities[layer.labels[k]]
-    return float(grid @ weights / weights.sum())
+    return _centroid(layer, k, sensitivities)
+
+
+def _centroid(layer: PatchMeans, k: int, sensitivities: Sensitivities) -> float:
+    """Return where the light of a band lies, nm: at its stated wavelength where no sensitivity is known."""
+    grid, weights = sensitivities.get(layer.labels[k], (np.full(1, np.nan), np.ones(1)))
+    found = float(grid @ weights / weights.sum())
+    return found if np.isfinite(found) else float(layer.wavelengths[k])
 
 
 def _band(label: str, centre: float, ratios: np.ndarray, expected: np.ndarray) -> BandAgreement:
@@ -398,9 +409,10 @@ def compare_all(
     found = []
     for pair in combinations(layers, 2):
         first, second = sorted(pair, key=lambda one: -len(one.labels))
-        made = compare_layers(first, second, sensitivities.get(second.layer.name, {}))
+        of_first, of_second = (sensitivities.get(one.layer.name, {}) for one in (first, second))
+        made = compare_layers(first, second, of_second, of_first=of_first)
         if made is None:
-            made = compare_layers(second, first, sensitivities.get(first.layer.name, {}))
+            made = compare_layers(second, first, of_first, of_first=of_second)
         if made is not None:
             found.append(made)
     return tuple(found)

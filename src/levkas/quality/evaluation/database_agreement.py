@@ -235,8 +235,9 @@ def _pair(mine: PatchMeans, theirs: PatchMeans, first: Path, second: Path) -> Pa
     theirs = replace(theirs, name=f"{theirs.layer.name} of the second")
     sides = [(mine, first), (theirs, second)]
     (wide, a), (narrow, b) = sorted(sides, key=lambda side: -len(side[0].labels))
-    made = compare_layers(wide, narrow, sensitivities_in(b, narrow))
-    return made or compare_layers(narrow, wide, sensitivities_in(a, wide))
+    of_wide, of_narrow = sensitivities_in(a, wide), sensitivities_in(b, narrow)
+    made = compare_layers(wide, narrow, of_narrow, of_first=of_wide)
+    return made or compare_layers(narrow, wide, of_wide, of_first=of_narrow)
 
 
 def _to_compare(
