@@ -329,17 +329,21 @@ def run_wrong_white(count, sizes):
 
 GRID, WIDE, STEP, DISTANCE = (260, 340), 5, 0.01, 40
 """Pixels of a session; of a change its side, px, its size in reflectance, and how far it is to the next."""
+LENS = 0.8
+"""Standard deviation of the spread of a lens and of sensels, px: a camera has no edge sharper than this."""
 TURN, SHIFT = np.deg2rad(0.4), np.array([2.3, -1.6])
 
 
 def painting(seed):
-    """Return even areas with edges and grain, (h, w, 3), somewhat larger than a session sees."""
+    """Return even areas of paints with edges and grain, (h, w, 3), somewhat larger than a session sees."""
     rng = np.random.default_rng(seed)
     shape = tuple(n + 40 for n in GRID)
-    areas = ndimage.gaussian_filter(rng.standard_normal((*shape, 3)), (9, 9, 0))
+    paints = rng.uniform(0.15, 0.75, (8, 1)) * rng.uniform(0.7, 1.2, (8, 3))
+    areas = ndimage.gaussian_filter(rng.standard_normal(shape), 7)
+    which = np.digitize(areas, np.quantile(areas, np.arange(1, 8) / 8))
     grain = ndimage.gaussian_filter(rng.standard_normal(shape), 1.2) / 0.25
-    tones = 0.15 + 0.6 * (np.digitize(areas, np.quantile(areas, (0.25, 0.5, 0.75))) / 3)
-    return tones * (1 + 0.03 * grain)[..., None]
+    tones = rng.permutation(paints)[which] * (1 + 0.03 * grain)[..., None]
+    return ndimage.gaussian_filter(tones, (LENS, LENS, 0))
 
 
 def session(folder, scene, place, seed):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from levkas.quality.evaluation.change import find_changes
+from levkas.quality.evaluation.change import apparent_place, find_changes
 
 SHAPE = (160, 200, 6)
 
@@ -51,3 +51,20 @@ def test_what_the_uncertainties_allow_is_no_change_and_few_pixels_say_nothing():
     few = np.zeros_like(KNOWN)
     few[:5, :5] = True
     assert not find_changes(noise(6) + 1, VARIANCE, few).mask.any()
+
+
+def test_edges_that_a_registration_misses_are_no_changes():
+    """A picture and itself 0.2 px beside it: edges differ by more than the noise."""
+    rng = np.random.default_rng(7)
+    areas = ndimage.gaussian_filter(rng.standard_normal(SHAPE[:2]), 6)
+    paints = np.array([0.7, 0.1, 0.6, 0.2])[np.digitize(areas, [-0.03, 0, 0.03])]
+    tones = ndimage.gaussian_filter(paints, 0.8)
+    beside = ndimage.shift(tones, (0.14, 0.14), order=3, mode="nearest")
+    apart = noise(8) + (beside - tones)[..., None]
+    slopes = sum(np.square(np.gradient(tones, axis=axis)) for axis in (0, 1))
+    steepness = np.broadcast_to(slopes[..., None], SHAPE)
+    assert find_changes(apart, VARIANCE, KNOWN).share > 0.015
+    place = apparent_place(apart, VARIANCE, steepness, KNOWN)
+    assert place**0.5 == pytest.approx(0.17, abs=0.06)
+    assert find_changes(apart, VARIANCE + place * steepness, KNOWN).share < 0.011
+    assert apparent_place(noise(9), VARIANCE, steepness, KNOWN) < 0.02**2

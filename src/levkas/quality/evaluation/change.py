@@ -18,7 +18,11 @@ LEAST = 400
 """Pixels to fit a distribution to."""
 NOISE_FLOOR = 1e-6
 MOST = 100_000
-"""Pixels from which it is found what bands share."""
+"""Pixels from which it is found what bands share, and how well places are known."""
+FLAT, STEEP = 0.5, 0.8
+"""Quantiles of the slope: the flatter half of a picture, and its steepest fifth."""
+HALVINGS = 24
+"""Of 1 px²: to 0.0003 px."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +97,54 @@ def find_changes(
         above = np.square(one).sum(-1) > chi2.ppf(1 - rate / 2, bands)
         mask |= above & _above(_distances(one, where), where, rate / 2)
     return Changes(mask, known, rate, _areas(mask, difference))
+
+
+def apparent_place(
+    difference: np.ndarray, variance: np.ndarray, steepness: np.ndarray, known: np.ndarray
+) -> float:
+    """Return the variance of the place, px², with which steep parts of two pictures differ as flat ones do.
+
+    It holds what a registration misses and what interpolation makes of edges; 0 where steep parts differ no more than flat ones.
+
+    Parameters
+    ----------
+    difference, variance : ndarray, (h, w, bands)
+        As in `find_changes`, without the variance of the place.
+    steepness : ndarray like `difference`, 1/px²
+        Squared slope of the picture.
+    known : ndarray, (h, w), bool
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> steep = np.broadcast_to(np.linspace(0, 0.2, 100)[:, None], (100, 100, 2)) ** 2
+    >>> apart = rng.normal(0, np.sqrt(0.005**2 + 0.1**2 * steep))
+    >>> found = apparent_place(apart, np.full(apart.shape, 0.005**2), steep, np.ones((100, 100), bool))
+    >>> round(found**0.5, 2)
+    0.1
+    """
+    at = np.argwhere(known)
+    at = at[:: max(1, len(at) // MOST)]
+    if len(at) < LEAST:
+        return 0.0
+    square, spread, slope = (
+        one[at[:, 0], at[:, 1]] for one in (np.square(difference), variance, steepness)
+    )
+    spread = np.maximum(spread, NOISE_FLOOR**2)
+    mean = slope.mean(-1)
+    flat, steep = mean <= np.quantile(mean, FLAT), mean >= np.quantile(mean, STEEP)
+
+    def excess(place: float) -> float:
+        sizes = square / (spread + place * slope)
+        return float(np.median(sizes[steep]) - np.median(sizes[flat]))
+
+    low, high = 0.0, 1.0
+    if excess(low) <= 0:
+        return low
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
+    return high
 
 
 def _distances(z: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -27,7 +27,7 @@ from levkas.quality.evaluation.camera_agreement import (
     compare_layers,
     measure_patches,
 )
-from levkas.quality.evaluation.change import Changes, find_changes
+from levkas.quality.evaluation.change import Changes, apparent_place, find_changes
 from levkas.readers.spectra import parse_spectra
 
 if TYPE_CHECKING:
@@ -312,11 +312,10 @@ def _changes(first: LayerArray, second: LayerArray, move: Transform, rate: float
     sound = values[known], there.values[known]
     factor = np.median(sound[1], axis=0) / np.maximum(np.median(sound[0], axis=0), 1e-6)
     difference = np.where(known[..., None], there.values / factor - values, 0.0)
-    slopes = [np.gradient(values, axis=axis) for axis in (0, 1)]
-    place = _place_variance(first)
-    variance = np.square(sigma) + there.variance / factor**2
-    variance = variance + place * sum(np.square(one) for one in slopes)
-    return find_changes(difference, np.nan_to_num(variance, nan=1.0), known, rate=rate)
+    steepness = sum(np.square(np.gradient(values, axis=axis)) for axis in (0, 1))
+    variance = np.nan_to_num(np.square(sigma) + there.variance / factor**2, nan=1.0)
+    place = max(_place_variance(first), apparent_place(difference, variance, steepness, known))
+    return find_changes(difference, variance + place * steepness, known, rate=rate)
 
 
 def _rows(part: Any) -> np.ndarray:
