@@ -516,6 +516,24 @@ def black_between(dark: ShotLevels, shot: ShotLevels | None = None) -> LampChang
     return _between(dark, taken, follow=False)
 
 
+def black_in_white(dark: ShotLevels, shot: ShotLevels, white: ShotLevels) -> float:
+    """Return the share of the error of an object's black level that its white has too, by a walk; 0 where files state no times.
+
+    >>> dark, shot, white = (ShotLevels(np.zeros((len(t), 1)), np.zeros(1), t) for t in ((0.0,), (10.0,), (4.0, 10.0)))
+    >>> black_in_white(dark, shot, white)
+    0.7
+    """
+    stacks = dark, shot, white
+    if any(one.times_s is None for one in stacks):
+        return 0.0
+    times = np.concatenate([np.array(one.times_s, float) for one in stacks])
+    which = np.repeat((0, 1, 2), [len(one.times_s or ()) for one in stacks])
+    means = [(which == k) / np.count_nonzero(which == k) for k in range(3)]
+    steps, of_white = (_walk(times, means[k] - means[0]) for k in (1, 2))
+    total = float(steps @ steps)
+    return float(np.clip(steps @ of_white / total, 0, 1)) if total > 0 else 0.0
+
+
 class Trend(NamedTuple):
     """Change of a stack's level from first to last along a line, NaN of one shot; how far it reaches; rms about it.
 
@@ -597,7 +615,8 @@ def _bridge(
     sides = np.where(after, 1 / after.sum(), -1 / before.sum())
     every = np.append(times, shot.times_s)
     own = np.full(len(shot.times_s), 1 / len(shot.times_s))
-    wander = _walk_variance(every, np.append(-weights, own)) / _walk_variance(times, sides)
+    steps, apart = _walk(every, np.append(-weights, own)), _walk(times, sides)
+    wander = float(steps @ steps / (apart @ apart))
     noise = np.where(np.isfinite(white.error), white.error, np.inf)
     known = np.abs(change) > SIGMAS * noise
     factor = np.where(known, first + late * change, 1.0)
@@ -605,12 +624,14 @@ def _bridge(
     return factor, np.abs(change) * np.where(known, off, 1.0), float(weights @ weights)
 
 
-def _walk_variance(times: np.ndarray, weights: np.ndarray) -> float:
-    """Return the variance of a weighted sum of a random walk at some times that gains 1 a second; weights sum to 0.
+def _walk(times: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return what a weighted sum of a random walk that gains 1 a second has of each of its steps; weights sum to 0.
 
-    >>> _walk_variance(np.array([0.0, 4.0, 1.0]), np.array([-0.75, -0.25, 1.0]))  # a bridge, 4 · ¼ · ¾
+    Squares of the steps add up to the variance of the sum, products with those of another sum to their covariance.
+
+    >>> steps = _walk(np.array([0.0, 4.0, 1.0]), np.array([-0.75, -0.25, 1.0]))  # a bridge, 4 · ¼ · ¾
+    >>> float(steps @ steps)
     0.75
     """
     order = np.argsort(times, kind="stable")
-    passed = np.cumsum(weights[order])[:-1]
-    return float(passed**2 @ np.diff(times[order]))
+    return np.cumsum(weights[order])[:-1] * np.sqrt(np.diff(times[order]))

@@ -208,10 +208,12 @@ def note_lamp(
     lamp: LampChange,
     dark: LampChange | None = None,
     per_count: Sequence[float] = (),
+    shared: float = 0.0,
 ) -> None:
     """Note how lamp and black level changed between darks, white and object in `measured`, band by band.
 
-    `dark` is the wander of the black level, counts; `per_count` is the reflectance of a count in each band.
+    `dark` is the wander of the black level, counts; `per_count` is the reflectance of a count in each band, `shared` the share of that error
+    that the white has too.
     """
     notes = measured.setdefault(LAMP, {})
     for i, label in enumerate(labels):
@@ -228,6 +230,7 @@ def note_lamp(
         if dark is not None:
             within = np.hypot(*np.nan_to_num([dark.white[i], dark.flicker[i]]))
             notes[label]["black_within"] = as_number(float(within * per_count[i]))
+            notes[label]["black_in_white"] = as_number(shared)
         notes[label]["interpolated"] = lamp.timed
         if lamp.reach:
             notes[label] |= {

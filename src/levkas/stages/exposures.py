@@ -11,7 +11,7 @@ import numpy as np
 from levkas.calibration.clipped_darks import MANY_ZEROS
 from levkas.calibration.darks import SAME_TIME, level_under
 from levkas.calibration.defects import find_defects
-from levkas.calibration.drift import black_between, lamp_between
+from levkas.calibration.drift import black_between, black_in_white, lamp_between
 from levkas.calibration.exposures import best_exposure, merge_exposures
 from levkas.calibration.flatfield import Calibrated, flat_field, pair_darks
 from levkas.calibration.linearity import check_linearity, require_reciprocity
@@ -477,7 +477,11 @@ def _with_lamp(
     lamp = lamp_between(white.shots, shot.shots)
     lamp = lamp.in_groups(_channels(board, len(lamp.factor)), len(labels))
     per_count = _per_count(context, shot, dark, white, board).values()
-    note_lamp(context.measured, labels, lamp, _black_level(shot, dark, board), [*per_count])
+    shared = [black_in_white(one.shots, shot.shots, white.shots) for one in dark if one.shots]
+    if shot.exposure_s and white.exposure_s:
+        shared = [one * shot.exposure_s / white.exposure_s for one in shared]
+    wander = _black_level(shot, dark, board)
+    note_lamp(context.measured, labels, lamp, wander, [*per_count], min(shared, default=0.0))
     known = np.broadcast_to(np.asarray(board.reflectance, float), len(labels))
     return board if np.all(lamp.factor == 1) else replace(board, reflectance=known / lamp.factor)
 

@@ -293,6 +293,8 @@ def _same_bands(
 
 def _changes(first: LayerArray, second: LayerArray, move: Transform, rate: float) -> Changes | None:
     """Find what changed from the first to the second, on the first's grid; None where the noise of one is not known."""
+    from scipy.ndimage import gaussian_filter
+
     if first.sigma is None or second.sigma is None:
         return None
     (values, flags, sigma), (others, marks, spread) = (
@@ -312,7 +314,9 @@ def _changes(first: LayerArray, second: LayerArray, move: Transform, rate: float
     sound = values[known], there.values[known]
     factor = np.median(sound[1], axis=0) / np.maximum(np.median(sound[0], axis=0), 1e-6)
     difference = np.where(known[..., None], there.values / factor - values, 0.0)
-    steepness = sum(np.square(np.gradient(values, axis=axis)) for axis in (0, 1))
+    slopes = sum(np.square(np.gradient(values, axis=axis)) for axis in (0, 1))
+    # What interpolation makes of an edge lies a pixel beside it, too.
+    steepness = gaussian_filter(np.nan_to_num(slopes), (1, 1, 0))
     variance = np.nan_to_num(np.square(sigma) + there.variance / factor**2, nan=1.0)
     place = max(_place_variance(first), apparent_place(difference, variance, steepness, known))
     return find_changes(difference, variance + place * steepness, known, rate=rate)
