@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -5,6 +7,7 @@ from levkas.calibration.drift import (
     CellMeans,
     average_steady,
     black_between,
+    black_in_white,
     lamp_between,
     measure_drift,
 )
@@ -255,3 +258,26 @@ def test_a_black_level_that_wanders_goes_on_until_the_object_is_captured():
         assert stated[-1] >= black_between(levels).sigma[0]
     rms_missed, rms_stated = (np.sqrt(np.mean(np.square(one))) for one in (missed, stated))
     assert 0.7 < rms_stated / rms_missed < 1.4
+
+
+@pytest.mark.parametrize("reflectance", [0.0, 0.5, 0.9])
+def test_what_the_white_has_of_an_error_of_the_black_level_leaves_bright_values(reflectance):
+    """A walk of the level: six darks, three whites, and an object after them, whose reflectance it moves by δ − R δ of the white."""
+    rng, missed, stated = np.random.default_rng(10), [], []
+    dark, white, shot = (tuple(map(float, range(*ends))) for ends in ((0, 6), (6, 9), (9, 12)))
+    for _ in range(1500):
+        walk = 0.3 * np.cumsum(rng.standard_normal(12))
+        walk -= walk[:6].mean()
+        missed.append(walk[9:].mean() - reflectance * walk[6:9].mean())
+        stacks = (
+            ShotLevels(walk[:6, None], np.array([1e-3]), dark),
+            ShotLevels(np.ones((3, 1)), np.array([1e-3]), shot),
+            ShotLevels(np.ones((3, 1)), np.array([1e-3]), white),
+        )
+        stated.append(
+            black_between(*stacks[:2]).sigma[0] * (1 - reflectance * black_in_white(*stacks))
+        )
+    rms_missed, rms_stated = (np.sqrt(np.mean(np.square(one))) for one in (missed, stated))
+    assert 0.7 < rms_missed / rms_stated < 1.4, rms_missed / rms_stated
+    untimed = replace(stacks[1], times_s=None)
+    assert black_in_white(stacks[0], untimed, stacks[2]) == 0.0

@@ -517,11 +517,13 @@ def black_between(dark: ShotLevels, shot: ShotLevels | None = None) -> LampChang
 
 
 def black_in_white(dark: ShotLevels, shot: ShotLevels, white: ShotLevels) -> float:
-    """Return the share of the error of an object's black level that its white has too, by a walk; 0 where files state no times.
+    """Return by which share an error of an object's black level is less of what is as bright as its white, which has some of it too.
+
+    By a walk of the level, σ(δ − δ of the white)/σ(δ) = 1 − share; 0 where files do not state times.
 
     >>> dark, shot, white = (ShotLevels(np.zeros((len(t), 1)), np.zeros(1), t) for t in ((0.0,), (10.0,), (4.0, 10.0)))
-    >>> black_in_white(dark, shot, white)
-    0.7
+    >>> round(black_in_white(dark, shot, white), 3)
+    0.613
     """
     stacks = dark, shot, white
     if any(one.times_s is None for one in stacks):
@@ -529,9 +531,9 @@ def black_in_white(dark: ShotLevels, shot: ShotLevels, white: ShotLevels) -> flo
     times = np.concatenate([np.array(one.times_s, float) for one in stacks])
     which = np.repeat((0, 1, 2), [len(one.times_s or ()) for one in stacks])
     means = [(which == k) / np.count_nonzero(which == k) for k in range(3)]
-    steps, of_white = (_walk(times, means[k] - means[0]) for k in (1, 2))
-    total = float(steps @ steps)
-    return float(np.clip(steps @ of_white / total, 0, 1)) if total > 0 else 0.0
+    dim, bright = (_walk(times, means[1] - means[k]) for k in (0, 2))
+    sizes = [float(np.sqrt(steps @ steps)) for steps in (dim, bright)]
+    return max(0.0, 1 - sizes[1] / sizes[0]) if sizes[0] > 0 else 0.0
 
 
 class Trend(NamedTuple):

@@ -212,8 +212,8 @@ def note_lamp(
 ) -> None:
     """Note how lamp and black level changed between darks, white and object in `measured`, band by band.
 
-    `dark` is the wander of the black level, counts; `per_count` is the reflectance of a count in each band, `shared` the share of that error
-    that the white has too.
+    `dark` is the wander of the black level, counts; `per_count` is the reflectance of a count in each band, `shared` by which
+    share that error is less of what is as bright as the white.
     """
     notes = measured.setdefault(LAMP, {})
     for i, label in enumerate(labels):

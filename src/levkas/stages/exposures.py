@@ -607,11 +607,11 @@ def _per_count(
     if white is None:
         return dict.fromkeys(board.labels or (), 1.0)
     pair = pair_darks(shot, dark or None, white, context.black_level)
-    lit, scale = white.mean - pair[1].mean, reflectance_table(board, shot) * pair[2]
-    return {
-        label: float(level_of(_phase(scale, phase)) / max(level_of(lit[phase]), 1e-9))
-        for label, phase in _phases(board).items()
-    }
+    scale, found = reflectance_table(board, shot) * pair[2], {}
+    for label, phase in _phases(board).items():
+        lit, under = (level_of(_phase(one.mean, phase)) for one in (white, pair[1]))
+        found[label] = float(level_of(_phase(scale, phase)) / max(lit - under, 1e-9))
+    return found
 
 
 def _moved(
