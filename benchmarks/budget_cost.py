@@ -58,7 +58,7 @@ def main():
     record(
         options.results,
         "speed",
-        {"budget and comparison of cameras, of the CPU time of a build": share},
+        {"budget, share of CPU": share},
     )
 
 
