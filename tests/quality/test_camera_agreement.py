@@ -102,6 +102,8 @@ def test_a_broad_channel_is_weighed_by_its_sensitivity_and_not_judged_beyond_the
     assert pair.bands[0].ratio == pytest.approx(1, abs=0.004)
     assert pair.bands[0].wavelength == pytest.approx(545, abs=1)
     assert compare_layers(layer("vis", VIS), camera, {}) is None  # nobody knows what it sees
+    seen = {"G": (nm, green), "R": (nm, red)}
+    assert compare_all([camera, camera], {"rgb": seen}) == ()  # and no spectrum is read off it
 
 
 def test_another_lighting_is_read_as_another_lighting():

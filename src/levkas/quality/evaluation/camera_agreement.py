@@ -287,6 +287,7 @@ def weigh_bands(
     over all that matters of it. Bands lie at the centroids of their sensitivities under their light: one filter under two lightings is two bands.
     """
     nm = np.array([_centroid(first, k, of_first or {}) for k in range(len(first.labels))])
+    nm[~np.isfinite(first.wavelengths)] = np.nan  # broad channels are no samples of a spectrum
     known = np.flatnonzero(np.isfinite(nm))
     order = known[np.argsort(nm[known], kind="stable")]
     at, found = nm[order], {}
