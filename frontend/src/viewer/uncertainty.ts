@@ -70,7 +70,7 @@ export function uncertain(layer: Known, mean: Mean): Uncertain | null {
 }
 
 /** By how much an error of size 1 moves a value; one that is nil at a value has the other sign beyond it. */
-function moveBy(unit: "relative" | "reflectance", value: number, zero: number): number {
+function moveBy(unit: "relative" | "reflectance" | "counts", value: number, zero: number): number {
   if (unit === "relative") return zero > 0 ? value * (1 - value / zero) : value;
   return zero > 0 ? zero - value : 1;
 }
