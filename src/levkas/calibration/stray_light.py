@@ -6,7 +6,6 @@ none is known, it is the mean of the view. Real stray light has tails of other f
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 ROUNDS = 3
@@ -35,6 +34,8 @@ def spread_light(plane: np.ndarray, width_px: float | None = None) -> np.ndarray
     >>> spread_light(half)[0, :2].tolist(), spread_light(half, 10.0)[10, [0, 49, 99]].round(2).tolist()
     ([0.5, 0.5], [0.0, 0.48, 1.0])
     """
+    import cv2
+
     known = np.isfinite(plane)
     if not known.any():
         return np.full(plane.shape, np.nan)
