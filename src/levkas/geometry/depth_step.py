@@ -32,7 +32,7 @@ class DepthStepShift:
     --------
     >>> lines = np.array([[1, 0, -10], [-1, 0, 90], [0, 1, -10], [0, -1, 90.0]])
     >>> shift = np.array([[0.5, 0], [0, 0], [0, 0]])
-    >>> sunk = LedgeShift(lines, 4.0, np.array([50.0, 50]), 50.0, shift)
+    >>> sunk = DepthStepShift(lines, 4.0, np.array([50.0, 50]), 50.0, shift)
     >>> sunk(np.array([[5.0, 50], [12, 50], [50, 50]])).tolist()
     [[5.0, 50.0], [12.25, 50.0], [50.5, 50.0]]
     """
