@@ -94,6 +94,12 @@ def test_databases_without_a_common_object_and_folders_that_are_none_are_refused
 ):
     refused = CliRunner().invoke(app, ["agree", str(databases["first"]), str(tmp_path)])
     assert refused.exit_code == 1 and "no database was found" in refused.output
+    (tmp_path / "none").mkdir()  # as where every capture was refused
+    shutil.copy(databases["first"] / "database.toml", tmp_path / "none")
+    heading = (databases["first"] / "catalogue.csv").read_text().splitlines()[0]
+    (tmp_path / "none" / "catalogue.csv").write_text(f"{heading}\n")
+    empty = CliRunner().invoke(app, ["agree", str(databases["first"]), str(tmp_path / "none")])
+    assert empty.exit_code == 1 and "no object in common" in empty.output
     unknown = CliRunner().invoke(
         app, ["agree", *(str(databases[n]) for n in ("first", "again")), "--object", "pannel"]
     )

@@ -82,7 +82,8 @@ class Database(Mapping[str, "Object"]):
     def _layers(self) -> dict[str, list[tuple[str, str]]]:
         """Camera and setup of every layer by object; no layers where there is no catalogue."""
         if not self.catalogue:
-            folders = (self.path / "objects").iterdir()
+            place = self.path / "objects"  # none where every capture was refused
+            folders = place.iterdir() if place.is_dir() else ()
             return {name: [] for name in sorted(p.name for p in folders if p.is_dir())}
         found: dict[str, list[tuple[str, str]]] = {}
         for entry in self.catalogue:
