@@ -399,32 +399,31 @@ def _note_shot_noise(
     stacks = [stack for stack in stacks if not stack.above_dark]
     name = labels[0] if len(labels) == 1 else ""
 
-    known = [
-        smooth_groups(
-            [one],
-            [level_under(one, darks, black=context.black_level)],
-            context.step,
-            context.period,
-        )
-        for one in (*stacks, *darks)
-    ]
-    if found := find_flattening(_joined(known)):
+    def groups_of(some: Sequence[Template]) -> list[Groups]:
+        levels = [level_under(one, darks, black=context.black_level) for one in some]
+        return [
+            smooth_groups([one], [level], context.step, context.period)
+            for one, level in zip(some, levels, strict=True)
+        ]
+
+    of_stacks, of_darks = groups_of(stacks), groups_of(darks)
+    if found := find_flattening(_joined([*of_stacks, *of_darks])):
         context.measured.setdefault(FLATTENING, {})[name] = found._asdict()
-    time = stacks[0].exposure_s if stacks else None
-    taken = list(zip((*stacks, *darks), known, strict=True))
-    alike = [group for one, group in taken[: len(stacks)] if one.exposure_s == time]
+    if not stacks:
+        return
+    time = stacks[0].exposure_s
+    alike = [g for one, g in zip(stacks, of_stacks, strict=True) if one.exposure_s == time]
     quiet = [
-        group
-        for one, group in taken[len(stacks) :]
-        if stacks
-        and one.exposure_s == time
-        and np.mean(one.black) <= MANY_ZEROS  # others have lost noise
+        g
+        for one, g in zip(darks, of_darks, strict=True)  # of clipped ones noise is lost
+        if one.exposure_s == time and np.mean(one.black) <= MANY_ZEROS
     ]
     if offset := find_dark_offset(_joined(alike), _joined(quiet)):
         context.measured.setdefault(DARK_OFFSET, {})[name] = offset._asdict()
 
 
 def _joined(parts: Sequence[Groups]) -> Groups:
+    """Return the groups of several stacks as one."""
     if not parts:
         return Groups(*np.empty((3, 0)))
     return Groups(*(np.concatenate(rows) for rows in zip(*parts, strict=True)))
