@@ -1,6 +1,8 @@
 """What do the uncertainty budget and the comparison of cameras cost? CPU time of their functions over that of a build in one process.
 
-python benchmarks/budget_cost.py CAMPAIGN OUTPUT [--results FILE]
+    python benchmarks/budget_cost.py CAMPAIGN OUTPUT [--results FILE]
+
+At most so much: what other threads compute while a function runs counts as its time, too.
 """
 
 import argparse

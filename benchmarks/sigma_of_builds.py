@@ -319,12 +319,12 @@ def main(names):
         rows = run(name)
         for band in sorted({row[0] for row in rows}):
             own = [row for row in rows if row[0] == band]
-            told = ", ".join(f"{row[2]:.3f}" for row in own)
+            levels = ", ".join(f"{row[2]:.3f}" for row in own)
             shares = (
                 f"{100 * min(row[3] for row in own):.1f}–{100 * max(row[3] for row in own):.1f} %"
             )
             off = ", ".join(f"{100 * row[5]:+.2f} ({100 * row[6]:.2f})" for row in own)
-            print(f"| {name} | {band}: {told} | {shares} | {off} |", flush=True)
+            print(f"| {name} | {band}: {levels} | {shares} | {off} |", flush=True)
     if names:
         return
     least, most, before = run_hysime()
@@ -337,8 +337,8 @@ def main(names):
     print("|---|---|---|---|---|---|")
     for name in MOSAICS:
         for kind in ("smooth", "detailed"):
-            told = " | ".join(f"{number:.2f}" for number in run_mosaic(name, kind))
-            print(f"| {name} | {kind} | {told} |", flush=True)
+            ratios = " | ".join(f"{number:.2f}" for number in run_mosaic(name, kind))
+            print(f"| {name} | {kind} | {ratios} |", flush=True)
 
 
 if __name__ == "__main__":

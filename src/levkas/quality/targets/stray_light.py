@@ -23,8 +23,6 @@ OF_BLACK = 0.002
 """The same in reflectance, of the black patch, whose gloss depends on the lighting. Half or twice: 0.12 or 0.32 %."""
 LEAST = 0.005
 """Share of the white from which stray light is named: below, one chart's black cannot be distinguished from another's."""
-
-
 OF_TRAP = 0.0005
 """Reflectance of a light trap, and how far its darks may be wrong: an assumption. Half or twice of it halves or doubles the error."""
 DARK = 0.15
