@@ -340,13 +340,17 @@ class ClusterExecutor:
             )
         )
 
-    def _lost(self, flight: Flight, why: str = "") -> Refused:
-        """Return the refusal of a task that failed wherever it was tried."""
+    def _lost(self, flight: Flight, why: str = "", died: int = 0) -> Refused:
+        """Return the refusal of a task that failed wherever it was tried.
+
+        Of workers that `died`, some may not have reported yet that they had begun it.
+        """
         sizes, tried = self._cluster.sizes, []
         for worker, peak in ((one["worker"], one["peak"]) for one in flight.attempts):
             starved = peak > NEAR * sizes.get(worker, float("inf"))
             end = why or ("it ran out of memory" if starved else "it was lost")
             tried.append(f"{worker}, {peak / 1e9:.1f} GB: {end}")
+        tried += ["a worker that had reported nothing: it was lost"] * (died - len(tried))
         key = flight.key
         return Refused(
             Problem(
@@ -403,8 +407,11 @@ class ClusterExecutor:
         if status == "finished":
             yield from self._landed(flight, now)
         elif error is not None and not isinstance(error, NoWorkerError | NoValidWorkerError):
-            why = "" if isinstance(error, KilledWorker) else str(error)
-            yield from self._refuse(flight, self._lost(flight, why))
+            if isinstance(error, KilledWorker):
+                lost = self._lost(flight, died=error.allowed_failures + 1)
+            else:
+                lost = self._lost(flight, str(error))
+            yield from self._refuse(flight, lost)
         elif status != "pending":
             self._take_back(flight)
 
