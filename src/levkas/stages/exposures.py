@@ -8,51 +8,31 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.calibration.clipped_darks import MANY_ZEROS
 from levkas.calibration.darks import SAME_TIME, level_under
 from levkas.calibration.defects import find_defects
-from levkas.calibration.drift import black_between, black_in_white, lamp_between
 from levkas.calibration.exposures import best_exposure, merge_exposures
-from levkas.calibration.flatfield import Calibrated, flat_field, pair_darks
+from levkas.calibration.flatfield import Calibrated, flat_field
 from levkas.calibration.linearity import check_linearity, require_reciprocity
 from levkas.calibration.motion import find_moved
-from levkas.calibration.noise_fit import fit_noise_of_frames, level_of, smooth_groups
+from levkas.calibration.noise_fit import fit_noise_of_frames
 from levkas.calibration.patterns import channel_table
-from levkas.calibration.sensor_context import (
-    DARK_OFFSET,
-    FLATTENING,
-    SensorContext,
-    exposure_of,
-    placed,
-    placing,
-)
-from levkas.calibration.shot_noise import Groups, find_dark_offset, find_flattening
+from levkas.calibration.sensor_context import SensorContext, exposure_of, placed, placing
 from levkas.calibration.stated_exposures import doubt_scaling
 from levkas.calibration.stray_light import correct_stray_light
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
 from levkas.calibration.white_area import WhiteArea, board_alone, find_white_area
-from levkas.calibration.whites import WhiteBoard, check_white, reflectance_table
+from levkas.calibration.whites import WhiteBoard, check_white
 from levkas.campaign.discovery.captures import CaptureRefused
 from levkas.core.cube import Cube, Flag, is_flagged
 from levkas.core.problems import Problem
 from levkas.core.rounding import round_root, round_values
 from levkas.quality.image_quality.glare import mark_glare
-from levkas.stages.capture_statistics import (
-    BLACK_WANDER,
-    DARK_FRAMES,
-    NOISE,
-    PHOTONS,
-    ROUNDING,
-    VIEW,
-    WHITE_FRAMES,
-    note_lamp,
-    note_noise,
-)
+from levkas.stages.capture_statistics import note_noise
+from levkas.stages.shot_notes import note_lamp_between, note_shots
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from levkas.calibration.drift import LampChange
     from levkas.calibration.exposures import Merged
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.campaign.discovery.captures import FrameRef
@@ -330,29 +310,7 @@ def flatten(
         problems = (context.with_full_scale(p) for p in refused.problems)
         raise CalibrationRefused(*(placed(p, frames) for p in problems)) from None
     flat = _without_stray_light(context, flat, dark, white, board)
-    if white is not None and not context.camera.traits.is_scanned and context.light is None:
-        _note_shot_noise(context, (shot, white), dark, board.labels or ())
-    if white is None and context.camera.white_chart is not None:
-        taken = dict.fromkeys(board.labels or (), shot.exposure_s)
-        context.measured.setdefault("exposures_s", {}).update(taken)
-    if not context.camera.traits.is_scanned and not shot.above_dark:
-        found = {
-            label: float(f"{context.step * one:.4g}")
-            for label, one in _per_count(context, shot, dark, white, board).items()
-        }
-        if board.unit is not None:
-            pairs = zip(found.items(), board.unit, strict=True)
-            found = {label: step / float(unit) for (label, step), unit in pairs}
-        context.measured.setdefault(ROUNDING, {}).update(found)
-    if white is None and not context.camera.traits.is_scanned:
-        _note_black(context, shot, dark, board)
-    if noise is not None and not context.camera.traits.is_scanned:
-        _note_shares(context, shot, dark, white, board, noise)
-    if not context.camera.traits.is_scanned:
-        context.measured.setdefault(VIEW, {}).update(
-            (label, float(f"{_mean_of(_phase(flat.values, phase)):.4g}"))
-            for label, phase in _phases(board).items()
-        )
+    note_shots(context, shot, dark, white, board, flat, noise)
     if moved is None:
         moved = _moved(context, shot, dark, noise)
     flat = _with_movement(context, flat, moved)
@@ -387,46 +345,6 @@ def _without_stray_light(
     # What is left of a share 1 − s of the light has the noise of all of it.
     variance = None if flat.variance is None else flat.variance / np.float32((1 - stray.share) ** 2)
     return replace(flat, values=values, variance=variance)
-
-
-def _note_shot_noise(
-    context: SensorContext,
-    stacks: Sequence[Template],
-    darks: Sequence[Template],
-    labels: Sequence[str],
-) -> None:
-    """Note in `measured` where a band's bright pixels have less noise than a linear sensor, and what the dim ones say of the dark."""
-    stacks = [stack for stack in stacks if not stack.above_dark]
-    name = labels[0] if len(labels) == 1 else ""
-
-    def groups_of(some: Sequence[Template]) -> list[Groups]:
-        levels = [level_under(one, darks, black=context.black_level) for one in some]
-        return [
-            smooth_groups([one], [level], context.step, context.period)
-            for one, level in zip(some, levels, strict=True)
-        ]
-
-    of_stacks, of_darks = groups_of(stacks), groups_of(darks)
-    if found := find_flattening(_joined([*of_stacks, *of_darks])):
-        context.measured.setdefault(FLATTENING, {})[name] = found._asdict()
-    if not stacks:
-        return
-    time = stacks[0].exposure_s
-    alike = [g for one, g in zip(stacks, of_stacks, strict=True) if one.exposure_s == time]
-    quiet = [
-        g
-        for one, g in zip(darks, of_darks, strict=True)  # of clipped ones noise is lost
-        if one.exposure_s == time and np.mean(one.black) <= MANY_ZEROS
-    ]
-    if offset := find_dark_offset(_joined(alike), _joined(quiet)):
-        context.measured.setdefault(DARK_OFFSET, {})[name] = offset._asdict()
-
-
-def _joined(parts: Sequence[Groups]) -> Groups:
-    """Return the groups of several stacks as one."""
-    if not parts:
-        return Groups(*np.empty((3, 0)))
-    return Groups(*(np.concatenate(rows) for rows in zip(*parts, strict=True)))
 
 
 def _with_gaps(
@@ -469,148 +387,12 @@ def _with_lamp(
     white: Template,
     board: WhiteBoard,
 ) -> WhiteBoard:
-    """Note how the lamp changed, and return the board as bright as it was at the time of the object."""
-    if white.shots is None or shot.shots is None:
+    """Return the board as bright as it was at the time of the object."""
+    lamp = note_lamp_between(context, shot, dark, white, board)
+    if lamp is None or np.all(lamp.factor == 1):
         return board
-    labels = list(board.labels or ())
-    lamp = lamp_between(white.shots, shot.shots)
-    lamp = lamp.in_groups(_channels(board, len(lamp.factor)), len(labels))
-    per_count = _per_count(context, shot, dark, white, board).values()
-    shared = [black_in_white(one.shots, shot.shots, white.shots) for one in dark if one.shots]
-    if shot.exposure_s and white.exposure_s:
-        shared = [one * shot.exposure_s / white.exposure_s for one in shared]
-    wander = _black_level(shot, dark, board)
-    note_lamp(context.measured, labels, lamp, wander, [*per_count], min(shared, default=0.0))
-    known = np.broadcast_to(np.asarray(board.reflectance, float), len(labels))
-    return board if np.all(lamp.factor == 1) else replace(board, reflectance=known / lamp.factor)
-
-
-def _channels(board: WhiteBoard, channels: int) -> np.ndarray:
-    """Return the band of each channel of a stack."""
-    labels = list(board.labels or ())
-    if board.pattern is not None:
-        return channel_table(board.pattern, labels).ravel()
-    # Of a tunable filter before a mosaic, all phases see one band.
-    return np.arange(channels) if channels == len(labels) else np.zeros(channels, int)
-
-
-def _black_level(shot: Template, dark: Sequence[Template], board: WhiteBoard) -> LampChange | None:
-    """Return how the black level changed between darks and object, band by band; None of single and of clipped darks."""
-    found = [
-        black_between(one.shots, shot.shots)
-        for one in dark
-        if one.shots is not None
-        and one.count > 1
-        and one.fit is None
-        and np.mean(one.black) <= MANY_ZEROS
-    ]
-    wander = [
-        one.in_groups(_channels(board, len(one.factor)), len(board.labels or ())) for one in found
-    ]
-    return max(wander, key=lambda one: float(one.sigma.max()), default=None)
-
-
-def _note_black(
-    context: SensorContext, shot: Template, dark: Sequence[Template], board: WhiteBoard
-) -> None:
-    """Note how the black level of values in counts wanders."""
-    wander = _black_level(shot, dark, board)
-    if wander is not None and board.unit is None:
-        context.measured.setdefault(BLACK_WANDER, {}).update(
-            (label, float(f"{sigma:.4g}"))
-            for label, sigma in zip(board.labels or (), wander.sigma, strict=True)
-        )
-
-
-def _note_shares(
-    context: SensorContext,
-    shot: Template,
-    dark: list[Template],
-    white: Template | None,
-    board: WhiteBoard,
-    noise: NoiseModel,
-) -> None:
-    """Note in `measured` what shots, white and darks add to the noise of each band where its signal is middling, reflectance."""
-    under, white_under, *_ = pair_darks(shot, dark or None, white, context.black_level)
-    if white is None and board.unit is not None:
-        return
-    notes = context.measured.setdefault(NOISE, {})
-    per_count = _per_count(context, shot, dark, white, board)
-    for label, phase in _phases(board).items():
-        signal = _signal(shot, under.mean, phase)
-        of_dark, of_other = (d.share * noise.read_under(d) for d in (under, white_under))
-        counts = {PHOTONS: _variance_of(shot, phase, noise, signal)}
-        if white is None:
-            counts[DARK_FRAMES] = of_dark
-        else:
-            light = _signal(white, white_under.mean, phase)
-            ratio = signal / light
-            if white_under is under:
-                of_dark, of_other = (1 - ratio) ** 2 * of_dark, 0.0
-            counts[WHITE_FRAMES] = ratio**2 * _variance_of(white, phase, noise, light)
-            counts[DARK_FRAMES] = of_dark + ratio**2 * of_other
-        notes[label] = {
-            name: float(f"{per_count[label] * found**0.5:.4g}") for name, found in counts.items()
-        }
-
-
-def _signal(frames: Template, under: np.ndarray, phase: Phase) -> float:
-    """Return the middling counts of a band above what is under them."""
-    return max(level_of(_phase(frames.mean, phase)) - level_of(_phase(under, phase)), 1e-9)
-
-
-def _variance_of(frames: Template, phase: Phase, noise: NoiseModel, signal: float) -> float:
-    """Return the variance of a mean of frames at a signal, counts²; of merged ones that was worked out."""
-    if frames.above_dark and frames.variance is not None:
-        return level_of(_phase(frames.variance, phase)) / frames.count
-    return float(noise.variance(signal)) / frames.count
-
-
-def _mean_of(values: np.ndarray) -> float:
-    """Return the mean of what is known, 0 of nothing."""
-    known = np.isfinite(values)
-    return float(values.mean(where=known, dtype=float)) if known.any() else 0.0
-
-
-Phase = tuple[slice, slice]
-
-
-def _phases(board: WhiteBoard) -> dict[str, Phase]:
-    """Return rows and columns of the first sensels of each band of a frame: all of a sensor without a mosaic."""
-    labels = list(board.labels or ())
-    table = np.zeros((1, 1), int) if board.pattern is None else channel_table(board.pattern, labels)
-    firsts = (np.argwhere(table == k)[0].tolist() for k in range(len(labels)))
-    rows, columns = table.shape
-    return {
-        label: (slice(y, None, rows), slice(x, None, columns))
-        for label, (y, x) in zip(labels, firsts, strict=True)
-    }
-
-
-def _phase(frame: np.ndarray, phase: Phase) -> np.ndarray:
-    """Return the sensels of one band of a frame, or its one number of a line or of all."""
-    tall, wide = (
-        part if n > 1 else slice(None) for part, n in zip(phase, frame.shape[:2], strict=True)
-    )
-    return frame[tall, wide]
-
-
-def _per_count(
-    context: SensorContext,
-    shot: Template,
-    dark: list[Template],
-    white: Template | None,
-    board: WhiteBoard,
-) -> dict[str, float]:
-    """Return what a count is of the values of each band, where the light is middling."""
-    if white is None:
-        return dict.fromkeys(board.labels or (), 1.0)
-    pair = pair_darks(shot, dark or None, white, context.black_level)
-    scale, found = reflectance_table(board, shot) * pair[2], {}
-    for label, phase in _phases(board).items():
-        lit, under = (level_of(_phase(one.mean, phase)) for one in (white, pair[1]))
-        found[label] = float(level_of(_phase(scale, phase)) / max(lit - under, 1e-9))
-    return found
+    known = np.broadcast_to(np.asarray(board.reflectance, float), len(board.labels or ()))
+    return replace(board, reflectance=known / lamp.factor)
 
 
 def _moved(
