@@ -5,8 +5,9 @@ BIN := $(VENV)/bin
 READY := $(VENV)/ready
 export PYTHONUTF8 := 1
 
-# Test processes. Two need about 4 GB of memory; on a larger machine: make test WORKERS=8
-WORKERS ?= 2
+# Test processes: one more than two processors, for many wait for a browser, a worker or the disk. Three need about
+# 6 GB of memory; on a larger machine: make test WORKERS=8
+WORKERS ?= 3
 PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -rfEs
 
 .PHONY: env demo test test-slow exhaustive coverage test-all lint format hooks bench docs reference lock frontend peers compare fuzz clean

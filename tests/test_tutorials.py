@@ -1,6 +1,7 @@
 """The tutorials: every command of docs/tutorials runs in order, in a folder that holds the examples alone."""
 
 import contextlib
+import json
 import os
 import re
 import shlex
@@ -42,7 +43,35 @@ def run_python(arguments, folder):
 PROGRAMS = {"levkas": run_levkas, "python": run_python}
 
 
-def follow(page, folder):
+COUNTED = """
+import json
+import sys
+from numba.core.dispatcher import Dispatcher
+from levkas.cli import main
+try:
+    main()
+except SystemExit as ending:
+    assert not ending.code
+found = {}
+for name, module in list(sys.modules.items()):
+    for kernel in vars(module).values() if name.startswith("levkas.") else ():
+        if isinstance(kernel, Dispatcher) and kernel.stats.cache_path and kernel.signatures:
+            name = f"{kernel.py_func.__module__}.{kernel.py_func.__name__}"
+            found[name] = len(kernel.signatures)
+open("kernels.json", "w").write(json.dumps(found))
+"""
+MOST_KERNELS = 60
+"""Called from Python by `levkas demo`: what a first demo compiles, one kind of arguments each."""
+
+
+def run_counted(arguments, folder):
+    """Run a demo in a process of its own, and leave the kernels that it compiled or loaded in kernels.json."""
+    if arguments == ["demo"]:
+        return run_python(["-c", COUNTED, *arguments], folder)
+    return run_levkas(arguments, folder)
+
+
+def follow(page, folder, programs=PROGRAMS):
     """Do what a tutorial has: write its files, run its commands; return what they printed."""
     printed = []
     for kind, name, text in BLOCK.findall((TUTORIALS / page).read_text(encoding="utf-8")):
@@ -51,7 +80,7 @@ def follow(page, folder):
             continue
         for line in text.splitlines():
             program, *arguments = shlex.split(line)
-            status, output = PROGRAMS[program](arguments, folder)
+            status, output = programs[program](arguments, folder)
             assert status == 0, f"{line}\n{output}"
             printed.append(output)
     return printed
@@ -106,9 +135,12 @@ def test_a_session_is_planned(tmp_path):
 
 
 @pytest.mark.slow
-def test_five_cameras_are_built_and_compared_with_the_truth(tmp_path):
-    printed = follow("five_cameras.md", tmp_path)
+def test_five_cameras_are_built_with_few_kernels_and_compared_with_the_truth(tmp_path):
+    printed = follow("five_cameras.md", tmp_path, PROGRAMS | {"levkas": run_counted})
     assert printed[1].count(" accepted ") == 5
+    found = json.loads((tmp_path / "kernels.json").read_text())
+    assert {name: count for name, count in found.items() if count > 1} == {}
+    assert 0 < len(found) <= MOST_KERNELS
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -57,33 +56,3 @@ def test_code_of_an_older_source_is_compiled_again(tmp_path, name):
     assert kept.stat().st_mtime_ns == before, "code that is not old is loaded"
     put(tmp_path, 5, name, int(before / 1e9) + 10)
     assert answer_of(tmp_path) == "6"
-
-
-COUNTED = """
-import json, sys
-from numba.core.dispatcher import Dispatcher
-from levkas.cli import main
-try:
-    main()
-except SystemExit as ending:
-    assert not ending.code
-found = {}
-for name, module in list(sys.modules.items()):
-    for kernel in vars(module).values() if name.startswith("levkas.") else ():
-        if isinstance(kernel, Dispatcher) and kernel.stats.cache_path and kernel.signatures:
-            name = f"{kernel.py_func.__module__}.{kernel.py_func.__name__}"
-            found[name] = len(kernel.signatures)
-open(sys.argv[-1] + ".json", "w").write(json.dumps(found))
-"""
-MOST_KERNELS = 60
-"""Called from Python by `levkas demo`: what a first demo compiles, one kind of arguments each."""
-
-
-@pytest.mark.slow
-def test_a_demo_compiles_few_kernels_each_for_one_kind_of_arguments(tmp_path):
-    folder = tmp_path / "demo"
-    command = [sys.executable, "-c", COUNTED, "demo", str(folder)]
-    subprocess.run(command, check=True, capture_output=True)
-    found = json.loads((tmp_path / "demo.json").read_text())
-    assert {name: count for name, count in found.items() if count > 1} == {}
-    assert 0 < len(found) <= MOST_KERNELS
