@@ -27,8 +27,9 @@ from levkas.registration.models import (
     fit_projective,
     fit_similarity,
     fit_spline,
-    inflate_covariance,
+    scale_covariance,
 )
+from levkas.registration.parallax import fit_parallax
 
 Fit = Callable[[Observations], Transform]
 Folds = list[tuple[np.ndarray, np.ndarray]]
@@ -50,8 +51,9 @@ class SelectionSettings:
         Across the longer side.
     least_block : float
         Side of a block, in lengths within which windows share pixels.
-    gain : float
-        Share by which a richer model has to lower the held-out error.
+    gain, yielding_gain : float
+        Shares by which a richer model has to lower the held-out error, and by which a spline or a polynomial of order 4
+        or 5 has to: it follows what windows along a whole ledge or stroke get wrong alike, which blocks do not show.
     near, far : float
         Models whose held-out error is up to so much, as a share, above the best may be right too: where
         windows were measured, and where none were.
@@ -69,6 +71,7 @@ class SelectionSettings:
     blocks: int = 8
     least_block: float = 3.0
     gain: float = 0.01
+    yielding_gain: float = 0.1
     near: float = 0.1
     far: float = 1.0
     least_spline: int = 150
@@ -87,8 +90,8 @@ class ModelSpec:
 
     Parameters
     ----------
-    family : {"similarity", "polynomial", "homography", ""}
-        Empty for a shared map alone.
+    family : {"similarity", "polynomial", "homography", "parallax", ""}
+        "parallax" is a homography with a lens behind the heights of a warped panel; empty is a shared map alone.
     order : int
         Of a polynomial.
     lens : bool
@@ -125,6 +128,11 @@ class ModelSpec:
         return replace(self, spline=None, depth_step=False)
 
     @property
+    def is_yielding(self) -> bool:
+        """Whether it bends to what a lens and a warped panel do not do."""
+        return self.spline is not None or self.order > 3
+
+    @property
     def coefficients(self) -> int:
         """Coefficients of x and y each, without spline and step in depth; the most there are of a shared map."""
         least = MODELS[self.plain][0] if self.plain in MODELS else MODELS[QUINTIC][0]
@@ -133,7 +141,7 @@ class ModelSpec:
 
 SIMILARITY, HOMOGRAPHY = ModelSpec("similarity"), ModelSpec("homography")
 AFFINE, QUADRATIC, CUBIC, QUARTIC, QUINTIC = (ModelSpec("polynomial", n) for n in POLYNOMIALS)
-LENS = ModelSpec("homography", lens=True)
+LENS, PARALLAX = ModelSpec("homography", lens=True), ModelSpec("parallax")
 SHARED = ModelSpec("", shared=True)
 
 #: Model → (least number of observations, fit); from the stiffest to the most yielding.
@@ -143,6 +151,7 @@ MODELS: dict[ModelSpec, tuple[int, Fit]] = {
     HOMOGRAPHY: (16, partial(fit_projective, lens=False)),
     QUADRATIC: (24, partial(fit_polynomial, order=2)),
     LENS: (36, partial(fit_projective, lens=True)),
+    PARALLAX: (40, fit_parallax),
     CUBIC: (40, partial(fit_polynomial, order=3)),
     QUARTIC: (60, partial(fit_polynomial, order=4)),
     QUINTIC: (84, partial(fit_polynomial, order=5)),
@@ -152,7 +161,7 @@ COARSE = (SIMILARITY, AFFINE, HOMOGRAPHY, QUADRATIC, LENS, CUBIC)
 #: Models that are tame where nothing was observed.
 STIFF = (SIMILARITY, AFFINE, HOMOGRAPHY, LENS)
 #: Tried with a step in depth whatever did best without one → order of a polynomial as yielding.
-WITH_DEPTH_STEP = {CUBIC: 3, QUARTIC: 4}
+WITH_DEPTH_STEP = {PARALLAX: 5, CUBIC: 3, QUARTIC: 4}
 #: Tried before a shared map, for how this painting lies.
 BEFORE_SHARED = (SIMILARITY, AFFINE, HOMOGRAPHY, QUADRATIC)
 #: Name of a given map that no model improves.
@@ -344,7 +353,9 @@ def select_model(
         judged = judged.weighted(np.full(len(judged), float(every)))
     comparison = ModelComparison(judged, spatial_folds(judged.points, terms.apart, weighted.points))
     for model in models:
-        comparison.add(model, *MODELS[model])
+        least, fit = MODELS[model]
+        # A spline before parallax needs the same fits again.
+        comparison.add(model, least, _Once(fit) if model == PARALLAX else fit)
     if standing is not None and comparison.is_withstood_by(standing):
         return SelectedModel(None, standing, comparison.scores, weighted, weights, terms)
     bends = not (terms.coarse or terms.stiff) and len(observations) >= SETTINGS.least_spline
@@ -384,6 +395,7 @@ class ModelComparison:
 
     def __init__(self, judged: Observations, folds: Folds) -> None:
         self._judged, self._folds = judged, folds
+        self._parts = [(judged.part(left_out), judged.part(rest)) for left_out, rest in folds]
         self.candidates: dict[ModelSpec, Candidate] = {}
         self.scores: dict[str, float] = {}
 
@@ -391,7 +403,8 @@ class ModelComparison:
         """Try one more model, richer than those before; of several ways to fit it the best is used."""
         tried = [Candidate(spec, least, fit, self._held_out_error(least, fit)) for fit in fits]
         found = min(tried, key=lambda one: one.score)
-        if not self.candidates or found.score < self.best.score * (1 - SETTINGS.gain):
+        gain = SETTINGS.yielding_gain if spec.is_yielding else SETTINGS.gain
+        if not self.candidates or found.score < self.best.score * (1 - gain):
             self.best = found
         self.candidates[spec], self.scores[str(spec)] = found, found.score
         return found
@@ -399,13 +412,12 @@ class ModelComparison:
     def _held_out_error(self, least: int, fit: Fit) -> float:
         """Return the error in blocks that were not fitted; infinite where too little is left to fit."""
         total = weight = 0.0
-        for left_out, rest in self._folds:
-            if not left_out.any():
+        for left_out, rest in self._parts:
+            if not len(left_out):
                 continue
-            if rest.sum() < least:
+            if len(rest) < least:
                 return np.inf
-            part = self._judged.part(left_out)
-            squares, information = _misfit(part, fit(self._judged.part(rest)))
+            squares, information = _misfit(left_out, fit(rest))
             total, weight = total + squares, weight + information / 2
         return float(np.sqrt(total / (2 * weight))) if weight else np.inf
 
@@ -420,7 +432,7 @@ class ModelComparison:
         information = np.trace(self._judged.information, axis1=1, axis2=2)
         return tuple(
             FoldFit(
-                self.best.fit(self._judged.part(rest)),
+                self.best.fit(self._parts[fold][1]),
                 float(information[~rest].sum() / information.sum()),
                 fold,
             )
@@ -442,6 +454,19 @@ class ModelComparison:
             for weight, one in close
             if weight > 0
         )
+
+
+class _Once:
+    """A fit that is made once for the same observations."""
+
+    def __init__(self, fit: Fit) -> None:
+        self._fit = fit
+        self._made: dict[int, tuple[Observations, Transform]] = {}
+
+    def __call__(self, observations: Observations) -> Transform:
+        if id(observations) not in self._made:
+            self._made[id(observations)] = observations, self._fit(observations)
+        return self._made[id(observations)][1]
 
 
 def _misfit(observations: Observations, model: Transform) -> tuple[float, float]:
@@ -466,10 +491,17 @@ def _add_bending(
     # Without its term richer models were needed than with it.
     plain = [comparison.candidates[m] for m in WITH_DEPTH_STEP if m in comparison.candidates]
     for one in dict.fromkeys([*plain, *bent[:2], best]):
-        order = WITH_DEPTH_STEP.get(one.spec, ORDERS[-1])
-        fits = [partial(fit_with_depth_step, step=step, fit=one.fit, order=order) for step in steps]
-        if fits:
+        if steps and one.spec != LENS and not (one.spec.spline and one.spec.plain == PARALLAX):
+            fits = [_with_depth_step(one, step) for step in steps]
             comparison.add(replace(one.spec, depth_step=True), one.least, *fits)
+
+
+def _with_depth_step(model: Candidate, step: DepthStep) -> Fit:
+    """Return the fit of a model with a step in depth: as one more height, or displaced freely."""
+    if model.spec == PARALLAX:
+        return partial(fit_parallax, step=step)
+    order = WITH_DEPTH_STEP.get(model.spec, ORDERS[-1])
+    return partial(fit_with_depth_step, step=step, fit=model.fit, order=order)
 
 
 def _fit_spline_before(
@@ -507,11 +539,12 @@ def _reweight(
 ) -> tuple[Transform, Observations, np.ndarray]:
     """Re-weight under the most yielding model, so that no stiffer one declares its misfit outliers."""
     current, weights = observations, np.ones(len(observations))
+    information, free = observations.information.copy(), len(observations) - fixed
     model = fit(current)
-    for _ in range(SETTINGS.rounds):
-        residuals = observations.residuals(model)
-        information, weights = inflate_covariance(residuals, observations.information)
-        weights[len(weights) - fixed :] = 1.0
+    for _ in range(SETTINGS.rounds if free else 0):
+        residuals = observations.residuals(model)[:free]
+        scaled = scale_covariance(residuals, observations.information[:free])
+        information[:free], weights[:free] = scaled
         current = replace(observations, information=information).weighted(weights)
         model = fit(current)
     return model, current, weights

@@ -25,6 +25,12 @@ from levkas.geometry.transforms import (
 MOST_SPANS = 12
 #: Rounds of Gauss-Newton, at most; share of the squares that a round takes without which it is the last.
 MOST_ROUNDS, CONVERGED = 5, 1e-9
+#: Degrees of freedom of Student's t: of 2 to 10 maps differ by a twentieth of their error.
+FREEDOM = 4.0
+#: Variance of normal residuals over what Student's t of that many takes for it.
+NORMAL = 1.38
+#: Windows by which a covariance is scaled, at most about.
+MOST_SCALED = 1000
 
 
 @dataclass(frozen=True)
@@ -82,6 +88,66 @@ def inflate_covariance(
     a, b, c = _inverse(a, b, c, high)
     floored = np.stack([np.stack([a, b], 1), np.stack([b, c], 1)], 1)
     return floored, 1 / (1 + (a * x * x + 2 * b * x * y + c * y * y) / 8) ** 2
+
+
+def scale_covariance(
+    residuals: np.ndarray, information: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return information as residuals scatter, and robust weights, by Student's t ([lange1989]_).
+
+    Each window's covariance times a factor that is common to all, plus a variance that is: what a prediction does not
+    explain pulls a window by as much as it is uncertain, what bends a map between windows pulls all alike.
+
+    Parameters
+    ----------
+    residuals : ndarray, (n, 2), px
+    information : ndarray, (n, 2, 2), 1/px²
+
+    Returns
+    -------
+    information : ndarray, (n, 2, 2), 1/px²
+    weights : ndarray, (n,), 0..1
+    """
+    a, b, c = _inverse(information[:, 0, 0], information[:, 0, 1], information[:, 1, 1], 1e-9)
+    x, y = residuals.T
+    every = 1 + len(x) // MOST_SCALED
+    part = [np.ascontiguousarray(values[::every]) for values in (a, b, c, x, y)]
+    size = float(np.median(part[3] ** 2 + part[4] ** 2)) + 1e-12
+    factor, common = _most_likely(*part, size)
+    a, b, c = _inverse(a * factor, b * factor, c * factor, common)
+    scaled = np.stack([np.stack([a, b], 1), np.stack([b, c], 1)], 1) / NORMAL
+    return scaled, 1 / (1 + (a * x * x + 2 * b * x * y + c * y * y) / FREEDOM)
+
+
+@njit(cache=True)
+def _most_likely(a, b, c, x, y, size):  # type: ignore[no-untyped-def]
+    """Return factor and common variance of the highest likelihood, by ever smaller steps of their logarithms."""
+    spot = np.array([0.0, np.log(0.1 * size)])
+    least = _unlikeliness(a, b, c, x, y, spot)
+    step = 3.0
+    while step > 0.1:
+        moved = False
+        for k in range(2):
+            for sign in (-1.0, 1.0):
+                tried = spot.copy()
+                tried[k] = min(max(tried[k] + sign * step, np.log(1e-6 * size)), 20.0)
+                value = _unlikeliness(a, b, c, x, y, tried)
+                if value < least - 1e-9:
+                    spot, least, moved = tried, value, True
+        if not moved:
+            step /= 2
+    return np.exp(spot[0]), np.exp(spot[1])
+
+
+@njit(cache=True)
+def _unlikeliness(a, b, c, x, y, spot):  # type: ignore[no-untyped-def]
+    factor, common, total = np.exp(spot[0]), np.exp(spot[1]), 0.0
+    for n in range(len(x)):
+        p, q, r = factor * a[n] + common, factor * b[n], factor * c[n] + common
+        determinant = p * r - q * q
+        along = (r * x[n] * x[n] - 2 * q * x[n] * y[n] + p * y[n] * y[n]) / determinant
+        total += 0.5 * np.log(determinant) + (FREEDOM + 2) / 2 * np.log1p(along / FREEDOM)
+    return total
 
 
 @njit(cache=True)
@@ -186,30 +252,59 @@ def fit_similarity(observations: Observations) -> Affine:
     return Affine(np.column_stack([linear, np.array([x, y]) - linear @ centre]))
 
 
+@dataclass(frozen=True)
+class Normalisation:
+    """Coordinates of about -1..1, of points and of their targets ([hartley1997]_), in which a homography with a lens is fitted."""
+
+    centre: np.ndarray
+    spread: float
+    out_centre: np.ndarray
+    out_spread: float
+
+    @classmethod
+    def of(cls, observations: Observations) -> Normalisation:
+        """Return the coordinates of observations."""
+        return cls(*frame_of(observations.points), *frame_of(observations.target))
+
+    def places(self, observations: Observations) -> np.ndarray:
+        """Return where the points lie, (n, 2)."""
+        return (observations.points - self.centre) / self.spread
+
+    def goals(self, observations: Observations) -> tuple[np.ndarray, np.ndarray]:
+        """Return where the targets lie, (n, 2), and the roots of their weights, (n, 2, 2)."""
+        information, jacobian = (
+            np.ascontiguousarray(a) for a in (observations.information, observations.jacobian)
+        )
+        roots = weight_roots(information, jacobian, self.out_spread)
+        return (observations.target - self.out_centre) / self.out_spread, roots
+
+    def projective(self, p: np.ndarray) -> Transform:
+        """Return the homography, of 12 parameters with a lens behind it."""
+        (x, y), spread, unit = self.centre, self.spread, self.out_spread
+        matrix = np.array([[p[1], p[2], p[0]], [p[4], p[5], p[3]], [p[6], p[7], 1.0]])
+        into = np.array([[1 / spread, 0, -x / spread], [0, 1 / spread, -y / spread], [0, 0, 1]])
+        out = np.array([[unit, 0, self.out_centre[0]], [0, unit, self.out_centre[1]], [0, 0, 1]])
+        plane = Homography(out @ matrix @ into)
+        if len(p) == 8:
+            return plane
+        return Composed(plane, Lens(self.out_centre, unit, (p[8], p[9]), (p[10], p[11])))
+
+
 def fit_projective(observations: Observations, *, lens: bool) -> Transform:
     """Fit a homography, with the radial and tangential terms of [brown1966]_ if `lens`, by Gauss-Newton."""
-    centre, spread = frame_of(observations.points)
-    out_centre, out_spread = frame_of(observations.target)
-    affine = fit_polynomial(observations, 1)
-    start = np.zeros(12 if lens else 8)
-    start[:6] = ((affine.coefficients - [out_centre, [0, 0], [0, 0]]) / out_spread).T.reshape(-1)
+    frames = Normalisation.of(observations)
+    return frames.projective(projective_parameters(observations, frames, 12 if lens else 8))
 
-    jacobian = np.ascontiguousarray(observations.jacobian)
-    p = fit_parameters(
-        (observations.points - centre) / spread,
-        (observations.target - out_centre) / out_spread,
-        weight_roots(np.ascontiguousarray(observations.information), jacobian, out_spread),
-        start,
-    )
-    matrix = np.array([[p[1], p[2], p[0]], [p[4], p[5], p[3]], [p[6], p[7], 1.0]])
-    into = np.array(
-        [[1 / spread, 0, -centre[0] / spread], [0, 1 / spread, -centre[1] / spread], [0, 0, 1]]
-    )
-    out = np.array([[out_spread, 0, out_centre[0]], [0, out_spread, out_centre[1]], [0, 0, 1]])
-    plane = Homography(out @ matrix @ into)
-    if not lens:
-        return plane
-    return Composed(plane, Lens(out_centre, out_spread, (p[8], p[9]), (p[10], p[11])))
+
+def projective_parameters(
+    observations: Observations, frames: Normalisation, count: int
+) -> np.ndarray:
+    """Return the parameters of a homography, 8, or of one with a lens, 12, as `fit_parameters` orders them."""
+    affine, start = fit_polynomial(observations, 1), np.zeros(count)
+    start[:6] = (
+        (affine.coefficients - [frames.out_centre, [0, 0], [0, 0]]) / frames.out_spread
+    ).T.reshape(-1)
+    return fit_parameters(frames.places(observations), *frames.goals(observations), start)
 
 
 def fit_spline(
@@ -283,7 +378,7 @@ def fit_parameters(
     """
     best = np.array(start, float)
     residual, slopes = np.empty(2 * len(places)), np.empty((2 * len(places), len(best)))
-    _linearise(places, goals, roots, best, residual, slopes)
+    linearise(places, goals, roots, best, residual, slopes)
     tried, after = np.empty_like(residual), np.empty_like(slopes)
     for _ in range(MOST_ROUNDS):
         if not np.isfinite(slopes).all():
@@ -291,7 +386,7 @@ def fit_parameters(
         scale = 1 / np.maximum(np.sqrt((slopes * slopes).sum(0)), 1e-150)
         normal = (slopes.T @ slopes) * scale[:, None] * scale
         move = -scale * np.linalg.lstsq(normal, scale * (slopes.T @ residual), rcond=1e-13)[0]
-        _linearise(places, goals, roots, best + move, tried, after)
+        linearise(places, goals, roots, best + move, tried, after)
         before, now = float(residual @ residual), float(tried @ tried)
         if not (np.isfinite(tried).all() and now < before):
             break
@@ -321,7 +416,7 @@ def weight_roots(information, jacobian, unit):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _linearise(places, goals, roots, p, residual, slopes):  # type: ignore[no-untyped-def]
+def linearise(places, goals, roots, p, residual, slopes):  # type: ignore[no-untyped-def]
     """Fill the weighted residuals, and their derivatives by the parameters."""
     lens = len(p) > 8
     along, down = np.zeros(12), np.zeros(12)
