@@ -391,23 +391,33 @@ class Candidate:
 class ModelComparison:
     """Compares models by how well they predict blocks to which they were not fitted."""
 
-    best: Candidate
-
     def __init__(self, judged: Observations, folds: Folds) -> None:
         self._judged, self._folds = judged, folds
         self._parts = [(judged.part(left_out), judged.part(rest)) for left_out, rest in folds]
         self.candidates: dict[ModelSpec, Candidate] = {}
+        self._best: dict[bool, Candidate] = {}
         self.scores: dict[str, float] = {}
 
     def add(self, spec: ModelSpec, least: int, *fits: Fit) -> Candidate:
         """Try one more model, richer than those before; of several ways to fit it the best is used."""
         tried = [Candidate(spec, least, fit, self._held_out_error(least, fit)) for fit in fits]
         found = min(tried, key=lambda one: one.score)
-        gain = SETTINGS.yielding_gain if spec.is_yielding else SETTINGS.gain
-        if not self.candidates or found.score < self.best.score * (1 - gain):
-            self.best = found
+        before = self._best.get(spec.is_yielding)
+        if before is None or found.score < before.score * (1 - SETTINGS.gain):
+            self._best[spec.is_yielding] = found
         self.candidates[spec], self.scores[str(spec)] = found, found.score
         return found
+
+    @property
+    def best(self) -> Candidate:
+        """The model that predicts blocks best; a yielding one has to do so by more."""
+        stiff, yielding = self._best.get(False), self._best.get(True)
+        if stiff is None or (
+            yielding is not None and yielding.score < stiff.score * (1 - SETTINGS.yielding_gain)
+        ):
+            assert yielding is not None
+            return yielding
+        return stiff
 
     def _held_out_error(self, least: int, fit: Fit) -> float:
         """Return the error in blocks that were not fitted; infinite where too little is left to fit."""
