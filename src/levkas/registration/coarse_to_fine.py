@@ -172,11 +172,20 @@ class SensorTask:
     def resample(
         self, band: BandImage, transform: Transform, step: int, image: np.ndarray | None = None
     ) -> np.ndarray:
-        """Return a band, or `image` in its stead, on the grid of `step` reference px; blocks of about one reference px."""
+        """Return a band, or `image` in its stead, on the grid of `step` reference px; blocks of about one reference px.
+
+        A band of a mosaic is taken at its own sites. What else is between them has detail of other bands, which lies where these
+        have it; and blocks that all begin at one sensel of the period lie otherwise than their middles.
+        """
         size = (self.reference.shape[0] // step, self.reference.shape[1] // step)
-        block = max(1, round(self.scale / 1.2))
+        scale, sites = self.scale, band.sites if image is None else None
         image = self.images[band.label] if image is None else image
-        return resample_band(image, transform, size, step, block=block)
+        if sites is not None and max(1, round(scale / 1.2)) * step == 1:
+            image = sites.filled(image)
+        elif sites is not None:
+            image, scale = sites.picture(image), scale / sites.period
+            transform = Composed(transform, sites.transform)
+        return resample_band(image, transform, size, step, block=max(1, round(scale / 1.2)))
 
     def measure_shifts(
         self, bands: Sequence[BandImage], own: Sequence[Transform], base: Transform, step: int
@@ -241,8 +250,8 @@ class SensorTask:
         step = max(1, round(1 / self.scale))
         whole = Composed(found.chromatic.transform(best), found.base)
         band, reference = self.bands[best], self.reference.principal_image(step)
-        target = self.resample(band, whole, step)
         own = self.images[band.label]
+        target = self.resample(band, whole, step, own)
         noise = (
             self.reference.white_noise(step),
             self.resample(band, whole, step, white_noise(own.shape)),
