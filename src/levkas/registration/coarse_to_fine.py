@@ -21,6 +21,13 @@ from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration.advice import POINTS
 from levkas.registration.bands import by_wavelength, present_bands, sqrt_images
 from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
+from levkas.registration.coarse_detail import (
+    COARSER,
+    CoarseShift,
+    describe_coarse_detail,
+    hold_coarse_detail,
+    mean_shift,
+)
 from levkas.registration.fine_displacement import FineDisplacement, measure_fine_displacement
 from levkas.registration.initial import (
     InitialTransform,
@@ -228,6 +235,21 @@ class SensorTask:
         )
         return measure_fine_displacement(predictors, image, whole, step=step)
 
+    def measure_coarse_detail(
+        self, found: RefinedMap, sigma: Mapping[str, Sigma]
+    ) -> dict[str, CoarseShift]:
+        """Measure, band by band, how coarse detail lies beside the map; of bands that show enough of it."""
+        step = found.step * COARSER
+        if min(self.reference.shape) // step < 3 * cell_px((0, 0)):
+            return {}
+        own = [found.chromatic.transform(i) for i in range(len(self.bands))]
+        windows = self.measure_shifts(self.bands, own, found.base, step)
+        shifts = {
+            band.label: mean_shift(one, float(np.median(sigma[band.label].values)))
+            for band, one in zip(self.bands, windows, strict=True)
+        }
+        return {label: one for label, one in shifts.items() if one is not None}
+
     def light_of(self, band: BandImage, transform: Transform, step: int) -> Light:
         """Return whether a band sees light that the reference sees too.
 
@@ -433,6 +455,9 @@ def register_sensor(
         checks=found.checks, coarse=coarse,
     )  # fmt: skip
     sigma = with_lines(sigma, max((one.sigma for one in (lines, fine) if one), default=0.0))
+    beside = task.measure_coarse_detail(found, sigma)
+    apart = describe_coarse_detail(beside, labels, found.step)
+    found.verification["coarse_detail"], sigma = apart, hold_coarse_detail(sigma, apart)
     windows = dict(zip([band.label for band in shown], found.windows, strict=True))
     return RegisteredSensor(
         bands[0].sensor, transforms, chromatic, windows, sigma, initial, found, lines
