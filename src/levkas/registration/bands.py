@@ -30,8 +30,69 @@ PULLED_ROWS, WHOLE_SHARE = 256, 0.999
 SAMPLED_PX = 100_000
 #: Added before the square root, in units of the 99th percentile: noise about zero stays finite.
 TOE = 0.02
+#: Pixels of a band in a period of a mosaic, of which one picture is made.
+MOST_SITES = 2
 #: Side, px, of the smallest square of invalid pixels that is not inpainted.
 LARGE_HOLE = 7
+
+
+@dataclass(frozen=True)
+class Sites:
+    """Pixels of a mosaic that recorded one band; between them it is interpolated, by the detail of other bands too.
+
+    Parameters
+    ----------
+    period : int, px
+        Side of the square that repeats.
+    places : tuple of (row, column)
+        Of the band's pixels in it.
+    """
+
+    period: int
+    places: tuple[tuple[int, int], ...]
+
+    @classmethod
+    def in_pattern(cls, table: np.ndarray, channel: int) -> Sites | None:
+        """Return the sites of a channel in a pattern, (rows, columns) of channels; None without a picture of theirs.
+
+        One or two in a square lie point-symmetrically about their mean, so that it is where their mean value is measured.
+
+        >>> Sites.in_pattern(np.array([[0, 1], [1, 2]]), 1)
+        Sites(period=2, places=((0, 1), (1, 0)))
+        """
+        places = tuple((int(y), int(x)) for y, x in np.argwhere(table == channel))
+        square = table.shape[0] == table.shape[1] > 1
+        return cls(len(table), places) if square and len(places) <= MOST_SITES else None
+
+    def picture(self, image: np.ndarray) -> np.ndarray:
+        """Return what was measured of a band's image, (h, w): the mean over the sites of each whole period."""
+        height, width = (n // self.period * self.period for n in image.shape)
+        n = self.period
+        parts = [image[y:height:n, x:width:n] for y, x in self.places]
+        return np.asarray(sum(parts[1:], parts[0]) / np.float32(len(parts)))
+
+    def filled(self, image: np.ndarray) -> np.ndarray:
+        """Return a band's image, (h, w), interpolated anew from its own sites alone, under a tent as wide as two periods.
+
+        Unlike other demosaicing this takes no detail from other bands, which lies where these have it.
+        """
+        import cv2
+
+        n, measured = self.period, np.zeros(image.shape, np.float32)
+        for y, x in self.places:
+            measured[y::n, x::n] = 1.0
+        tent = (1 - np.abs(np.arange(1 - n, n)) / n).astype(np.float32)
+        total, weight = (
+            cv2.sepFilter2D(part, -1, tent, tent, borderType=cv2.BORDER_CONSTANT)
+            for part in (np.where(measured > 0, image, np.float32(0.0)), measured)
+        )
+        return np.asarray(np.where(measured > 0, image, total / weight))
+
+    @property
+    def transform(self) -> Affine:
+        """Px of the band → px of `picture`."""
+        y, x = np.mean(self.places, axis=0)
+        return Affine(np.array([[1.0, 0.0, -x], [0.0, 1.0, -y]]) / self.period)
 
 
 @dataclass(frozen=True)
@@ -49,6 +110,8 @@ class BandImage:
         False where the value must not be relied on.
     sensor : str
         Name of the sensor; bands of one sensor share its native px.
+    sites : Sites or None
+        Of a band of a mosaic, where it was measured; None where all px were, or nobody knows.
     """
 
     label: str
@@ -56,6 +119,7 @@ class BandImage:
     values: np.ndarray
     valid: np.ndarray
     sensor: str = ""
+    sites: Sites | None = None
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.shape != self.valid.shape:

@@ -21,6 +21,13 @@ from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration.advice import POINTS
 from levkas.registration.bands import by_wavelength, present_bands, sqrt_images
 from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
+from levkas.registration.coarse_detail import (
+    COARSER,
+    CoarseShift,
+    describe_coarse_detail,
+    hold_coarse_detail,
+    mean_shift,
+)
 from levkas.registration.fine_displacement import FineDisplacement, measure_fine_displacement
 from levkas.registration.initial import (
     InitialTransform,
@@ -172,11 +179,20 @@ class SensorTask:
     def resample(
         self, band: BandImage, transform: Transform, step: int, image: np.ndarray | None = None
     ) -> np.ndarray:
-        """Return a band, or `image` in its stead, on the grid of `step` reference px; blocks of about one reference px."""
+        """Return a band, or `image` in its stead, on the grid of `step` reference px; blocks of about one reference px.
+
+        A band of a mosaic is taken at its own sites. What else is between them has detail of other bands, which lies where these
+        have it; and blocks that all begin at one sensel of the period lie otherwise than their middles.
+        """
         size = (self.reference.shape[0] // step, self.reference.shape[1] // step)
-        block = max(1, round(self.scale / 1.2))
+        scale, sites = self.scale, band.sites if image is None else None
         image = self.images[band.label] if image is None else image
-        return resample_band(image, transform, size, step, block=block)
+        if sites is not None and max(1, round(scale / 1.2)) * step == 1:
+            image = sites.filled(image)
+        elif sites is not None:
+            image, scale = sites.picture(image), scale / sites.period
+            transform = Composed(transform, sites.transform)
+        return resample_band(image, transform, size, step, block=max(1, round(scale / 1.2)))
 
     def measure_shifts(
         self, bands: Sequence[BandImage], own: Sequence[Transform], base: Transform, step: int
@@ -219,6 +235,21 @@ class SensorTask:
         )
         return measure_fine_displacement(predictors, image, whole, step=step)
 
+    def measure_coarse_detail(
+        self, found: RefinedMap, sigma: Mapping[str, Sigma]
+    ) -> dict[str, CoarseShift]:
+        """Measure, band by band, how coarse detail lies beside the map; of bands that show enough of it."""
+        step = found.step * COARSER
+        if min(self.reference.shape) // step < 3 * cell_px((0, 0)):
+            return {}
+        own = [found.chromatic.transform(i) for i in range(len(self.bands))]
+        windows = self.measure_shifts(self.bands, own, found.base, step)
+        shifts = {
+            band.label: mean_shift(one, float(np.median(sigma[band.label].values)))
+            for band, one in zip(self.bands, windows, strict=True)
+        }
+        return {label: one for label, one in shifts.items() if one is not None}
+
     def light_of(self, band: BandImage, transform: Transform, step: int) -> Light:
         """Return whether a band sees light that the reference sees too.
 
@@ -241,8 +272,8 @@ class SensorTask:
         step = max(1, round(1 / self.scale))
         whole = Composed(found.chromatic.transform(best), found.base)
         band, reference = self.bands[best], self.reference.principal_image(step)
-        target = self.resample(band, whole, step)
         own = self.images[band.label]
+        target = self.resample(band, whole, step, own)
         noise = (
             self.reference.white_noise(step),
             self.resample(band, whole, step, white_noise(own.shape)),
@@ -424,6 +455,9 @@ def register_sensor(
         checks=found.checks, coarse=coarse,
     )  # fmt: skip
     sigma = with_lines(sigma, max((one.sigma for one in (lines, fine) if one), default=0.0))
+    beside = task.measure_coarse_detail(found, sigma)
+    apart = describe_coarse_detail(beside, labels, found.step)
+    found.verification["coarse_detail"], sigma = apart, hold_coarse_detail(sigma, apart)
     windows = dict(zip([band.label for band in shown], found.windows, strict=True))
     return RegisteredSensor(
         bands[0].sensor, transforms, chromatic, windows, sigma, initial, found, lines

@@ -54,6 +54,8 @@ ANISOTROPY, AREA_RATIO, SECOND_PEAK_RATIO = Limits(1.5, 2.0), Limits(1.8, 3.0), 
 OVERLAP, COVERAGE, PREDICTED = Limits(0.8, 0.1), Limits(0.9, 0.6), Limits(0.5, 0.2)
 MARKS, LINES = Limits(DISTINCTIVE, 0.15), Limits(0.1, 1.0)
 FINE = Limits(0.1, 1.0)
+#: Bands that a reason lists; of more their number and range.
+MOST_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -546,6 +548,22 @@ def agrees_within_windows(n: Numbers) -> Objection | None:
     return Objection(decision, " ".join(reasons), "" if decision == "unchecked" else FINELY)
 
 
+def coarse_detail_agrees(n: Numbers) -> Objection | None:
+    """Report bands whose coarse detail lies beside where the map, which follows fine detail, puts it."""
+    off = n.get("coarse_detail")
+    if not off:
+        return None
+    bands = off["bands"]
+    named = " and ".join([", ".join(bands[:-1]), bands[-1]] if bands[1:] else bands)
+    if len(bands) > MOST_NAMED:
+        named = f"{len(bands)} bands ({bands[0]} to {bands[-1]})"
+    reason = (
+        f"Fine and coarse detail of {named} lie {off['px']:.2f} px apart, more than chance allows, as relief and gold do "
+        "under another light: sigma holds that."
+    )
+    return Objection("unchecked", reason, "")
+
+
 def describe_blindness(n: Numbers) -> str:
     """Return, with a space before it, from which size on a part smaller than a window would be found, where the pictures decide that; else ""."""
     fine = n.get("fine_displacement")
@@ -624,6 +642,7 @@ RULES: dict[Rule, frozenset[str]] = {
     is_checked: WINDOWS,
     bears_the_same_marks: WINDOWS,
     agrees_within_windows: BOTH,
+    coarse_detail_agrees: WINDOWS,
     stays_within_its_sigma: WINDOWS,
     lies_where_declared: BOTH,
     is_compared: WINDOWS,

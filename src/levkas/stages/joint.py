@@ -12,6 +12,7 @@ import numpy as np
 from levkas.geometry import from_dict
 from levkas.geometry.transforms import Affine, Composed, Transform, solve_2x2
 from levkas.registration.advice import advise
+from levkas.registration.coarse_detail import hold_coarse_detail
 from levkas.registration.joint import JointResult, SensorObservations, adjust_jointly
 from levkas.registration.manual_points import measure_checks, nearest_rows
 from levkas.registration.record import Matches, Sigma, describe_windows
@@ -209,6 +210,7 @@ def _write_bands(
         known = _numbers(record, observed).get("verification", {})
         displaced = [known.get(f"{what}_displacement") or {} for what in ("line", "fine")]
         sigma = with_lines(sigma, max(one.get("sigma_px", 0.0) for one in displaced))
+        sigma = hold_coarse_detail(sigma, known.get("coarse_detail"))
     else:
         for number, label in enumerate(observed.labels):
             known = Sigma.from_dict(record["bands"][label]["sigma"])

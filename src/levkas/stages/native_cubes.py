@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
+from levkas.calibration.patterns import channel_table
 from levkas.campaign.camera_kinds import KINDS
 from levkas.core.cube import UNRELIABLE, Band, Cube, is_flagged
 from levkas.core.disk import require_space
@@ -20,7 +21,7 @@ from levkas.database.layers import Layer, write_tiffs
 from levkas.database.spectral_tiff import read_tiff_pages
 from levkas.geometry.resample import warp
 from levkas.readers.frames import read_facts
-from levkas.registration.bands import BandImage, share_of_most
+from levkas.registration.bands import BandImage, Sites, share_of_most
 from levkas.stages.capture_statistics import focus_of
 from levkas.stages.shared_noise import neighbour_correlation, shared_by_strips, shared_noise
 
@@ -162,10 +163,20 @@ class Native:
     def images(self) -> list[BandImage]:
         """Return every band as registration takes it; reflectance in the memory of the cubes."""
         return [
-            BandImage(band.label, band.wavelength, values, valid, sensor)
+            BandImage(band.label, band.wavelength, values, valid, sensor, sites)
             for sensor, cube in self.cubes.items()
-            for band, (values, valid) in zip(cube.bands, _pictures(cube), strict=True)
+            for band, sites, (values, valid) in zip(
+                cube.bands, self._sites(sensor), _pictures(cube), strict=True
+            )
         ]
+
+    def _sites(self, sensor: str) -> list[Sites | None]:
+        """Return where each band of a sensor was measured, by its mosaic; None where everywhere."""
+        count, mosaic = len(self.cubes[sensor].bands), self.mosaics.get(sensor)
+        if mosaic is None:
+            return [None] * count
+        table = channel_table(mosaic.pattern, mosaic.channels)
+        return [Sites.in_pattern(table, channel) for channel in range(count)]
 
     def sensors(self) -> Iterator[tuple[str, Cube | CubeRows]]:
         """Yield each sensor's name and its pixels."""
