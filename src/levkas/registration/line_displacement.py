@@ -110,6 +110,8 @@ class LineDisplacement:
         Of the grid on which it was measured.
     slope : bool
         Whether lines turn (across) or stretch (along) about their middles; sizes and `displacement` are those of their ends.
+    shifts : tuple of LineShifts
+        What of the parts of lines, or of their slopes, is displaced beyond chance.
     """
 
     picture: Picture
@@ -125,6 +127,7 @@ class LineDisplacement:
     common_edges: bool = False
     step: int = 1
     slope: bool = False
+    shifts: tuple[LineShifts, ...] = ()
 
     @property
     def rms(self) -> float:
@@ -212,6 +215,8 @@ def measure_line_displacement(
     for whole in _measure_pictures(predictors, image, smooth, step) if smooth else ():
         if whole.course and (whole.picture, whole.lines) == (chosen.picture, chosen.lines):
             chosen = replace(chosen, course=whole.course)
+    if chosen.picture == "reference":
+        chosen = replace(chosen, shifts=())  # a map puts the lines of the target right
     return replace(chosen, picture="either") if unsure else chosen
 
 
@@ -347,8 +352,7 @@ def _register_lines(lines: np.ndarray, scene: np.ndarray) -> LineShifts | None:
         register_rows, len(lines), pictures, edges, limits, sizes, found, worth=3 * lines.size
     )
     middles = (edges[:-1] + edges[1:]) / 2
-    places = (2 * middles - edges[0] - edges[-1]) / (edges[-1] - edges[0])
-    return LineShifts.of(shift, information, places)
+    return LineShifts.of(shift, information, middles, (float(edges[0]), float(edges[-1])))
 
 
 def _describe(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:
@@ -363,7 +367,8 @@ def _describe(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:
     )
     most = max(one.deviations for one in displaced)
     largest = max(displaced, key=lambda one: one.rms)
-    return replace(largest, along=along, across=across, deviations=most)
+    of_all = tuple(part for one in displaced for part in one.shifts)
+    return replace(largest, along=along, across=across, deviations=most, shifts=of_all)
 
 
 def _describe_one(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:
@@ -389,4 +394,5 @@ def _describe_one(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:
         common * sizes,
         shifts.common_edges,
         slope=shifts.spread < 1,
+        shifts=(shifts,) if course else (),
     )
