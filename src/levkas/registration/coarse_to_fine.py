@@ -346,10 +346,9 @@ class RegisteredSensor:
         """Reference px → native px without the chromatic shifts of bands; None for the reference's own sensor."""
         if self.placed is not None:
             return self.placed.transform
-        return self._native(self.refined.base) if self.refined else None
-
-    def _native(self, transform: Transform) -> Transform:
-        return transform if self.correction is None else Composed(transform, self.correction.transform())
+        if self.refined is None or self.correction is None:
+            return self.refined.base if self.refined else None
+        return Composed(self.refined.base, self.correction.transform())
 
 
 def register_sensor(
@@ -416,17 +415,18 @@ def register_sensor(
         task = replace(task, bands=shown, images=images)
         found = refine_map(task)
     task, found, lines, correction = _put_lines_right(task, found)
+    native = () if correction is None else (correction.transform(),)
     chromatic = chromatic_of_all(found.chromatic, shown, bands)
     unsure, coarse = found.verification["coverage"] < SETTINGS.sure_coverage, None
     if unsure or np.isinf(found.selected.held_out_error):
-        blocks = match_blocks(ours.greys[:], theirs.greys[:], found.base, ours.within)
+        whole = Composed(found.base, *native)
+        blocks = match_blocks(ours.greys[:], theirs.greys[:], whole, ours.within)
         found.verification["outlines"] = blocks.to_dict()
         coarse = blocks.tolerance
     fine, marks = task.measure_fine(found), task.measure_marks(found)
     of_lines = {"line_displacement": lines, "line_correction": correction}
     for name, one in {**of_lines, "fine_displacement": fine, "marks": marks}.items():
         found.verification[name] = None if one is None else one.to_dict()
-    native = () if correction is None else (correction.transform(),)
     transforms: dict[str, Transform] = {
         label: Composed(chromatic.transform(i), found.base, *native)
         for i, label in enumerate(labels)
@@ -457,7 +457,8 @@ def _put_lines_right(
         if lines is None or rest is None:
             break
         correction = rest if whole is None else whole.followed_by(rest)
-        again = replace(task, images=dict(zip(task.images, each(correction.put_right, task.images.values()), strict=True)))
+        images = each(correction.put_right, list(task.images.values()))
+        again = replace(task, images=dict(zip(task.images, images, strict=True)))
         try:
             better = refine_map(again)
         except RegistrationRefused:
@@ -465,6 +466,10 @@ def _put_lines_right(
         left = again.measure_lines(better)
         if left is None or left.rms >= lines.rms:
             break
+        if (
+            left.picture == "reference"
+        ):  # its lines lay still before: near the rim, what of this picture is not measured
+            left = replace(left, picture="either")
         whole, now, found, lines = correction, again, better, left
     return now, found, lines, whole
 

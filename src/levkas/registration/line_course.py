@@ -176,13 +176,16 @@ class LineShifts:
 
     @classmethod
     def of(
-        cls, shift: np.ndarray, information: np.ndarray, middles: np.ndarray, ends: tuple[float, float]
+        cls,
+        shift: np.ndarray,
+        information: np.ndarray,
+        middles: np.ndarray,
+        ends: tuple[float, float],
     ) -> LineShifts | None:
         """Return shifts, (lines, parts, 2) px, of parts with `middles`, (parts,) px, beside a smooth course of each part; None where too few lines have two parts."""
         measured = (information > 0).all(2).sum(1) >= 2
         if measured.sum() < SETTINGS.least_lines:
             return None
-        information = np.where(measured[:, None, None], information, 0.0)
         left, weight = _without_course(shift, information)
         if common_edges := _have_common_edges(information[..., 1]):
             left[..., 1] = 0.0
