@@ -24,6 +24,10 @@ SPACINGS = (512, 256, 128, 96, 64, 48, 32, 24, 16, 12, 8, 6, 4, 3, 2, 1)
 """Of knots, lines apart: at 1 every line lies by itself."""
 CLOSEST = (1, 3)
 """Of them, along and across the lines: between lines that stand at odd distances nothing can be interpolated."""
+LEAST_KNOWN = 0.2
+"""Information of a line over that of the median line: of less, at the rim of what both show, the end of a spline goes astray."""
+ROUNDS, STRAY = 4, 4.0
+"""Of re-weighting; in typical deviations, the median of all: so far out a line has half its weight."""
 NEAREST = 0.2
 """Distance of neighbouring lines, px, from which on they still follow one another."""
 GAIN = 0.995
@@ -206,7 +210,8 @@ def _mean(shifts: LineShifts, parts: np.ndarray, axis: int) -> tuple[np.ndarray,
     weight = shifts.weight[:, parts, axis]
     total = weight.sum(1)
     mean = (weight * shifts.shift[:, parts, axis]).sum(1) / np.where(total > 0, total, 1.0)
-    return mean, total
+    typical = np.median(total[total > 0]) if total.any() else 0.0
+    return mean, np.where(total > LEAST_KNOWN * typical, total, 0.0)
 
 
 def _evaluate(values: np.ndarray, weight: np.ndarray, spacing: float) -> np.ndarray:
@@ -214,8 +219,13 @@ def _evaluate(values: np.ndarray, weight: np.ndarray, spacing: float) -> np.ndar
     place = np.arange(len(values)) / spacing
     count = int(np.ceil(place[-1])) + 3
     first, basis = _basis(place, count)
-    knots = _fit(place, values, weight, count)
-    course = (basis * knots[first[:, None] + np.arange(4)]).sum(1)
+    robust = weight
+    for _ in range(ROUNDS):
+        knots = _fit(place, values, robust, count)
+        course = (basis * knots[first[:, None] + np.arange(4)]).sum(1)
+        square = weight * np.square(values - course)
+        typical = STRAY**2 * float(np.median(square[weight > 0])) + 1e-9
+        robust = weight / (1 + square / typical)
     low, high = np.flatnonzero(weight > 0)[[0, -1]]
     near = int(
         np.ceil(4 / spacing)
