@@ -305,7 +305,8 @@ def put_right(front, picture, rounds=3):
     """Return the correction of a scan's lines under a map that lies right."""
     whole = None
     for _ in range(rounds):
-        found = measured(front, picture if whole is None else whole.put_right(picture))
+        now = picture if whole is None else whole.put_right({"": picture})[""]
+        found = measured(front, now)
         rest = find_correction(found, 1.0) if found.course else None
         if rest is None:
             return whole

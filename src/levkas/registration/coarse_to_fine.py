@@ -457,8 +457,7 @@ def _put_lines_right(
         if lines is None or rest is None:
             break
         correction = rest if whole is None else whole.followed_by(rest)
-        images = each(correction.put_right, list(task.images.values()))
-        again = replace(task, images=dict(zip(task.images, images, strict=True)))
+        again = replace(task, images=correction.put_right(task.images))
         try:
             better = refine_map(again)
         except RegistrationRefused:

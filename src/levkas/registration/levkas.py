@@ -334,5 +334,5 @@ def _observations(sensor: RegisteredSensor) -> SensorObservations:
     return SensorObservations(
         sensor.name, labels, found.base, sensor.chromatic, selected.held_out_error,
         selected.observations, selected.terms,
-        sensor.correction and sensor.correction.transform(),
+        sensor.correction.transform() if sensor.correction else None,
     )  # fmt: skip

@@ -17,6 +17,8 @@ from levkas.geometry.resample import warp
 from levkas.geometry.spline import SplineShift, spline_weights
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from levkas.registration.line_course import LineShifts
     from levkas.registration.line_displacement import LineDisplacement
 
@@ -28,6 +30,8 @@ LEAST_KNOWN = 0.2
 """Information of a line over that of the median line: of less, at the rim of what both show, the end of a spline goes astray."""
 ROUNDS, STRAY = 4, 4.0
 """Of re-weighting; in typical deviations, the median of all: so far out a line has half its weight."""
+AT_ONCE = 8
+"""Pictures that are put right together: the map of their pixels is evaluated once."""
 NEAREST = 0.2
 """Distance of neighbouring lines, px, from which on they still follow one another."""
 GAIN = 0.995
@@ -119,9 +123,16 @@ class LineCorrection:
             lattice, origin = lattice.transpose(1, 0, 2)[..., ::-1], origin[::-1]
         return SplineShift(origin, spacing, np.round(lattice, 5))
 
-    def put_right(self, image: np.ndarray) -> np.ndarray:
-        """Return a picture, (h, w) float32, NaN where invalid, with its lines where they belong."""
-        return warp(image, self.transform(), (image.shape[0], image.shape[1])).values
+    def put_right(self, images: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return pictures, (h, w) float32, NaN where invalid, with their lines where they belong."""
+        names, transform = list(images), self.transform()
+        found: dict[str, np.ndarray] = {}
+        for start in range(0, len(names), AT_ONCE):
+            some = names[start : start + AT_ONCE]
+            cube = np.stack([images[name] for name in some], -1)
+            moved = warp(cube, transform, (cube.shape[0], cube.shape[1])).values
+            found.update(zip(some, np.ascontiguousarray(moved.transpose(2, 0, 1)), strict=True))
+        return found
 
     def followed_by(self, rest: LineCorrection) -> LineCorrection:
         """Return this correction and another one, found in the picture that this one put right, as one."""
@@ -139,7 +150,21 @@ class LineCorrection:
 
 
 def find_correction(found: LineDisplacement, scale: float) -> LineCorrection | None:
-    """Return the correction of displaced lines of a target picture; None where no spline predicts parts that were left out."""
+    """Return the correction of displaced lines of a target picture.
+
+    Parameters
+    ----------
+    found : LineDisplacement
+        Parts of every line, an eighth to three eighths of it each, beside the smooth map nearest to the map of the picture.
+    scale : float
+        Px of the picture per reference px.
+
+    Returns
+    -------
+    correction : LineCorrection or None
+        None where no spline predicts parts that were left out, where nothing of the target is displaced, or where lines
+        would change their order.
+    """
     if found.parts is None:
         return None
     shift, slope = np.zeros_like(found.displacement), np.zeros_like(found.displacement)
@@ -154,7 +179,7 @@ def find_correction(found: LineDisplacement, scale: float) -> LineCorrection | N
         return None
     if np.diff(shift[:, 1]).min() < NEAREST - 1:
         return None
-    error = float(np.hypot.reduce(errors))
+    error = float(np.linalg.norm(errors))
     return LineCorrection(found.lines, shift, slope, found.parts.ends, spacing, error, scale, found)
 
 
@@ -162,7 +187,8 @@ def _choose(shifts: LineShifts) -> tuple[np.ndarray, float, float]:
     """Return the course of the lines, (lines, 2) px, its standard error, px, and its spacing, infinite where nothing is predicted."""
     last = shifts.shift.shape[1] - 1
     outer = np.isin(np.arange(last + 1), (0, last)) if last > 1 else np.arange(last + 1) == 0
-    course, errors, spacings = np.zeros((len(shifts.shift), 2)), [], []
+    course = np.zeros((len(shifts.shift), 2))
+    errors, spacings = [], []
     for axis in range(2):
         halves = [_mean(shifts, part, axis) for part in (outer, ~outer)]
         whole = _mean(shifts, outer | True, axis)
@@ -171,14 +197,14 @@ def _choose(shifts: LineShifts) -> tuple[np.ndarray, float, float]:
         errors.append(error)
         if np.isfinite(spacing):
             course[:, axis] = _evaluate(*whole, spacing)
-    return course, float(np.hypot(*errors)) * shifts.spread, min(spacings)
+    return course, float(np.linalg.norm(errors)) * shifts.spread, min(spacings)
 
 
 def _choose_spacing(
     halves: list[tuple[np.ndarray, np.ndarray]], closest: int
 ) -> tuple[float, float]:
     """Return which spacing predicts the other half of the parts best, infinite of none, and the standard error of that spline."""
-    weight, totals = sum(w for _, w in halves), [float(w.sum()) for _, w in halves]
+    weight, totals = halves[0][1] + halves[1][1], [float(w.sum()) for _, w in halves]
     if not min(totals) > 0:
         return np.inf, 0.0
     # Two halves apart by d have a weighted mean of variance d² w₁ w₂ / (w₁ + w₂)².
@@ -227,13 +253,9 @@ def _evaluate(values: np.ndarray, weight: np.ndarray, spacing: float) -> np.ndar
         typical = STRAY**2 * float(np.median(square[weight > 0])) + 1e-9
         robust = weight / (1 + square / typical)
     low, high = np.flatnonzero(weight > 0)[[0, -1]]
-    near = int(
-        np.ceil(4 / spacing)
-    )  # of single lines a few decide: the next one need not lie as the last one does
-    course[:low], course[high + 1 :] = (
-        course[low : low + near].mean(),
-        course[high + 1 - near : high + 1].mean(),
-    )
+    near = int(np.ceil(4 / spacing))  # of single lines a few: the next one need not lie as the last
+    course[:low] = course[low : low + near].mean()
+    course[high + 1 :] = course[high + 1 - near : high + 1].mean()
     return np.asarray(course)
 
 
