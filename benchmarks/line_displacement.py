@@ -1,16 +1,17 @@
 """Lines that are displaced against one another: what is found of them, and what is found where there is nothing.
 
-    python benchmarks/line_displacement.py [--honest 24] [--real 64] [--seeds 2] [--kinds sine halves step random turn some]
+    python benchmarks/line_displacement.py [--honest 24] [--real 64] [--seeds 2] [--sizes 1.5]
+        [--kinds sine walk halves step random turn some]
 
 A painted surface is photographed by a camera of three bands and scanned by a camera of one, down the painting (lines are
 rows) or to its right (lines are columns). Every line is sampled, by scipy's spline, where a stage that is off would have put
-it: a sine, odd lines beside even ones, one step, or at random, along the lines or across them; a sine by which lines stretch or
+it: a sine, a random walk, odd lines beside even ones, one step, or at random, along the lines or across them; a sine by which lines stretch or
 turn about their middles, or seven lines alone aside. SNR is 15, 30 or 40, light visible or
 infrared. First come pairs in which no line is displaced, with the deviations that chance makes: scanners of
 that kind, pairs of `pairs.py` (visible, infrared, inverted, turned, scaled) and of real captures
 (`verdict_classes.py`, `modalities.py`). Then, by size, period and direction of the scan: the share that is found and named rightly,
-the size found over the planted one, the period likewise, the share that is not accepted, and the mean error, reference px, of the
-worst map that is accepted.
+the size found over the planted one, the period likewise, the share that is not accepted, the mean error of all maps, reference px, that of the
+worst map that is accepted, and the root mean square of all errors over their sigma.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ from levkas.registration import Registration, RegistrationRefused, register
 SIZE = (418, 312)
 #: Sizes, native px (amplitude, distance of the halves, height, standard deviation), and periods in lines.
 PLANTED = {
-    "sine": ((0.1, 0.2, 0.3, 0.75, 1.5), (7, 20, 60, 200)),
+    "sine": ((0.1, 0.2, 0.3, 0.75, 1.5), (7, 20, 35, 60, 100, 200)),
+    "walk": ((0.3, 0.75, 1.5), (0,)),
     "halves": ((0.1, 0.2, 0.5, 1.0, 2.0), (2,)),
     "step": ((0.5, 1.0, 2.0), (0,)),
     "random": ((0.1, 0.2, 0.5), (0,)),
@@ -43,6 +45,7 @@ PLANTED = {
 #: What a kind is rightly called.
 NAMES = {
     "sine": "period",
+    "walk": "",
     "halves": "comb",
     "step": "step",
     "random": "irregular",
@@ -67,6 +70,9 @@ def course(kind: str, size: float, period: float, lines: int, rng) -> np.ndarray
         return size * (np.abs(line - round(lines * rng.uniform(0.2, 0.8))) < 4)
     if kind == "random":
         return rng.normal(0, size, lines)
+    if kind == "walk":
+        steps = ndimage.gaussian_filter1d(np.cumsum(rng.normal(0, 1, lines + 40)), 3)[20:-20]
+        return size * (steps - steps.mean()) / steps.std()
     if kind == "halves":
         return size * (line % 2 - 0.5)
     return size * np.sin(2 * np.pi * line / period + rng.uniform(0, 2 * np.pi))
@@ -117,15 +123,16 @@ def scanned(
     return np.stack(ours, -1), target, truth, shift
 
 
-def error_of(found: Registration, truth, shift: np.ndarray) -> float:
-    """Return how far native px are mapped from what they show, reference px, the mean."""
+def errors_of(found: Registration, truth, shift: np.ndarray) -> tuple[float, float]:
+    """Return how far native px are mapped from what they show, reference px, the mean, and the root mean square over sigma."""
     h, w, _ = shift.shape
-    places = np.stack(np.meshgrid(np.arange(8, w - 8, 5), np.arange(8, h - 8, 5)), -1)
+    places = np.stack(np.meshgrid(np.arange(8, w - 8, 5), np.arange(8, h - 8)), -1)
     places = places.reshape(-1, 2)
     shown = truth.inverse(places + shift[places[:, 1], places[:, 0]])
     inside = np.all((shown > 8) & (shown < np.array(SIZE) - 9), 1)
-    miss = np.linalg.norm(found.transforms["1"].inverse(places.astype(float)) - shown, axis=1)
-    return float(np.nanmean(miss[inside]))
+    miss = found.transforms["1"].inverse(places[inside].astype(float)) - shown[inside]
+    over = miss / found.sigma["1"](shown[inside])[:, None]
+    return float(np.nanmean(np.linalg.norm(miss, axis=1))), float(np.sqrt(np.nanmean(over**2)))
 
 
 def judged(reference: np.ndarray, target: np.ndarray):
@@ -134,7 +141,9 @@ def judged(reference: np.ndarray, target: np.ndarray):
         found = register(reference, target)
     except RegistrationRefused:
         return None, None
-    return found, found.verdict.numbers["sensor"]["verification"]["line_displacement"]
+    numbers = found.verdict.numbers["sensor"]["verification"]
+    followed = numbers["line_correction"]
+    return found, followed["before"] if followed else numbers["line_displacement"]
 
 
 def honest(seeds: int, real: int) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
@@ -150,17 +159,18 @@ def honest(seeds: int, real: int) -> Iterator[tuple[str, np.ndarray, np.ndarray]
 
 
 def planted(seed, snr, light, kind, size, period, lines, way):
-    """Return found, size and period over planted, not accepted, error where accepted; None without a map."""
+    """Return found, size and period over planted, not accepted, error, error where accepted, and over sigma; None without a map."""
     reference, target, truth, shift = scanned(seed, snr, light, kind, size, period, lines, way)
     found, numbers = judged(reference, target)
-    if found is None:
+    if found is None or not found.transforms:
         return None
-    named = bool(numbers and numbers["course"] == NAMES[kind])
+    named = bool(numbers and numbers["course"] and NAMES[kind] in ("", numbers["course"]))
     named = named and (kind == "random" or numbers["lines"] == lines)
     ratio = numbers["size_px"] / (size * SIZE[0] / target.shape[1]) if named else np.nan
     length = numbers["period_lines"] / period if named and period else np.nan
     doubted = found.verdict.decision != "accept"
-    return named, ratio, length, doubted, np.nan if doubted else error_of(found, truth, shift)
+    error, spread = errors_of(found, truth, shift)
+    return named, ratio, length, doubted, error, np.nan if doubted else error, spread
 
 
 def over(values: np.ndarray, of=np.median) -> float:
@@ -175,6 +185,7 @@ def main() -> None:
     parser.add_argument("--honest", type=int, default=24)
     parser.add_argument("--real", type=int, default=64)
     parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--sizes", type=float, nargs="*", help="only these")
     parser.add_argument("--kinds", nargs="*", default=list(PLANTED), choices=list(PLANTED))
     options = parser.parse_args()
     chance = []
@@ -187,13 +198,19 @@ def main() -> None:
     if chance:
         quantiles = np.quantile(chance, (0.5, 0.9, 0.99, 1)).round(1)
         print(f"{len(chance)} honest pairs: deviations {quantiles}", flush=True)
-    print("kind size period lines: n, named, size/planted, period/planted, not accepted, error px")
+    print(
+        "kind size period lines: n, named, size/planted, period/planted, not accepted, error px, worst accepted, over sigma"
+    )
     for kind in options.kinds if options.seeds else ():
         for period, size, lines in product(PLANTED[kind][1], PLANTED[kind][0], ("rows", "columns")):
+            if options.sizes and size not in options.sizes:
+                continue
             tries = product(range(options.seeds), LIGHTS, ("along", "across"))
             rows = [planted(s, *light, kind, size, period, lines, way) for s, light, way in tries]
-            named, ratio, length, doubted, error = np.array([r for r in rows if r], float).T
-            figures = named.mean(), over(ratio), over(length), doubted.mean(), over(error, np.max)
+            table = np.array([r for r in rows if r], float).T
+            named, ratio, length, doubted, error, accepted, spread = table
+            figures = named.mean(), over(ratio), over(length), doubted.mean(), error.mean()
+            figures += over(accepted, np.max), over(spread)
             text = " ".join(f"{v:.2f}" for v in figures)
             print(f"{kind} {size} {period} {lines}: {len(named)} {text}", flush=True)
 

@@ -1,12 +1,16 @@
 """Lines that are displaced against one another, as windows do not see them: scanners made by scipy, line by line."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from levkas.geometry.transforms import Affine
+from levkas.geometry.transforms import Affine, Composed
 from levkas.registration import register
+from levkas.registration.joint import SensorObservations, adjust_jointly
+from levkas.registration.line_correction import LineCorrection, find_correction
 from levkas.registration.line_displacement import measure_line_displacement
 from levkas.registration.local_shifts import highpass
 from levkas.registration.verdict_rules import lines_lie_still
@@ -287,27 +291,148 @@ def test_too_few_lines_are_not_measured(front):
     assert measured(front[:20], front[:20], Affine.identity()) is None
 
 
+def walk(size, smooth=3, seed=3):
+    """Return a random walk, (240,) px, smooth over some lines and free of any period."""
+    steps = np.random.default_rng(seed).normal(0, 1, 400)
+    course = ndimage.gaussian_filter1d(np.cumsum(steps), smooth)[80:320]
+    return size * (course - course.mean()) / course.std()
+
+
+MIDDLE = slice(16, 224)  # lines that the reference shows whole
+
+
+def put_right(front, picture, rounds=3):
+    """Return the correction of a scan's lines under a map that lies right."""
+    whole = None
+    for _ in range(rounds):
+        now = picture if whole is None else whole.put_right({"": picture})[""]
+        found = measured(front, now)
+        rest = find_correction(found, 1.0) if found.course else None
+        if rest is None:
+            return whole
+        whole = rest if whole is None else whole.followed_by(rest)
+    return whole
+
+
+def beside_cubic(course):
+    """Return what of a course, (240, 2), no smooth map follows, in the middle lines."""
+    basis = np.polynomial.legendre.legvander(np.linspace(-1, 1, 240), 3)[MIDDLE]
+    part = course[MIDDLE]
+    return part - basis @ np.linalg.lstsq(basis, part, rcond=None)[0]
+
+
+@pytest.mark.parametrize("way", [along, across])
+@pytest.mark.parametrize(
+    "course", [sine(1.5, 20), sine(1.5, 60), sine(1.5, 200), walk(1.0), 1.0 * (LINE > 120)]
+)
+def test_lines_are_found_where_the_stage_put_them(painting, front, way, course):
+    planted = way(course)
+    found = put_right(front, scan(painting, planted))
+    left = np.abs(beside_cubic(found.shift - planted)).sum(1)
+    assert left.mean() < 0.08 and np.quantile(left, 0.95) < 0.25
+    assert found.error < 0.12
+
+
+def test_odd_and_even_lines_are_each_found(painting, front):
+    found = put_right(front, scan(painting, along(1.5 * (LINE % 2 - 0.5))))
+    odd, even = found.shift[17:224:2, 0], found.shift[16:224:2, 0]
+    assert np.median(odd) - np.median(even) == pytest.approx(1.5, abs=0.08)
+    assert found.spacing == 1 and found.uneven == pytest.approx(0.75, rel=0.1)
+
+
+@pytest.mark.parametrize("way", ["turn", "stretch"])
+def test_lines_that_turn_or_stretch_are_put_right(painting, front, way):
+    change = along_line(sine(1.5, 40))
+    x, y = np.meshgrid(np.arange(310.0), np.arange(240.0))
+    x, y = (x, y + change) if way == "turn" else (x + change, y)
+    places = STRAIGHT.inverse(np.stack([x.ravel(), y.ravel()], 1)) + MARGIN
+    observed = ndimage.map_coordinates(painting, places.T[::-1], order=3).reshape(x.shape)
+    found = put_right(front, noisy(observed, 3, 0.5))
+    line = np.arange(20.0, 220.0)
+    for place in (30, 280):
+        there = np.stack([np.full(len(line), float(place)), line], 1)
+        moved = (found.transform().inverse(there) - there)[:, 1 if way == "turn" else 0]
+        assert np.abs(moved - change[20:220, place]).mean() < 0.12
+
+
+@pytest.mark.parametrize("lines", ["rows", "columns"])
+def test_a_correction_puts_every_line_where_it_lies(lines):
+    shift = np.stack([0.7 * sine(1, 15), sine(1.0, 40)], 1)
+    still = np.zeros_like(shift)
+    correction = LineCorrection(lines, shift, still, (0.0, 309.0), 4.0, 0.0, 1.0, None)
+    number = np.arange(10, 230.0)
+    right = np.stack([np.full(220, 50.0), number], 1) + shift[10:230]
+    there = np.stack([np.full(220, 50.0), number], 1)
+    if lines == "columns":
+        right, there = right[:, ::-1], there[:, ::-1]
+    assert np.abs(correction.transform()(right) - there).max() < 0.02
+    half = replace(correction, shift=shift / 2)
+    twice = half.followed_by(replace(half, shift=shift / 2))
+    assert np.abs(twice.shift - shift)[10:230].max() < 0.1
+
+
+def test_nothing_is_put_right_where_parts_of_lines_disagree(painting, front):
+    found = measured(front, scan(painting, along(sine(1.0, 40))))
+    noise = np.random.default_rng(1).normal(0, 0.3, found.parts.shift.shape)
+    apart = replace(found, parts=replace(found.parts, shift=noise))
+    assert find_correction(apart, 1.0) is None
+
+
 @pytest.fixture(scope="module")
 def wobbling(painting, front):
     return register(front, scan(painting, along(sine(1.0, 40))))
 
 
-def test_a_map_of_a_wobbling_scan_is_doubtful_and_its_reason_names_size_and_period(wobbling):
-    assert wobbling.verdict.decision == "warn"
-    assert "every 40 lines, along the lines" in wobbling.verdict.reasons[0]
-    assert "lines" in wobbling.verdict.next_step
-    numbers = wobbling.verdict.numbers["sensor"]["verification"]["line_displacement"]
-    assert numbers["size_px"] == pytest.approx(1.0, rel=0.1)
+def errors_of(found, planted, transform=STRAIGHT):
+    """Return how far a map puts the pixels of a scan from what they show, (n, 2) reference px, and the places."""
+    x, y = np.meshgrid(np.arange(8, 300, 4.0), np.arange(14, 226, 1.0))
+    places = np.stack([x.ravel(), y.ravel()], 1)
+    shown = transform.inverse(places + planted[places[:, 1].astype(int)])
+    shown, places = (
+        a[np.all((shown > 6) & (shown < np.array(SIZE) - 7), 1)] for a in (shown, places)
+    )
+    return found.transforms["1"].inverse(places) - shown, shown
+
+
+def test_a_map_follows_a_wobbling_scan_and_its_reason_names_size_and_period(wobbling):
+    errors, places = errors_of(wobbling, along(sine(1.0, 40)))
+    assert np.linalg.norm(errors, axis=1).mean() < 0.06
+    sigma = wobbling.sigma["1"](places)
+    assert 0.4 < np.sqrt(np.mean((errors / sigma[:, None]) ** 2)) < 1.4
+    assert wobbling.verdict.decision == "accept"
+    assert "every 40 lines, along the lines" in wobbling.verdict.reasons[1]
+    assert "The map follows every line" in wobbling.verdict.reasons[1]
+    numbers = wobbling.verdict.numbers["sensor"]["verification"]["line_correction"]
+    assert numbers["before"]["size_px"] == pytest.approx(1.0, rel=0.1)
     drawn = wobbling.basis["sensors"][0]["lines"]
     assert len(drawn["along"]) == 240
 
 
-def test_sigma_holds_the_displacement_of_lines(painting, front, wobbling):
+@pytest.mark.parametrize(
+    "planted", [across(sine(1.5, 20)), across(walk(1.0)), along(1.0 * (LINE % 2 - 0.5))]
+)
+def test_a_map_follows_what_lines_do(painting, front, planted):
+    errors, _ = errors_of(register(front, scan(painting, planted)), planted)
+    assert np.linalg.norm(errors, axis=1).mean() < 0.1
+
+
+def test_sigma_holds_the_displacement_of_lines(painting, front):
     still = register(front, scan(painting))
     assert still.verdict.decision == "accept"
     assert still.basis["sensors"][0]["lines"] is None
     assert np.median(still.sigma["1"].values) < 0.05
-    assert wobbling.sigma["1"].values.min() == pytest.approx(0.5, rel=0.15)  # of either axis
+    halves = register(front, scan(painting, along(LINE % 2 - 0.5)))
+    assert halves.sigma["1"].values.min() == pytest.approx(0.37, rel=0.1)  # of either axis
+
+
+def test_observations_of_a_wobbling_scan_outlive_the_pictures(wobbling):
+    (kept,) = wobbling.observations
+    again = SensorObservations.from_arrays(kept.to_arrays()).enlarged(Affine.scaling(2.0))
+    places = np.array([[40.0, 50.0], [200.0, 150.0]])
+    whole = Composed(again.base, again.lines)(places)
+    assert np.abs(whole - Affine.scaling(2.0)(wobbling.transforms["1"](places))).max() < 1e-6
+    alone = adjust_jointly(again, [])
+    assert np.abs(alone.base(places) - whole).max() < 1e-9
 
 
 @pytest.mark.parametrize(("apart", "decision"), [(0.5, "warn"), (3.0, "refuse")])

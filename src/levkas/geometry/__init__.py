@@ -43,7 +43,7 @@ KINDS: dict[str, Callable[[dict[str, Any]], Transform]] = {
     ),
     "composed": lambda r: Composed(*(from_dict(step) for step in r["steps"])),
     "inverse": lambda r: Inverse(from_dict(r["of"])),
-    "spline": lambda r: SplineShift(_array(r, "origin"), r["spacing"], _array(r, "coefficients")),
+    "spline": SplineShift.from_dict,
     "depth_step": lambda r: DepthStepShift(
         _array(r, "lines"), r["width"], _array(r, "centre"), r["spread"], _array(r, "shift")
     ),

@@ -33,6 +33,8 @@ AT_ONCE = 8
 """Bands whose maps are laid side by side: their tables are held together."""
 CHECKS = 400
 """Check points on either axis, at most: fewer would miss the slope of a ledge."""
+ASIDE = 4
+"""Distance of nodes, grid px, from which on a px beside the middle is still far from them."""
 FEW = 50
 """These few show already that most lattices do not serve."""
 COARSE, COARSER = 1.1, 1.5
@@ -218,8 +220,14 @@ def _tolerance(transform: Transform, scale: float) -> float:
 
 
 def _checks(nodes: np.ndarray) -> np.ndarray:
-    """Whole px at the middle of cells, the outermost ones among them: there the error is largest."""
-    middles = np.unique(np.round((nodes[1:] + nodes[:-1]) / 2))
+    """Whole px at the middle of cells, the outermost ones among them: there the error is largest.
+
+    Every other one is a px aside: what lines do in step with the nodes would show at neither.
+    """
+    middles = np.round((nodes[1:] + nodes[:-1]) / 2)
+    if len(middles) > 2 and nodes[1] - nodes[0] >= ASIDE:
+        middles[1:-1:2] += 1
+    middles = np.unique(middles)
     chosen = np.unique(np.linspace(0, len(middles) - 1, CHECKS).round().astype(int))
     return middles[chosen]
 

@@ -55,13 +55,25 @@ class SplineShift:
         return np.asarray(displace_slopes(points, self.origin, float(self.spacing), coefficients))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready record."""
+        """Return a JSON-ready record; of rows or columns that are all alike, as of displaced lines, it has one."""
+        coefficients = np.asarray(self.coefficients, float)
+        for axis in (0, 1):
+            if (np.diff(coefficients, axis=axis) == 0).all():
+                coefficients = coefficients.take([0], axis)
         return {
             "kind": "spline",
             "origin": np.asarray(self.origin, float).tolist(),
             "spacing": float(self.spacing),
-            "coefficients": np.asarray(self.coefficients, float).tolist(),
+            "coefficients": coefficients.tolist(),
         }
+
+    @classmethod
+    def from_dict(cls, record: dict[str, Any]) -> SplineShift:
+        """Return the displacement that `to_dict` wrote."""
+        coefficients = np.array(record["coefficients"], float)
+        for axis in (0, 1):
+            coefficients = coefficients.repeat(4 if coefficients.shape[axis] == 1 else 1, axis)
+        return cls(np.array(record["origin"], float), record["spacing"], coefficients)
 
 
 def spline_weights(t: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 
 from levkas.geometry import from_dict
-from levkas.geometry.transforms import Affine, Composed, Transform
+from levkas.geometry.transforms import Affine, Composed, Inverse, Transform
 from levkas.registration.chromatic import ChromaticShifts, pool_chromatic
 from levkas.registration.depth_step import depth_step_of
 from levkas.registration.model_selection import (
@@ -86,6 +86,8 @@ class SensorObservations:
         What `base` was fitted to; None for the reference's own sensor.
     terms : SelectionTerms
         On which it was fitted.
+    lines : Transform, optional
+        Native px, lines put right → native px, where lines of this capture are displaced; `base` and `observations` end before it.
     """
 
     sensor: str
@@ -95,6 +97,7 @@ class SensorObservations:
     held_out: float = 0.0
     observations: Observations | None = None
     terms: SelectionTerms = field(default_factory=SelectionTerms)
+    lines: Transform | None = None
 
     @classmethod
     def of_reference(
@@ -111,7 +114,8 @@ class SensorObservations:
         observations = replace(
             self.observations, target=grow(self.observations.target), jacobian=jacobian
         )
-        return replace(self, base=Composed(self.base, grow), observations=observations)
+        lines = self.lines and Composed(Inverse(grow), self.lines, grow)
+        return replace(self, base=Composed(self.base, grow), observations=observations, lines=lines)
 
     def without_depth_step(self) -> Observations:
         """Return what was observed as a painting without its step in depth would have shown it."""
@@ -134,6 +138,7 @@ class SensorObservations:
             "spread": c.spread,
             "held_out": self.held_out,
             "terms": asdict(self.terms),
+            "lines": self.lines and self.lines.to_dict(),
         }
         arrays = {"fields": np.array(json.dumps(fields)), "centre": c.centre, "amounts": c.amounts}
         if c.variances is not None:
@@ -156,6 +161,7 @@ class SensorObservations:
         return cls(
             fields["sensor"], tuple(fields["labels"]), from_dict(fields["base"]), chromatic,
             fields["held_out"], observations, SelectionTerms(**fields["terms"]),
+            fields["lines"] and from_dict(fields["lines"]),
         )  # fmt: skip
 
 
@@ -196,6 +202,12 @@ def adjust_jointly(mine: SensorObservations, others: Sequence[SensorObservations
     adjusted : JointResult
         As it was, where no other was taken from the same place or none makes it better.
     """
+    found = _adjust(mine, others)
+    return found if mine.lines is None else replace(found, base=Composed(found.base, mine.lines))
+
+
+def _adjust(mine: SensorObservations, others: Sequence[SensorObservations]) -> JointResult:
+    """Adjust it as `adjust_jointly` does; the base ends before displaced lines."""
     if mine.observations is None:
         posed = [k for k, other in enumerate(others) if _have_same_bands(mine, other)]
         pooled = pool_chromatic(mine.chromatic, [others[k].chromatic for k in posed])

@@ -277,7 +277,8 @@ def _basis(sensor: RegisteredSensor) -> dict[str, Any]:
     source = labels[0] if len(labels) == 1 else "fused"
     band, selected = found.course["band"], found.selected
     windows = describe_windows(sensor.name, source, band, selected, found.checks)
-    return windows | {"lines": sensor.lines and sensor.lines.drawn()}
+    lines = sensor.correction.before if sensor.correction else sensor.lines
+    return windows | {"lines": lines and lines.drawn()}
 
 
 def _band_errors(sensors: Sequence[RegisteredSensor]) -> dict[str, dict[str, float | None]]:
@@ -301,11 +302,11 @@ def _matches(sensor: RegisteredSensor) -> Matches:
     """Return the matches of the initial transform with their residuals under the base map, or a person's pairs."""
     if sensor.placed:
         return sensor.placed.matches()
-    initial, found = sensor.initial, sensor.refined
-    if initial is None or found is None:
+    initial, base = sensor.initial, sensor.base
+    if initial is None or base is None:
         return Matches.none()
-    miss = initial.target - found.base(initial.reference)
-    jacobian = found.base.jacobian(initial.reference)
+    miss = initial.target - base(initial.reference)
+    jacobian = base.jacobian(initial.reference)
     residual = np.linalg.norm(solve_2x2(jacobian, miss), axis=1)
     kept = initial.kept
     reason = np.where(kept, "", "contradicts the map of the other pairs").astype(object)
@@ -333,4 +334,5 @@ def _observations(sensor: RegisteredSensor) -> SensorObservations:
     return SensorObservations(
         sensor.name, labels, found.base, sensor.chromatic, selected.held_out_error,
         selected.observations, selected.terms,
+        sensor.correction.transform() if sensor.correction else None,
     )  # fmt: skip

@@ -163,7 +163,7 @@ class LineShifts:
     of a grid of tiles, move what lies beside them where sharpness differs, in all parts alike: then nothing is
     known across the lines, and those shifts are 0. `places` are the middles of the parts, -1 to 1 along the line; `spread` is
     the root mean square over a line of a displacement that is 1 px where it is stated: less than 1 of `slopes`, which are stated
-    at the ends.
+    at the ends. `ends`, px along the line, are the places -1 and 1.
     """
 
     shift: np.ndarray
@@ -172,20 +172,26 @@ class LineShifts:
     places: np.ndarray
     common_edges: bool = False
     spread: float = 1.0
+    ends: tuple[float, float] = (-1.0, 1.0)
 
     @classmethod
     def of(
-        cls, shift: np.ndarray, information: np.ndarray, places: np.ndarray
+        cls,
+        shift: np.ndarray,
+        information: np.ndarray,
+        middles: np.ndarray,
+        ends: tuple[float, float],
     ) -> LineShifts | None:
-        """Return shifts, (lines, parts, 2) px, beside a smooth course of each part; None where too few lines have two parts."""
+        """Return shifts, (lines, parts, 2) px, of parts with `middles`, (parts,) px, beside a smooth course of each part; None where too few lines have two parts."""
         measured = (information > 0).all(2).sum(1) >= 2
         if measured.sum() < SETTINGS.least_lines:
             return None
-        information = np.where(measured[:, None, None], information, 0.0)
         left, weight = _without_course(shift, information)
         if common_edges := _have_common_edges(information[..., 1]):
             left[..., 1] = 0.0
-        return cls(left, np.where(weight > 0, information, 0.0), weight, places, common_edges)
+        places = (2 * middles - ends[0] - ends[1]) / (ends[1] - ends[0])
+        known = np.where(weight > 0, information, 0.0)
+        return cls(left, known, weight, places, common_edges, ends=ends)
 
     def slopes(self) -> LineShifts:
         """Return what lines do that turn (across) or stretch (along) about their middle, at their ends.
@@ -204,7 +210,7 @@ class LineShifts:
         known, weight = of_both(self.information), of_both(self.weight)
         slope = np.where(known > 0, (b - a) / apart, 0.0)
         places = np.zeros(len(pairs))
-        return LineShifts(slope, known, weight, places, self.common_edges, 3**-0.5)
+        return LineShifts(slope, known, weight, places, self.common_edges, 3**-0.5, self.ends)
 
     @property
     def pairs(self) -> Pairs:
@@ -249,7 +255,7 @@ class LineShifts:
     def among(self, lines: slice) -> LineShifts:
         """Return some lines alone."""
         parts = (self.shift[lines], self.information[lines], self.weight[lines])
-        return LineShifts(*parts, self.places, self.common_edges, self.spread)
+        return replace(self, **dict(zip(("shift", "information", "weight"), parts, strict=True)))
 
     def without(self, course: np.ndarray) -> LineShifts:
         """Return what is left of the shifts beside a common course, (lines, 2)."""

@@ -110,6 +110,10 @@ class LineDisplacement:
         Of the grid on which it was measured.
     slope : bool
         Whether lines turn (across) or stretch (along) about their middles; sizes and `displacement` are those of their ends.
+    parts : LineShifts or None
+        Of displaced lines of the target, beside the smooth map nearest to its map.
+    of_ends : tuple of bool
+        Whether lines are displaced beyond chance as a whole (False), turn or stretch about their middles (True), or both.
     """
 
     picture: Picture
@@ -125,6 +129,8 @@ class LineDisplacement:
     common_edges: bool = False
     step: int = 1
     slope: bool = False
+    parts: LineShifts | None = None
+    of_ends: tuple[bool, ...] = ()
 
     @property
     def rms(self) -> float:
@@ -212,6 +218,10 @@ def measure_line_displacement(
     for whole in _measure_pictures(predictors, image, smooth, step) if smooth else ():
         if whole.course and (whole.picture, whole.lines) == (chosen.picture, chosen.lines):
             chosen = replace(chosen, course=whole.course)
+    if chosen.picture == "target" and smooth:
+        chosen = replace(chosen, parts=_beside_smooth(chosen, transform, smooth))
+    else:  # a map puts the lines of the target right
+        chosen = replace(chosen, parts=None)
     return replace(chosen, picture="either") if unsure else chosen
 
 
@@ -270,6 +280,25 @@ def _cubic(transform: Transform, shape: Sequence[int], step: int) -> Transform |
     return Polynomial.fit(points, mapped, order=3) if np.isfinite(mapped).all() else None
 
 
+def _beside_smooth(
+    found: LineDisplacement, transform: Transform, smooth: Transform
+) -> LineShifts | None:
+    """Return the shifts of parts of lines beside a smooth map: those beside `transform`, and what that follows of the lines."""
+    shifts = found.parts
+    assert shifts is not None
+    low, high = shifts.ends
+    middles = (shifts.places * (high - low) + low + high) / 2
+    along, number = np.meshgrid(middles, np.arange(len(shifts.shift), dtype=float))
+    order = 1 if found.lines == "rows" else -1
+    places = np.stack([along.ravel(), number.ravel()], 1)[:, ::order]
+    with np.errstate(all="ignore"):
+        apart = (smooth(transform.inverse(places)) - places)[:, ::order].reshape(shifts.shift.shape)
+    known = np.isfinite(apart).all(-1, keepdims=True)
+    total = np.where(known, shifts.shift + np.nan_to_num(apart), 0.0)
+    information = np.where(known, shifts.information, 0.0)
+    return LineShifts.of(total, information, middles, shifts.ends)
+
+
 def describe_displacement(numbers: Mapping[str, Any]) -> tuple[str, str]:
     """Return what `LineDisplacement.to_dict` says of displaced lines, and what to do, in words.
 
@@ -280,6 +309,21 @@ def describe_displacement(numbers: Mapping[str, Any]) -> tuple[str, str]:
     >>> describe_displacement(numbers)[0]
     'Odd and even lines of this picture lie 1.69 px apart, along the lines: the map follows neither, and check windows show the mean of both.'
     """
+    head, tail, repair = _name_lines(numbers)
+    return head + tail, repair
+
+
+def describe_correction(numbers: Mapping[str, Any]) -> tuple[str, str]:
+    """Return what `LineCorrection.to_dict` says of lines that a map follows, and what to do where neighbours lie apart, in words."""
+    head, _, repair = _name_lines(numbers["before"])
+    text = f"{head}. The map follows every line, to {numbers['error_px']:.2f} px"
+    if numbers["uneven_px"] > numbers["error_px"]:
+        text += f"; a place between two of them shows both, {numbers['uneven_px']:.2f} px (root mean square) to either side"
+    return f"{text}.", repair
+
+
+def _name_lines(numbers: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Return how lines are displaced, what that means for a map that does not follow them, and what to do, in words."""
     whose = {"target": "this picture", "reference": "the reference"}.get(
         numbers["picture"], "this picture or of the reference"
     )
@@ -293,14 +337,15 @@ def describe_displacement(numbers: Mapping[str, Any]) -> tuple[str, str]:
     ends = f" at the ends of the {lines}" if numbers.get("slope") else ""
     if numbers["course"] == "comb" and not beside and last is None:
         return (
-            f"Odd and even {lines} of {whose} lie {size:.2f} px apart{ends}{way}: the map follows neither, and check windows "
-            "show the mean of both.",
+            f"Odd and even {lines} of {whose} lie {size:.2f} px apart{ends}{way}",
+            ": the map follows neither, and check windows show the mean of both.",
             f"Build from the odd or from the even {lines} alone, or shift one half before the build.",
         )
     if numbers["course"] == "step":
         return (
             f"At {line} {place} {whose} is displaced by {size:.2f} px at once{ends}{way}, as where {lines} were "
-            f"lost or repeated: the map is off near it, by {rms} over all.",
+            "lost or repeated",
+            f": the map is off near it, by {rms} over all.",
             f"Look for lost or repeated {lines} there. {repair}",
         )
     some = f"{lines.capitalize()} {place} to {last}" if last is not None else f"The {lines}"
@@ -310,8 +355,8 @@ def describe_displacement(numbers: Mapping[str, Any]) -> tuple[str, str]:
     if beside:
         text += f", and {_describe_course(beside, line, lines)}"
     return (
-        f"{some} of {whose} {verb} against {others}, {text}{way}: {rms}, {numbers['largest_px']:.2f} px at most. "
-        "The map does not follow that, and check windows average over it.",
+        f"{some} of {whose} {verb} against {others}, {text}{way}: {rms}, {numbers['largest_px']:.2f} px at most",
+        ". The map does not follow that, and check windows average over it.",
         repair,
     )
 
@@ -347,8 +392,7 @@ def _register_lines(lines: np.ndarray, scene: np.ndarray) -> LineShifts | None:
         register_rows, len(lines), pictures, edges, limits, sizes, found, worth=3 * lines.size
     )
     middles = (edges[:-1] + edges[1:]) / 2
-    places = (2 * middles - edges[0] - edges[-1]) / (edges[-1] - edges[0])
-    return LineShifts.of(shift, information, places)
+    return LineShifts.of(shift, information, middles, (float(edges[0]), float(edges[-1])))
 
 
 def _describe(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:
@@ -363,7 +407,8 @@ def _describe(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:
     )
     most = max(one.deviations for one in displaced)
     largest = max(displaced, key=lambda one: one.rms)
-    return replace(largest, along=along, across=across, deviations=most)
+    ends = tuple(one.slope for one in displaced)
+    return replace(largest, along=along, across=across, deviations=most, parts=shifts, of_ends=ends)
 
 
 def _describe_one(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:

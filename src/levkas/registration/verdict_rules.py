@@ -25,7 +25,7 @@ from levkas.registration.advice import (
     is_unlike,
     percent,
 )
-from levkas.registration.line_displacement import describe_displacement
+from levkas.registration.line_displacement import describe_correction, describe_displacement
 from levkas.registration.marks import DISTINCTIVE
 from levkas.registration.shares import (
     Numbers,
@@ -509,15 +509,25 @@ def bears_the_same_marks(n: Numbers) -> Objection | None:
 
 
 def lines_lie_still(n: Numbers) -> Objection | None:
-    """Refuse or warn where whole lines of a picture are displaced against one another; name less than the limit."""
-    lines = n.get("line_displacement")
-    if not lines or not lines["course"]:
+    """Refuse or warn where whole lines of a picture are displaced against one another, or neighbours that a map follows lie apart.
+
+    Less than the limit is named, and so are lines that the map follows.
+    """
+    lines, followed = n.get("line_displacement"), n.get("line_correction")
+    found: list[tuple[Finding | None, str, str]] = []
+    if lines and lines["course"]:
+        # Beside a step, which smooth maps follow in the mean, half of its height is left; so much counts of some lines alone.
+        near = lines["size_px"] / 4 if lines["place"] is not None else 0.0
+        decision = SETTINGS.lines.exceeded_by(max(lines["rms_px"], near) / lines["step"])
+        found.append((decision, *describe_displacement(lines)))
+    if followed:
+        decision = SETTINGS.lines.exceeded_by(followed["uneven_px"] / followed["before"]["step"])
+        found.append((decision, *describe_correction(followed)))
+    if not found:
         return None
-    # Beside a step, which smooth maps follow in the mean, half of its height is left; so much counts of some lines alone.
-    near = lines["size_px"] / 4 if lines["place"] is not None else 0.0
-    decision = SETTINGS.lines.exceeded_by(max(lines["rms_px"], near) / lines["step"])
-    reason, repair = describe_displacement(lines)
-    return Objection(decision or "unchecked", reason, repair if decision else "")
+    decision, _, repair = max(found, key=lambda one: (None, "warn", "refuse").index(one[0]))
+    reasons = " ".join(text for _, text, _ in reversed(found))
+    return Objection(decision or "unchecked", reasons, repair if decision else "")
 
 
 def agrees_within_windows(n: Numbers) -> Objection | None:
