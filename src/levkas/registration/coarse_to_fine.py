@@ -8,7 +8,7 @@ follow windows that are off, and take the next ones along.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -24,7 +24,6 @@ from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_d
 from levkas.registration.fine_displacement import FineDisplacement, measure_fine_displacement
 from levkas.registration.initial import (
     InitialTransform,
-    begin_with,
     find_initial_transform,
     implausible,
     is_plausible,
@@ -70,6 +69,7 @@ if TYPE_CHECKING:
     from levkas.registration.window_matching import CheckWindows
 
 Item = TypeVar("Item")
+Begin = Callable[["CameraFeatures", "CameraFeatures"], InitialTransform | None]
 
 
 @dataclass(frozen=True)
@@ -349,7 +349,7 @@ def register_sensor(
     theirs: CameraFeatures,
     by_hand: ManualPoints | None = None,
     reference_sigma: Mapping[str, Sigma] | None = None,
-    declared: Transform | None = None,
+    begin: Begin = find_initial_transform,
 ) -> RegisteredSensor:
     """Register the bands of one sensor of another camera to the reference.
 
@@ -366,19 +366,15 @@ def register_sensor(
         Pairs by hand: they start the search where key points do not, and weigh as a hand can point.
     reference_sigma : mapping of label to Sigma, optional
         Uncertainty of the reference's own bands.
-    declared : Transform, optional
-        Reference px → native px, from which to begin instead of from key points.
+    begin : callable
+        Returns the initial transform of two cameras' key points, or None; by default from these alone.
 
     Raises
     ------
     RegistrationRefused
         ``E_MATCHES``, ``E_WINDOWS``, ``E_SCALE`` or ``E_FOLD``.
     """
-    initial = (
-        find_initial_transform(ours, theirs)
-        if declared is None
-        else begin_with(declared, ours, theirs)
-    )
+    initial = begin(ours, theirs)
     by_hand = by_hand or ManualPoints()
     if by_hand:
         initial = seed_with_points(initial, by_hand, ours, theirs)

@@ -4,12 +4,13 @@ Key points that are each other's most alike give most sensors a homography by MA
 few of these agree, every key point is matched with the few most alike ones, edges are looked at too, and
 what agrees in place, size and direction is sought among thousands of matches by pose clustering. Matches near
 that transform refine it to a cubic polynomial. Pairs given by hand start the search where key points
-find nothing, or something else.
+find nothing, or something else. Pairs of another program, which may be wrong, are candidates of a start: the largest sets of them that
+agree on a homography, one after another.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -69,6 +70,12 @@ class InitialSettings:
         Target px per reference px of a plausible map.
     least_contradiction, contradiction_share : float
         Reference px, and share of the longer side, by which pairs by hand contradict key points.
+    candidates : int
+        Sets of pairs of another program that are tried.
+    least_pairs : int
+        Pairs of such a set: four determine a homography, two more agree with it.
+    pair_share : float
+        Share of the longer side up to which they agree, as far as a search on coarse grids makes good.
     """
 
     long_side: int = 1000
@@ -81,6 +88,9 @@ class InitialSettings:
     scales: tuple[float, float] = (0.14, 7.0)
     least_contradiction: float = 8.0
     contradiction_share: float = 0.01
+    candidates: int = 3
+    least_pairs: int = 6
+    pair_share: float = 0.005
 
 
 SETTINGS = InitialSettings()
@@ -102,6 +112,8 @@ class InitialTransform:
         `HandMark` of each match.
     by_outlines : bool
         Whether no key points agreed, and blocks were matched by the directions of their edges.
+    by_pairs : bool
+        Whether no key points agreed, and the matches are pairs of another program.
     """
 
     transform: Transform
@@ -111,6 +123,7 @@ class InitialTransform:
     mirrored: bool
     reason: np.ndarray | None = None
     by_outlines: bool = False
+    by_pairs: bool = False
 
     @property
     def count(self) -> int:
@@ -263,12 +276,14 @@ def _fit_robustly(
     return InitialTransform(found, matches.reference, matches.target, kept, mirror)
 
 
-def _magsac(p: np.ndarray, q: np.ndarray, mirror: bool) -> tuple[Homography | None, np.ndarray]:
-    """Return the homography p → q and which matches agree, (n,) bool; None where there is none."""
+def _magsac(
+    p: np.ndarray, q: np.ndarray, mirror: bool, reach: float = SETTINGS.reach
+) -> tuple[Homography | None, np.ndarray]:
+    """Return the homography p → q and which matches agree within `reach` px of p, (n,) bool; None where there is none."""
     import cv2
 
     settings = cv2.UsacParams()
-    settings.threshold, settings.confidence = SETTINGS.reach, 0.9999
+    settings.threshold, settings.confidence = reach, 0.9999
     settings.maxIterations, settings.randomGeneratorState = 20000, 0
     settings.score, settings.sampler = cv2.SCORE_METHOD_MAGSAC, cv2.SAMPLING_UNIFORM
     settings.loMethod = cv2.LOCAL_OPTIM_SIGMA
@@ -486,6 +501,59 @@ def begin_with(
     mirrored = bool(np.linalg.det(transform.jacobian(centre)[0]) < 0)
     first = InitialTransform(transform, none, none, np.zeros(0, bool), mirrored)
     return _rematch_all(first, reference, target)
+
+
+# --- from pairs of another program
+
+
+def start_candidates(pairs: np.ndarray, shape: tuple[int, ...]) -> Iterator[InitialTransform]:
+    """Yield the transforms on which pairs agree, wrong ones among them: that of the largest set, then of those that are left.
+
+    Parameters
+    ----------
+    pairs : ndarray, (n, 4)
+        Reference x, y and target x, y; any share of them may be wrong.
+    shape : (height, width) of the reference
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> right = rng.uniform(0, 200, (12, 2))
+    >>> wrong = rng.uniform(0, 200, (8, 4))
+    >>> begun = next(start_candidates(np.vstack([np.hstack([right, right + 5]), wrong]), (200, 200)))
+    >>> int(begun.count), begun.transform(np.array([[50.0, 60.0]])).round(3).tolist()
+    (12, [[55.0, 65.0]])
+    """
+    reach = max(SETTINGS.reach, SETTINGS.pair_share * max(shape))
+    left = np.isfinite(pairs).all(1)
+    for _ in range(SETTINGS.candidates):
+        rows = np.flatnonzero(left)
+        if len(rows) < SETTINGS.least_pairs:
+            return
+        p, q = pairs[rows, :2], pairs[rows, 2:]
+        _, inside = max(
+            (_magsac(p, q, mirror, reach) for mirror in (False, True)),
+            key=lambda one: int(one[1].sum()),
+        )
+        if inside.sum() < SETTINGS.least_pairs:
+            return
+        begun = fit_initial_transform(pairs[rows[inside]])
+        kept = np.zeros(len(pairs), bool)
+        kept[rows[inside]] = True
+        left[rows[inside]] = False
+        low, high = np.percentile(p[inside], (2, 98), axis=0)
+        if is_plausible(begun.transform, (*low, *high), begun.mirrored):
+            yield replace(
+                begun, reference=pairs[:, :2], target=pairs[:, 2:], kept=kept, by_pairs=True
+            )
+
+
+def begin_with_pairs(
+    candidate: InitialTransform, reference: CameraFeatures, target: CameraFeatures
+) -> InitialTransform:
+    """Return a candidate of a start, refined by key points near where it puts them; as it is, where none agree."""
+    found = begin_with(candidate.transform, reference, target)
+    return found if found.count else candidate
 
 
 def _rematch_all(

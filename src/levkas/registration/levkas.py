@@ -12,14 +12,28 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.campaign.methods import STARTS
+from levkas.core.problems import Problem
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform, solve_2x2
 from levkas.registration.alignment import declared_map, read_alignments
 from levkas.registration.bands import by_wavelength, present_bands, sqrt_images
 from levkas.registration.chromatic import zero_displacement
-from levkas.registration.coarse_to_fine import RegisteredSensor, frame_centre, register_sensor
+from levkas.registration.coarse_to_fine import (
+    Begin,
+    RegisteredSensor,
+    frame_centre,
+    register_sensor,
+)
 from levkas.registration.features import CameraFeatures, GreyImages
+from levkas.registration.initial import (
+    begin_with,
+    begin_with_pairs,
+    find_initial_transform,
+    start_candidates,
+)
 from levkas.registration.joint import SensorObservations
+from levkas.registration.manual_points import ManualPoints
 from levkas.registration.measured_bands import measured_bands
 from levkas.registration.placed_by_hand import place_by_hand
 from levkas.registration.predictors import PreparedReference
@@ -39,13 +53,12 @@ from levkas.registration.verdict_rules import SETTINGS as VERDICT
 if TYPE_CHECKING:
     from levkas.campaign.methods import LevkasOptions
     from levkas.registration.bands import BandImage
-    from levkas.registration.manual_points import ManualPoints
     from levkas.registration.model_selection import SelectedModel
     from levkas.registration.request import Request
 
 
-def register_levkas(request: Request, _options: LevkasOptions) -> Registration:
-    """Register every band of the target to the reference band; deterministic, without options.
+def register_levkas(request: Request, options: LevkasOptions) -> Registration:
+    """Register every band of the target to the reference band; deterministic.
 
     Raises
     ------
@@ -73,22 +86,31 @@ def register_levkas(request: Request, _options: LevkasOptions) -> Registration:
     if names:
         stack = base.stack(transforms)
 
-        def register_one(name: str, declared: Transform | None = None) -> RegisteredSensor:
+        def pictures_of(name: str) -> tuple[list[BandImage], dict[str, np.ndarray], CameraFeatures]:
             bands = by_wavelength([image for image in target if image.sensor == name])
-            by_hand = request.given.get(name)
-            if by_hand and by_hand.accepted:
-                return _placed(name, bands, by_hand, stack.shape)
             there = present_bands(bands)
             shown = [there[i] for i in measured_bands(there)]
             pictures = {b.label: base.images[b.label] for b in shown} if own else sqrt_images(shown)
-            theirs = CameraFeatures(GreyImages(list(pictures.values())))
-            return register_sensor(
-                bands, pictures, stack, base.keys, theirs, by_hand, sigma, declared
-            )
+            return bands, pictures, CameraFeatures(GreyImages(list(pictures.values())))
+
+        def register_one(name: str, begin: Begin = find_initial_transform) -> RegisteredSensor:
+            by_hand = request.given.get(name)
+            if by_hand and by_hand.accepted:
+                bands = by_wavelength([image for image in target if image.sensor == name])
+                return _placed(name, bands, by_hand, stack.shape)
+            bands, pictures, theirs = pictures_of(name)
+            return register_sensor(bands, pictures, stack, base.keys, theirs, by_hand, sigma, begin)
+
+        def pairs_of(name: str) -> np.ndarray:
+            given = request.given.get(name) or ManualPoints()
+            if options.starts is None:
+                return given.starts
+            greys = base.keys.greys[0], pictures_of(name)[2].greys[0]
+            return np.concatenate([given.starts, matched_pairs(options.starts, *greys)])
 
         known: dict[str, Transform] = {anchor.sensor: Affine.identity()} if own else {}
         align = {target[0].sensor: Affine.identity()} | read_alignments(request.align)
-        sensors += _register_sensors(names, register_one, align, known, stack.shape)
+        sensors += _register_sensors(names, register_one, align, known, pairs_of, stack.shape)
     labels, object_share = [image.label for image in target], base.area.share_of(request.layer)
     return _assemble(sensors, labels, base.area.to_dict(), object_share)
 
@@ -98,12 +120,13 @@ def _register_sensors(
     register_one: Callable[..., RegisteredSensor],
     align: Mapping[str, Transform],
     known: Mapping[str, Transform],
+    pairs_of: Callable[[str], np.ndarray],
     shape: tuple[int, int],
 ) -> list[RegisteredSensor]:
-    """Register every sensor by itself; where a declared alignment helps or contradicts, begin with it too.
+    """Register every sensor by itself; where a declared alignment helps or contradicts, begin with it too, and where the verdict refuses, with pairs.
 
     `align` are declared maps from the first sensor's px, the first one's identity among them; `known` are maps of
-    sensors that are not registered; `shape` is the reference's. Raises RegistrationRefused of the first sensor without
+    sensors that are not registered; `pairs_of` returns the candidates of a sensor's start; `shape` is the reference's. Raises RegistrationRefused of the first sensor without
     a map. Of two registered sensors the distance from the declared alignment is the second's alone.
     """
     first = next(iter(align))
@@ -124,7 +147,9 @@ def _register_sensors(
         }
         declared = declared_map(name, align, others)
         if declared is not None:
-            one = _begun_anew(one, partial(register_one, name, declared), declared, shape)
+            again = partial(register_one, name, partial(begin_with, declared))
+            one = _begun_anew(one, again, declared, shape)
+        one = _begun_with_pairs(one, partial(register_one, name), partial(pairs_of, name), shape)
         checked = name != first or declared_map(name, align, known) is not None
         if declared is not None and checked and isinstance(one, RegisteredSensor):
             one = replace(one, apart_px=_apart(one, declared, shape))
@@ -151,6 +176,50 @@ def _begun_anew(
         return one
     better = isinstance(one, RegistrationRefused) or _agreeing(other) > _agreeing(one)
     return other if better else one
+
+
+def _begun_with_pairs(
+    one: RegisteredSensor | RegistrationRefused,
+    again: Callable[[Begin], RegisteredSensor],
+    pairs: Callable[[], np.ndarray],
+    shape: tuple[int, int],
+) -> RegisteredSensor | RegistrationRefused:
+    """Register a refused sensor again from where pairs put it; return the first map that is not refused, else what it was."""
+    if isinstance(one, RegisteredSensor) and (one.placed or not _is_refused(one)):
+        return one
+    for candidate in start_candidates(pairs(), shape):
+        try:
+            other = again(partial(begin_with_pairs, candidate))
+        except RegistrationRefused:
+            continue
+        if not _is_refused(other):
+            return other
+    return one
+
+
+def _is_refused(sensor: RegisteredSensor) -> bool:
+    """Whether the verdict refuses a sensor's map by itself; the object's share of the layer has no part in that."""
+    return judge_windows({ONLY: _numbers(sensor) | {"object_share": 1.0}}).decision == "refuse"
+
+
+def matched_pairs(matcher: str, reference: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Return the pairs, (n, 4), that the matcher of an installed package finds in two pictures, (h, w).
+
+    Raises RegistrationRefused where it returns anything else.
+    """
+    found = np.asarray(STARTS[matcher](reference.copy(), target.copy()))
+    if found.ndim == 2 and found.shape[1] == 4 and found.dtype.kind in "iuf":
+        return found.astype(float)
+    raise RegistrationRefused(
+        Problem(
+            "E_METHOD",
+            f"the matcher {matcher!r} returns no pairs",
+            field="registration.starts",
+            found=f"an array {found.shape} of {found.dtype}",
+            expected="an array (n, 4): x, y in the first picture and x, y in the second",
+            fix="Report this to the author of the matcher, or remove `starts`.",
+        )
+    )
 
 
 def _agreeing(sensor: RegisteredSensor) -> int:
@@ -249,6 +318,7 @@ def _numbers(sensor: RegisteredSensor) -> dict[str, Any]:
         "key_points_kept": int(initial.kept.sum()) if initial else None,
         "key_points": len(initial.kept) if initial else None,
         "by_outlines": bool(initial and initial.by_outlines),
+        "by_pairs": bool(initial and initial.by_pairs),
         "rounds": course.get("rounds"),
         "converged": course.get("converged"),
         "moved": course.get("moved"),

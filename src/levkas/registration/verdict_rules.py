@@ -219,12 +219,13 @@ def more_than_chance(n: Numbers) -> Objection | None:
 
 
 def begins_with_key_points(n: Numbers) -> Objection | None:
-    """Warn of a map that was begun from outlines alone."""
-    if not n.get("by_outlines"):
+    """Warn of a map that was begun from outlines alone, or from pairs of another program."""
+    if not (n.get("by_outlines") or n.get("by_pairs")):
         return None
+    begun = "their outlines" if n.get("by_outlines") else "pairs of another program"
     return Objection(
         "warn",
-        "No key points match between the two pictures. The search started from their outlines.",
+        f"No key points match between the two pictures. The search started from {begun}.",
         LOOK,
     )
 
