@@ -49,6 +49,8 @@ class BandImage:
         False where the value must not be relied on.
     sensor : str
         Name of the sensor; bands of one sensor share its native px.
+    one_scan : bool
+        Whether the bands of its sensor are pictures of one scan, which lie on one another: they share one map.
     """
 
     label: str
@@ -56,6 +58,7 @@ class BandImage:
     values: np.ndarray
     valid: np.ndarray
     sensor: str = ""
+    one_scan: bool = False
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.shape != self.valid.shape:

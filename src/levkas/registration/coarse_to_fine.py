@@ -22,6 +22,7 @@ from levkas.registration.advice import POINTS
 from levkas.registration.bands import by_wavelength, present_bands, sqrt_images
 from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
 from levkas.registration.fine_displacement import FineDisplacement, measure_fine_displacement
+from levkas.registration.initial import SETTINGS as INITIAL
 from levkas.registration.initial import (
     InitialTransform,
     find_initial_transform,
@@ -121,6 +122,8 @@ class RefinementSettings:
 
 Light = Literal["same", "other", "unknown"]
 SETTINGS = RefinementSettings()
+COARSE_SCALES = (1 / 30, INITIAL.scales[1])
+"""Native px per reference px of maps of one scan: 4 to 20 px of a photograph lie in one of theirs, and half as many again."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +149,16 @@ class SensorTask:
     mask: np.ndarray
     initial: InitialTransform
     by_hand: ManualPoints
+
+    @property
+    def one_scan(self) -> bool:
+        """Whether the bands are pictures of one scan: they share one map, and what checks it is gathered over all."""
+        return self.bands[0].one_scan
+
+    @property
+    def scales(self) -> tuple[float, float]:
+        """Native px per reference px of a plausible map."""
+        return COARSE_SCALES if self.one_scan else INITIAL.scales
 
     @cached_property
     def scale(self) -> float:
@@ -174,9 +187,11 @@ class SensorTask:
     ) -> np.ndarray:
         """Return a band, or `image` in its stead, on the grid of `step` reference px; blocks of about one reference px."""
         size = (self.reference.shape[0] // step, self.reference.shape[1] // step)
-        block = max(1, round(self.scale / 1.2))
+        # A pixel of a scan is larger than one of the reference: what lies in one px of the grid is averaged, often nothing.
+        block = self.scale * step if self.one_scan else self.scale
+        count = max(1, round(block / 1.2)) * (1 if self.one_scan else step)
         image = self.images[band.label] if image is None else image
-        return resample_band(image, transform, size, step, block=block)
+        return resample_band(image, transform, size, step, count=count)
 
     def measure_shifts(
         self, bands: Sequence[BandImage], own: Sequence[Transform], base: Transform, step: int
@@ -225,6 +240,8 @@ class SensorTask:
         Its wavelength says so. Where it has none, two pictures in colours do; one picture stored as three alike is of
         unknown light.
         """
+        if self.one_scan:
+            return "other"
         if np.isfinite(band.wavelength):
             return "same" if self.reference.covers(band.wavelength) else "other"
         among = evenly_spread(self.bands, 3) if self.reference.has_colours else []
@@ -235,8 +252,10 @@ class SensorTask:
     def measure_marks(self, found: RefinedMap) -> Marks | None:
         """Compare marks on a grid about as fine as the coarser picture, around the windows that confirm a map.
 
-        On a finer one, marks of the finer picture are fine detail that the coarser one cannot show.
+        On a finer one, marks of the finer picture are fine detail that the coarser one cannot show. Maps of a scan show no marks.
         """
+        if self.one_scan:
+            return None
         best = [band.label for band in self.bands].index(found.course["band"])
         step = max(1, round(1 / self.scale))
         whole = Composed(found.chromatic.transform(best), found.base)
@@ -406,6 +425,8 @@ def register_sensor(
         blocks = match_blocks(ours.greys[:], theirs.greys[:], found.base, ours.within)
         found.verification["outlines"] = blocks.to_dict()
         coarse = blocks.tolerance
+    if task.one_scan:
+        found.verification["scales"] = list(task.scales)
     lines = task.measure_lines(found)
     found.verification["line_displacement"] = None if lines is None else lines.to_dict()
     fine = task.measure_fine(found)
@@ -516,7 +537,7 @@ class _Refinement:
             before = self.base
             self._fit(step, SelectionTerms(stiff=self.stiff, depth_step=step == self.step))
             moved = base_change(before, self.base, self.selected.observations.points)
-            if len(bands) > 1:
+            if len(bands) > 1 and not self.task.one_scan:
                 common = base_change(before, self.base, self.windows[0].centres)
                 self.chromatic = fit_chromatic(
                     self.windows, self.chromatic, wavelengths, common=common
@@ -555,17 +576,20 @@ class _Refinement:
 
     def _test(self, best: int, step: int) -> PermutationTest:
         whole = Composed(self.chromatic.transform(best), self.base)
-        image = self.task.resample(self.task.bands[best], whole, step)
-        return run_permutation_test(self.task.reference.predictor(step), image)
+        bands = self.task.bands if self.task.one_scan else [self.task.bands[best]]
+        images = [self.task.resample(band, whole, step) for band in bands]
+        return run_permutation_test(self.task.reference.predictor(step), images)
 
     def _check(self, selected: SelectedModel) -> None:
         points = selected.observations.points
         box = (*points.min(0), *points.max(0))
         mirrored, sensor = self.task.initial.mirrored, self.task.bands[0].sensor or None
-        if not is_plausible(selected.transform, box, mirrored):
+        scales = self.task.scales
+        if not is_plausible(selected.transform, box, mirrored, scales):
             height, width = self.task.reference.shape[:2]
             share = (box[2] - box[0]) * (box[3] - box[1]) / (width * height)
-            raise RegistrationRefused(implausible(selected.transform, box, mirrored, sensor, share))
+            problem = implausible(selected.transform, box, mirrored, sensor, share, scales)
+            raise RegistrationRefused(problem)
 
 
 def _is_less(now: tuple[float | None, float], before: tuple[float | None, float]) -> bool:
@@ -594,7 +618,8 @@ def _verify(
     """Verify a map on a grid of `step` reference px or coarser; `test` is of the same map at `step`."""
     predicted, cell = test.predicted, task.cell(step)
     step *= coarsening(task.reference.shape, step)
-    image = highpass(task.resample(band, transform, step))
+    bands = task.bands if task.one_scan else [band]
+    image = np.stack([highpass(task.resample(one, transform, step)) for one in bands])
     predictors = task.reference.predictor(step).images
     valid = np.isfinite(task.images[band.label])
     return verify(predictors, image, step, transform, task.mask, valid, predicted, cell)

@@ -299,26 +299,36 @@ def _magsac(
     return Homography(forward / forward[2, 2]), mask.reshape(-1).astype(bool)
 
 
-def is_plausible(transform: Transform, box: Sequence[float], mirrored: bool) -> bool:
-    """Whether the Jacobian keeps its sign and scales stay in 0.14 to 7 all over a box.
+def is_plausible(
+    transform: Transform,
+    box: Sequence[float],
+    mirrored: bool,
+    scales: tuple[float, float] = SETTINGS.scales,
+) -> bool:
+    """Whether the Jacobian keeps its sign and scales stay in `scales`, 0.14 to 7, all over a box.
 
     `box` is (x0, y0, x1, y1) in reference px.
     """
     values, determinant = _local_shape(transform, box, mirrored)
-    low, high = SETTINGS.scales
+    low, high = scales
     in_range = (values > low).all() and (values < high).all()
     return bool(in_range and _is_steady(values, determinant))
 
 
 def implausible(
-    transform: Transform, box: Sequence[float], mirrored: bool, sensor: str | None, share: float
+    transform: Transform,
+    box: Sequence[float],
+    mirrored: bool,
+    sensor: str | None,
+    share: float,
+    scales: tuple[float, float] = SETTINGS.scales,
 ) -> Problem:
     """Return why the map of a sensor is not plausible: its scale alone, or its shape.
 
     `box` as of `is_plausible`; `share` is how much of the reference it takes.
     """
     values, determinant = _local_shape(transform, box, mirrored)
-    low, high = SETTINGS.scales
+    low, high = scales
     scale = float(np.median(values))
     ratio = describe_sampling(scale)
     if not _is_steady(values, determinant) or ((values > low) & (values < high)).all():
@@ -332,7 +342,7 @@ def implausible(
         "this sensor samples the object too unlike the reference to be registered",
         field=sensor,
         found=ratio,
-        expected=f"at most {high:.0f} to one, either way",
+        expected=f"at most {(1 / low if scale < 1 else high):.0f} to one",
         fix=f"{BETWEEN}.",
     )
 

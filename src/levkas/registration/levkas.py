@@ -34,6 +34,7 @@ from levkas.registration.initial import (
 )
 from levkas.registration.joint import SensorObservations
 from levkas.registration.manual_points import ManualPoints
+from levkas.registration.map_stack import gather_signal
 from levkas.registration.measured_bands import measured_bands
 from levkas.registration.placed_by_hand import place_by_hand
 from levkas.registration.predictors import PreparedReference
@@ -45,7 +46,7 @@ from levkas.registration.record import (
     Sigma,
     describe_windows,
 )
-from levkas.registration.reference_bands import register_own_bands
+from levkas.registration.reference_bands import lie_together, register_own_bands
 from levkas.registration.verdict import judge_windows
 from levkas.registration.verdict_rules import ONLY
 from levkas.registration.verdict_rules import SETTINGS as VERDICT
@@ -79,16 +80,19 @@ def register_levkas(request: Request, options: LevkasOptions) -> Registration:
     if transforms is None or own:
         bands = base.own_bands if own else base.predicting()
         images = {band.label: base.object_in(band) for band in bands}
-        first = register_own_bands(bands, images, anchor)
+        lying = own and request.one_scan
+        first = lie_together(bands, anchor) if lying else register_own_bands(bands, images, anchor)
         transforms, sigma = first.transforms, first.sigma
         sensors = [first] if own else []
     names = list(dict.fromkeys(i.sensor for i in target if not own or i.sensor != anchor.sensor))
     if names:
-        stack = base.stack(transforms)
+        stack, one_scan = base.stack(transforms), request.one_scan
 
         def pictures_of(name: str) -> tuple[list[BandImage], dict[str, np.ndarray], CameraFeatures]:
             bands = by_wavelength([image for image in target if image.sensor == name])
             there = present_bands(bands)
+            if one_scan:
+                bands = there = gather_signal(there)
             shown = [there[i] for i in measured_bands(there)]
             pictures = {b.label: base.images[b.label] for b in shown} if own else sqrt_images(shown)
             return bands, pictures, CameraFeatures(GreyImages(list(pictures.values())))
@@ -99,7 +103,11 @@ def register_levkas(request: Request, options: LevkasOptions) -> Registration:
                 bands = by_wavelength([image for image in target if image.sensor == name])
                 return _placed(name, bands, by_hand, stack.shape)
             bands, pictures, theirs = pictures_of(name)
-            return register_sensor(bands, pictures, stack, base.keys, theirs, by_hand, sigma, begin)
+            found = register_sensor(
+                bands, pictures, stack, base.keys, theirs, by_hand, sigma, begin
+            )
+            labels = [image.label for image in target if image.sensor == name]
+            return _of_all_maps(found, labels, stack.shape) if one_scan else found
 
         def pairs_of(name: str) -> np.ndarray:
             given = request.given.get(name) or ManualPoints()
@@ -234,6 +242,19 @@ def _apart(sensor: RegisteredSensor, declared: Transform, shape: tuple[int, int]
     points = np.stack([x, y], -1).reshape(-1, 2)
     miss = np.linalg.norm(sensor.base(points) - declared(points), axis=1)
     return float(np.median(np.nan_to_num(miss, nan=np.inf)))
+
+
+def _of_all_maps(
+    found: RegisteredSensor, labels: Sequence[str], shape: tuple[int, int]
+) -> RegisteredSensor:
+    """Return a sensor of which pictures with the signal of its maps were registered, with the one map for all of these."""
+    assert found.base is not None, "a sensor that was registered has a map"
+    return replace(
+        found,
+        transforms=dict.fromkeys(labels, found.base),
+        sigma=dict.fromkeys(labels, next(iter(found.sigma.values()))),
+        chromatic=zero_displacement(len(labels), *frame_centre(shape)),
+    )
 
 
 def _placed(

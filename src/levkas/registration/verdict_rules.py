@@ -302,7 +302,7 @@ def has_plausible_shape(n: Numbers) -> Objection | None:
     """Refuse or warn of scales and stretches that no camera makes."""
     if "area_ratio" not in n:
         return None
-    low, high = SETTINGS.scales
+    low, high = n.get("scales") or SETTINGS.scales
     if n["scale_min"] < low or n["scale_max"] > high:
         return Objection(
             "refuse",

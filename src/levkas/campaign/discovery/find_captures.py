@@ -427,7 +427,7 @@ def _frames_and_bands(
         return frames, *bands_of_mosaic(camera, pattern, names, facts)
     if bands_in != "files":
         bands = bands_in_file(camera, sensor, index.facts(first))
-        if camera.traits.is_cube:
+        if camera.traits.reads_pages:
             _check_counts(index, camera, frames[1:], len(bands))
             frames = [in_order(camera, frame, index.facts, first) for frame in frames]
         return frames, None, bands
