@@ -88,6 +88,22 @@ def test_windows_of_several_weak_pictures_are_found_together():
     assert found[1] > 0.95 and found[1] > found[0] + 0.1
 
 
+def test_a_picture_at_a_sixth_of_the_sampling_is_off_by_a_fortieth_of_its_px(painting):
+    linear, size = LINEAR * COARSE / 6, (150, 120)
+    x, y = np.meshgrid(*(np.arange(n, dtype=float) for n in size))
+    places = (np.stack([x, y], -1) - SHIFT) @ np.linalg.inv(linear).T
+    tones = np.array([0.2, 0.6, 0.35, 0.8])[:, None, None]
+    soft = ndimage.gaussian_filter((tones * painting).sum(0), 0.4 * 6)
+    picture = ndimage.map_coordinates(
+        soft, [places[..., 1], places[..., 0]], order=1, mode="nearest"
+    )
+    noisy = picture + np.random.default_rng(3).normal(0, 0.04, picture.shape)
+    found = register([photograph(painting, 5)], [BandImage.of("t", noisy)], reference_band="G")
+    points = np.array([[80.0, 80.0], [450.0, 360.0], [820.0, 80.0], [80.0, 640.0], [820.0, 640.0]])
+    errors = np.linalg.norm(found.transforms["t"](points) - points @ linear.T - SHIFT, axis=1)
+    assert errors.mean() < 1 / 40 and found.verdict.decision == "accept"
+
+
 def test_maps_of_a_reference_lie_on_one_another_as_they_are(painting):
     maps = scan(painting, 1, 12.0)
     found = register(maps, maps, reference_band="Hg", one_scan=True)

@@ -185,11 +185,15 @@ class SensorTask:
     def resample(
         self, band: BandImage, transform: Transform, step: int, image: np.ndarray | None = None
     ) -> np.ndarray:
-        """Return a band, or `image` in its stead, on the grid of `step` reference px; blocks of about one reference px."""
+        """Return a band, or `image` in its stead, on the grid of `step` reference px; blocks of about one reference px.
+
+        Where a px of the band is larger, blocks are about one px of the grid: fewer of the band, often one.
+        """
         size = (self.reference.shape[0] // step, self.reference.shape[1] // step)
-        # A pixel of a scan is larger than one of the reference: what lies in one px of the grid is averaged, often nothing.
-        block = self.scale * step if self.one_scan else self.scale
-        count = max(1, round(block / 1.2)) * (1 if self.one_scan else step)
+        coarser = self.scale < 1
+        count = max(1, round(self.scale * (step if coarser else 1) / 1.2)) * (
+            1 if coarser else step
+        )
         image = self.images[band.label] if image is None else image
         return resample_band(image, transform, size, step, count=count)
 
