@@ -84,6 +84,8 @@ def test_sets_of_pairs_are_tried_from_the_largest_to_the_smallest():
     first, second = start_candidates(pairs, (300, 300))
     assert (first.count, first.mirrored, second.count, second.mirrored) == (18, True, 12, False)
     assert not list(start_candidates(pairs[:5], (300, 300)))
+    (coarse,) = start_candidates(np.hstack([p, p / 20]), (300, 300))
+    assert coarse.scale == pytest.approx(1 / 20)
 
 
 MATCHER = """

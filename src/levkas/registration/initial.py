@@ -552,7 +552,8 @@ def start_candidates(pairs: np.ndarray, shape: tuple[int, ...]) -> Iterator[Init
         kept[rows[inside]] = True
         left[rows[inside]] = False
         low, high = np.percentile(p[inside], (2, 98), axis=0)
-        if is_plausible(begun.transform, (*low, *high), begun.mirrored):
+        # The sampling is judged with the map: maps of a scan are far coarser than a camera's frames.
+        if is_plausible(begun.transform, (*low, *high), begun.mirrored, (0.0, np.inf)):
             yield replace(
                 begun, reference=pairs[:, :2], target=pairs[:, 2:], kept=kept, by_pairs=True
             )
