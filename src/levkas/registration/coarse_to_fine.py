@@ -187,10 +187,10 @@ class SensorTask:
     ) -> np.ndarray:
         """Return a band, or `image` in its stead, on the grid of `step` reference px; blocks of about one reference px.
 
-        Where a px of the band is larger, blocks are about one px of the grid: fewer of the band, often one.
+        Where the finest grid is coarser than the reference, since a px of the band is, blocks are about one px of the grid: few of the band, often one.
         """
         size = (self.reference.shape[0] // step, self.reference.shape[1] // step)
-        coarser = self.scale < 1
+        coarser = self.finest_step > 1
         count = max(1, round(self.scale * (step if coarser else 1) / 1.2)) * (
             1 if coarser else step
         )
