@@ -179,8 +179,7 @@ def judge(reference, maps, truth, coarse, size) -> dict:
     error = np.linalg.norm(one(points[inside]) - there[inside], axis=1).mean()
     numbers = next(iter(found.errors["sensors"].values()))
     return row | {
-        "decision": found.verdict.decision,
-        "reasons": list(found.verdict.reasons),
+        **found.verdict.to_dict(),
         "error": round(float(error), 3),
         "outlines": bool(numbers["by_outlines"]),
         "step": numbers["step"],
@@ -206,7 +205,7 @@ def main() -> None:
         for number in range(arguments.first, arguments.first + count):
             rng = np.random.default_rng([arguments.seed, int(same), number])
             rows.append({"true": same, "number": number} | judge(*pair(pictures, rng, same=same)))
-            print(rows[-1], flush=True)
+            print({k: v for k, v in rows[-1].items() if k != "numbers"}, flush=True)
             if arguments.json:
                 arguments.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
     summarise(rows)

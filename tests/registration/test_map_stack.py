@@ -6,6 +6,9 @@ from scipy import ndimage
 
 from levkas.geometry.transforms import Affine
 from levkas.registration import BandImage, RegistrationRefused, register
+from levkas.registration.bands import sqrt_images
+from levkas.registration.features import CameraFeatures, GreyImages
+from levkas.registration.initial import find_coarse_transform
 from levkas.registration.map_stack import gather_signal
 from levkas.registration.window_matching import search_windows
 
@@ -102,6 +105,18 @@ def test_a_picture_at_a_sixth_of_the_sampling_is_off_by_a_fortieth_of_its_px(pai
     points = np.array([[80.0, 80.0], [450.0, 360.0], [820.0, 80.0], [80.0, 640.0], [820.0, 640.0]])
     errors = np.linalg.norm(found.transforms["t"](points) - points @ linear.T - SHIFT, axis=1)
     assert errors.mean() < 1 / 40 and found.verdict.decision == "accept"
+
+
+def test_key_points_start_maps_of_which_a_px_is_eight_of_the_photograph(painting):
+    maps = scan(painting, 1, 25.0)
+    ours, theirs = (
+        CameraFeatures(GreyImages(list(sqrt_images(bands).values())))
+        for bands in ([photograph(painting, 5)], gather_signal(maps))
+    )
+    begun = find_coarse_transform(ours, theirs)
+    points = np.array([[0.2, 0.3], [0.8, 0.7]]) * painting.shape[:0:-1]
+    errors = begun.transform(points) - points @ LINEAR.T - SHIFT
+    assert not begun.by_outlines and np.abs(errors).max() < 2
 
 
 def test_maps_of_a_reference_lie_on_one_another_as_they_are(painting):

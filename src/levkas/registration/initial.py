@@ -18,7 +18,7 @@ import numpy as np
 
 from levkas.core.problems import Problem
 from levkas.core.threads import each
-from levkas.geometry.transforms import Affine, Homography, Polynomial, Transform
+from levkas.geometry.transforms import Affine, Composed, Homography, Inverse, Polynomial, Transform
 from levkas.registration.advice import (
     BETWEEN,
     LEAST_PAIRS,
@@ -76,6 +76,8 @@ class InitialSettings:
         Pairs of such a set: four determine a homography, two more agree with it.
     pair_share : float
         Share of the longer side up to which they agree, as far as a search on coarse grids makes good.
+    coarse_sampling : float
+        Longer side of the reference over that of maps of a scan, to which it is reduced before key points are found.
     """
 
     long_side: int = 1000
@@ -91,6 +93,7 @@ class InitialSettings:
     candidates: int = 3
     least_pairs: int = 6
     pair_share: float = 0.005
+    coarse_sampling: float = 2.0
 
 
 SETTINGS = InitialSettings()
@@ -157,6 +160,25 @@ def find_initial_transform(
             break
     found = _search_widely(reference.at(SETTINGS.long_side), target.at(SETTINGS.long_side))
     return found or _by_directions(reference, target)
+
+
+def find_coarse_transform(
+    reference: CameraFeatures, target: CameraFeatures
+) -> InitialTransform | None:
+    """Return the initial transform of a target that is sampled far more coarsely than the reference, as maps of a scan are.
+
+    Key points agree as closely as the coarser picture shows them: the reference is reduced to about its sampling. Where that
+    gives none, since the target shows a small part of the reference, the whole is searched as any other.
+    """
+    share = SETTINGS.coarse_sampling * max(target.greys[0].shape) / max(reference.greys[0].shape)
+    if share > 0.5:
+        return find_initial_transform(reference, target)
+    reduced, back = reference.reduced(share)
+    found = find_initial_transform(reduced, target)
+    if found is not None and not found.by_outlines:
+        whole = Composed(Inverse(back), found.transform)
+        return replace(found, transform=whole, reference=back(found.reference))
+    return find_initial_transform(reference, target)
 
 
 def _by_directions(reference: CameraFeatures, target: CameraFeatures) -> InitialTransform | None:

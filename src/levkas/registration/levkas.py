@@ -29,6 +29,7 @@ from levkas.registration.features import CameraFeatures, GreyImages
 from levkas.registration.initial import (
     begin_with,
     begin_with_pairs,
+    find_coarse_transform,
     find_initial_transform,
     start_candidates,
 )
@@ -87,6 +88,7 @@ def register_levkas(request: Request, options: LevkasOptions) -> Registration:
     names = list(dict.fromkeys(i.sensor for i in target if not own or i.sensor != anchor.sensor))
     if names:
         stack, one_scan = base.stack(transforms), request.one_scan
+        by_key_points = find_coarse_transform if one_scan else find_initial_transform
 
         def pictures_of(name: str) -> tuple[list[BandImage], dict[str, np.ndarray], CameraFeatures]:
             bands = by_wavelength([image for image in target if image.sensor == name])
@@ -97,7 +99,7 @@ def register_levkas(request: Request, options: LevkasOptions) -> Registration:
             pictures = {b.label: base.images[b.label] for b in shown} if own else sqrt_images(shown)
             return bands, pictures, CameraFeatures(GreyImages(list(pictures.values())))
 
-        def register_one(name: str, begin: Begin = find_initial_transform) -> RegisteredSensor:
+        def register_one(name: str, begin: Begin = by_key_points) -> RegisteredSensor:
             by_hand = request.given.get(name)
             if by_hand and by_hand.accepted:
                 bands = by_wavelength([image for image in target if image.sensor == name])
