@@ -1,5 +1,7 @@
 """A campaign with a stack of element maps beside a photograph is built without a click."""
 
+import shutil
+
 import cv2
 import numpy as np
 import pytest
@@ -9,7 +11,11 @@ import levkas
 from levkas.building import build, summarise
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
+from levkas.core.problems import Refused
 from levkas.core.text import read_json
+from levkas.readers.frames import read_frame
+from levkas.stages.calibrate import calibrate
+from levkas.stages.template_cache import TemplateCache
 
 CAMPAIGN = """
 [campaign]
@@ -59,6 +65,44 @@ def test_the_bands_of_a_stack_have_the_names_of_its_maps(campaign):
     captures, *_ = find_captures(load_campaign(campaign))
     (capture,) = (one for one in captures if one.camera == "xrf")
     assert tuple(band.label for band in capture.bands) == NAMES
+
+
+@pytest.fixture(scope="module")
+def files(campaign, tmp_path_factory):
+    """The same maps in a file each: ``Pb_L.tif``, ``Hg_L.tif`` and so on in the object's folder."""
+    folder = tmp_path_factory.mktemp("files")
+    (folder / "xrf/icon1").mkdir(parents=True)
+    stack = read_frame(campaign / "xrf/icon1.dms")
+    for k, name in enumerate(NAMES):
+        cv2.imwrite(str(folder / f"xrf/icon1/{name.replace('_', '-')}.tif"), stack[..., k])
+    (folder / "photo").symlink_to(campaign / "photo")
+    text = CAMPAIGN.format(suffix="tif").replace("{target}.tif", "{target}/{band}.tif")
+    (folder / "campaign.toml").write_text(text)
+    return folder
+
+
+def calibrated(folder):
+    loaded = load_campaign(folder)
+    captures, *_ = find_captures(loaded)
+    (capture,) = (one for one in captures if one.camera == "xrf")
+    return calibrate(capture, loaded, TemplateCache(folder / "kept"))
+
+
+def test_maps_in_a_file_each_are_those_of_a_stack(campaign, files):
+    whole, apart = (calibrated(folder).cubes[""] for folder in (campaign, files))
+    names = [band.label.replace("-", "_") for band in apart.bands]
+    order = [names.index(name) for name in NAMES]
+    np.testing.assert_array_equal(apart.values[..., order], whole.values)
+
+
+def test_a_map_of_another_size_is_refused_by_its_name(files, tmp_path):
+    (tmp_path / "xrf").mkdir()
+    shutil.copytree(files / "xrf/icon1", tmp_path / "xrf/icon1")
+    shutil.copytree(files / "photo", tmp_path / "photo")
+    shutil.copy(files / "campaign.toml", tmp_path)
+    cv2.imwrite(str(tmp_path / "xrf/icon1/Hg-L.tif"), np.ones((90, 111), np.float32))
+    with pytest.raises(Refused, match="Hg-L differs in size"):
+        calibrated(tmp_path)
 
 
 @pytest.mark.slow

@@ -117,6 +117,7 @@ KINDS: dict[str, CameraKind] = {
         one_scan=True,
         declares_shots=True,
         keys=("bands",),
+        fields=("band", "wavelength"),
         rank=0,
     ),
 }

@@ -9,16 +9,17 @@ from levkas.core.cube import Cube
 from levkas.core.flags import Flag
 from levkas.core.problems import Problem
 from levkas.readers.facts import UnreadableCapture
-from levkas.stages.calibrate import cube_of
+from levkas.readers.frames import read_plane
+from levkas.stages.calibrate import cube_of, require_one_size
 
 MOST_MAPS = 200
 """Of one stack; programs for X-ray fluorescence fit some twenty elements, and a stack of more holds spectra."""
 
 
 def develop_maps(context: SensorContext) -> tuple[Cube, list[str]]:
-    """A stack of maps, its values as they are; what is not finite is outside of the scan.
+    """A stack of maps, in one file or a file each, its values as they are; what is not finite is outside of the scan.
 
-    Raises UnreadableCapture where the stack holds spectra, not maps.
+    Raises UnreadableCapture where the stack holds spectra, not maps, and CalibrationRefused where files differ in size.
     """
     frame = context.sensor.object[0]
     count = len(context.sensor.bands)
@@ -34,7 +35,12 @@ def develop_maps(context: SensorContext) -> tuple[Cube, list[str]]:
                 "Fit the elements first, with PyMca for instance, and name their maps.",
             )
         )
-    values = np.ascontiguousarray(read_cube(frame), np.float32)
+    if frame.band is None:
+        values = np.ascontiguousarray(read_cube(frame), np.float32)
+    else:
+        require_one_size(context)
+        planes = [read_plane(one.path, page=one.page) for one in context.sensor.object]
+        values = np.stack([np.asarray(plane, np.float32) for plane in planes], -1)
     outside = ~np.isfinite(values)
     flags = np.where(outside, np.uint8(Flag.OUTSIDE), np.uint8(0))
     values = np.where(outside, np.float32(np.nan), values)

@@ -425,7 +425,7 @@ def _frames_and_bands(
     if bands_in == "pattern" or (sensor and pattern):
         facts = index.facts(first) if pattern is None else None
         return frames, *bands_of_mosaic(camera, pattern, names, facts)
-    if bands_in != "files":
+    if bands_in != "files" and all(band_key(f) is None for f in frames):
         bands = bands_in_file(camera, sensor, index.facts(first))
         if camera.traits.reads_pages:
             _check_counts(index, camera, frames[1:], len(bands))
