@@ -50,6 +50,8 @@ def test_pairs_of_which_two_in_five_are_wrong_register_what_the_pictures_alone_d
     found = register([reference], [target], reference_band="r", given=given)
     np.testing.assert_allclose(found.transforms["heat"](INSIDE), truth(INSIDE), atol=0.4)
     assert found.verdict.decision != "refuse"
+    counted = found.errors["sensors"][""]["start_pairs"]
+    assert counted["given"] == 50 and 30 <= counted["agreeing"] <= 31 and counted["used"]
 
 
 def test_wrong_pairs_are_refused_as_no_pairs_are(hard):
@@ -72,7 +74,12 @@ def test_pairs_move_nothing_that_the_pictures_register_alone(studio):
     alone, beside = (
         register([one], [two], reference_band="r", given=given) for given in ({}, wrong)
     )
-    assert beside.to_dict() == alone.to_dict()
+    records = [one.to_dict() for one in (alone, beside)]
+    found = [one["errors"]["sensors"][""].pop("start_pairs") for one in records]
+    assert found == [None, {"given": 18, "agreeing": 0, "used": False}]
+    for one in records:
+        one["verdict"]["numbers"]["sensor"].pop("start_pairs")
+    assert records[0] == records[1]
 
 
 def test_sets_of_pairs_are_tried_from_the_largest_to_the_smallest():

@@ -25,6 +25,7 @@ from levkas.registration.fine_displacement import FineDisplacement, measure_fine
 from levkas.registration.initial import SETTINGS as INITIAL
 from levkas.registration.initial import (
     InitialTransform,
+    StartPairs,
     find_initial_transform,
     implausible,
     is_plausible,
@@ -341,6 +342,8 @@ class RegisteredSensor:
         How single lines lie beside the map; None where too few show enough.
     apart_px : float or None
         How far the map lies from a declared alignment, native px; None where none is declared.
+    pairs : StartPairs or None
+        How many pairs of another program agree with the map; None where none are given, or looked for.
     placed : PlacedByHand or None
         The map where it is fitted to a person's pairs alone; there is no `initial` and no `refined` then.
     """
@@ -354,6 +357,7 @@ class RegisteredSensor:
     refined: RefinedMap | None = None
     lines: LineDisplacement | None = None
     apart_px: float | None = None
+    pairs: StartPairs | None = None
     placed: PlacedByHand | None = None
 
     @property

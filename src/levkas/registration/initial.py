@@ -538,6 +538,43 @@ def begin_with(
 # --- from pairs of another program
 
 
+@dataclass(frozen=True)
+class StartPairs:
+    """Pairs of another program beside the map that was found.
+
+    Parameters
+    ----------
+    given, agreeing : int
+        How many there are, and how many agree with the map within 0.5 % of the longer side of the reference, at least 3 px.
+    used : bool
+        Whether they started the search; not where the pictures alone gave the map.
+    """
+
+    given: int
+    agreeing: int
+    used: bool
+
+
+def _pair_reach(shape: tuple[int, ...]) -> float:
+    return max(SETTINGS.reach, SETTINGS.pair_share * max(shape))
+
+
+def agreeing_pairs(transform: Transform, pairs: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return which pairs, (n, 4), agree with a map as closely as those of one candidate do, (n,) bool.
+
+    `shape` is the (height, width) of the reference.
+
+    Examples
+    --------
+    >>> pairs = np.array([[10.0, 10, 12, 10], [50, 20, 90, 20]])
+    >>> agreeing_pairs(Affine.identity(), pairs, (100, 100)).tolist()
+    [True, False]
+    """
+    found = np.nan_to_num(transform(pairs[:, :2]), nan=np.inf)
+    scale = np.sqrt(np.abs(np.linalg.det(transform.jacobian(pairs[:, :2]))))
+    return np.asarray(np.linalg.norm(found - pairs[:, 2:], axis=1) <= _pair_reach(shape) * scale)
+
+
 def start_candidates(pairs: np.ndarray, shape: tuple[int, ...]) -> Iterator[InitialTransform]:
     """Yield the transforms on which pairs agree, wrong ones among them: that of the largest set, then of those that are left.
 
@@ -556,7 +593,7 @@ def start_candidates(pairs: np.ndarray, shape: tuple[int, ...]) -> Iterator[Init
     >>> int(begun.count), begun.transform(np.array([[50.0, 60.0]])).round(3).tolist()
     (12, [[55.0, 65.0]])
     """
-    reach = max(SETTINGS.reach, SETTINGS.pair_share * max(shape))
+    reach = _pair_reach(shape)
     left = np.isfinite(pairs).all(1)
     for _ in range(SETTINGS.candidates):
         rows = np.flatnonzero(left)

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +27,8 @@ from levkas.registration.coarse_to_fine import (
 )
 from levkas.registration.features import CameraFeatures, GreyImages
 from levkas.registration.initial import (
+    StartPairs,
+    agreeing_pairs,
     begin_with,
     begin_with_pairs,
     find_coarse_transform,
@@ -111,9 +113,9 @@ def register_levkas(request: Request, options: LevkasOptions) -> Registration:
             labels = [image.label for image in target if image.sensor == name]
             return _of_all_maps(found, labels, stack.shape) if one_scan else found
 
-        def pairs_of(name: str) -> np.ndarray:
+        def pairs_of(name: str, *, refused: bool) -> np.ndarray:
             given = request.given.get(name) or ManualPoints()
-            if options.starts is None:
+            if options.starts is None or not refused:
                 return given.starts
             greys = base.keys.greys[0], pictures_of(name)[2].greys[0]
             return np.concatenate([given.starts, matched_pairs(options.starts, *greys)])
@@ -130,7 +132,7 @@ def _register_sensors(
     register_one: Callable[..., RegisteredSensor],
     align: Mapping[str, Transform],
     known: Mapping[str, Transform],
-    pairs_of: Callable[[str], np.ndarray],
+    pairs_of: Callable[..., np.ndarray],
     shape: tuple[int, int],
 ) -> list[RegisteredSensor]:
     """Register every sensor by itself; where a declared alignment helps or contradicts, begin with it too, and where the verdict refuses, with pairs.
@@ -191,20 +193,34 @@ def _begun_anew(
 def _begun_with_pairs(
     one: RegisteredSensor | RegistrationRefused,
     again: Callable[[Begin], RegisteredSensor],
-    pairs: Callable[[], np.ndarray],
+    pairs: Callable[..., np.ndarray],
     shape: tuple[int, int],
 ) -> RegisteredSensor | RegistrationRefused:
-    """Register a refused sensor again from where pairs put it; return the first map that is not refused, else what it was."""
+    """Register a refused sensor again from where pairs put it; return the first map that is not refused, else what it was.
+
+    Where there is a map, how many of the pairs agree with it is counted.
+    """
     if isinstance(one, RegisteredSensor) and (one.placed or not _is_refused(one)):
-        return one
-    for candidate in start_candidates(pairs(), shape):
+        return _counted(one, pairs(refused=False), shape, used=False)
+    every = pairs(refused=True)
+    for candidate in start_candidates(every, shape):
         try:
             other = again(partial(begin_with_pairs, candidate))
         except RegistrationRefused:
             continue
         if not _is_refused(other):
-            return other
-    return one
+            return _counted(other, every, shape, used=True)
+    return _counted(one, every, shape, used=False) if isinstance(one, RegisteredSensor) else one
+
+
+def _counted(
+    one: RegisteredSensor, pairs: np.ndarray, shape: tuple[int, int], *, used: bool
+) -> RegisteredSensor:
+    """Return a sensor with how many pairs of another program agree with its map."""
+    if not len(pairs) or one.base is None:
+        return one
+    agreeing = int(agreeing_pairs(one.base, pairs, shape).sum())
+    return replace(one, pairs=StartPairs(len(pairs), agreeing, used))
 
 
 def _is_refused(sensor: RegisteredSensor) -> bool:
@@ -342,6 +358,7 @@ def _numbers(sensor: RegisteredSensor) -> dict[str, Any]:
         "key_points": len(initial.kept) if initial else None,
         "by_outlines": bool(initial and initial.by_outlines),
         "by_pairs": bool(initial and initial.by_pairs),
+        "start_pairs": sensor.pairs and asdict(sensor.pairs),
         "rounds": course.get("rounds"),
         "converged": course.get("converged"),
         "moved": course.get("moved"),
