@@ -80,6 +80,8 @@ class VerdictSettings:
         is refused.
     least_found, least_found_share, least_agreeing_share : float
         Windows that have to be found, in number and as a share; share of them that have to agree.
+    sure_share : float
+        Share of all check windows that agree, from which it does not matter how the search was begun.
     predicted : Limits
         Least share of check windows that match better than 19 of 20 unrelated windows.
     good_steps, bad_px, bad_steps : float
@@ -127,6 +129,7 @@ class VerdictSettings:
     least_found: int = 6
     least_found_share: float = 0.05
     least_agreeing_share: float = 0.6
+    sure_share: float = 0.75
     predicted: Limits = PREDICTED
     good_steps: float = 0.25
     bad_px: float = 1.0
@@ -219,8 +222,9 @@ def more_than_chance(n: Numbers) -> Objection | None:
 
 
 def begins_with_key_points(n: Numbers) -> Objection | None:
-    """Warn of a map that was begun from outlines alone, or from pairs of another program."""
-    if not (n.get("by_outlines") or n.get("by_pairs")):
+    """Warn of a map that was begun from outlines alone, or from pairs of another program, unless windows confirm it nearly everywhere."""
+    confirmed = n.get("windows", 0) > 0 and n["agreeing"] >= SETTINGS.sure_share * n["windows"]
+    if confirmed or not (n.get("by_outlines") or n.get("by_pairs")):
         return None
     begun = "their outlines" if n.get("by_outlines") else "pairs of another program"
     return Objection(
