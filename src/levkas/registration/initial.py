@@ -76,8 +76,8 @@ class InitialSettings:
         Pairs of such a set: four determine a homography, two more agree with it.
     pair_share : float
         Share of the longer side up to which they agree, as far as a search on coarse grids makes good.
-    coarse_sampling : float
-        Longer side of the reference over that of maps of a scan, to which it is reduced before key points are found.
+    coarse_sampling : tuple of float
+        Longer sides of the reference over that of maps of a scan, to which it is reduced before key points are found.
     """
 
     long_side: int = 1000
@@ -93,7 +93,7 @@ class InitialSettings:
     candidates: int = 3
     least_pairs: int = 6
     pair_share: float = 0.005
-    coarse_sampling: float = 2.0
+    coarse_sampling: tuple[float, ...] = (2.0, 4.0)
 
 
 SETTINGS = InitialSettings()
@@ -146,10 +146,14 @@ def _scale(transform: Transform, points: np.ndarray) -> float:
 def find_initial_transform(
     reference: CameraFeatures, target: CameraFeatures
 ) -> InitialTransform | None:
-    """Return the map that key points agree on, or None where they do not.
+    """Return the map that key points agree on, or that outlines do, or None.
 
-    The first picture of each is tried first, then all pairs of them, at last the first ones widely.
+    The first picture of each is tried first, then all pairs of them, then the first ones widely, at last outlines.
     """
+    return _by_key_points(reference, target) or _by_directions(reference, target)
+
+
+def _by_key_points(reference: CameraFeatures, target: CameraFeatures) -> InitialTransform | None:
     for side in (SETTINGS.long_side, 2 * SETTINGS.long_side):
         ours, theirs = reference.at(side), target.at(side)
         for pairs in ([(0, 0)], _other_pairs(len(reference.greys), len(target.greys))):
@@ -158,8 +162,7 @@ def find_initial_transform(
                 return found
         if max(max(pictures.greys[0].shape) for pictures in (reference, target)) <= side:
             break
-    found = _search_widely(reference.at(SETTINGS.long_side), target.at(SETTINGS.long_side))
-    return found or _by_directions(reference, target)
+    return _search_widely(reference.at(SETTINGS.long_side), target.at(SETTINGS.long_side))
 
 
 def find_coarse_transform(
@@ -167,18 +170,19 @@ def find_coarse_transform(
 ) -> InitialTransform | None:
     """Return the initial transform of a target that is sampled far more coarsely than the reference, as maps of a scan are.
 
-    Key points agree as closely as the coarser picture shows them: the reference is reduced to about its sampling. Where that
-    gives none, since the target shows a small part of the reference, the whole is searched as any other.
+    Key points agree as closely as the coarser picture shows them: the reference is reduced to about its sampling, then, since the
+    target may show a part of the reference, half as much; at last outlines are compared.
     """
-    share = SETTINGS.coarse_sampling * max(target.greys[0].shape) / max(reference.greys[0].shape)
-    if share > 0.5:
+    ratio = max(target.greys[0].shape) / max(reference.greys[0].shape)
+    shares = [share for times in SETTINGS.coarse_sampling if (share := times * ratio) <= 0.5]
+    if not shares:
         return find_initial_transform(reference, target)
-    reduced, back = reference.reduced(share)
-    found = find_initial_transform(reduced, target)
-    if found is not None and not found.by_outlines:
-        whole = Composed(Inverse(back), found.transform)
-        return replace(found, transform=whole, reference=back(found.reference))
-    return find_initial_transform(reference, target)
+    for reduced, back in map(reference.reduced, shares):
+        found = _by_key_points(reduced, target)
+        if found is not None:
+            whole = Composed(Inverse(back), found.transform)
+            return replace(found, transform=whole, reference=back(found.reference))
+    return _by_directions(reference, target)
 
 
 def _by_directions(reference: CameraFeatures, target: CameraFeatures) -> InitialTransform | None:
