@@ -10,6 +10,7 @@ from levkas.registration.bands import sqrt_images
 from levkas.registration.features import CameraFeatures, GreyImages
 from levkas.registration.initial import find_coarse_transform
 from levkas.registration.map_stack import gather_signal
+from levkas.registration.verdict_rules import lines_lie_still
 from levkas.registration.window_matching import search_windows
 
 COARSE = 8
@@ -125,6 +126,18 @@ def test_maps_of_a_reference_lie_on_one_another_as_they_are(painting):
     corner = np.array([[100.0, 80.0]])
     assert all(np.array_equal(one(corner), corner) for one in found.transforms.values())
     assert found.verdict.decision == "accept" and found.transforms.keys() == found.sigma.keys()
+
+
+def test_lines_of_a_scan_that_lie_a_sixth_of_its_px_aside_are_reported_and_no_doubt():
+    comb = {"picture": "target", "lines": "rows", "course": "comb", "size_px": 2.6, "rms_px": 1.3, "largest_px": 1.5,
+            "along_px": 1.3, "across_px": 0.0, "period_lines": 2.0, "place": None, "step": 8}  # fmt: skip
+    camera, maps = (
+        lines_lie_still({"line_displacement": comb, **more}) for more in ({}, {"scales": [0.03, 7]})
+    )
+    assert (camera.decision, maps.decision) == ("warn", "unchecked")
+    assert maps.reason == camera.reason
+    far = {**comb, "rms_px": 4.0}
+    assert lines_lie_still({"line_displacement": far, "scales": [0.03, 7]}).decision == "warn"
 
 
 @pytest.mark.slow

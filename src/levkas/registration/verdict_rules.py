@@ -53,7 +53,7 @@ class Limits(NamedTuple):
 ANISOTROPY, AREA_RATIO, SECOND_PEAK_RATIO = Limits(1.5, 2.0), Limits(1.8, 3.0), Limits(0.85, 0.95)
 OVERLAP, COVERAGE, PREDICTED = Limits(0.8, 0.1), Limits(0.9, 0.6), Limits(0.5, 0.2)
 MARKS, LINES = Limits(DISTINCTIVE, 0.15), Limits(0.1, 1.0)
-FINE = Limits(0.1, 1.0)
+FINE, SCAN_LINES = Limits(0.1, 1.0), Limits(0.35, 1.0)
 
 
 @dataclass(frozen=True)
@@ -106,6 +106,8 @@ class VerdictSettings:
     lines : Limits, reference px, or px of the grid where it is coarser
         Displacement of single lines, the root mean square of both axes, or a quarter of a step or of some lines alone. Honest pictures have 0.04 at
         most that is more than chance.
+    scan_lines : Limits, px of the grid
+        The same of maps of a scan, of which a line is known to lie up to a third of a px aside: it is reported.
     fine : Limits, px of the grid
         Displacement of parts smaller than a window, the root mean square over the picture. Pairs that agree have 0.07 at most.
     patch, patch_px : float, px² and px of the grid
@@ -143,6 +145,7 @@ class VerdictSettings:
     least_outlines: int = 14
     least_outlines_share: float = 0.75
     lines: Limits = LINES
+    scan_lines: Limits = SCAN_LINES
     fine: Limits = FINE
     patch: float = 40.0
     patch_px: float = 0.75
@@ -518,7 +521,8 @@ def lines_lie_still(n: Numbers) -> Objection | None:
         return None
     # Beside a step, which smooth maps follow in the mean, half of its height is left; so much counts of some lines alone.
     near = lines["size_px"] / 4 if lines["place"] is not None else 0.0
-    decision = SETTINGS.lines.exceeded_by(max(lines["rms_px"], near) / lines["step"])
+    limits = SETTINGS.scan_lines if n.get("scales") else SETTINGS.lines
+    decision = limits.exceeded_by(max(lines["rms_px"], near) / lines["step"])
     reason, repair = describe_displacement(lines)
     return Objection(decision or "unchecked", reason, repair if decision else "")
 
