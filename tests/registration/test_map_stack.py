@@ -108,16 +108,17 @@ def test_a_picture_at_a_sixth_of_the_sampling_is_off_by_a_fortieth_of_its_px(pai
     assert errors.mean() < 1 / 40 and found.verdict.decision == "accept"
 
 
-def test_key_points_start_maps_of_which_a_px_is_eight_of_the_photograph(painting):
+def test_key_points_and_large_blocks_start_maps_right_to_a_px_in_all_corners(painting):
     maps = scan(painting, 1, 25.0)
     ours, theirs = (
         CameraFeatures(GreyImages(list(sqrt_images(bands).values())))
         for bands in ([photograph(painting, 5)], gather_signal(maps))
     )
     begun = find_coarse_transform(ours, theirs)
-    points = np.array([[0.2, 0.3], [0.8, 0.7]]) * painting.shape[:0:-1]
-    errors = begun.transform(points) - points @ LINEAR.T - SHIFT
-    assert not begun.by_outlines and np.abs(errors).max() < 2
+    corners = np.array([[60.0, 60.0], [840.0, 60.0], [840.0, 660.0], [60.0, 660.0]])
+    errors = begun.transform(corners) - corners @ LINEAR.T - SHIFT
+    # The homography of the key points alone is 3 px off in one corner.
+    assert not begun.by_outlines and np.abs(errors).max() < 0.6
 
 
 def test_maps_of_a_reference_lie_on_one_another_as_they_are(painting):

@@ -18,7 +18,7 @@ import numpy as np
 
 from levkas.core.problems import Problem
 from levkas.core.threads import each
-from levkas.geometry.transforms import Affine, Composed, Homography, Inverse, Polynomial, Transform
+from levkas.geometry.transforms import Affine, Homography, Polynomial, Transform
 from levkas.registration.advice import (
     BETWEEN,
     LEAST_PAIRS,
@@ -40,7 +40,7 @@ from levkas.registration.matching import (
     unique_rows,
 )
 from levkas.registration.models import Observations, fit_similarity
-from levkas.registration.orientation_correlation import match_by_directions
+from levkas.registration.orientation_correlation import match_by_directions, match_near
 from levkas.registration.pose_clustering import REACH, find_pose_cluster
 
 if TYPE_CHECKING:
@@ -171,18 +171,31 @@ def find_coarse_transform(
     """Return the initial transform of a target that is sampled far more coarsely than the reference, as maps of a scan are.
 
     Key points agree as closely as the coarser picture shows them: the reference is reduced to about its sampling, then, since the
-    target may show a part of the reference, half as much; at last outlines are compared.
+    target may show a part of the reference, half as much. A few key points of one part of the object say little of the others: large blocks refine
+    the map by their outlines; where they do not agree with it, or there is none, outlines give it.
     """
     ratio = max(target.greys[0].shape) / max(reference.greys[0].shape)
     shares = [share for times in SETTINGS.coarse_sampling if (share := times * ratio) <= 0.5]
     if not shares:
         return find_initial_transform(reference, target)
+    begun = None
     for reduced, back in map(reference.reduced, shares):
         found = _by_key_points(reduced, target)
         if found is not None:
-            whole = Composed(Inverse(back), found.transform)
-            return replace(found, transform=whole, reference=back(found.reference))
-    return _by_directions(reference, target)
+            places = back(found.reference)
+            stiff = Affine.fit(places[found.kept], found.target[found.kept])
+            begun = replace(found, transform=stiff, reference=places)
+            blocks = match_near(
+                reference.greys[:],
+                target.greys[:],
+                stiff,
+                reference.within,
+                mirrored=found.mirrored,
+            )
+            if blocks is not None:
+                return replace(begun, transform=blocks.transform)
+            break
+    return _by_directions(reference, target) or begun
 
 
 def _by_directions(reference: CameraFeatures, target: CameraFeatures) -> InitialTransform | None:
