@@ -152,3 +152,12 @@ def test_a_matcher_that_is_not_installed_is_refused(tmp_path):
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
     with pytest.raises(CampaignInvalid, match="a matcher of a package which is installed"):
         load_campaign(tmp_path / "campaign.toml")
+
+
+def test_the_report_says_how_many_pairs_agree():
+    from levkas.building.report_pages import _checks
+
+    counts = {"given": 50, "agreeing": 30, "used": True}
+    errors = {"sensors": {"": {"start_pairs": counts}, "far": {"start_pairs": None}}}
+    expected = "Of 50 pairs of another program, 30 agree with the map; they started the search."
+    assert _checks(errors) == expected and _checks({"sensors": {"": {}}}) == ""
