@@ -52,6 +52,15 @@ def test_points_check_by_default_and_seed_where_it_is_said(tmp_path):
     assert given.added.tolist() == [[1, 2, 10, 20], [3, 4, 30, 40]] and not len(given.checks)
 
 
+def test_pairs_of_another_program_are_candidates_and_no_seeds(tmp_path):
+    write_points(PAIRS, tmp_path / "icon1.points", "levkas")
+    given = declared_points(campaign(tmp_path, OWN + 'use = "start"\n'), capture())[""]
+    assert given.starts.tolist() == [[1, 2, 10, 20]] and given.checks.tolist() == [[3, 4, 30, 40]]
+    assert not len(given.fixed) and given.reduced(2).starts[0].tolist() == [1, 2, 4.75, 9.75]
+    with pytest.raises(CampaignInvalid, match="does not try pairs of another program"):
+        campaign(tmp_path, OWN + 'use = "start"\nmethod = "mirhashemi2019"\n')
+
+
 def test_points_marked_as_check_points_never_seed(tmp_path):
     write_points(PAIRS, tmp_path / "icon1.points", "levkas")
     given = declared_points(campaign(tmp_path, OWN + 'use = "seeds"\n'), capture())[""]

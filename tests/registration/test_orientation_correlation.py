@@ -13,7 +13,7 @@ from levkas.registration.orientation_correlation import (
     match_by_directions,
 )
 from levkas.registration.verdict import objections_to
-from levkas.registration.verdict_rules import WINDOWS
+from levkas.registration.verdict_rules import WINDOWS, begins_with_key_points
 
 SIZE = (260, 200)
 
@@ -174,3 +174,10 @@ def test_want_of_evidence_is_a_doubt_where_outlines_agree():
         "second_peak_ratio": 1.2,
     }
     assert "refuse" in [one.decision for one in objections_to(off, WINDOWS)]
+
+
+def test_a_map_begun_from_outlines_is_doubted_unless_windows_confirm_it_nearly_everywhere():
+    confirmed = {**UNSURE, "windows": 80, "found": 80, "agreeing": 78}
+    for agreeing, doubted in ((78, False), (50, True)):
+        objection = begins_with_key_points({**confirmed, "found": agreeing, "agreeing": agreeing})
+        assert (objection is not None) == doubted

@@ -335,7 +335,21 @@ def _links_of_layer(campaign: Campaign, places: Places, capture: Capture) -> lis
 
 
 def _checks(errors: dict[str, Any]) -> str:
-    """Report how far a person's check points are off; empty where there are none."""
+    """Report how far a person's check points are off, and how many pairs of another program agree; empty where there are none."""
+    return " ".join(filter(None, (_check_points(errors), _start_pairs(errors))))
+
+
+def _start_pairs(errors: dict[str, Any]) -> str:
+    sensors = (errors.get("sensors") or {}).items()
+    counts = [(name, one["start_pairs"]) for name, one in sensors if one.get("start_pairs")]
+    return " ".join(
+        f"{name + ': of' if name else 'Of'} {one['given']} pairs of another program, {one['agreeing']} agree with "
+        f"the map; {'they started the search' if one['used'] else 'the pictures alone gave it'}."
+        for name, one in counts
+    )
+
+
+def _check_points(errors: dict[str, Any]) -> str:
     found = errors.get("check_points") or []
     numbers = [one["error"] for one in found if one["error"] is not None]
     if not numbers:

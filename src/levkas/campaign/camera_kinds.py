@@ -27,6 +27,9 @@ class CameraKind:
         Whether a colour chart may take the place of a white frame.
     reads_pages : bool
         Whether it takes all pages of a file, and not the first alone.
+    one_scan : bool
+        Whether its bands are maps of one scan: they share one map, for which the evidence of all is gathered, and may be
+        sampled far more coarsely than the reference.
     declares_shots : bool
         Whether several files of one band are a mistake unless they are declared to be shots.
     keys : tuple of str
@@ -43,6 +46,7 @@ class CameraKind:
     is_scanned: bool = False
     by_chart: bool = False
     reads_pages: bool = False
+    one_scan: bool = False
     declares_shots: bool = False
     keys: tuple[str, ...] = ()
     fields: tuple[str, ...] = ()
@@ -104,6 +108,17 @@ KINDS: dict[str, CameraKind] = {
         is_calibrated=False,
         declares_shots=True,
         keys=("bands",),
+    ),
+    "maps": CameraKind(
+        bands_in="file",
+        develop="levkas.stages.maps:develop_maps",
+        is_calibrated=False,
+        reads_pages=True,
+        one_scan=True,
+        declares_shots=True,
+        keys=("bands",),
+        fields=("band", "wavelength"),
+        rank=0,
     ),
 }
 """Key `kind` of a camera in campaign.toml. A new kind is a row here and the function that it names."""

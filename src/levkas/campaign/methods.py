@@ -2,7 +2,8 @@
 
 A row holds what a campaign has to know of a method, so that it can be checked without the registration
 itself; `levkas.registration` binds the functions of the built-in ones. An installed package adds a method by an
-entry point of the group `levkas.registration`: its name is the method's, and it loads a `Method`. A method that
+entry point of the group `levkas.registration`: its name is the method's, and it loads a `Method`. One of the group
+`levkas.starts` adds a matcher, whose pairs are candidates of a start: a function of two pictures. What
 cannot be loaded is named in a warning; only campaigns that choose it are refused.
 """
 
@@ -18,11 +19,11 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from levkas.campaign.schema.values import Number, Whole
 
-GROUP = "levkas.registration"
+GROUP, STARTS_GROUP = "levkas.registration", "levkas.starts"
 DEFAULT_METHOD = "levkas"
 
 
@@ -32,11 +33,37 @@ class MethodOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+#: Matcher of an installed package → function of two pictures, (h, w) float32 each, NaN where invalid, that returns
+#: pairs, (n, 4): x, y in the first and x, y in the second, px, centres at whole numbers.
+STARTS: dict[str, Callable[[Any, Any], Any]] = {}
+#: Matcher of an installed package → why it cannot be used.
+UNUSABLE_STARTS: dict[str, str] = {}
+
+
+def _installed_matcher(name: Any) -> Any:
+    """Refuse a matcher that is not installed, or cannot be loaded."""
+    if not isinstance(name, str) or name in STARTS:
+        return name
+    if name in UNUSABLE_STARTS:
+        raise ValueError(f"be another one: {name!r} cannot be used, {UNUSABLE_STARTS[name]}")
+    known = f"be one of {', '.join(map(repr, STARTS))}, or " if STARTS else "be "
+    raise ValueError(f"{known}a matcher of a package which is installed beside Levkas")
+
+
 class LevkasOptions(MethodOptions):
-    """Options of the default method: the thresholds of the paper's, which change nothing here."""
+    """Options of the default method.
+
+    Parameters
+    ----------
+    reject, stop : float, reference px
+        The thresholds of the paper's method, which change nothing here.
+    starts : str
+        A key of `STARTS`: where the pictures alone are refused, its pairs are candidates of a start.
+    """
 
     reject: Annotated[Number, Field(gt=0)] | None = None
     stop: Annotated[Number, Field(gt=0)] | None = None
+    starts: Annotated[str, BeforeValidator(_installed_matcher)] | None = None
 
 
 class PaperOptions(MethodOptions):
@@ -79,6 +106,8 @@ class Method:
         Whether every sensor of a camera has matches of its own.
     joint : bool
         Whether captures of a camera can be adjusted together.
+    begins : bool
+        Whether it tries candidates of a start, `ManualPoints.starts`.
     prepared : bool
         Whether the prepared reference is all that it takes of the reference's bands, which are then freed.
     """
@@ -88,12 +117,17 @@ class Method:
     ineffective: frozenset[str] = frozenset()
     per_sensor: bool = True
     joint: bool = False
+    begins: bool = False
     prepared: bool = False
 
 
 METHODS = {
     "levkas": Method(
-        LevkasOptions, ineffective=frozenset({"reject", "stop"}), joint=True, prepared=True
+        LevkasOptions,
+        ineffective=frozenset({"reject", "stop"}),
+        joint=True,
+        begins=True,
+        prepared=True,
     ),
     "mirhashemi2019": Method(PaperOptions, per_sensor=False),
 }
@@ -101,8 +135,8 @@ METHODS = {
 
 #: Method of an installed package → why it cannot be used.
 UNUSABLE: dict[str, str] = {}
-#: Method of an installed package → its module.
-_MODULES: dict[str, str] = {}
+#: Group and name of what an installed package adds → its module.
+_MODULES: dict[tuple[str, str], str] = {}
 
 
 def method_of(keys: dict[str, Any]) -> Method:
@@ -111,15 +145,15 @@ def method_of(keys: dict[str, Any]) -> Method:
 
 
 @cache
-def code_of(name: str) -> str:
-    """Return the hash of the code of an installed package's method: all modules of its top package; empty of a built-in one.
+def code_of(name: str, group: str = GROUP) -> str:
+    """Return the hash of the code of an installed package's method, or matcher: all modules of its top package; empty of a built-in one.
 
     >>> code_of("levkas")
     ''
     """
-    if name not in _MODULES:
+    if (group, name) not in _MODULES:
         return ""
-    path = Path(str(import_module(_MODULES[name].partition(".")[0]).__file__))
+    path = Path(str(import_module(_MODULES[group, name].partition(".")[0]).__file__))
     files = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
     digest = hashlib.sha256()
     for file in files:
@@ -140,22 +174,37 @@ def owners_of(option: str) -> list[str]:
     ]
 
 
-def _load_installed() -> None:
-    """Add the methods of installed packages; warn of those that cannot be loaded."""
-    for entry in entry_points(group=GROUP):
+def _load_installed(
+    group: str,
+    what: str,
+    table: dict[str, Any],
+    unusable: dict[str, str],
+    fault: Callable[[Any], str],
+) -> None:
+    """Add what installed packages have under an entry point group; warn of what cannot be used, or has a `fault`."""
+    for entry in entry_points(group=group):
         try:
-            row = entry.load()
+            found = entry.load()
         except Exception as error:  # whatever the code of another package raises
-            UNUSABLE[entry.name] = f"{entry.value} raises {type(error).__name__}: {error}"
+            unusable[entry.name] = f"{entry.value} raises {type(error).__name__}: {error}"
             continue
-        if isinstance(row, Method) and callable(row.register):
-            if METHODS.setdefault(entry.name, row) is row:
-                _MODULES[entry.name] = entry.module
-        else:
-            UNUSABLE[entry.name] = f"{entry.value} is not a Method with a function"
-    for name, why in UNUSABLE.items():
-        warnings.warn(f"the registration method {name!r} cannot be used: {why}", stacklevel=2)
+        if why := fault(found):
+            unusable[entry.name] = f"{entry.value} is {why}"
+        elif table.setdefault(entry.name, found) is found:
+            _MODULES[group, entry.name] = entry.module
+    for name, why in unusable.items():
+        warnings.warn(f"the {what} {name!r} cannot be used: {why}", stacklevel=2)
+
+
+def _fault_of_method(row: Any) -> str:
+    usable = isinstance(row, Method) and callable(row.register)
+    return "" if usable else "not a Method with a function"
+
+
+def _fault_of_matcher(found: Any) -> str:
+    return "" if callable(found) else "not a function"
 
 
 # Last, so that a package whose method is loaded finds all names of this module.
-_load_installed()
+_load_installed(GROUP, "registration method", METHODS, UNUSABLE, _fault_of_method)
+_load_installed(STARTS_GROUP, "matcher", STARTS, UNUSABLE_STARTS, _fault_of_matcher)

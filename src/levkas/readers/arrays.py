@@ -28,6 +28,8 @@ LONGEST_TEXT = 4 * 256
 """Bytes of a text in an .npz."""
 MOST_MEMBERS = 64
 """Of an .npz; the largest model of Levkas has 11."""
+MOST_LINKS, DEEPEST_GROUP = 20_000, 8
+"""Links of an HDF5 file that are looked at, and groups within groups; results of PyMca have some hundred in five."""
 STORED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 SHUFFLE, DEFLATE = 2, 1
 """Filters of HDF5 that are undone here; others, plug-ins among them, are refused."""
@@ -151,15 +153,7 @@ def read_hdf5(path: Path, name: str, shape: Shape) -> np.ndarray:
     UnreadableCapture
         ``E_MISSING`` without h5py.
     """
-    try:
-        import h5py
-    except ImportError:
-        raise unreadable(
-            path,
-            "HDF5 and MATLAB 7.3 need h5py, which is not installed",
-            code="E_MISSING",
-            fix="Run: pip install 'levkas[export]', or save it as .npy.",
-        ) from None
+    h5py = _h5py(path)
     with _reading(path, f"an HDF5 file or MATLAB 7.3 with {name!r}"), h5py.File(path, "r") as file:
         link = file.get(name, getlink=True)
         if not isinstance(link, h5py.HardLink):
@@ -178,6 +172,56 @@ def read_hdf5(path: Path, name: str, shape: Shape) -> np.ndarray:
         if found.size and found.id.get_storage_size() != found.nbytes:
             raise ValueError(f"{name!r} has no numbers")
         return np.asarray(found[()])
+
+
+def list_hdf5(path: Path, group: str) -> dict[str, tuple[int, ...]]:
+    """Return the data sets of numbers in all groups of an HDF5 file whose name ends with `group`, by their full name, and their shapes.
+
+    Only hard links are followed: others could lead to any file of this computer.
+
+    Raises
+    ------
+    UnreadableCapture
+        ``E_MISSING`` without h5py.
+    """
+    h5py = _h5py(path)
+    found: dict[str, tuple[int, ...]] = {}
+    left = MOST_LINKS
+
+    def walk(parent: Any, name: str, depth: int) -> None:
+        nonlocal left
+        for key in parent:
+            left -= 1
+            if left < 0:
+                raise ValueError(f"more than {MOST_LINKS} links")
+            if not isinstance(parent.get(key, getlink=True), h5py.HardLink):
+                continue
+            one = parent[key]
+            if isinstance(one, h5py.Group) and depth < DEEPEST_GROUP:
+                walk(one, f"{name}/{key}", depth + 1)
+            elif name.endswith(f"/{group}") and _holds_numbers(one):
+                found[f"{name}/{key}"] = one.shape
+
+    with _reading(path, f"an HDF5 file with a group {group!r}"), h5py.File(path, "r") as file:
+        walk(file, "", 0)
+    return found
+
+
+def _holds_numbers(one: Any) -> bool:
+    return getattr(getattr(one, "dtype", None), "kind", "") in tuple(NUMBERS)
+
+
+def _h5py(path: Path) -> Any:
+    try:
+        import h5py
+    except ImportError:
+        raise unreadable(
+            path,
+            "HDF5 and MATLAB 7.3 need h5py, which is not installed",
+            code="E_MISSING",
+            fix="Run: pip install 'levkas[export]', or save it as .npy.",
+        ) from None
+    return h5py
 
 
 def _join_chunks(data: Any) -> np.ndarray:

@@ -43,9 +43,9 @@ class Facts:
     ----------
     path : Path
     kind : str
-        ``"tiff"``, ``"png"``, ``"jpeg"``, ``"raw"`` or ``"envi"``.
+        ``"tiff"``, ``"png"``, ``"jpeg"``, ``"raw"``, ``"envi"``, or of a stack of maps ``"ripple"``, ``"dms"``, ``"hdf5"`` or ``"table"``.
     shape : tuple of int
-        (h, w) or (h, w, samples) of one page; for ENVI (lines, samples, bands).
+        (h, w) or (h, w, samples) of one page; for ENVI and stacks of maps (lines, samples, bands).
     dtype : str
     pages : int
         Full-size pages of a TIFF; previews and masks are not counted.

@@ -81,7 +81,13 @@ READERS = {
     ),
     "raw": Reader("levkas.readers.raw", "read_raw_facts", "read_raw_mosaic"),
     "envi": Reader("levkas.readers.envi", "read_envi_facts", "read_envi"),
+    "ripple": Reader("levkas.readers.map_stacks", "read_ripple_facts", "read_ripple"),
+    "dms": Reader("levkas.readers.map_stacks", "read_dms_facts", "read_dms"),
+    "hdf5": Reader("levkas.readers.map_stacks", "read_hdf5_facts", "read_hdf5_maps"),
+    "table": Reader("levkas.readers.map_stacks", "read_table_facts", "read_table"),
 }
+STACKS = {".rpl": "ripple", ".dms": "dms", ".h5": "hdf5", ".hdf5": "hdf5", ".csv": "table"}
+"""Suffixes of stacks of maps, whose first bytes name nothing."""
 RENDERED = frozenset(suffix for reader in READERS.values() for suffix in reader.suffixes)
 """Suffixes of files whose first bytes name the format."""
 ALONE = (RENDERED | {*RAW_SUFFIXES}) - {*DATA_SUFFIXES}
@@ -89,7 +95,7 @@ ALONE = (RENDERED | {*RAW_SUFFIXES}) - {*DATA_SUFFIXES}
 
 
 def kind_of(path: str | Path) -> str:
-    """Return ``"tiff"``, ``"png"``, ``"jpeg"``, ``"raw"`` or ``"envi"`` from name and first bytes.
+    """Return ``"tiff"``, ``"png"``, ``"jpeg"``, ``"raw"``, ``"envi"``, ``"ripple"``, ``"dms"``, ``"hdf5"`` or ``"table"`` from name and first bytes.
 
     A header beside decides that ``.raw``, ``.dat``, ``.img``, … are ENVI; without one ``.raw`` is
     taken for a camera raw.
@@ -102,6 +108,8 @@ def kind_of(path: str | Path) -> str:
     path = Path(path)
     suffix = path.suffix.lower()
     head = _first_bytes(path)
+    if suffix in STACKS:
+        return STACKS[suffix]
     named = next((kind for kind, row in READERS.items() if head.startswith(row.signatures)), "")
     for signature, name in FOREIGN.items():
         if not named and head.startswith(signature):
@@ -124,7 +132,7 @@ def kind_of(path: str | Path) -> str:
 
 
 def files_of(path: str | Path) -> tuple[Path, ...]:
-    """Return every file that a frame is read from: of an ENVI cube its header and its data.
+    """Return every file that a frame is read from: of an ENVI cube or a Ripple stack its header and its data.
 
     A cube that cannot be opened is what is there of it.
 
@@ -135,6 +143,10 @@ def files_of(path: str | Path) -> tuple[Path, ...]:
     """
     path = Path(path)
     suffix = path.suffix.lower()
+    if suffix == ".rpl":
+        from levkas.readers.map_stacks import ripple_data
+
+        return path, ripple_data(path)
     if suffix != ".hdr" and (suffix in ALONE or find_header(path) is None):
         return (path,)
     from levkas.readers.envi import open_envi

@@ -42,6 +42,7 @@ FURTHER = {
     "layer",
     "target_region",
     "align",
+    "one_scan",
     "reference_transforms",
     "reference_sigma",
     "prepared",

@@ -112,6 +112,8 @@ class BandImage:
         Name of the sensor; bands of one sensor share its native px.
     sites : Sites or None
         Of a band of a mosaic, where it was measured; None where all px were, or nobody knows.
+    one_scan : bool
+        Whether the bands of its sensor are pictures of one scan, which lie on one another: they share one map.
     """
 
     label: str
@@ -120,6 +122,7 @@ class BandImage:
     valid: np.ndarray
     sensor: str = ""
     sites: Sites | None = None
+    one_scan: bool = False
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.shape != self.valid.shape:

@@ -8,7 +8,7 @@ follow windows that are off, and take the next ones along.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -29,9 +29,10 @@ from levkas.registration.coarse_detail import (
     mean_shift,
 )
 from levkas.registration.fine_displacement import FineDisplacement, measure_fine_displacement
+from levkas.registration.initial import SETTINGS as INITIAL
 from levkas.registration.initial import (
     InitialTransform,
-    begin_with,
+    StartPairs,
     find_initial_transform,
     implausible,
     is_plausible,
@@ -78,6 +79,7 @@ if TYPE_CHECKING:
     from levkas.registration.window_matching import CheckWindows
 
 Item = TypeVar("Item")
+Begin = Callable[["CameraFeatures", "CameraFeatures"], InitialTransform | None]
 
 
 @dataclass(frozen=True)
@@ -133,6 +135,8 @@ class RefinementSettings:
 
 Light = Literal["same", "other", "unknown"]
 SETTINGS = RefinementSettings()
+COARSE_SCALES = (1 / 30, INITIAL.scales[1])
+"""Native px per reference px of maps of one scan: 4 to 20 px of a photograph lie in one of theirs, and half as many again."""
 
 
 @dataclass(frozen=True)
@@ -158,6 +162,16 @@ class SensorTask:
     mask: np.ndarray
     initial: InitialTransform
     by_hand: ManualPoints
+
+    @property
+    def one_scan(self) -> bool:
+        """Whether the bands are pictures of one scan: they share one map, and what checks it is gathered over all."""
+        return self.bands[0].one_scan
+
+    @property
+    def scales(self) -> tuple[float, float]:
+        """Native px per reference px of a plausible map."""
+        return COARSE_SCALES if self.one_scan else INITIAL.scales
 
     @cached_property
     def scale(self) -> float:
@@ -192,12 +206,22 @@ class SensorTask:
         size = (self.reference.shape[0] // step, self.reference.shape[1] // step)
         scale, sites = self.scale, band.sites if image is None else None
         image = self.images[band.label] if image is None else image
-        if sites is not None and max(1, round(scale / 1.2)) * step == 1:
+        if sites is not None and self._block(scale, step) == 1:
             image = sites.filled(image)
         elif sites is not None:
             image, scale = sites.picture(image), scale / sites.period
             transform = Composed(transform, sites.transform)
-        return resample_band(image, transform, size, step, block=max(1, round(scale / 1.2)))
+        return resample_band(image, transform, size, step, count=self._block(scale, step))
+
+    def _block(self, scale: float, step: int) -> int:
+        """Return the side of the blocks that are averaged for a grid, px of which `scale` make a reference px.
+
+        Where the finest grid is coarser than the reference, since a px of the band is, they are about one px of the grid: few of
+        the band, often one.
+        """
+        if self.finest_step > 1:
+            return max(1, round(scale * step / 1.2))
+        return max(1, round(scale / 1.2)) * step
 
     def measure_shifts(
         self, bands: Sequence[BandImage], own: Sequence[Transform], base: Transform, step: int
@@ -261,6 +285,8 @@ class SensorTask:
         Its wavelength says so. Where it has none, two pictures in colours do; one picture stored as three alike is of
         unknown light.
         """
+        if self.one_scan:
+            return "other"
         if np.isfinite(band.wavelength):
             return "same" if self.reference.covers(band.wavelength) else "other"
         among = evenly_spread(self.bands, 3) if self.reference.has_colours else []
@@ -271,8 +297,10 @@ class SensorTask:
     def measure_marks(self, found: RefinedMap) -> Marks | None:
         """Compare marks on a grid about as fine as the coarser picture, around the windows that confirm a map.
 
-        On a finer one, marks of the finer picture are fine detail that the coarser one cannot show.
+        On a finer one, marks of the finer picture are fine detail that the coarser one cannot show. Maps of a scan show no marks.
         """
+        if self.one_scan:
+            return None
         best = [band.label for band in self.bands].index(found.course["band"])
         step = max(1, round(1 / self.scale))
         whole = Composed(found.chromatic.transform(best), found.base)
@@ -356,6 +384,8 @@ class RegisteredSensor:
         Of lines that are displaced, which the maps follow; `refined` is of the picture put right.
     apart_px : float or None
         How far the map lies from a declared alignment, native px; None where none is declared.
+    pairs : StartPairs or None
+        How many pairs of another program agree with the map; None where none are given, or looked for.
     placed : PlacedByHand or None
         The map where it is fitted to a person's pairs alone; there is no `initial` and no `refined` then.
     """
@@ -370,6 +400,7 @@ class RegisteredSensor:
     lines: LineDisplacement | None = None
     correction: LineCorrection | None = None
     apart_px: float | None = None
+    pairs: StartPairs | None = None
     placed: PlacedByHand | None = None
 
     @property
@@ -390,7 +421,7 @@ def register_sensor(
     theirs: CameraFeatures,
     by_hand: ManualPoints | None = None,
     reference_sigma: Mapping[str, Sigma] | None = None,
-    declared: Transform | None = None,
+    begin: Begin = find_initial_transform,
 ) -> RegisteredSensor:
     """Register the bands of one sensor of another camera to the reference.
 
@@ -407,19 +438,15 @@ def register_sensor(
         Pairs by hand: they start the search where key points do not, and weigh as a hand can point.
     reference_sigma : mapping of label to Sigma, optional
         Uncertainty of the reference's own bands.
-    declared : Transform, optional
-        Reference px → native px, from which to begin instead of from key points.
+    begin : callable
+        Returns the initial transform of two cameras' key points, or None; by default from these alone.
 
     Raises
     ------
     RegistrationRefused
         ``E_MATCHES``, ``E_WINDOWS``, ``E_SCALE`` or ``E_FOLD``.
     """
-    initial = (
-        find_initial_transform(ours, theirs)
-        if declared is None
-        else begin_with(declared, ours, theirs)
-    )
+    initial = begin(ours, theirs)
     by_hand = by_hand or ManualPoints()
     if by_hand:
         initial = seed_with_points(initial, by_hand, ours, theirs)
@@ -454,6 +481,8 @@ def register_sensor(
         blocks = match_blocks(ours.greys[:], theirs.greys[:], whole, ours.within)
         found.verification["outlines"] = blocks.to_dict()
         coarse = blocks.tolerance
+    if task.one_scan:
+        found.verification["scales"] = list(task.scales)
     fine, marks = task.measure_fine(found), task.measure_marks(found)
     of_lines = {"line_displacement": lines, "line_correction": correction}
     for name, one in {**of_lines, "fine_displacement": fine, "marks": marks}.items():
@@ -597,7 +626,7 @@ class _Refinement:
             before = self.base
             self._fit(step, SelectionTerms(stiff=self.stiff, depth_step=step == self.step))
             moved = base_change(before, self.base, self.selected.observations.points)
-            if len(bands) > 1:
+            if len(bands) > 1 and not self.task.one_scan:
                 common = base_change(before, self.base, self.windows[0].centres)
                 self.chromatic = fit_chromatic(
                     self.windows, self.chromatic, wavelengths, common=common
@@ -636,17 +665,20 @@ class _Refinement:
 
     def _test(self, best: int, step: int) -> PermutationTest:
         whole = Composed(self.chromatic.transform(best), self.base)
-        image = self.task.resample(self.task.bands[best], whole, step)
-        return run_permutation_test(self.task.reference.predictor(step), image)
+        bands = self.task.bands if self.task.one_scan else [self.task.bands[best]]
+        images = [self.task.resample(band, whole, step) for band in bands]
+        return run_permutation_test(self.task.reference.predictor(step), images)
 
     def _check(self, selected: SelectedModel) -> None:
         points = selected.observations.points
         box = (*points.min(0), *points.max(0))
         mirrored, sensor = self.task.initial.mirrored, self.task.bands[0].sensor or None
-        if not is_plausible(selected.transform, box, mirrored):
+        scales = self.task.scales
+        if not is_plausible(selected.transform, box, mirrored, scales):
             height, width = self.task.reference.shape[:2]
             share = (box[2] - box[0]) * (box[3] - box[1]) / (width * height)
-            raise RegistrationRefused(implausible(selected.transform, box, mirrored, sensor, share))
+            problem = implausible(selected.transform, box, mirrored, sensor, share, scales)
+            raise RegistrationRefused(problem)
 
 
 def _is_less(now: tuple[float | None, float], before: tuple[float | None, float]) -> bool:
@@ -675,7 +707,8 @@ def _verify(
     """Verify a map on a grid of `step` reference px or coarser; `test` is of the same map at `step`."""
     predicted, cell = test.predicted, task.cell(step)
     step *= coarsening(task.reference.shape, step)
-    image = highpass(task.resample(band, transform, step))
+    bands = task.bands if task.one_scan else [band]
+    image = np.stack([highpass(task.resample(one, transform, step)) for one in bands])
     predictors = task.reference.predictor(step).images
     valid = np.isfinite(task.images[band.label])
     return verify(predictors, image, step, transform, task.mask, valid, predicted, cell)

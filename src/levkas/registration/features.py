@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 
 from levkas.core.problems import Problem
+from levkas.geometry.transforms import Affine
+from levkas.registration.bands import area_average
 from levkas.registration.record import RegistrationRefused
 
 
@@ -343,6 +345,21 @@ class CameraFeatures:
         self.greys, self.within = greys, within
         self._scaled: dict[int, ScaledFeatures] = {}
         self._lock = RLock()  # several sensors need those of the reference
+
+    def reduced(self, share: float) -> tuple[CameraFeatures, Affine]:
+        """Return the features of pictures reduced to `share`, 0 < share <= 1, of their size, and reduced px → px of these."""
+        import cv2
+
+        greys = []
+        for grey in self.greys:
+            known = np.isfinite(grey)
+            small, valid, back = area_average(np.where(known, grey, 0), known, share)
+            greys.append(np.where(valid, small, np.float32(np.nan)))
+        within = self.within
+        if within is not None:
+            size = greys[0].shape[::-1]
+            within = cv2.resize(within.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        return CameraFeatures(greys, within), back
 
     def at(self, side: int) -> ScaledFeatures:
         """Return the key points of pictures reduced until their longer side is `side` px."""

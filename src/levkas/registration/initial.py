@@ -4,12 +4,13 @@ Key points that are each other's most alike give most sensors a homography by MA
 few of these agree, every key point is matched with the few most alike ones, edges are looked at too, and
 what agrees in place, size and direction is sought among thousands of matches by pose clustering. Matches near
 that transform refine it to a cubic polynomial. Pairs given by hand start the search where key points
-find nothing, or something else.
+find nothing, or something else. Pairs of another program, which may be wrong, are candidates of a start: the largest sets of them that
+agree on a homography, one after another.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -39,7 +40,7 @@ from levkas.registration.matching import (
     unique_rows,
 )
 from levkas.registration.models import Observations, fit_similarity
-from levkas.registration.orientation_correlation import match_by_directions
+from levkas.registration.orientation_correlation import match_by_directions, match_near
 from levkas.registration.pose_clustering import REACH, find_pose_cluster
 
 if TYPE_CHECKING:
@@ -69,6 +70,14 @@ class InitialSettings:
         Target px per reference px of a plausible map.
     least_contradiction, contradiction_share : float
         Reference px, and share of the longer side, by which pairs by hand contradict key points.
+    candidates : int
+        Sets of pairs of another program that are tried.
+    least_pairs : int
+        Pairs of such a set: four determine a homography, two more agree with it.
+    pair_share : float
+        Share of the longer side up to which they agree, as far as a search on coarse grids makes good.
+    coarse_sampling : tuple of float
+        Longer sides of the reference over that of maps of a scan, to which it is reduced before key points are found.
     """
 
     long_side: int = 1000
@@ -81,6 +90,10 @@ class InitialSettings:
     scales: tuple[float, float] = (0.14, 7.0)
     least_contradiction: float = 8.0
     contradiction_share: float = 0.01
+    candidates: int = 3
+    least_pairs: int = 6
+    pair_share: float = 0.005
+    coarse_sampling: tuple[float, ...] = (2.0, 4.0)
 
 
 SETTINGS = InitialSettings()
@@ -102,6 +115,8 @@ class InitialTransform:
         `HandMark` of each match.
     by_outlines : bool
         Whether no key points agreed, and blocks were matched by the directions of their edges.
+    by_pairs : bool
+        Whether no key points agreed, and the matches are pairs of another program.
     """
 
     transform: Transform
@@ -111,6 +126,7 @@ class InitialTransform:
     mirrored: bool
     reason: np.ndarray | None = None
     by_outlines: bool = False
+    by_pairs: bool = False
 
     @property
     def count(self) -> int:
@@ -130,10 +146,14 @@ def _scale(transform: Transform, points: np.ndarray) -> float:
 def find_initial_transform(
     reference: CameraFeatures, target: CameraFeatures
 ) -> InitialTransform | None:
-    """Return the map that key points agree on, or None where they do not.
+    """Return the map that key points agree on, or that outlines do, or None.
 
-    The first picture of each is tried first, then all pairs of them, at last the first ones widely.
+    The first picture of each is tried first, then all pairs of them, then the first ones widely, at last outlines.
     """
+    return _by_key_points(reference, target) or _by_directions(reference, target)
+
+
+def _by_key_points(reference: CameraFeatures, target: CameraFeatures) -> InitialTransform | None:
     for side in (SETTINGS.long_side, 2 * SETTINGS.long_side):
         ours, theirs = reference.at(side), target.at(side)
         for pairs in ([(0, 0)], _other_pairs(len(reference.greys), len(target.greys))):
@@ -142,8 +162,40 @@ def find_initial_transform(
                 return found
         if max(max(pictures.greys[0].shape) for pictures in (reference, target)) <= side:
             break
-    found = _search_widely(reference.at(SETTINGS.long_side), target.at(SETTINGS.long_side))
-    return found or _by_directions(reference, target)
+    return _search_widely(reference.at(SETTINGS.long_side), target.at(SETTINGS.long_side))
+
+
+def find_coarse_transform(
+    reference: CameraFeatures, target: CameraFeatures
+) -> InitialTransform | None:
+    """Return the initial transform of a target that is sampled far more coarsely than the reference, as maps of a scan are.
+
+    Key points agree as closely as the coarser picture shows them: the reference is reduced to about its sampling, then, since the
+    target may show a part of the reference, half as much. A few key points of one part of the object say little of the others: large blocks refine
+    the map by their outlines; where they do not agree with it, or there is none, outlines give it.
+    """
+    ratio = max(target.greys[0].shape) / max(reference.greys[0].shape)
+    shares = [share for times in SETTINGS.coarse_sampling if (share := times * ratio) <= 0.5]
+    if not shares:
+        return find_initial_transform(reference, target)
+    begun = None
+    for reduced, back in map(reference.reduced, shares):
+        found = _by_key_points(reduced, target)
+        if found is not None:
+            places = back(found.reference)
+            stiff = Affine.fit(places[found.kept], found.target[found.kept])
+            begun = replace(found, transform=stiff, reference=places)
+            blocks = match_near(
+                reference.greys[:],
+                target.greys[:],
+                stiff,
+                reference.within,
+                mirrored=found.mirrored,
+            )
+            if blocks is not None:
+                return replace(begun, transform=blocks.transform)
+            break
+    return _by_directions(reference, target) or begun
 
 
 def _by_directions(reference: CameraFeatures, target: CameraFeatures) -> InitialTransform | None:
@@ -263,12 +315,14 @@ def _fit_robustly(
     return InitialTransform(found, matches.reference, matches.target, kept, mirror)
 
 
-def _magsac(p: np.ndarray, q: np.ndarray, mirror: bool) -> tuple[Homography | None, np.ndarray]:
-    """Return the homography p → q and which matches agree, (n,) bool; None where there is none."""
+def _magsac(
+    p: np.ndarray, q: np.ndarray, mirror: bool, reach: float = SETTINGS.reach
+) -> tuple[Homography | None, np.ndarray]:
+    """Return the homography p → q and which matches agree within `reach` px of p, (n,) bool; None where there is none."""
     import cv2
 
     settings = cv2.UsacParams()
-    settings.threshold, settings.confidence = SETTINGS.reach, 0.9999
+    settings.threshold, settings.confidence = reach, 0.9999
     settings.maxIterations, settings.randomGeneratorState = 20000, 0
     settings.score, settings.sampler = cv2.SCORE_METHOD_MAGSAC, cv2.SAMPLING_UNIFORM
     settings.loMethod = cv2.LOCAL_OPTIM_SIGMA
@@ -284,26 +338,36 @@ def _magsac(p: np.ndarray, q: np.ndarray, mirror: bool) -> tuple[Homography | No
     return Homography(forward / forward[2, 2]), mask.reshape(-1).astype(bool)
 
 
-def is_plausible(transform: Transform, box: Sequence[float], mirrored: bool) -> bool:
-    """Whether the Jacobian keeps its sign and scales stay in 0.14 to 7 all over a box.
+def is_plausible(
+    transform: Transform,
+    box: Sequence[float],
+    mirrored: bool,
+    scales: tuple[float, float] = SETTINGS.scales,
+) -> bool:
+    """Whether the Jacobian keeps its sign and scales stay in `scales`, 0.14 to 7, all over a box.
 
     `box` is (x0, y0, x1, y1) in reference px.
     """
     values, determinant = _local_shape(transform, box, mirrored)
-    low, high = SETTINGS.scales
+    low, high = scales
     in_range = (values > low).all() and (values < high).all()
     return bool(in_range and _is_steady(values, determinant))
 
 
 def implausible(
-    transform: Transform, box: Sequence[float], mirrored: bool, sensor: str | None, share: float
+    transform: Transform,
+    box: Sequence[float],
+    mirrored: bool,
+    sensor: str | None,
+    share: float,
+    scales: tuple[float, float] = SETTINGS.scales,
 ) -> Problem:
     """Return why the map of a sensor is not plausible: its scale alone, or its shape.
 
     `box` as of `is_plausible`; `share` is how much of the reference it takes.
     """
     values, determinant = _local_shape(transform, box, mirrored)
-    low, high = SETTINGS.scales
+    low, high = scales
     scale = float(np.median(values))
     ratio = describe_sampling(scale)
     if not _is_steady(values, determinant) or ((values > low) & (values < high)).all():
@@ -317,7 +381,7 @@ def implausible(
         "this sensor samples the object too unlike the reference to be registered",
         field=sensor,
         found=ratio,
-        expected=f"at most {high:.0f} to one, either way",
+        expected=f"at most {(1 / low if scale < 1 else high):.0f} to one",
         fix=f"{BETWEEN}.",
     )
 
@@ -486,6 +550,97 @@ def begin_with(
     mirrored = bool(np.linalg.det(transform.jacobian(centre)[0]) < 0)
     first = InitialTransform(transform, none, none, np.zeros(0, bool), mirrored)
     return _rematch_all(first, reference, target)
+
+
+# --- from pairs of another program
+
+
+@dataclass(frozen=True)
+class StartPairs:
+    """Pairs of another program beside the map that was found.
+
+    Parameters
+    ----------
+    given, agreeing : int
+        How many there are, and how many agree with the map within 0.5 % of the longer side of the reference, at least 3 px.
+    used : bool
+        Whether they started the search; not where the pictures alone gave the map.
+    """
+
+    given: int
+    agreeing: int
+    used: bool
+
+
+def _pair_reach(shape: tuple[int, ...]) -> float:
+    return max(SETTINGS.reach, SETTINGS.pair_share * max(shape))
+
+
+def agreeing_pairs(transform: Transform, pairs: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return which pairs, (n, 4), agree with a map as closely as those of one candidate do, (n,) bool.
+
+    `shape` is the (height, width) of the reference.
+
+    Examples
+    --------
+    >>> pairs = np.array([[10.0, 10, 12, 10], [50, 20, 90, 20]])
+    >>> agreeing_pairs(Affine.identity(), pairs, (100, 100)).tolist()
+    [True, False]
+    """
+    found = np.nan_to_num(transform(pairs[:, :2]), nan=np.inf)
+    scale = np.sqrt(np.abs(np.linalg.det(transform.jacobian(pairs[:, :2]))))
+    return np.asarray(np.linalg.norm(found - pairs[:, 2:], axis=1) <= _pair_reach(shape) * scale)
+
+
+def start_candidates(pairs: np.ndarray, shape: tuple[int, ...]) -> Iterator[InitialTransform]:
+    """Yield the transforms on which pairs agree, wrong ones among them: that of the largest set, then of those that are left.
+
+    Parameters
+    ----------
+    pairs : ndarray, (n, 4)
+        Reference x, y and target x, y; any share of them may be wrong.
+    shape : (height, width) of the reference
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> right = rng.uniform(0, 200, (12, 2))
+    >>> wrong = rng.uniform(0, 200, (8, 4))
+    >>> begun = next(start_candidates(np.vstack([np.hstack([right, right + 5]), wrong]), (200, 200)))
+    >>> int(begun.count), begun.transform(np.array([[50.0, 60.0]])).round(3).tolist()
+    (12, [[55.0, 65.0]])
+    """
+    reach = _pair_reach(shape)
+    left = np.isfinite(pairs).all(1)
+    for _ in range(SETTINGS.candidates):
+        rows = np.flatnonzero(left)
+        if len(rows) < SETTINGS.least_pairs:
+            return
+        p, q = pairs[rows, :2], pairs[rows, 2:]
+        _, inside = max(
+            (_magsac(p, q, mirror, reach) for mirror in (False, True)),
+            key=lambda one: int(one[1].sum()),
+        )
+        if inside.sum() < SETTINGS.least_pairs:
+            return
+        begun = fit_initial_transform(pairs[rows[inside]])
+        kept = np.zeros(len(pairs), bool)
+        kept[rows[inside]] = True
+        left[rows[inside]] = False
+        low, high = np.percentile(p[inside], (2, 98), axis=0)
+        # The sampling is judged with the map: maps of a scan are far coarser than a camera's frames.
+        if is_plausible(begun.transform, (*low, *high), begun.mirrored, (0.0, np.inf)):
+            yield replace(
+                begun, reference=pairs[:, :2], target=pairs[:, 2:], kept=kept, by_pairs=True
+            )
+
+
+def begin_with_pairs(
+    candidate: InitialTransform, reference: CameraFeatures, target: CameraFeatures
+) -> InitialTransform:
+    """Return a candidate of a start, refined by key points near where it puts them; as it is, where none agree."""
+    found = begin_with(candidate.transform, reference, target)
+    return found if found.count else candidate
 
 
 def _rematch_all(

@@ -6,20 +6,38 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.campaign.methods import STARTS
+from levkas.core.problems import Problem
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform, solve_2x2
 from levkas.registration.alignment import declared_map, read_alignments
 from levkas.registration.bands import by_wavelength, present_bands, sqrt_images
 from levkas.registration.chromatic import zero_displacement
-from levkas.registration.coarse_to_fine import RegisteredSensor, frame_centre, register_sensor
+from levkas.registration.coarse_to_fine import (
+    Begin,
+    RegisteredSensor,
+    frame_centre,
+    register_sensor,
+)
 from levkas.registration.features import CameraFeatures, GreyImages
+from levkas.registration.initial import (
+    StartPairs,
+    agreeing_pairs,
+    begin_with,
+    begin_with_pairs,
+    find_coarse_transform,
+    find_initial_transform,
+    start_candidates,
+)
 from levkas.registration.joint import SensorObservations
+from levkas.registration.manual_points import ManualPoints
+from levkas.registration.map_stack import gather_signal
 from levkas.registration.measured_bands import measured_bands
 from levkas.registration.placed_by_hand import place_by_hand
 from levkas.registration.predictors import PreparedReference
@@ -31,7 +49,7 @@ from levkas.registration.record import (
     Sigma,
     describe_windows,
 )
-from levkas.registration.reference_bands import register_own_bands
+from levkas.registration.reference_bands import lie_together, register_own_bands
 from levkas.registration.verdict import judge_windows
 from levkas.registration.verdict_rules import ONLY
 from levkas.registration.verdict_rules import SETTINGS as VERDICT
@@ -39,13 +57,12 @@ from levkas.registration.verdict_rules import SETTINGS as VERDICT
 if TYPE_CHECKING:
     from levkas.campaign.methods import LevkasOptions
     from levkas.registration.bands import BandImage
-    from levkas.registration.manual_points import ManualPoints
     from levkas.registration.model_selection import SelectedModel
     from levkas.registration.request import Request
 
 
-def register_levkas(request: Request, _options: LevkasOptions) -> Registration:
-    """Register every band of the target to the reference band; deterministic, without options.
+def register_levkas(request: Request, options: LevkasOptions) -> Registration:
+    """Register every band of the target to the reference band; deterministic.
 
     Raises
     ------
@@ -66,29 +83,46 @@ def register_levkas(request: Request, _options: LevkasOptions) -> Registration:
     if transforms is None or own:
         bands = base.own_bands if own else base.predicting()
         images = {band.label: base.object_in(band) for band in bands}
-        first = register_own_bands(bands, images, anchor)
+        lying = own and request.one_scan
+        first = lie_together(bands, anchor) if lying else register_own_bands(bands, images, anchor)
         transforms, sigma = first.transforms, first.sigma
         sensors = [first] if own else []
     names = list(dict.fromkeys(i.sensor for i in target if not own or i.sensor != anchor.sensor))
     if names:
-        stack = base.stack(transforms)
+        stack, one_scan = base.stack(transforms), request.one_scan
+        by_key_points = find_coarse_transform if one_scan else find_initial_transform
 
-        def register_one(name: str, declared: Transform | None = None) -> RegisteredSensor:
+        def pictures_of(name: str) -> tuple[list[BandImage], dict[str, np.ndarray], CameraFeatures]:
             bands = by_wavelength([image for image in target if image.sensor == name])
-            by_hand = request.given.get(name)
-            if by_hand and by_hand.accepted:
-                return _placed(name, bands, by_hand, stack.shape)
             there = present_bands(bands)
+            if one_scan:
+                bands = there = gather_signal(there)
             shown = [there[i] for i in measured_bands(there)]
             pictures = {b.label: base.images[b.label] for b in shown} if own else sqrt_images(shown)
-            theirs = CameraFeatures(GreyImages(list(pictures.values())))
-            return register_sensor(
-                bands, pictures, stack, base.keys, theirs, by_hand, sigma, declared
+            return bands, pictures, CameraFeatures(GreyImages(list(pictures.values())))
+
+        def register_one(name: str, begin: Begin = by_key_points) -> RegisteredSensor:
+            by_hand = request.given.get(name)
+            if by_hand and by_hand.accepted:
+                bands = by_wavelength([image for image in target if image.sensor == name])
+                return _placed(name, bands, by_hand, stack.shape)
+            bands, pictures, theirs = pictures_of(name)
+            found = register_sensor(
+                bands, pictures, stack, base.keys, theirs, by_hand, sigma, begin
             )
+            labels = [image.label for image in target if image.sensor == name]
+            return _of_all_maps(found, labels, stack.shape) if one_scan else found
+
+        def pairs_of(name: str, *, refused: bool) -> np.ndarray:
+            given = request.given.get(name) or ManualPoints()
+            if options.starts is None or not refused:
+                return given.starts
+            greys = base.keys.greys[0], pictures_of(name)[2].greys[0]
+            return np.concatenate([given.starts, matched_pairs(options.starts, *greys)])
 
         known: dict[str, Transform] = {anchor.sensor: Affine.identity()} if own else {}
         align = {target[0].sensor: Affine.identity()} | read_alignments(request.align)
-        sensors += _register_sensors(names, register_one, align, known, stack.shape)
+        sensors += _register_sensors(names, register_one, align, known, pairs_of, stack.shape)
     labels, object_share = [image.label for image in target], base.area.share_of(request.layer)
     return _assemble(sensors, labels, base.area.to_dict(), object_share)
 
@@ -98,12 +132,13 @@ def _register_sensors(
     register_one: Callable[..., RegisteredSensor],
     align: Mapping[str, Transform],
     known: Mapping[str, Transform],
+    pairs_of: Callable[..., np.ndarray],
     shape: tuple[int, int],
 ) -> list[RegisteredSensor]:
-    """Register every sensor by itself; where a declared alignment helps or contradicts, begin with it too.
+    """Register every sensor by itself; where a declared alignment helps or contradicts, begin with it too, and where the verdict refuses, with pairs.
 
     `align` are declared maps from the first sensor's px, the first one's identity among them; `known` are maps of
-    sensors that are not registered; `shape` is the reference's. Raises RegistrationRefused of the first sensor without
+    sensors that are not registered; `pairs_of` returns the candidates of a sensor's start; `shape` is the reference's. Raises RegistrationRefused of the first sensor without
     a map. Of two registered sensors the distance from the declared alignment is the second's alone.
     """
     first = next(iter(align))
@@ -124,7 +159,9 @@ def _register_sensors(
         }
         declared = declared_map(name, align, others)
         if declared is not None:
-            one = _begun_anew(one, partial(register_one, name, declared), declared, shape)
+            again = partial(register_one, name, partial(begin_with, declared))
+            one = _begun_anew(one, again, declared, shape)
+        one = _begun_with_pairs(one, partial(register_one, name), partial(pairs_of, name), shape)
         checked = name != first or declared_map(name, align, known) is not None
         if declared is not None and checked and isinstance(one, RegisteredSensor):
             one = replace(one, apart_px=_apart(one, declared, shape))
@@ -153,6 +190,64 @@ def _begun_anew(
     return other if better else one
 
 
+def _begun_with_pairs(
+    one: RegisteredSensor | RegistrationRefused,
+    again: Callable[[Begin], RegisteredSensor],
+    pairs: Callable[..., np.ndarray],
+    shape: tuple[int, int],
+) -> RegisteredSensor | RegistrationRefused:
+    """Register a refused sensor again from where pairs put it; return the first map that is not refused, else what it was.
+
+    Where there is a map, how many of the pairs agree with it is counted.
+    """
+    if isinstance(one, RegisteredSensor) and (one.placed or not _is_refused(one)):
+        return _counted(one, pairs(refused=False), shape, used=False)
+    every = pairs(refused=True)
+    for candidate in start_candidates(every, shape):
+        try:
+            other = again(partial(begin_with_pairs, candidate))
+        except RegistrationRefused:
+            continue
+        if not _is_refused(other):
+            return _counted(other, every, shape, used=True)
+    return _counted(one, every, shape, used=False) if isinstance(one, RegisteredSensor) else one
+
+
+def _counted(
+    one: RegisteredSensor, pairs: np.ndarray, shape: tuple[int, int], *, used: bool
+) -> RegisteredSensor:
+    """Return a sensor with how many pairs of another program agree with its map."""
+    if not len(pairs) or one.base is None:
+        return one
+    agreeing = int(agreeing_pairs(one.base, pairs, shape).sum())
+    return replace(one, pairs=StartPairs(len(pairs), agreeing, used))
+
+
+def _is_refused(sensor: RegisteredSensor) -> bool:
+    """Whether the verdict refuses a sensor's map by itself; the object's share of the layer has no part in that."""
+    return judge_windows({ONLY: _numbers(sensor) | {"object_share": 1.0}}).decision == "refuse"
+
+
+def matched_pairs(matcher: str, reference: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Return the pairs, (n, 4), that the matcher of an installed package finds in two pictures, (h, w).
+
+    Raises RegistrationRefused where it returns anything else.
+    """
+    found = np.asarray(STARTS[matcher](reference.copy(), target.copy()))
+    if found.ndim == 2 and found.shape[1] == 4 and found.dtype.kind in "iuf":
+        return found.astype(float)
+    raise RegistrationRefused(
+        Problem(
+            "E_METHOD",
+            f"the matcher {matcher!r} returns no pairs",
+            field="registration.starts",
+            found=f"an array {found.shape} of {found.dtype}",
+            expected="an array (n, 4): x, y in the first picture and x, y in the second",
+            fix="Report this to the author of the matcher, or remove `starts`.",
+        )
+    )
+
+
 def _agreeing(sensor: RegisteredSensor) -> int:
     return int(sensor.refined.verification["agreeing"]) if sensor.refined else 0
 
@@ -165,6 +260,19 @@ def _apart(sensor: RegisteredSensor, declared: Transform, shape: tuple[int, int]
     points = np.stack([x, y], -1).reshape(-1, 2)
     miss = np.linalg.norm(sensor.base(points) - declared(points), axis=1)
     return float(np.median(np.nan_to_num(miss, nan=np.inf)))
+
+
+def _of_all_maps(
+    found: RegisteredSensor, labels: Sequence[str], shape: tuple[int, int]
+) -> RegisteredSensor:
+    """Return a sensor of which pictures with the signal of its maps were registered, with the one map for all of these."""
+    assert found.base is not None, "a sensor that was registered has a map"
+    return replace(
+        found,
+        transforms=dict.fromkeys(labels, found.base),
+        sigma=dict.fromkeys(labels, next(iter(found.sigma.values()))),
+        chromatic=zero_displacement(len(labels), *frame_centre(shape)),
+    )
 
 
 def _placed(
@@ -249,6 +357,8 @@ def _numbers(sensor: RegisteredSensor) -> dict[str, Any]:
         "key_points_kept": int(initial.kept.sum()) if initial else None,
         "key_points": len(initial.kept) if initial else None,
         "by_outlines": bool(initial and initial.by_outlines),
+        "by_pairs": bool(initial and initial.by_pairs),
+        "start_pairs": sensor.pairs and asdict(sensor.pairs),
         "rounds": course.get("rounds"),
         "converged": course.get("converged"),
         "moved": course.get("moved"),

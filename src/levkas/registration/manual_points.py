@@ -52,6 +52,8 @@ class ManualPoints:
         Pairs that no fit may rest on.
     checks : ndarray, (n, 4)
         Pairs that measure and are never fitted.
+    starts : ndarray, (n, 4)
+        Pairs of another program, wrong ones among them: candidates of a start, where the pictures alone are refused.
     placed : tuple of str
         Band of the sensor in which each check point was placed, whose map measures it; where it is empty, or
         one of its names is, the sensor's first band.
@@ -70,11 +72,13 @@ class ManualPoints:
     restored: np.ndarray = field(default_factory=_none)
     deleted: np.ndarray = field(default_factory=_none)
     checks: np.ndarray = field(default_factory=_none)
+    starts: np.ndarray = field(default_factory=_none)
     placed: tuple[str, ...] = ()
     accepted: bool = False
 
     def __bool__(self) -> bool:
-        return bool(len(self.fixed) + len(self.deleted) + len(self.checks)) or self.accepted
+        count = len(self.fixed) + len(self.deleted) + len(self.checks) + len(self.starts)
+        return bool(count) or self.accepted
 
     @property
     def fixed(self) -> np.ndarray:
@@ -86,7 +90,7 @@ class ManualPoints:
         if factor == 1:
             return self
         middle = (factor - 1) / 2
-        names = ("added", "pinned", "restored", "deleted", "checks")
+        names = ("added", "pinned", "restored", "deleted", "checks", "starts")
         parts = {name: getattr(self, name).copy() for name in names}
         for pairs in parts.values():
             pairs[:, 2:] = (pairs[:, 2:] - middle) / factor

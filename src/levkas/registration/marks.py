@@ -81,7 +81,7 @@ SETTINGS = MarkSettings()
 DISTINCTIVE = 0.25
 #: Of one degree of freedom.
 MEDIAN_OF_CHI_SQUARE = 0.455
-_LAPLACIAN = np.outer((1, -2, 1), (1, -2, 1)).astype(np.float32) / 6
+LAPLACIAN = np.outer((1, -2, 1), (1, -2, 1)).astype(np.float32) / 6
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ class _Detail:
         spread = float(image[known].std()) if known.any() else 0.0
         return cls(
             (sharp - soft) * weight,
-            cv2.filter2D(values, -1, _LAPLACIAN),
+            cv2.filter2D(values, -1, LAPLACIAN),
             cv2.dilate(np.maximum(slope, ridge), np.ones((3, 3))),
             cv2.erode(weight, np.ones((5, 5)), borderValue=1) > 0,
             spread,

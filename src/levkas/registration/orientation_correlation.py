@@ -387,7 +387,20 @@ def match_by_directions(
     best = _refined(found, reference, target, within)
     if best is None:
         return None
-    return _agreeing(match_blocks(reference, target, Affine(best.matrix), within), best)
+    return match_near(reference, target, Affine(best.matrix), within, mirrored=best.mirrored)
+
+
+def match_near(
+    reference: Sequence[np.ndarray],
+    target: Sequence[np.ndarray],
+    transform: Affine,
+    within: np.ndarray | None = None,
+    *,
+    mirrored: bool,
+) -> BlockMatches | None:
+    """Return the affine map on which blocks agree near `transform`, or None; parameters are those of `match_by_directions`."""
+    blocks = match_blocks(reference, target, transform, within)
+    return _agreeing(blocks, transform, mirrored=mirrored)
 
 
 def _refined(
@@ -483,15 +496,15 @@ def _parts(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.ascontiguousarray(values.real), np.ascontiguousarray(values.imag)
 
 
-def _agreeing(blocks: BlockShifts, pose: CoarsePose) -> BlockMatches | None:
+def _agreeing(blocks: BlockShifts, begun: Affine, *, mirrored: bool) -> BlockMatches | None:
     """Fit an affine map to the blocks that agree, within a third of the reach; None where too few do."""
-    p, begun = blocks.centres, Affine(pose.matrix)
+    p, fitted = blocks.centres, begun
     q = begun(p + blocks.shift)
-    scale = float(np.sqrt(abs(np.linalg.det(pose.matrix[:, :2]))))
-    kept, fitted = np.ones(len(p), bool), begun
+    scale = float(np.sqrt(abs(np.linalg.det(begun.matrix[:, :2]))))
+    kept = np.ones(len(p), bool)
     for limit in SETTINGS.limits:
         kept = np.linalg.norm(fitted(p) - q, axis=1) < limit * blocks.step * scale
         if kept.sum() < SETTINGS.least_blocks or kept.mean() < SETTINGS.least_share:
             return None
         fitted = Affine.fit(p[kept], q[kept])
-    return BlockMatches(p, q, kept, fitted, pose.mirrored)
+    return BlockMatches(p, q, kept, fitted, mirrored)

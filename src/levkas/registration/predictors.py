@@ -160,10 +160,15 @@ def resample_bands(
 
 
 def resample_band(
-    image: np.ndarray, transform: Transform, size: tuple[int, int], step: int, *, block: int = 1
+    image: np.ndarray,
+    transform: Transform,
+    size: tuple[int, int],
+    step: int,
+    *,
+    count: int | None = None,
 ) -> np.ndarray:
-    """Warp one band on to a grid of `step` reference px, averaged over blocks of the target."""
-    factor = max(1, block * step)
+    """Warp one band on to a grid of `step` reference px, averaged over blocks of `count` px of the target, by default `step`."""
+    factor = step if count is None else count
     if factor == 1:
         return smoothing_warp(image, transform, size, step=step)
     return smoothing_warp(

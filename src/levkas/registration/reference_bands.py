@@ -107,6 +107,15 @@ def register_own_bands(
     return RegisteredSensor(anchor.sensor, transforms, model, windows, sigma)
 
 
+def lie_together(bands: Sequence[BandImage], anchor: BandImage) -> RegisteredSensor:
+    """Return the registration of maps of one scan to `anchor`, one of them: they lie on one another as they are."""
+    labels = [band.label for band in bands]
+    model = zero_displacement(len(bands), *frame_centre(anchor.values.shape))
+    sigma = measure_sigma(anchor.values.shape, labels, model)
+    still: dict[str, Transform] = dict.fromkeys(labels, Affine.identity())
+    return RegisteredSensor(anchor.sensor, still, model, {}, sigma)
+
+
 def _align(
     bands: Sequence[BandImage], images: Mapping[str, np.ndarray], anchor: BandImage
 ) -> tuple[ChromaticShifts, list[WindowShifts]]:

@@ -54,6 +54,9 @@ class Request:
         Returns the reference made ready: saves preparing it for every camera.
     align : mapping of sensor name to (2, 3) matrix or Transform
         Of a target with several sensors, where it is declared: first sensor's px → this sensor's.
+    one_scan : bool
+        Whether the bands of a sensor of the target are maps of one scan: they share one map, and may be sampled up to 30 times as
+        coarsely as the reference.
     """
 
     reference: Sequence[BandImage]
@@ -68,6 +71,7 @@ class Request:
     reference_sigma: Mapping[str, Sigma] | None = None
     prepared: Callable[[], PreparedReference] | None = None
     align: Mapping[str, Any] = field(default_factory=dict)
+    one_scan: bool = False
 
     @property
     def is_own(self) -> bool:

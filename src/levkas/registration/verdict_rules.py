@@ -53,7 +53,7 @@ class Limits(NamedTuple):
 ANISOTROPY, AREA_RATIO, SECOND_PEAK_RATIO = Limits(1.5, 2.0), Limits(1.8, 3.0), Limits(0.85, 0.95)
 OVERLAP, COVERAGE, PREDICTED = Limits(0.8, 0.1), Limits(0.9, 0.6), Limits(0.5, 0.2)
 MARKS, LINES = Limits(DISTINCTIVE, 0.15), Limits(0.1, 1.0)
-FINE = Limits(0.1, 1.0)
+FINE, SCAN_LINES = Limits(0.1, 1.0), Limits(0.35, 1.0)
 #: Bands that a reason lists; of more their number and range.
 MOST_NAMED = 3
 
@@ -82,6 +82,8 @@ class VerdictSettings:
         is refused.
     least_found, least_found_share, least_agreeing_share : float
         Windows that have to be found, in number and as a share; share of them that have to agree.
+    sure_share : float
+        Share of all check windows that agree, from which it does not matter how the search was begun.
     predicted : Limits
         Least share of check windows that match better than 19 of 20 unrelated windows.
     good_steps, bad_px, bad_steps : float
@@ -106,6 +108,8 @@ class VerdictSettings:
     lines : Limits, reference px, or px of the grid where it is coarser
         Displacement of single lines, the root mean square of both axes, or a quarter of a step or of some lines alone. Honest pictures have 0.04 at
         most that is more than chance.
+    scan_lines : Limits, px of the grid
+        The same of maps of a scan, of which a line is known to lie up to a third of a px aside: it is reported.
     fine : Limits, px of the grid
         Displacement of parts smaller than a window, the root mean square over the picture. Pairs that agree have 0.07 at most.
     patch, patch_px : float, px² and px of the grid
@@ -129,6 +133,7 @@ class VerdictSettings:
     least_found: int = 6
     least_found_share: float = 0.05
     least_agreeing_share: float = 0.6
+    sure_share: float = 0.75
     predicted: Limits = PREDICTED
     good_steps: float = 0.25
     bad_px: float = 1.0
@@ -142,6 +147,7 @@ class VerdictSettings:
     least_outlines: int = 14
     least_outlines_share: float = 0.75
     lines: Limits = LINES
+    scan_lines: Limits = SCAN_LINES
     fine: Limits = FINE
     patch: float = 40.0
     patch_px: float = 0.75
@@ -221,12 +227,14 @@ def more_than_chance(n: Numbers) -> Objection | None:
 
 
 def begins_with_key_points(n: Numbers) -> Objection | None:
-    """Warn of a map that was begun from outlines alone."""
-    if not n.get("by_outlines"):
+    """Warn of a map that was begun from outlines alone, or from pairs of another program, unless windows confirm it nearly everywhere."""
+    confirmed = n.get("windows", 0) > 0 and n["agreeing"] >= SETTINGS.sure_share * n["windows"]
+    if confirmed or not (n.get("by_outlines") or n.get("by_pairs")):
         return None
+    begun = "their outlines" if n.get("by_outlines") else "pairs of another program"
     return Objection(
         "warn",
-        "No key points match between the two pictures. The search started from their outlines.",
+        f"No key points match between the two pictures. The search started from {begun}.",
         LOOK,
     )
 
@@ -303,7 +311,7 @@ def has_plausible_shape(n: Numbers) -> Objection | None:
     """Refuse or warn of scales and stretches that no camera makes."""
     if "area_ratio" not in n:
         return None
-    low, high = SETTINGS.scales
+    low, high = n.get("scales") or SETTINGS.scales
     if n["scale_min"] < low or n["scale_max"] > high:
         return Objection(
             "refuse",
@@ -518,7 +526,8 @@ def lines_lie_still(n: Numbers) -> Objection | None:
     if lines and lines["course"]:
         # Beside a step, which smooth maps follow in the mean, half of its height is left; so much counts of some lines alone.
         near = lines["size_px"] / 4 if lines["place"] is not None else 0.0
-        decision = SETTINGS.lines.exceeded_by(max(lines["rms_px"], near) / lines["step"])
+        limits = SETTINGS.scan_lines if n.get("scales") else SETTINGS.lines
+        decision = limits.exceeded_by(max(lines["rms_px"], near) / lines["step"])
         found.append((decision, *describe_displacement(lines)))
     if followed:
         decision = SETTINGS.lines.exceeded_by(followed["uneven_px"] / followed["before"]["step"])

@@ -10,6 +10,7 @@ the map neither folds nor stretches over what both pictures show.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -123,12 +124,19 @@ class PermutationTest:
         return np.asarray(above[near].reshape(len(centres), -1).mean(1) > 0.5)
 
 
-def run_permutation_test(predictor: Predictor, image: np.ndarray) -> PermutationTest:
-    """Compare how well windows of `image`, (h, w), are predicted with those of the image rolled by a third."""
-    shifts = measure_shifts(predictor, image)
+def run_permutation_test(predictor: Predictor, images: Sequence[np.ndarray]) -> PermutationTest:
+    """Compare how well windows of `images`, (h, w) each, are predicted with those of the images rolled by a third.
+
+    Of several images, pictures with one map, shares of variance are averaged.
+    """
+    shifts = _mean_shifts([measure_shifts(predictor, image) for image in images])
     used, able = has_information(shifts.information), predictor.counts.reshape(-1) > 0
-    rolled = np.roll(image, (image.shape[0] // 3, image.shape[1] // 3), (0, 1))
-    by_chance = measure_shifts(predictor, rolled)
+    by_chance = _mean_shifts(
+        [
+            measure_shifts(predictor, np.roll(image, [n // 3 for n in image.shape], (0, 1)))
+            for image in images
+        ]
+    )
     null = by_chance.r2[has_information(by_chance.information)]
     level = float(np.quantile(null, SETTINGS.null_quantile)) if len(null) >= 10 else 0.5
     evidence = {
@@ -137,6 +145,14 @@ def run_permutation_test(predictor: Predictor, image: np.ndarray) -> Permutation
         "chance_r2": level,
     }
     return PermutationTest(shifts, level, evidence)
+
+
+def _mean_shifts(shifts: Sequence[WindowShifts]) -> WindowShifts:
+    """Return the first of several with the mean of their `r2`, and the information of all."""
+    if len(shifts) == 1:
+        return shifts[0]
+    total = np.sum([one.information for one in shifts], axis=0)
+    return replace(shifts[0], r2=np.mean([one.r2 for one in shifts], axis=0), information=total)
 
 
 # --- free windows
@@ -158,8 +174,8 @@ def verify(
     ----------
     predictors : ndarray, (k, h, w), float32
         Images of the reference on a grid of `step` reference px, high-passed; NaN where invalid.
-    image : ndarray, (h, w), float32
-        The band on the same grid, resampled through `transform`, high-passed too.
+    image : ndarray, (h, w) or (n, h, w), float32
+        The band on the same grid, resampled through `transform`, high-passed too; or several pictures with one map.
     step : int, reference px
     transform : Transform
         Reference px → native px of the band.
@@ -177,8 +193,9 @@ def verify(
     checks : CheckWindows
         The windows themselves.
     """
-    predicted = predict(predictors, image)
-    both = [(np.nan_to_num(a), np.isfinite(a)) for a in (predicted, image)]
+    planes = image if image.ndim == 3 else image[None]
+    predicted = np.stack([predict(predictors, plane) for plane in planes])
+    both = [(np.nan_to_num(a), np.isfinite(a).all(0)) for a in (predicted, planes)]
     found = search_windows(both[0], both[1], Affine.identity())
     search = _enlarged(found, step)
     overlap = Overlap(transform, mask, valid, box_of(mask))

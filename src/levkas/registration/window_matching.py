@@ -215,33 +215,58 @@ def search_windows(
 
     Parameters
     ----------
-    reference, target : (values, valid), each (h, w), float32 and bool
-        Grey pictures in reference px and in px of the target.
+    reference, target : (values, valid), float32 and bool
+        Grey pictures, (h, w), in reference px and in px of the target. Values may be (k, h, w), pictures of one object that have one map:
+        their correlations are averaged, each weighted by how well both agree under the map.
     transform : Transform
         Reference px → target px.
     region : (x, y, width, height), reference px, optional
         Where to look.
     """
-    values, valid = reference
-    valid = valid & region_mask(region, valid.shape)
-    enlargement = _sampling(transform, values.shape)
-    step = max(1.0, max(values.shape) / SETTINGS.long_side, 1.0 / max(enlargement, 0.2))
-    ours, ours_valid, back = area_average(values, valid, 1.0 / step)
+    valid = reference[1] & region_mask(region, reference[1].shape)
+    enlargement = _sampling(transform, valid.shape)
+    step = max(1.0, max(valid.shape) / SETTINGS.long_side, 1.0 / max(enlargement, 0.2))
     finer = min(1.0, 1.0 / (step * enlargement)) if enlargement > 0 else 1.0
-    theirs, theirs_valid, theirs_back = area_average(*target, max(finer, 0.02))
-    pulled = Composed(back, transform, Inverse(theirs_back))
-    warped, warped_valid = pull(theirs, theirs_valid, pulled, ours.shape)
-    a, b = _band_pass(ours, ours_valid), _band_pass(warped, warped_valid)
-    places = _places(ours_valid & warped_valid, a, b)
+    details, shown = [], valid
+    for values, other in zip(_planes(reference[0]), _planes(target[0]), strict=True):
+        ours, ours_valid, back = area_average(values, valid, 1.0 / step)
+        theirs, theirs_valid, theirs_back = area_average(other, target[1], max(finer, 0.02))
+        pulled = Composed(back, transform, Inverse(theirs_back))
+        warped, warped_valid = pull(theirs, theirs_valid, pulled, ours.shape)
+        details.append((_band_pass(ours, ours_valid), _band_pass(warped, warped_valid)))
+        shown = ours_valid & warped_valid
+    a, b = _weighted([one for one, _ in details], [other for _, other in details])
+    places = _places(shown, a, b)
     peak, shift = _search(a, b, places)
     chance = _chance(a, b, places)
     # Where some pigments invert, detail cancels itself out, its strength does not.
     second_peak_ratio = min(
-        _second_peak_ratio(a, b), _second_peak_ratio(_strength(a), _strength(b))
+        _second_peak_ratio(a, b),
+        _second_peak_ratio(*(np.stack([_strength(one) for one in stack]) for stack in (a, b))),
     )
     centres = back(places + (SETTINGS.window - 1) / 2)
     scale = float(back.matrix[0, 0])
     return WindowSearch(centres, shift * scale, peak, chance, second_peak_ratio, scale)
+
+
+def _planes(values: np.ndarray) -> np.ndarray:
+    return values if values.ndim == 3 else values[None]
+
+
+def _weighted(a: list[np.ndarray], b: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return details of several pictures, (k, h, w), each times the root of its weight, the correlation of both; the weights' sum is 1."""
+    if len(a) == 1:
+        return a[0][None], b[0][None]
+    shares = np.array(
+        [
+            max(float(np.corrcoef(u.ravel(), v.ravel())[0, 1]), 0.0)
+            for u, v in zip(a, b, strict=True)
+        ]
+    )
+    shares = np.where(np.isfinite(shares), shares, 0.0)
+    shares = shares / shares.sum() if shares.any() else np.full(len(a), 1 / len(a))
+    roots = np.sqrt(shares).astype(np.float32)[:, None, None]
+    return np.stack(a) * roots, np.stack(b) * roots
 
 
 def _sampling(transform: Transform, shape: tuple[int, ...]) -> float:
@@ -285,8 +310,8 @@ def _places(valid: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     counts = cv2.integral(valid.astype(np.uint8))
     total = _box(counts, grid)
     good = total >= SETTINGS.least_cover * SETTINGS.window**2
-    for image in (a, b):
-        energy = _box(cv2.integral(np.square(image)), grid)
+    for stack in (a, b):
+        energy = _box(cv2.integral(np.square(stack).sum(0)), grid)
         good &= energy > 0.05 * SETTINGS.window**2
     return grid[good]
 
@@ -300,26 +325,31 @@ def _box(integral: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 def _correlations(a: np.ndarray, b: np.ndarray, at: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Return |correlation| of the window of `a` at `at` with `b` around `near`."""
+    """Return |correlation| of the window of `a`, (k, h, w), at `at` with `b` around `near`, the mean over k by weight."""
     import cv2
 
-    h, w = b.shape
+    _, h, w = b.shape
     (x, y), (u, v) = at, near
     left, top = max(u - SETTINGS.reach, 0), max(v - SETTINGS.reach, 0)
     right, bottom = (
         min(u + SETTINGS.reach + SETTINGS.window, w),
         min(v + SETTINGS.reach + SETTINGS.window, h),
     )
-    scores = cv2.matchTemplate(
-        b[top:bottom, left:right],
-        a[y : y + SETTINGS.window, x : x + SETTINGS.window],
-        cv2.TM_CCOEFF_NORMED,
-    )
+    scores = np.zeros((1, 1), np.float32)
+    for one, other in zip(a, b, strict=True):
+        template = one[y : y + SETTINGS.window, x : x + SETTINGS.window]
+        found = cv2.matchTemplate(other[top:bottom, left:right], template, cv2.TM_CCOEFF_NORMED)
+        scores = scores + (found if len(a) == 1 else found * _share(template))
     full = np.zeros((2 * SETTINGS.reach + 1, 2 * SETTINGS.reach + 1), np.float32)
     dy, dx = top - (v - SETTINGS.reach), left - (u - SETTINGS.reach)
     full[dy : dy + scores.shape[0], dx : dx + scores.shape[1]] = np.abs(scores)
     full[~np.isfinite(full) | (full > 1.0001)] = 0
     return full
+
+
+def _share(template: np.ndarray) -> np.float32:
+    """Return the weight of a picture, which its detail of unit variance was multiplied by the root of."""
+    return np.float32(np.square(template).mean())
 
 
 def _search(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -360,7 +390,7 @@ def _chance(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> float:
                 peaks.append(float(_correlations(a, b, places[i], other).max()))
     if len(peaks) < SETTINGS.least_chances:
         # In a small picture no two windows are far apart: it is turned and mirrored instead.
-        for turned in (b[::-1, ::-1], b[::-1], b[:, ::-1]):
+        for turned in (b[:, ::-1, ::-1], b[:, ::-1], b[:, :, ::-1]):
             c = np.ascontiguousarray(turned)
             peaks += [float(_correlations(a, c, place, place).max()) for place in places]
     return float(np.percentile(peaks, SETTINGS.chance_percent))
@@ -380,12 +410,12 @@ def _second_peak_ratio(a: np.ndarray, b: np.ndarray) -> float:
     """Return the largest |correlation| at a shift of more than `SETTINGS.apart`, relative to none."""
     from scipy import fft
 
-    reach = [round(SETTINGS.farthest * n) for n in a.shape]
-    shape = [fft.next_fast_len(n + r, real=True) for n, r in zip(a.shape, reach, strict=True)]
+    reach = [round(SETTINGS.farthest * n) for n in a.shape[1:]]
+    shape = [fft.next_fast_len(n + r, real=True) for n, r in zip(a.shape[1:], reach, strict=True)]
 
     def against(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         product = np.conj(fft.rfft2(u, shape)) * fft.rfft2(v, shape)
-        return np.asarray(fft.irfft2(product, shape))
+        return np.asarray(fft.irfft2(product.sum(0), shape))
 
     shared = against(np.square(a), (b != 0).astype(np.float32))
     shared *= against((a != 0).astype(np.float32), np.square(b))

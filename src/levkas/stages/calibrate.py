@@ -351,7 +351,7 @@ def develop_bands(context: SensorContext) -> Noted:
     """One file a band: each with its own templates; behind narrow filters a mosaic is equalised."""
     bands = context.sensor.bands
     reflectances = np.broadcast_to(context.reflectance, len(bands))
-    _require_one_size(context)
+    require_one_size(context)
     noise, area = _noise_of_bands(context)
     shape = (*context.facts.shape[:2], len(bands))
     values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
@@ -456,7 +456,7 @@ def _of_band(frames: Sequence[FrameRef], label: str) -> list[FrameRef]:
     return own or [f for f in frames if f.band is None]
 
 
-def _require_one_size(context: SensorContext) -> None:
+def require_one_size(context: SensorContext) -> None:
     """Refuse bands of another size than most of them, before any statistic takes several together."""
     sizes = {f.path: read_facts(f.path).shape[:2] for f in context.sensor.object}
     usual = Counter(sizes.values()).most_common(1)[0][0]

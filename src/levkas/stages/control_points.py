@@ -1,4 +1,4 @@
-"""Control points that campaign.toml names: read for one capture, as check points or as seeds."""
+"""Control points that campaign.toml names: read for one capture, as check points, seeds or candidates of a start."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def points_file(campaign: Campaign, capture: Capture) -> Path | None:
 
 
 def use_of(campaign: Campaign, camera: str) -> str:
-    """Return what the points of a camera are for: ``"check"`` (default) or ``"seeds"``."""
+    """Return what the points of a camera are for: ``"check"`` (default), ``"seeds"`` or ``"start"``."""
     return campaign.cameras[camera].registration.use or campaign.registration.use or "check"
 
 
@@ -167,4 +167,5 @@ def _given(points: ControlPoints, use: str) -> ManualPoints:
 
     pairs = np.hstack([points.reference, points.target])
     checks = points.enabled & (points.check | (use == "check"))
-    return ManualPoints(added=pairs[points.enabled & ~checks], checks=pairs[checks])
+    kind = "starts" if use == "start" else "added"
+    return ManualPoints(**{kind: pairs[points.enabled & ~checks], "checks": pairs[checks]})

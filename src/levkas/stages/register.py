@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas import __version__
+from levkas.campaign.camera_kinds import KINDS
 from levkas.campaign.edits import BY_HAND
 from levkas.campaign.methods import DEFAULT_METHOD
 from levkas.core.files import make_folder, remove, together, write_bytes, write_json, write_text
@@ -53,6 +54,7 @@ def measure(
     channel = frame.channel(capture)
     options = dict(campaign.registration_of(capture.camera))
     method = options.get("method", DEFAULT_METHOD)
+    options |= {"one_scan": True} if KINDS[campaign.cameras[capture.camera].kind].one_scan else {}
     given, by_hand = corrections_of(campaign, capture, channel)
     options |= by_hand
     grid, sampling, region = frame.layout()

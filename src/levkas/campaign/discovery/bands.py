@@ -80,11 +80,12 @@ def bands_in_file(
         Whether bands are pages of a TIFF, not samples of a pixel.
     """
     samples = facts.shape[2] if len(facts.shape) == 3 else 1
-    mixed = samples > 1 and facts.pages > 1 and (pages or camera.traits.is_cube)
-    pages = pages or (camera.traits.is_cube and samples == 1 and facts.kind != "envi")
+    paged = camera.traits.reads_pages
+    mixed = samples > 1 and facts.pages > 1 and (pages or paged)
+    pages = pages or (paged and samples == 1 and len(facts.shape) == 2)
     count = facts.pages if pages else samples
     where, unit = str(facts.path), "pages" if pages else "bands"
-    if not camera.traits.is_calibrated and count not in (1, 3):
+    if not (camera.traits.is_calibrated or paged) and count not in (1, 3):
         raise CaptureRefused(
             Problem(
                 "E_BAND_COUNT",
@@ -126,7 +127,7 @@ def _default_names(
     count: int,
     centres: Sequence[float] | None,
 ) -> Sequence[str]:
-    if not camera.traits.is_calibrated:
+    if not (camera.traits.is_calibrated or camera.traits.reads_pages):
         return ("R", "G", "B") if count == 3 else ("grey",)
     names = facts.band_names if facts.band_names and len(facts.band_names) == count else None
     if sensor is not None and count == 1:

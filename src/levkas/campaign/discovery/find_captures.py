@@ -425,9 +425,9 @@ def _frames_and_bands(
     if bands_in == "pattern" or (sensor and pattern):
         facts = index.facts(first) if pattern is None else None
         return frames, *bands_of_mosaic(camera, pattern, names, facts)
-    if bands_in != "files":
+    if bands_in != "files" and all(band_key(f) is None for f in frames):
         bands = bands_in_file(camera, sensor, index.facts(first))
-        if camera.traits.is_cube:
+        if camera.traits.reads_pages:
             _check_counts(index, camera, frames[1:], len(bands))
             frames = [in_order(camera, frame, index.facts, first) for frame in frames]
         return frames, None, bands

@@ -20,7 +20,10 @@ from levkas.campaign.guess.words import (
     LENSES,
     LIGHTS,
     NUMBERED_BANDS,
+    SHELL,
     Token,
+    are_elements,
+    joined,
     role_in,
 )
 
@@ -108,6 +111,7 @@ def mark_bands(
     questions : list of Question
         What nothing decides.
     """
+    tokens = _with_shells(captures, tokens)
     sizes: dict[str, set[object]] = defaultdict(set)
     for capture in captures:
         for text in (*capture.folders, *(t.text for t in tokens[capture.path])):
@@ -146,6 +150,25 @@ def mark_bands(
                 files = tuple(c for one in column.sets for c in one.values())
                 questions.append(Question(files, column.values))
     return marked, questions
+
+
+def _with_shells(captures: Sequence[CaptureFile], tokens: Tokens) -> Tokens:
+    """Make one part of an element and its shell, ``Pb_L``, where the files of a folder name several so."""
+    folders: dict[tuple[object, ...], list[CaptureFile]] = defaultdict(list)
+    for capture in captures:
+        folders[capture.folders, len(tokens[capture.path])].append(capture)
+    made = dict(tokens)
+    for files in folders.values():
+        for index in range(len(tokens[files[0].path]) - 1):
+            pairs = {c.path: tokens[c.path][index : index + 2] for c in files}
+            names = {path: joined(pair) for path, pair in pairs.items()}
+            shells = all(re.fullmatch(SHELL, pair[1].text) for pair in pairs.values())
+            if not (shells and are_elements(sorted(set(names.values())))):
+                continue
+            for path, (element, _) in pairs.items():
+                whole = Token(names[path], element.gap)
+                made[path] = (*tokens[path][:index], whole, *tokens[path][index + 2 :])
+    return made
 
 
 # --- columns ----------------------------------------------------------------------------------
@@ -229,6 +252,8 @@ def _by_name(column: _Column, samples: Frames) -> tuple[str, str] | None:
     if lower <= COLOURS | IMAGES and len(lower & COLOURS) >= FEWEST:
         return "band", listed
     if lower <= COLOURS | COLOUR_LETTERS and any(known <= lower for known in LETTERS):
+        return "band", listed
+    if are_elements(texts):
         return "band", listed
     codes = [CODE.fullmatch(text) for text in texts]
     if len(texts) > 2 and all(codes) and _are_spectral([float(m["number"]) for m in codes if m]):

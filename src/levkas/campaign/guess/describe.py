@@ -18,6 +18,7 @@ from levkas.campaign.guess.band_names import Question
 from levkas.campaign.guess.groups import CameraGroup, FilePatterns, find_patterns, safe_name
 from levkas.campaign.guess.names import NamedFile
 from levkas.campaign.guess.pixels import MOST_SAMPLED, Samples, bits_of
+from levkas.campaign.guess.words import are_elements
 from levkas.core.text import counted
 from levkas.readers.spectra import parse_spectra
 
@@ -29,6 +30,8 @@ LISTED = 6
 READ_BYTES, ROWS = 20_000, 8
 """Of a table that is looked at."""
 WAVELENGTHS_NM = (200.0, 3000.0)
+COARSE = 3
+"""Times as many px in the other pictures from which a stack of pages is taken for maps of a scan, which have a quarter or less."""
 BRIGHT = 0.5
 """Share of a scale that must be reached to take it for the scale."""
 
@@ -117,7 +120,7 @@ class CameraNotes:
 
 
 def describe_camera(
-    group: CameraGroup, samples: Samples, warmth: Mapping[str, float]
+    group: CameraGroup, samples: Samples, warmth: Mapping[str, float], finest: int = 0
 ) -> CameraGuess:
     """Describe one camera.
 
@@ -128,9 +131,11 @@ def describe_camera(
         Decodes a few of its frames.
     warmth : mapping of object to float
         As `levkas.campaign.guess.appearance.find_warmth` returns it.
+    finest : int, px
+        Longer side of the largest pictures of all cameras.
     """
     files, notes = find_patterns(group.frames), CameraNotes(about=list(group.notes))
-    keys = {"kind": _kind(group, files, samples)}
+    keys = {"kind": _kind_of_maps(group, files, finest) or _kind(group, files, samples)}
     kind = str(keys["kind"].value)
     texts = files.of_kind(kind)
     keys["files"] = Guess(texts[0] if len(texts) == 1 else texts, "; ".join(files.reasons))
@@ -206,6 +211,24 @@ def _is_hyspex(frame: NamedFile) -> bool:
 
 
 # --- kind -------------------------------------------------------------------------------------
+
+
+def _kind_of_maps(group: CameraGroup, files: FilePatterns, finest: int) -> Guess | None:
+    """Return the kind of maps of one scan: by their format, the elements that they name, or as coarse stacks; None of others."""
+    first = group.objects[0]
+    facts, templates = first.facts, group.of_role("dark", "white")
+    if first.file.is_stack:
+        return Guess("maps", f"a stack of {counted(facts.shape[2], 'map')}")
+    if templates:
+        return None
+    if are_elements(files.bands):
+        return Guess("maps", "one file per map: the names contain elements")
+    if are_elements(facts.band_names or facts.page_labels or ()):
+        return Guess("maps", "a stack of maps: the names of its bands are elements")
+    if facts.pages > 1 and first.file.channels == 1 and COARSE * max(facts.shape[:2]) < finest:
+        why = f"{facts.pages} pages per file, far coarser than other pictures, and no darks and whites"
+        return Guess("maps", why)
+    return None
 
 
 def _kind(group: CameraGroup, files: FilePatterns, samples: Samples) -> Guess:

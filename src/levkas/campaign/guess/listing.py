@@ -9,7 +9,7 @@ from pathlib import Path
 from levkas.campaign.discovery.file_index import DEEPEST, FolderListings, composed, walk_folders
 from levkas.core.problems import Refused
 from levkas.readers.facts import Facts
-from levkas.readers.frames import RENDERED
+from levkas.readers.frames import RENDERED, STACKS
 
 IMAGES = RENDERED | {".hdr"}
 MOST_READ = 3000
@@ -40,9 +40,16 @@ class CaptureFile:
         return int(self.facts.shape[2]) if len(self.facts.shape) == 3 else 1
 
     @property
+    def is_stack(self) -> bool:
+        """Whether it is of a format that stacks of maps have, and nothing else."""
+        return self.facts.kind in STACKS.values()
+
+    @property
     def signature(self) -> tuple[object, ...]:
-        """Common facts of one sensor's frames: size (of a scan the width), channels, type of number."""
+        """Common facts of one sensor's frames: size (of a scan the width), channels, type of number; of maps their format."""
         shape = self.facts.shape
+        if self.is_stack:
+            return (self.facts.kind,)
         if self.facts.kind == "envi":
             return ("envi", shape[1], shape[2], self.facts.dtype)
         return (shape[:2], self.channels, self.facts.dtype, self.facts.kind == "raw")
@@ -87,14 +94,18 @@ def list_captures(root: str | Path) -> Listing:
         folder = listing.root.joinpath(*above)
         composed_above = tuple(map(composed, above))
         paths += [(composed_above, folder / name) for name in names]
-    headers = {p.with_suffix("") for _, p in paths if p.suffix.lower() == ".hdr"}
+    headers = {p.with_suffix("") for _, p in paths if p.suffix.lower() in (".hdr", ".rpl")}
     known: dict[tuple[object, ...], list[Facts]] = {}
     for folders, path in paths:
         suffix = path.suffix.lower()
         name = "/".join((*folders, path.name))
         of_header = path in headers or path.with_suffix("") in headers
-        if of_header and suffix not in IMAGES:
-            continue  # the data of an ENVI header
+        if of_header and suffix not in IMAGES and suffix not in STACKS:
+            continue  # the data of an ENVI header, or of a Ripple stack
+        stack = None if suffix not in STACKS else _facts_of_stack(path)
+        if stack is not None:
+            listing.captures.append(CaptureFile(path, folders, stack))
+            continue
         if suffix not in IMAGES and suffix not in SUFFIXES:
             listing.others[suffix or path.name] += 1
             listing.tables += [name] if suffix == ".csv" else []
@@ -116,6 +127,16 @@ def list_captures(root: str | Path) -> Listing:
         alike.append(facts)
         listing.captures.append(CaptureFile(path, folders, facts))
     return listing
+
+
+def _facts_of_stack(path: Path) -> Facts | None:
+    """Read the facts of a stack of maps; None of a table, or of HDF5, that holds anything else."""
+    from levkas.readers.frames import read_facts
+
+    try:
+        return read_facts(path)
+    except Refused:
+        return None
 
 
 def _facts_of_image(path: Path) -> Facts:

@@ -121,8 +121,9 @@ def propose(listing: Listing) -> Proposal:
     doubts = [f"{g.name}: {doubt}" for g in groups for doubt in doubt_whites(g, samples)]
     unknown = doubts + by_eye + _without_conflicts(groups)
     warmth = find_warmth(groups, samples)
+    finest = max(max(g.frames[0].facts.shape[:2]) for g in groups)
     cameras = [
-        with_sensitivity(describe_camera(g, samples, warmth), listing.root, listing.tables)
+        with_sensitivity(describe_camera(g, samples, warmth, finest), listing.root, listing.tables)
         for g in groups
     ]
     if questions:

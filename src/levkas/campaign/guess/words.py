@@ -61,6 +61,14 @@ PREFIXES = _words(
     "img dsc dscf dscn p mg im image frame capture scan shot pict cimg sam raw file pic"
 )
 """Prefixes that cameras write before their running number."""
+ELEMENTS = _words("""
+    Na Mg Al Si P S Cl Ar K Ca Sc Ti V Cr Mn Fe Co Ni Cu Zn Ga Ge As Se Br Rb Sr Y Zr Nb Mo Ru Rh Pd Ag Cd In Sn Sb Te
+    I Cs Ba La Ce Nd Sm Eu Gd Tb Hf Ta W Re Os Ir Pt Au Hg Tl Pb Bi Th U
+""")
+"""Symbols of those that X-ray fluorescence finds in paint."""
+SHELL = r"[KLM]([abαβ]\d?)?"
+"""Of the electrons whose lines were fitted: ``K``, ``La1``."""
+_ELEMENT = re.compile(rf"(?P<symbol>[A-Z][a-z]?)([-_ ]?{SHELL})?")
 SG = ("digitalsg", "sg140", "checkersg")
 """Parts of longer names of the chart with 140 patches."""
 TARGET, OBJECT = "{target}", "{object}"
@@ -164,6 +172,19 @@ def role_of(text: str) -> str:
     if word in WHITE:
         return "white"
     return "chart" if chart_in(text) else ""
+
+
+def are_elements(texts: Sequence[str]) -> bool:
+    """Whether at least three texts, two in three of all, name elements, with or without a line of theirs.
+
+    Single letters may be anything: half of the names have to be longer.
+
+    >>> are_elements(["Pb-L", "Hg L", "Fe_Ka", "chisq"]), are_elements(["R", "G", "B"]), are_elements(["K", "S", "P"])
+    (True, False, False)
+    """
+    found = [m for text in texts if (m := _ELEMENT.fullmatch(text)) and m["symbol"] in ELEMENTS]
+    longer = sum(len(m.group()) > 1 for m in found)
+    return len(found) >= max(3, 2 * len(texts) / 3) and 2 * longer >= len(found)
 
 
 def role_in(text: str) -> str:

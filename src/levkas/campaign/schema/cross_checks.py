@@ -344,6 +344,8 @@ def _registration(document: Document) -> Iterator[Problem]:
         yield from _foreign_options(where, keys, {method}, method)
         if keys.use is not None and (keys.points or common.points) is None:
             yield value_problem(f"{where}.use", "no control points are given", keys.use)
+        if (keys.use or common.use) == "start" and not METHODS[method].begins:
+            yield _without_start(f"{where if keys.use else 'registration'}.use", method)
         if (keys.accept or common.accept) and (keys.use or common.use) != "seeds":
             table = where if keys.accept else "registration"
             message = "only points that are not check points place a camera"
@@ -371,6 +373,16 @@ def _not_joint(where: str, method: str) -> Problem:
         f"the method {method!r} has no joint adjustment",
         "true",
         fix=f'Remove it, or write method = "{able}".',
+    )
+
+
+def _without_start(where: str, method: str) -> Problem:
+    able = next(name for name, row in METHODS.items() if row.begins)
+    return value_problem(
+        where,
+        f"the method {method!r} does not try pairs of another program",
+        "start",
+        fix=f'Write use = "check" or use = "seeds", or method = "{able}".',
     )
 
 

@@ -152,7 +152,7 @@ class PointsKeys(Table):
     """Control points, and captures that are adjusted together."""
 
     points: Annotated[PathText, Field(min_length=1)] | None = None
-    use: Literal["check", "seeds"] | None = None
+    use: Literal["check", "seeds", "start"] | None = None
     accept: Literal["by hand"] | None = None
     joint: Switch | None = None
 

@@ -1,0 +1,146 @@
+"""Stacks of maps of X-ray fluorescence: what other programs write is read, and what is damaged is refused by name."""
+
+import numpy as np
+import pytest
+
+from levkas.readers.frames import UnreadableCapture, files_of, kind_of, read_facts, read_frame
+
+COUNTS = np.arange(2 * 3 * 4, dtype=np.float32).reshape(2, 3, 4)
+"""(lines, samples, maps)."""
+NAMES = ("Pb_L", "Hg_L", "Cu_K", "Fe_K")
+
+
+def ripple(folder, values, record="image", order="big-endian", **keys):
+    kinds = {"i": "signed", "u": "unsigned", "f": "float"}
+    found = {
+        "key": "value", "width": values.shape[1], "height": values.shape[0], "depth": values.shape[2], "offset": 5,
+        "data-length": values.itemsize, "data-type": kinds[values.dtype.kind], "byte-order": order, "record-by": record,
+    } | keys  # fmt: skip
+    (folder / "icon.rpl").write_text("".join(f"{key}\t{value}\n" for key, value in found.items()))
+    stored = np.moveaxis(values, -1, 0) if record == "image" else values
+    swapped = stored.astype(values.dtype.newbyteorder(">" if order == "big-endian" else "<"))
+    (folder / "icon.raw").write_bytes(b"12345" + swapped.tobytes())
+    return folder / "icon.rpl"
+
+
+def dms(folder, values=COUNTS, names=NAMES):
+    head = f"2\n{values.shape[1]} {values.shape[0]} {values.shape[2]}\n".encode()
+    path = folder / "icon.dms"
+    path.write_bytes(head + np.moveaxis(values, -1, 0).tobytes() + "\n".join(names).encode())
+    return path
+
+
+def table(folder, separator=";", quote=""):
+    names = ["row", "column", "Pb_L", "s(Pb_L)", "Hg_L", "Cu_K", "Fe_K", "chisq"]
+    rows = [separator.join(f"{quote}{name}{quote}" for name in names)]
+    for row, column in np.ndindex(2, 3):
+        pb, hg, cu, fe = (f"{value:.6E}" for value in COUNTS[row, column])
+        rows.append(separator.join([str(row), str(column), pb, "0.1", hg, cu, fe, "1.5"]))
+    path = folder / "icon.csv"
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("record", ["image", "vector"])
+@pytest.mark.parametrize("dtype", ["u1", "u2", "i4", "f4", "f8"])
+def test_a_ripple_stack_is_read_in_any_order_and_type(tmp_path, dtype, record):
+    for order in ("big-endian", "little-endian"):
+        path = ripple(tmp_path, COUNTS.astype(dtype), record, order)
+        assert kind_of(path) == "ripple" and read_facts(path).shape == (2, 3, 4)
+        values = read_frame(path)
+        assert values.dtype == np.dtype(dtype) and np.array_equal(values, COUNTS)
+    assert [file.name for file in files_of(path)] == ["icon.rpl", "icon.raw"]
+
+
+def test_a_stack_of_xrf_explorer_has_its_names(tmp_path):
+    path = dms(tmp_path)
+    facts = read_facts(path)
+    assert (facts.kind, facts.shape, facts.band_names) == ("dms", (2, 3, 4), NAMES)
+    assert np.array_equal(read_frame(path), COUNTS)
+    assert read_facts(dms(tmp_path, names=NAMES[:3])).band_names is None
+
+
+@pytest.mark.parametrize(("separator", "quote"), [(";", ""), (",", '"'), ("\t", "")])
+def test_a_table_of_pymca_is_read_without_its_deviations(tmp_path, separator, quote):
+    path = table(tmp_path, separator, quote)
+    facts = read_facts(path)
+    assert (facts.shape, facts.band_names) == ((2, 3, 4), NAMES)
+    assert "2 columns" in facts.notes[0]
+    assert np.array_equal(read_frame(path), COUNTS)
+
+
+@pytest.mark.parametrize(
+    ("keys", "field"),
+    [
+        ({"width": "many"}, "width"),
+        ({"width": "999999999999"}, "width, height, maps"),
+        ({"data-length": 3}, "data-type, data-length"),
+        ({"data-type": "text"}, "data-type, data-length"),
+        ({"byte-order": "dont-care"}, "byte-order"),
+        ({"record-by": "dont-care"}, "record-by"),
+        ({"depth": 5}, "width, height, maps"),
+    ],
+)
+def test_a_header_that_cannot_be_right_is_refused_by_its_key(tmp_path, keys, field):
+    path = ripple(tmp_path, COUNTS, **keys)
+    with pytest.raises(UnreadableCapture) as refused:
+        read_facts(path)
+    (problem,) = refused.value.problems
+    assert problem.field == field and "icon" in problem.file
+
+
+def test_numbers_that_are_not_there_are_named(tmp_path):
+    path = ripple(tmp_path, COUNTS)
+    (tmp_path / "icon.raw").unlink()
+    with pytest.raises(UnreadableCapture, match=r"Put icon\.raw beside icon\.rpl"):
+        read_facts(path)
+    short = dms(tmp_path)
+    short.write_bytes(short.read_bytes()[:60])
+    with pytest.raises(UnreadableCapture, match="truncated"):
+        read_facts(short)
+    short.write_bytes(b"no stack\n")
+    with pytest.raises(UnreadableCapture, match="does not declare a size"):
+        read_facts(short)
+
+
+def test_a_table_that_lacks_a_pixel_or_is_none_is_refused(tmp_path):
+    path = table(tmp_path)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[:3] + lines[4:]))
+    with pytest.raises(UnreadableCapture, match="every pixel once"):
+        read_frame(path)
+    path.write_text("object,camera\nicon,d80\n")
+    with pytest.raises(UnreadableCapture, match="no table of maps"):
+        read_facts(path)
+
+
+def test_maps_of_an_hdf5_file_of_pymca_are_read_and_links_are_not_followed(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "icon.h5"
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other["secret"] = COUNTS[..., 0]
+    with h5py.File(path, "w") as file:
+        results = file.create_group("icon/xrf_fit/results")
+        for k, name in enumerate(NAMES):
+            results[f"parameters/{name}"] = COUNTS[..., k]
+            results[f"uncertainties/{name}"] = COUNTS[..., k]
+        results["parameters/energy"] = np.arange(9.0)
+        results["parameters/Au_L"] = h5py.ExternalLink("other.h5", "secret")
+    facts = read_facts(path)
+    assert (facts.kind, facts.shape) == ("hdf5", (2, 3, 4))
+    order = [NAMES.index(name) for name in facts.band_names]
+    assert np.array_equal(read_frame(path), COUNTS[..., order])
+
+
+def test_hdf5_of_another_program_is_refused_with_what_to_do(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "icon.h5"
+    with h5py.File(path, "w") as file:
+        file["cube"] = COUNTS
+    with pytest.raises(UnreadableCapture, match="where PyMca wrote maps"):
+        read_facts(path)
+    with h5py.File(path, "a") as file:
+        for entry in ("one", "two"):
+            file[f"{entry}/results/parameters/Pb"] = COUNTS[..., 0]
+    with pytest.raises(UnreadableCapture, match="one group"):
+        read_facts(path)

@@ -1,0 +1,163 @@
+"""Pairs of another program are candidates of a start: right ones among wrong ones help, wrong ones alone change nothing."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from levkas.geometry.transforms import Affine
+from levkas.registration import BandImage, RegistrationRefused, register
+from levkas.registration.initial import start_candidates
+from levkas.registration.manual_points import ManualPoints
+
+INSIDE = np.array([[60.0, 50.0], [220.0, 160.0]])
+
+
+@pytest.fixture(scope="module")
+def hard(studio):
+    """A reference, a target on its side at 0.4 of the sampling in much noise, and the map: the pictures alone are refused."""
+    angle, scale = np.deg2rad(137), 0.4
+    rows = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    corners = np.array([[0, 0], [299, 0], [299, 229], [0, 229]]) @ rows.T
+    size = np.ceil(np.ptp(corners, axis=0)).astype(int)
+    truth = Affine(np.column_stack([rows, -corners.min(0)]))
+    painting = studio.paint(11)
+    reference = studio.photograph(painting, Affine.identity(), seed=5)
+    target = studio.photograph(painting, truth.inverse, tuple(size.tolist()), seed=2, noise=0.2)
+    return BandImage.of("r", reference), BandImage.of("heat", target), truth
+
+
+def candidates(truth, rng, right, wrong):
+    """Pairs of which some are right to 1 px, in any order."""
+    places = rng.uniform(20, 210, (right, 2))
+    good = np.hstack([places, truth(places) + rng.normal(0, 0.4, (right, 2))])
+    bad = np.hstack([rng.uniform(0, 230, (wrong, 2)), rng.uniform(0, 110, (wrong, 2))])
+    return rng.permutation(np.vstack([good, bad]))
+
+
+def refusal(reference, target, **options):
+    with pytest.raises(RegistrationRefused) as refused:
+        register([reference], [target], reference_band="r", **options)
+    return refused.value.problems
+
+
+def test_pairs_of_which_two_in_five_are_wrong_register_what_the_pictures_alone_do_not(hard):
+    reference, target, truth = hard
+    assert refusal(reference, target)[0].code == "E_MATCHES"
+    starts = candidates(truth, np.random.default_rng(4), 30, 20)
+    given = {"": ManualPoints(starts=starts)}
+    found = register([reference], [target], reference_band="r", given=given)
+    np.testing.assert_allclose(found.transforms["heat"](INSIDE), truth(INSIDE), atol=0.4)
+    assert found.verdict.decision != "refuse"
+    counted = found.errors["sensors"][""]["start_pairs"]
+    assert counted["given"] == 50 and 30 <= counted["agreeing"] <= 31 and counted["used"]
+
+
+def test_wrong_pairs_are_refused_as_no_pairs_are(hard):
+    reference, target, _ = hard
+    rng = np.random.default_rng(5)
+    places = rng.uniform(20, 210, (30, 2))
+    agreed = np.hstack([places, 0.4 * places + 7.0])  # all of one mind, and wrong
+    given = {
+        "": ManualPoints(starts=np.vstack([agreed, candidates(Affine.identity(), rng, 0, 20)]))
+    }
+    assert refusal(reference, target, given=given) == refusal(reference, target)
+
+
+def test_pairs_move_nothing_that_the_pictures_register_alone(studio):
+    painting = studio.paint(3)
+    truth = Affine(np.array([[0.99, 0.03, 4.0], [-0.03, 0.99, 7.0]]))
+    one = BandImage.of("r", studio.photograph(painting, Affine.identity(), seed=1))
+    two = BandImage.of("b", studio.photograph(painting, truth.inverse, seed=2))
+    wrong = {"": ManualPoints(starts=np.hstack([INSIDE, INSIDE + 40]).repeat(9, 0))}
+    alone, beside = (
+        register([one], [two], reference_band="r", given=given) for given in ({}, wrong)
+    )
+    records = [one.to_dict() for one in (alone, beside)]
+    found = [one["errors"]["sensors"][""].pop("start_pairs") for one in records]
+    assert found == [None, {"given": 18, "agreeing": 0, "used": False}]
+    for one in records:
+        one["verdict"]["numbers"]["sensor"].pop("start_pairs")
+    assert records[0] == records[1]
+
+
+def test_sets_of_pairs_are_tried_from_the_largest_to_the_smallest():
+    rng = np.random.default_rng(2)
+    p = rng.uniform(0, 300, (30, 2))
+    pairs = np.vstack(
+        [np.hstack([p[:12], p[:12] + 9]), np.hstack([p[12:], p[12:] * [-1, 1] + [300, 0]])]
+    )
+    first, second = start_candidates(pairs, (300, 300))
+    assert (first.count, first.mirrored, second.count, second.mirrored) == (18, True, 12, False)
+    assert not list(start_candidates(pairs[:5], (300, 300)))
+    (coarse,) = start_candidates(np.hstack([p, p / 20]), (300, 300))
+    assert coarse.scale == pytest.approx(1 / 20)
+
+
+MATCHER = """
+import numpy as np
+def match(reference, target):
+    assert reference.shape == (230, 300) and target.dtype == np.float32
+    {body}
+"""
+SCRIPT = """
+import sys
+import numpy as np
+from levkas.campaign.campaign import CampaignInvalid, load_campaign
+from levkas.campaign.methods import STARTS, STARTS_GROUP, code_of
+from levkas.registration import BandImage, RegistrationRefused, register
+try:
+    print(load_campaign(sys.argv[1]).registration_of("vis"), len(code_of("mine", STARTS_GROUP)))
+except CampaignInvalid as refused:
+    print(refused.problems[0].message)
+noise = [BandImage.of(n, np.random.default_rng(k).random((230, 300))) for k, n in enumerate("ab")]
+try:
+    register(noise[:1], noise[1:], reference_band="a", starts="mine")
+except RegistrationRefused as refused:
+    print(refused.problems[0].code, refused.problems[0].field)
+"""
+CAMPAIGN = """
+[campaign]
+reference = "vis"
+[cameras.vis]
+kind = "image"
+files = "{target}.png"
+[targets]
+objects = ["icon1"]
+[registration]
+starts = "mine"
+"""
+
+
+def test_a_matcher_of_an_installed_package_is_called_where_the_pictures_are_refused(tmp_path):
+    body, printed = "return [[1, 2, 3]]", ["{'starts': 'mine'} 16", "E_METHOD registration.starts"]
+    info = tmp_path / "site" / "mine-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[levkas.starts]\nmine = my_matcher:match\n")
+    (tmp_path / "site" / "my_matcher.py").write_text(MATCHER.format(body=body))
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN)
+    script = f"import sys; sys.path.insert(0, {str(tmp_path / 'site')!r})\n{SCRIPT}"
+    toml = str(tmp_path / "campaign.toml")
+    done = subprocess.run(
+        [sys.executable, "-c", script, toml], capture_output=True, text=True, check=False
+    )
+    assert done.stdout.splitlines() == printed, done.stderr
+
+
+def test_a_matcher_that_is_not_installed_is_refused(tmp_path):
+    from levkas.campaign.campaign import CampaignInvalid, load_campaign
+
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN)
+    with pytest.raises(CampaignInvalid, match="a matcher of a package which is installed"):
+        load_campaign(tmp_path / "campaign.toml")
+
+
+def test_the_report_says_how_many_pairs_agree():
+    from levkas.building.report_pages import _checks
+
+    counts = {"given": 50, "agreeing": 30, "used": True}
+    errors = {"sensors": {"": {"start_pairs": counts}, "far": {"start_pairs": None}}}
+    expected = "Of 50 pairs of another program, 30 agree with the map; they started the search."
+    assert _checks(errors) == expected and _checks({"sensors": {"": {}}}) == ""
