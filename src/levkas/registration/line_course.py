@@ -254,8 +254,8 @@ class LineShifts:
 
     def among(self, lines: slice) -> LineShifts:
         """Return some lines alone."""
-        parts = (self.shift[lines], self.information[lines], self.weight[lines])
-        return replace(self, **dict(zip(("shift", "information", "weight"), parts, strict=True)))
+        shift, information = self.shift[lines], self.information[lines]
+        return replace(self, shift=shift, information=information, weight=self.weight[lines])
 
     def without(self, course: np.ndarray) -> LineShifts:
         """Return what is left of the shifts beside a common course, (lines, 2)."""
