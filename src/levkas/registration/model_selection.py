@@ -51,9 +51,8 @@ class SelectionSettings:
         Across the longer side.
     least_block : float
         Side of a block, in lengths within which windows share pixels.
-    gain, yielding_gain : float
-        Shares by which a richer model has to lower the held-out error, and by which a spline or a polynomial of order 4
-        or 5 has to: it follows what windows along a whole ledge or stroke get wrong alike, which blocks do not show.
+    gain : float
+        Share by which a richer model has to lower the held-out error.
     near, far : float
         Models whose held-out error is up to so much, as a share, above the best may be right too: where
         windows were measured, and where none were.
@@ -71,7 +70,6 @@ class SelectionSettings:
     blocks: int = 8
     least_block: float = 3.0
     gain: float = 0.01
-    yielding_gain: float = 0.1
     near: float = 0.1
     far: float = 1.0
     least_spline: int = 150
@@ -126,11 +124,6 @@ class ModelSpec:
     def plain(self) -> ModelSpec:
         """The model without spline and step in depth."""
         return replace(self, spline=None, depth_step=False)
-
-    @property
-    def is_yielding(self) -> bool:
-        """Whether it bends to what a lens and a warped panel do not do."""
-        return self.spline is not None or self.order > 3
 
     @property
     def coefficients(self) -> int:
@@ -391,33 +384,22 @@ class Candidate:
 class ModelComparison:
     """Compares models by how well they predict blocks to which they were not fitted."""
 
+    best: Candidate
+
     def __init__(self, judged: Observations, folds: Folds) -> None:
         self._judged, self._folds = judged, folds
         self._parts = [(judged.part(left_out), judged.part(rest)) for left_out, rest in folds]
         self.candidates: dict[ModelSpec, Candidate] = {}
-        self._best: dict[bool, Candidate] = {}
         self.scores: dict[str, float] = {}
 
     def add(self, spec: ModelSpec, least: int, *fits: Fit) -> Candidate:
         """Try one more model, richer than those before; of several ways to fit it the best is used."""
         tried = [Candidate(spec, least, fit, self._held_out_error(least, fit)) for fit in fits]
         found = min(tried, key=lambda one: one.score)
-        before = self._best.get(spec.is_yielding)
-        if before is None or found.score < before.score * (1 - SETTINGS.gain):
-            self._best[spec.is_yielding] = found
+        if not self.candidates or found.score < self.best.score * (1 - SETTINGS.gain):
+            self.best = found
         self.candidates[spec], self.scores[str(spec)] = found, found.score
         return found
-
-    @property
-    def best(self) -> Candidate:
-        """The model that predicts blocks best; a yielding one has to do so by more."""
-        stiff, yielding = self._best.get(False), self._best.get(True)
-        if stiff is None or (
-            yielding is not None and yielding.score < stiff.score * (1 - SETTINGS.yielding_gain)
-        ):
-            assert yielding is not None
-            return yielding
-        return stiff
 
     def _held_out_error(self, least: int, fit: Fit) -> float:
         """Return the error in blocks that were not fitted; infinite where too little is left to fit."""
