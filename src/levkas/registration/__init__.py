@@ -141,7 +141,9 @@ def register(
     check_request(request, method, METHODS)
     chosen = read_options(METHODS[method].options, options)
     placed = any(pairs.accepted for pairs in given.values())
-    run = _function(DEFAULT_METHOD if placed else method)
+    if placed and method != DEFAULT_METHOD:  # it places by pairs, with no option of another's
+        method, chosen = DEFAULT_METHOD, read_options(METHODS[DEFAULT_METHOD].options, {})
+    run = _function(method)
     pairs_given = max((len(pairs.fixed) for pairs in given.values()), default=0)
     try:
         with steady_libraries():
