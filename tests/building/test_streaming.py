@@ -85,9 +85,8 @@ def test_rows_are_resampled_as_the_whole_is(scan_and_cube, monkeypatch, tmp_path
     flags = np.concatenate([b.flags for b in blocks])
     sigma = np.concatenate([b.sigma for b in blocks])
     assert np.array_equal(flags & Flag.OUTSIDE, whole.flags & Flag.OUTSIDE)
-    exact = np.sqrt(whole.variance)
-    assert np.nanmax(np.abs(values - whole.values) / exact) < 1 / 16 + 0.01, "half a step"
-    assert np.nanmax(np.abs(sigma / exact - 1)) < 0.005
+    assert np.nanmax(np.abs(values - whole.values)) < 1e-4
+    assert np.nanmax(np.abs(sigma / np.sqrt(whole.variance) - 1)) < 1e-3
     for tile in ("11", "whole"):  # neither a part of a strip nor a multiple of it
         monkeypatch.setenv("LEVKAS_TILE", tile)
         others = list(streaming.resample_scan(scan, maps, size, spool=tmp_path).blocks)
@@ -125,11 +124,10 @@ def test_of_a_scan_that_lies_askew_many_lines_are_held_and_a_very_large_one_is_r
     maps = [Affine(np.array([[0.7, -0.7, 20], [0.7, 0.7, 0]]))] * len(cube.bands)
     monkeypatch.setattr(streaming, "BUFFER_BYTES", 9 * len(cube.bands) * cube.values.shape[1] * 30)
     blocks = list(streaming.resample_scan(scan, maps, (40, 40), spool=tmp_path).blocks)
-    whole = warp(cube.values, maps, (40, 40), flags=cube.flags, variance=np.square(cube.sigma))
+    whole = warp(cube.values, maps, (40, 40), flags=cube.flags)
     values = np.concatenate([block.values for block in blocks])
-    found = np.isfinite(whole.values)
-    assert found.any() and np.array_equal(np.isfinite(values), found)
-    assert np.max(np.abs(values - whole.values)[found] / np.sqrt(whole.variance[found])) < 0.07
+    assert np.isfinite(values).any()
+    np.testing.assert_allclose(values, whole.values, atol=1e-4)
     monkeypatch.setattr(streaming, "ASKEW_BYTES", streaming.BUFFER_BYTES)
     with pytest.raises(streaming.ScanRefused, match="tilted relative to the grid"):
         next(streaming.resample_scan(scan, maps, (40, 40), spool=tmp_path).blocks)

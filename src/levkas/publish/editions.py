@@ -113,7 +113,7 @@ def shrink(source: Path, size: tuple[int, int]) -> Cube:
     Returns
     -------
     cube : Cube
-        Values and sigma rounded as the build rounds them.
+        Values of 16 significant bits, as the build writes them.
     """
     from levkas.core.rounding import round_root, round_values
     from levkas.database.described import open_tiff
@@ -138,11 +138,10 @@ def shrink(source: Path, size: tuple[int, int]) -> Cube:
         flags = read.get(".flags")
         warped = warp(values, transform, (size[1], size[0]), flags=flags, variance=variance)
         deep = (size[1], size[0], len(bands))
-        sigma = None if warped.variance is None else round_root(warped.variance)
-        found["values"].append(round_values(warped.values, sigma).reshape(deep))
+        found["values"].append(round_values(warped.values).reshape(deep))
         found["flags"].append(warped.flags.reshape(deep))
-        if sigma is not None:
-            found["sigma"].append(sigma.reshape(deep))
+        if warped.variance is not None:
+            found["sigma"].append(round_root(warped.variance).reshape(deep))
     joined = {kind: np.concatenate(parts, axis=2) for kind, parts in found.items() if parts}
     return Cube(
         joined["values"], joined["flags"], joined.get("sigma"), opened.bands, opened.quantity

@@ -438,7 +438,7 @@ def cube_of(
     sigma = None
     if variance is not None:
         sigma = round_root(variance, out=variance if variance.dtype == np.float32 else None)
-    values = round_values(values, sigma, out=values if values.dtype == np.float32 else None)
+    values = round_values(values, out=values if values.dtype == np.float32 else None)
     lost = ~np.isfinite(values)
     if lost.any():
         values = np.where(lost, np.float32(0), values)
