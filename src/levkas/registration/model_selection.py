@@ -531,12 +531,11 @@ def _reweight(
 ) -> tuple[Transform, Observations, np.ndarray]:
     """Re-weight under the most yielding model, so that no stiffer one declares its misfit outliers."""
     current, weights = observations, np.ones(len(observations))
-    information, free = observations.information.copy(), len(observations) - fixed
     model = fit(current)
-    for _ in range(SETTINGS.rounds if free else 0):
-        residuals = observations.residuals(model)[:free]
-        scaled = scale_covariance(residuals, observations.information[:free])
-        information[:free], weights[:free] = scaled
+    for _ in range(SETTINGS.rounds):
+        residuals = observations.residuals(model)
+        information, weights = scale_covariance(residuals, observations.information)
+        weights[len(weights) - fixed :] = 1.0
         current = replace(observations, information=information).weighted(weights)
         model = fit(current)
     return model, current, weights
