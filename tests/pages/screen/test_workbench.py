@@ -299,7 +299,7 @@ def test_a_refused_camera_is_repaired_by_four_pairs_on_screen(
     page.locator("#build").click()
     page.wait_for_function(
         "() => document.querySelector('#build-status').textContent === 'Registered again.'",
-        timeout=1_200_000,
+        timeout=180_000,
     )
     words = page.locator(".verdict .badge").inner_text()
     assert words.startswith("accepted") or words == "doubtful, please check"
@@ -325,7 +325,7 @@ def test_a_refused_camera_is_placed_by_hand_and_by_its_picture_again(
     page.locator("#by-hand").click()
     page.wait_for_function(
         "() => document.querySelector('.verdict .badge').textContent === 'placed by hand'",
-        timeout=1_200_000,
+        timeout=180_000,
     )
     assert "the pictures do not confirm it" in page.locator(".verdict").inner_text()
     assert read_edits(folder / "edits.toml").frames["bad", "xray"].accept == "by hand"
@@ -333,7 +333,7 @@ def test_a_refused_camera_is_placed_by_hand_and_by_its_picture_again(
     page.locator("#by-hand").click()
     page.wait_for_function(
         "() => !['placed by hand', 'refused'].includes(document.querySelector('.verdict .badge').textContent)",
-        timeout=1_200_000,
+        timeout=180_000,
     )
     assert read_edits(folder / "edits.toml").frames["bad", "xray"].accept == ""
 
