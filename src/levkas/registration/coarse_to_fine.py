@@ -269,7 +269,8 @@ class SensorTask:
     ) -> dict[str, CoarseShift]:
         """Measure, band by band, how coarse detail lies beside the map; of bands that show enough of it."""
         step = found.step * COARSER
-        if min(self.reference.shape) // step < 3 * cell_px((0, 0)):
+        coarse = [side // step for side in self.reference.shape]
+        if min(coarse) < 3 * cell_px(coarse):
             return {}
         own = [found.chromatic.transform(i) for i in range(len(self.bands))]
         windows = self.measure_shifts(self.bands, own, found.base, step)
@@ -528,9 +529,8 @@ def _put_lines_right(
         left = again.measure_lines(better)
         if left is None or left.rms >= lines.rms:
             break
-        if (
-            left.picture == "reference"
-        ):  # its lines lay still before: near the rim, what of this picture is not measured
+        # Lines of the reference lay still before: near the rim, it may be what of this picture is not measured.
+        if left.picture == "reference":
             left = replace(left, picture="either")
         whole, now, found, lines = correction, again, better, left
     return now, found, lines, whole

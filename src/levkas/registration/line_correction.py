@@ -191,7 +191,7 @@ def _choose(shifts: LineShifts) -> tuple[np.ndarray, float, float]:
     errors, spacings = [], []
     for axis in range(2):
         halves = [_mean(shifts, part, axis) for part in (outer, ~outer)]
-        whole = _mean(shifts, outer | True, axis)
+        whole = _mean(shifts, np.ones_like(outer), axis)
         spacing, error = _choose_spacing(halves, CLOSEST[axis])
         spacings.append(spacing)
         errors.append(error)

@@ -10,7 +10,8 @@ from levkas.core.flags import Flag
 from levkas.core.problems import Problem
 from levkas.readers.facts import UnreadableCapture
 from levkas.readers.frames import read_plane
-from levkas.stages.calibrate import cube_of, require_one_size
+from levkas.stages.calibrate import require_one_size
+from levkas.stages.exposures import cube_of
 
 MOST_MAPS = 200
 """Of one stack; programs for X-ray fluorescence fit some twenty elements, and a stack of more holds spectra."""
