@@ -1,0 +1,19 @@
+"""Checks of single frames while a session lasts: what one shows by itself, and beside its companions.
+
+`measure_frame` reduces a frame to some numbers and a small picture, `judge` compares those of one sensor. Nothing here
+reads a file: a program that receives frames hands in their values.
+"""
+
+from levkas.quality.frame_checks.judging import FrameOfSet, judge
+from levkas.quality.frame_checks.light_checks import Finding, Severity, worst
+from levkas.quality.frame_checks.measures import FrameMeasures, measure_frame
+
+__all__ = [
+    "Finding",
+    "FrameMeasures",
+    "FrameOfSet",
+    "Severity",
+    "judge",
+    "measure_frame",
+    "worst",
+]

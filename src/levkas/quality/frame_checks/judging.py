@@ -1,0 +1,377 @@
+"""The frames of one sensor judged beside one another: which companions each is compared with, and what comes of it.
+
+The result depends on the set of frames alone, not on the order in which they came: a late white, a dark that is replaced
+or a frame that is deleted changes what its companions get, as if it had been so from the start.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from levkas.quality.frame_checks import light_checks as light
+from levkas.quality.frame_checks import picture_checks as picture
+from levkas.quality.frame_checks.light_checks import SAME_TIME, Finding
+from levkas.quality.frame_checks.measures import FrameMeasures
+from levkas.readers.compared_facts import FACTS, ComparedFact, describe_value, read_fact
+from levkas.readers.facts import Facts
+
+LIT_ROLES = ("object", "white", "chart")
+MOST_COMPANIONS = 8
+"""Frames whose noise is compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameOfSet:
+    """A frame as it is judged.
+
+    Parameters
+    ----------
+    name : str
+        Unique; frames of the same time are ordered by it.
+    role : {"object", "white", "dark", "chart"}
+    target, band, shot : str
+        Band and shot are empty where the name has none; a frame without a band serves all.
+    at : float
+        s, on the clock of the camera or of the files, which orders the frames of a sensor.
+    facts : Facts
+    measures : FrameMeasures
+    exposure_s : float, optional
+    names : tuple of str
+        Of the channels.
+    full : float, optional
+        Stated full scale, counts.
+    black : float, optional
+        Stated black level, counts.
+    """
+
+    name: str
+    role: str
+    target: str
+    facts: Facts
+    measures: FrameMeasures
+    band: str = ""
+    shot: str = ""
+    at: float = 0.0
+    exposure_s: float | None = None
+    names: tuple[str, ...] = ("",)
+    full: float | None = None
+    black: float | None = None
+
+
+@dataclass(frozen=True)
+class SetRules:
+    """What of a camera decides which checks its frames get.
+
+    Parameters
+    ----------
+    overrule : collection of str
+        Facts that may differ.
+    brackets : bool
+        Whether several exposures are merged or chosen from: a single one may clip, or be dim.
+    scanned : bool
+        Whether lines are exposed one after another: no stacks, no pictures to compare.
+    """
+
+    overrule: Collection[str] = ()
+    brackets: bool = False
+    scanned: bool = False
+
+
+@dataclass
+class FrameJudge:
+    """The frames of one sensor under one setup; findings of unchanged companions are kept between calls."""
+
+    rules: SetRules = SetRules()
+    _kept: dict[tuple[object, ...], list[Finding]] = field(default_factory=dict)
+
+    def judge(self, frames: Iterable[FrameOfSet]) -> dict[str, list[Finding]]:
+        """Return the findings of every frame by its name, in the order of time."""
+        companions = _Companions(sorted(frames, key=lambda f: (f.at, f.name)), self.rules)
+        fresh: dict[tuple[object, ...], list[Finding]] = {}
+        found = {}
+        for frame in companions.frames:
+            beside = companions.of(frame)
+            key = (frame.name, frame.measures.key, *beside.key)
+            kept = self._kept.get(key)
+            fresh[key] = _findings(frame, beside, self.rules) if kept is None else kept
+            found[frame.name] = fresh[key]
+        self._kept = fresh
+        return found
+
+
+def judge(
+    frames: Iterable[FrameOfSet],
+    rules: SetRules = SetRules(),
+) -> dict[str, list[Finding]]:
+    """Return the findings of the frames of one sensor under one setup, by name; `FrameJudge` does it again and again.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from levkas.quality.frame_checks import measure_frame
+    >>> rng, facts = np.random.default_rng(1), Facts(Path("a.tif"), "tiff", (240, 320), "uint16", bits=12)
+    >>> def white(name, level):
+    ...     codes = rng.normal(level, 10, (240, 320)).astype(np.uint16)
+    ...     return FrameOfSet(name, "white", "white", facts, measure_frame(codes), at=float(name), full=4095, black=0)
+    >>> found = judge([white("1", 3000), white("2", 2880)])
+    >>> found["1"], found["2"][0].text
+    ([], 'the lamp gives 4 % less than at the white before')
+    """
+    return FrameJudge(rules).judge(frames)
+
+
+@dataclass(frozen=True, eq=False)
+class _Beside:
+    """The companions of one frame, None or empty where there are none."""
+
+    black: float
+    stated_black: float | None = None
+    white: FrameOfSet | None = None
+    scene: FrameOfSet | None = None
+    before: FrameOfSet | None = None
+    best: FrameOfSet | None = None
+    twin: FrameOfSet | None = None
+    like: tuple[FrameOfSet, ...] = ()
+    dark_times: tuple[float, ...] = ()
+    settings: tuple[tuple[ComparedFact, object, str, object], ...] = ()
+    same_band: bool = True
+    same_exposure: bool = True
+    size: tuple[int, ...] | None = None
+
+    @cached_property
+    def key(self) -> tuple[object, ...]:
+        single = (self.white, self.scene, self.before, self.best, self.twin, *self.like)
+        names = tuple(None if f is None else f"{f.name}/{f.measures.key}" for f in single)
+        differing = tuple(fact.name for fact, *_ in self.settings)
+        return (names, self.black, self.dark_times, differing, self.size)
+
+
+class _Companions:
+    """Looks companions up; made once for a set, in time that grows as its size."""
+
+    def __init__(self, frames: Sequence[FrameOfSet], rules: SetRules) -> None:
+        self.frames, self.rules = frames, rules
+        self.place = {frame.name: i for i, frame in enumerate(frames)}
+        by: dict[tuple[object, ...], list[FrameOfSet]] = defaultdict(list)
+        for frame in frames:
+            by["role", frame.role].append(frame)
+            by["band", frame.role, frame.band].append(frame)
+            by["target", frame.role, frame.target].append(frame)
+            by["scene", frame.role, frame.target, frame.band].append(frame)
+            by["stack", frame.role, frame.target, frame.band, frame.exposure_s].append(frame)
+            by["twin", frame.measures.key].append(frame)
+        self.by = by
+        self.dark_times = tuple(
+            sorted({f.exposure_s for f in by["role", "dark"] if f.exposure_s is not None})
+        )
+        darks = [float(np.median(f.measures.level)) for f in by["role", "dark"]]
+        stated = next((f.black for f in frames if f.black is not None), None)
+        self.black = float(np.median(darks)) if darks else stated if stated is not None else 0.0
+        self.sharpest: dict[tuple[str, str], FrameOfSet] = {}
+        for frame in by["role", "object"]:
+            scene = frame.target, frame.band
+            best, blur = self.sharpest.get(scene), float(frame.measures.blur_px)
+            if np.isfinite(blur) and (best is None or blur < float(best.measures.blur_px)):
+                self.sharpest[scene] = frame
+        self.usual = _usual_settings(frames)
+        sizes = Counter(tuple(map(int, f.measures.shape)) for f in frames)
+        self.size = sizes.most_common(1)[0][0] if sizes else None
+
+    def of(self, frame: FrameOfSet) -> _Beside:
+        stack = self.by["stack", frame.role, frame.target, frame.band, frame.exposure_s]
+        like: tuple[FrameOfSet, ...]
+        before, same_band, same_exposure = None, True, True
+        if frame.role == "dark":
+            of_time = [f for f in stack if f is not frame]
+            like, before = tuple(of_time[:MOST_COMPANIONS]), self._before(frame, stack)
+        elif frame.role == "white":
+            same = self.by["band", "white", frame.band]
+            like = tuple(f for f in same[: MOST_COMPANIONS + 1] if f is not frame)
+            before = self._before(frame, same)
+        else:
+            like = tuple(f for f in stack[:2] if f is not frame)[:1]
+            scene = self.by["scene", frame.role, frame.target, frame.band]
+            before = self._before(frame, scene)
+            same_exposure = before is None or before.exposure_s == frame.exposure_s
+            if before is None:
+                same_band = False
+                before = self._before(frame, self.by["target", frame.role, frame.target])
+        twins = self.by["twin", frame.measures.key]
+        lit = frame.role != "dark"
+        return _Beside(
+            self.black,
+            frame.black,
+            white=self._nearest(frame, "white") if frame.role == "object" else None,
+            scene=self._nearest(frame, "object") if frame.role == "white" else None,
+            before=before,
+            best=self.sharpest.get((frame.target, frame.band)) if frame.role == "object" else None,
+            twin=twins[0] if twins[0] is not frame else None,
+            like=like,
+            dark_times=self.dark_times if lit else (),
+            settings=tuple(self._differing(frame)),
+            same_band=same_band,
+            same_exposure=same_exposure,
+            size=self.size,
+        )
+
+    def _before(self, frame: FrameOfSet, frames: Sequence[FrameOfSet]) -> FrameOfSet | None:
+        places = [self.place[f.name] for f in frames] if len(frames) < 3 else _Places(self, frames)
+        at = bisect_left(places, self.place[frame.name])
+        return frames[at - 1] if at else None
+
+    def _nearest(self, frame: FrameOfSet, role: str) -> FrameOfSet | None:
+        """Return the frame of a role and the same band, or that serves all, that is nearest in time."""
+        for band in dict.fromkeys((frame.band, "")):
+            frames = self.by["band", role, band]
+            at = (
+                bisect_left([f.at for f in frames], frame.at)
+                if len(frames) < 64
+                else _at(frames, frame.at)
+            )
+            around = frames[max(0, at - 1) : at + 1]
+            if around:
+                return min(around, key=lambda f: abs(f.at - frame.at))
+        return None
+
+    def _differing(self, frame: FrameOfSet) -> Iterable[tuple[ComparedFact, object, str, object]]:
+        for fact, usual in self.usual.items():
+            if fact.name in self.rules.overrule or frame.role not in fact.roles or not usual:
+                continue
+            expected = usual.get(frame.band if fact.per_band else "")
+            value = read_fact(fact, frame.facts)
+            if expected is None or value is None or expected[0] is frame:
+                continue
+            if fact.compare(expected[1], value) == "refused":
+                yield fact, value, expected[0].name, expected[1]
+
+
+class _Places(Sequence[int]):
+    """Places in time of some frames, looked up one by one: bisection reads a few of many."""
+
+    def __init__(self, companions: _Companions, frames: Sequence[FrameOfSet]) -> None:
+        self.companions, self.frames = companions, frames
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, at):  # type: ignore[no-untyped-def]
+        return self.companions.place[self.frames[at].name]
+
+
+def _at(frames: Sequence[FrameOfSet], moment: float) -> int:
+    return bisect_left(frames, moment, key=lambda f: f.at)
+
+
+def _usual_settings(
+    frames: Sequence[FrameOfSet],
+) -> Mapping[ComparedFact, dict[str, tuple[FrameOfSet, object]]]:
+    """Return of every fact the value that most frames state, and the first frame that does, by band where bands may differ."""
+    usual: dict[ComparedFact, dict[str, tuple[FrameOfSet, object]]] = {}
+    for fact in FACTS:
+        counts: dict[str, Counter[str]] = defaultdict(Counter)
+        firsts: dict[tuple[str, str], tuple[FrameOfSet, object]] = {}
+        for frame in frames:
+            if not fact.fields or frame.role not in fact.roles:
+                continue
+            if (value := read_fact(fact, frame.facts)) is None or value == ():
+                continue
+            band, text = frame.band if fact.per_band else "", repr(value)
+            counts[band][text] += 1
+            firsts.setdefault((band, text), (frame, value))
+        # Counter keeps the order of coming, so that of equals the first in time counts.
+        usual[fact] = {b: firsts[b, c.most_common(1)[0][0]] for b, c in counts.items()}
+    return usual
+
+
+def _findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[Finding]:
+    """Return what is wrong with one frame, the gravest first."""
+    found = [*_settings(frame, beside)]
+    if beside.twin is not None and frame.measures.high.max() > frame.measures.low.min():
+        text = f"the same picture as {beside.twin.name}"
+        found.append(
+            Finding("twice", "look", text, "remove one, or capture the frame that is missing")
+        )
+    elif frame.role == "dark":
+        before = beside.before.measures if beside.before else None
+        found += light.check_dark(
+            frame.measures, black=beside.stated_black, full=frame.full, before=before
+        )
+        found += light.check_noise(frame.measures, _measures(beside.like), beside.black)
+    elif not any(f.severity == "stop" for f in found):
+        found += _lit_findings(frame, beside, rules)
+    return sorted(found, key=lambda f: f.severity != "stop")
+
+
+def _lit_findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[Finding]:
+    black, own = beside.black, frame.measures
+    found: list[Finding] = []
+    if not (rules.brackets and frame.role != "white"):
+        found += light.check_exposure(
+            own, frame.role, frame.names, black=black, full=frame.full, exposure_s=frame.exposure_s
+        )
+    found += light.check_dark_time(frame.exposure_s, beside.dark_times)
+    if frame.role == "white":
+        return found + _white_findings(frame, beside)
+    if frame.role == "object" and beside.white and (ratio := _times(frame, beside.white)):
+        found += picture.check_glare(own, beside.white.measures, black=black, ratio_of_times=ratio)
+    if rules.scanned:
+        return found
+    if beside.before is not None:
+        if beside.same_band and beside.same_exposure:
+            found += light.check_stack(own, beside.before.measures, black=black)
+        found += picture.check_moved(
+            own, beside.before.measures, same_band=beside.same_band, full=frame.full
+        )
+    found += light.check_noise(own, _measures(beside.like), black)
+    if beside.best is not None and beside.best is not frame:
+        before = beside.before.measures if beside.before and beside.same_band else None
+        found += picture.check_focus(own, beside.best.measures, before)
+    if frame.role == "object":
+        found += picture.check_framing(own)
+    return found
+
+
+def _white_findings(frame: FrameOfSet, beside: _Beside) -> list[Finding]:
+    black, own = beside.black, frame.measures
+    before = beside.before.measures if beside.before else None
+    scene = beside.scene.measures if beside.scene else None
+    found = light.check_white_frame(own, black=black, before=before, scene=scene)
+    if beside.before is not None and not any(f.severity == "stop" for f in found):
+        ratio = _times(frame, beside.before)
+        if ratio:
+            found += light.check_drift(
+                own, beside.before.measures, black=black, ratio_of_times=ratio
+            )
+        found += picture.check_dust(own, beside.before.measures, black=black)
+    return found + light.check_noise(own, _measures(beside.like), black)
+
+
+def _settings(frame: FrameOfSet, beside: _Beside) -> Iterable[Finding]:
+    """Yield where a frame's file states otherwise than most of its set, or has another size."""
+    size = tuple(map(int, frame.measures.shape))
+    if beside.size is not None and size != beside.size:
+        own, other = (f"{w} x {h}" for h, w in (size, beside.size))
+        text = f"the frame is {own} px, the others are {other} px"
+        yield Finding("settings", "stop", text, "set the camera's size and format back, and repeat")
+    for fact, value, name, expected in beside.settings:
+        own, other = describe_value(fact, value), describe_value(fact, expected)
+        text = f"{fact.title}: {own}, but {other} in {name} and most others"
+        yield Finding("settings", "stop", text, "set the camera back, and repeat the frame")
+
+
+def _measures(frames: Iterable[FrameOfSet]) -> list[FrameMeasures]:
+    return [frame.measures for frame in frames]
+
+
+def _times(frame: FrameOfSet, other: FrameOfSet) -> float | None:
+    """Return the ratio of two exposures; 1 where neither is known, None where one is not."""
+    if frame.exposure_s and other.exposure_s:
+        ratio = frame.exposure_s / other.exposure_s
+        return 1.0 if max(ratio, 1 / ratio) <= SAME_TIME else ratio
+    return None if frame.exposure_s or other.exposure_s else 1.0

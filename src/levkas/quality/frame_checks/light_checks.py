@@ -1,0 +1,354 @@
+"""Checks of the light of a frame: exposure, black level, dark, white, drift, noise.
+
+Each returns findings, none where all is well: what is wrong in one sentence, and what to do before the painting leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from levkas.calibration.drift import measure_light
+from levkas.calibration.templates import CalibrationRefused, Template
+from levkas.calibration.white_area import LEAST, find_white_area
+from levkas.calibration.whites import check_white
+from levkas.quality.frame_checks.measures import FrameMeasures
+
+Severity = Literal["look", "stop"]
+GOAL = 0.85
+"""Share of the full scale that the white's brightest cell is to have: the paper's 85 %, see `planning.exposure_levels`."""
+CLIPPED = {"white": (2e-4, 2e-3), "object": (1e-3, 0.02)}
+"""Share of a channel at full scale to look at, and to stop at: a white divides every frame, an object has highlights. Hot
+sensels and cosmic rays are below 1e-4."""
+NEAR_FULL, DIM_WHITE, DIM_OBJECT = 0.97, 0.06, 0.03
+"""Of the full scale above black: a white's brightest cell that leaves no head-room, and brightest parts that leave most of
+the scale unused."""
+LEAK, BLACK_OFF, NOISES = (0.005, 0.1), 0.002, 4.0
+"""Of the full scale: unevenness or level of a dark that is light, and its change that is no noise; and over its noise."""
+UNEVEN, ROUGH, RELIT = 0.3, 0.06, 0.04
+"""A white's darkest cell over its median; rms about a smooth surface; change of its shading from the white before."""
+DRIFT, STACK = (0.02, 0.1), (0.01, 0.05)
+"""Relative change of the light between whites, and within a stack, to look at and to stop at."""
+NOISIER, QUIET_COUNTS = 1.8, 0.6
+"""Variance over that of the camera's other frames; less noise than the counts is rounding."""
+SAME_TIME = 1.1
+"""Larger over smaller of two exposures that are one: EXIF has the nominal 1/60 s for 1/64."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong with a frame.
+
+    Parameters
+    ----------
+    check : str
+        ``"exposure"``, ``"black"``, ``"dark"``, ``"white"``, ``"drift"``, ``"noise"``, ``"focus"``, ``"glare"``,
+        ``"moved"``, ``"framing"``, ``"dust"``, ``"settings"``, ``"twice"`` or ``"file"``.
+    severity : {"look", "stop"}
+        Whether a person should look at it, or the frame cannot be used.
+    text, advice : str
+        What is wrong, and what to do now, a sentence each.
+    """
+
+    check: str
+    severity: Severity
+    text: str
+    advice: str
+
+    def to_dict(self) -> dict[str, str]:
+        """Return the finding, JSON-ready."""
+        return dict(vars(self))
+
+
+def worst(findings: Sequence[Finding]) -> str:
+    """Return ``"green"``, ``"look"`` or ``"stop"``.
+
+    >>> worst([]), worst([Finding("noise", "look", "", ""), Finding("white", "stop", "", "")])
+    ('green', 'stop')
+    """
+    return next((s for s in ("stop", "look") if any(f.severity == s for f in findings)), "green")
+
+
+def graded(value: float, limits: tuple[float, float]) -> Severity | None:
+    """Return how bad a value is that should be small, by the limits of look and of stop."""
+    return "stop" if value >= limits[1] else "look" if value >= limits[0] else None
+
+
+def times(factor: float, exposure_s: float | None) -> str:
+    """Return an exposure as advice: the factor, and the seconds where they are known.
+
+    >>> times(0.5, 0.2), times(3.0, None)
+    ('expose 0.5 times as long (0.1 s)', 'expose 3 times as long')
+    """
+    seconds = f" ({exposure_s * factor:.2g} s)" if exposure_s else ""
+    return f"expose {factor:.2g} times as long{seconds}"
+
+
+def check_exposure(
+    frame: FrameMeasures,
+    role: str,
+    names: Sequence[str],
+    *,
+    black: float,
+    full: float | None,
+    exposure_s: float | None = None,
+) -> list[Finding]:
+    """Check how much of the scale a white, object or chart uses.
+
+    Parameters
+    ----------
+    frame : FrameMeasures
+    role : str
+        Other than dark.
+    names : sequence of str
+        Of the channels.
+    black, full : float, float or None
+        Counts without light and at full scale.
+    exposure_s : float, optional
+        Then the advice has seconds.
+    """
+    worst_one = int(frame.full_share.argmax())
+    share = float(frame.full_share[worst_one])
+    limits = CLIPPED["white" if role == "white" else "object"]
+    where = f" in {names[worst_one]}" if len(names) > 1 else ""
+    if (severity := graded(share, limits)) is not None:
+        factor = 0.5 if share > 0.05 else 0.7
+        return [
+            Finding(
+                "exposure",
+                severity,
+                f"{percent(share)} of the {role} is at full scale{where}",
+                f"capture it again: {times(factor, exposure_s)}, or dim the lamp",
+            )
+        ]
+    if full is None or full <= black:
+        return []
+    used = (frame.cells.max((1, 2)) if role == "white" else frame.high) - black
+    brightest = float(used.max()) / (full - black)
+    factor = GOAL / max(brightest, 1e-6)
+    if role == "white" and brightest > NEAR_FULL:
+        text = f"the white reaches {percent(brightest)} of the full scale: a lamp that brightens clips it"
+        return [Finding("exposure", "look", text, f"capture it again: {times(factor, exposure_s)}")]
+    if brightest < (DIM_WHITE if role == "white" else DIM_OBJECT):
+        text = f"the {role} uses {percent(max(brightest, 0))} of the scale, so noise is large"
+        advice = "check the lamp, the shutter and the lens cap"
+        if brightest > 0.002:
+            advice = f"{times(factor, exposure_s)}, or check the lamp"
+        return [Finding("exposure", "look", text, advice)]
+    return []
+
+
+def check_dark(
+    dark: FrameMeasures,
+    *,
+    black: float | None,
+    full: float | None,
+    before: FrameMeasures | None = None,
+) -> list[Finding]:
+    """Check that a dark is dark, even, and as the dark before it of the same time."""
+    scale = full or float(dark.high.max())
+    level = float(np.median(dark.level))
+    noise = max(float(np.nanmedian(dark.noise)), QUIET_COUNTS)
+    apart = dark.cells - np.median(dark.cells, (1, 2), keepdims=True)
+    lit = float(np.quantile(apart, 0.98))
+    above = level - (black if black is not None else 0.0)
+    severity = graded(max(lit, above if black is not None else above - 0.25 * scale) / scale, LEAK)
+    if severity is not None:
+        text = f"the dark is not dark: {level:.0f} counts, up to {level + lit:.0f}, {percent((above + lit) / scale)} of the scale"
+        return [Finding("dark", severity, text, "cover the lens, switch the lamp off, and repeat")]
+    if before is not None and before.level.shape == dark.level.shape:
+        change = float(np.median(dark.cells.mean((1, 2)) - before.cells.mean((1, 2))))
+        if abs(change) > max(BLACK_OFF * scale, NOISES * noise):
+            text = f"the black level moved by {change:+.1f} counts since the dark before"
+            advice = "let the camera warm up, then repeat the darks and the frames between"
+            return [Finding("black", "look", text, advice)]
+    return []
+
+
+def check_dark_time(exposure_s: float | None, darks: Sequence[float]) -> list[Finding]:
+    """Check that there is a dark of a frame's exposure, s; where no dark states one, nothing is known."""
+    if exposure_s is None or not darks:
+        return []
+    if any(max(exposure_s, t) <= SAME_TIME * min(exposure_s, t) for t in darks if t > 0):
+        return []
+    there = ", ".join(f"{t:g}" for t in sorted(set(darks))[:4])
+    text = f"there is no dark of {exposure_s:g} s; darks are of {there} s"
+    advice = f"capture a dark of {exposure_s:g} s before the camera is moved or cools"
+    return [Finding("dark", "look", text, advice)]
+
+
+def check_white_frame(
+    white: FrameMeasures,
+    *,
+    black: float,
+    before: FrameMeasures | None = None,
+    scene: FrameMeasures | None = None,
+) -> list[Finding]:
+    """Check that a white is lit, smooth, even, as the one before it, and free of the object.
+
+    Parameters
+    ----------
+    white : FrameMeasures
+    black : float
+        Counts without light.
+    before : FrameMeasures, optional
+        The white before it of the same camera and band.
+    scene : FrameMeasures, optional
+        Of the object of the same band.
+    """
+    template = _template(white.picture)
+    try:
+        check_white(template, np.full((1, 1), black), None, None)
+    except CalibrationRefused as refused:
+        problem = refused.problems[0]
+        advice = problem.fix or "capture the white again"
+        return [Finding("white", "stop", f"{problem.message}: {problem.found}", advice)]
+    if scene is not None and (found := _painting_in(white, scene, black)):
+        return [found]
+    light = np.maximum(white.cells - black, 0)
+    middle = np.median(light, (1, 2))
+    judged = light[middle > 0] / middle[middle > 0][:, None, None]
+    if not len(judged):
+        return []
+    if before is not None and before.cells.shape == white.cells.shape:
+        ratio = _ratio(white.cells - black, before.cells - black)
+        ratio /= np.median(ratio)
+        change = float(np.quantile(ratio, 0.98) - np.quantile(ratio, 0.02))
+        if change > RELIT:
+            text = f"the shading of the white changed by {percent(change)} since the white before"
+            advice = "check whether a lamp was moved or something stands before it, and repeat"
+            return [Finding("white", "look", text, advice)]
+        return []
+    rough = float(np.sqrt(np.mean((judged.mean(0) - _surface(judged.mean(0))) ** 2)))
+    if rough > ROUGH:
+        text = f"the white is not smooth: {percent(rough)} rms about a smooth surface"
+        advice = "let the board fill the frame, and take away what stands before it"
+        return [Finding("white", "look", text, advice)]
+    least = float(np.quantile(judged.mean(0), 0.02))
+    if least < UNEVEN:
+        text = f"the white is uneven: its darkest part has {percent(least)} of the middle"
+        return [Finding("white", "look", text, "move the lamps away, or aim them at the far edge")]
+    return []
+
+
+def check_drift(
+    white: FrameMeasures, before: FrameMeasures, *, black: float, ratio_of_times: float = 1.0
+) -> list[Finding]:
+    """Check how the light of a white changed since the white before, whose exposure is 1/`ratio_of_times` of its."""
+    if white.cells.shape != before.cells.shape:
+        return []
+    change = float(np.median(_ratio(white.cells - black, before.cells - black))) / ratio_of_times
+    severity = graded(abs(change - 1), DRIFT)
+    if severity is None:
+        return []
+    text = f"the lamp gives {percent(abs(change - 1))} {'less' if change < 1 else 'more'} than at the white before"
+    advice = "let the lamp settle, then capture white and object again"
+    return [Finding("drift", severity, text, advice)]
+
+
+def check_stack(shot: FrameMeasures, first: FrameMeasures, *, black: float) -> list[Finding]:
+    """Check how the light changed between the first shot of a stack and this one."""
+    if shot.cells.shape != first.cells.shape:
+        return []
+    cells = np.stack([one.cells.reshape(len(one.cells), -1) for one in (first, shot)])
+    light = measure_light(cells, black)
+    sure = light.error < STACK[0] / 2
+    if not sure.any():
+        return []
+    change = float(np.median((light.levels[1] / light.levels[0])[sure]))
+    severity = graded(abs(change - 1), STACK)
+    if severity is None:
+        return []
+    text = f"{percent(abs(change - 1))} {'less' if change < 1 else 'more'} light than in the first shot of the stack"
+    return [Finding("drift", severity, text, "wait until the lamp is steady, and repeat the stack")]
+
+
+def noise_ratio(frame: FrameMeasures, others: Sequence[FrameMeasures], black: float) -> float:
+    """Return the variance of a frame over what others of its role have at its level; 1 where that is not known.
+
+    Shot noise grows as the light: compared is the variance a count above black of whites, and of shots of one scene.
+    """
+    usual = [_per_light(one, black) for one in others if one.noise.shape == frame.noise.shape]
+    own = _per_light(frame, black)
+    if not usual:
+        return 1.0
+    typical = np.median(usual, 0)
+    sure = np.isfinite(own) & np.isfinite(typical) & (frame.noise > QUIET_COUNTS)
+    sure &= np.min([one.noise for one in others if one.noise.shape == own.shape], 0) > QUIET_COUNTS
+    return float(np.median(own[sure] / typical[sure])) if sure.any() else 1.0
+
+
+def check_noise(
+    frame: FrameMeasures, others: Sequence[FrameMeasures], black: float
+) -> list[Finding]:
+    """Check that a frame has the noise of others that show the same: darks, whites, or shots of one scene."""
+    ratio = noise_ratio(frame, others, black)
+    if 1 / NOISIER <= ratio <= NOISIER:
+        return []
+    root = float(np.sqrt(ratio))
+    if ratio > 1:
+        advice = "check ISO and gain, the camera's temperature, and light that flickers"
+        return [Finding("noise", "look", f"{root:.1f} times the camera's noise", advice)]
+    text = f"only {root:.1f} times the camera's noise"
+    advice = "switch noise reduction off in the camera or in the tethering program"
+    return [Finding("noise", "look", text, advice)]
+
+
+def _per_light(frame: FrameMeasures, black: float) -> np.ndarray:
+    light = frame.level - black
+    dim = light < 20 * np.maximum(frame.noise, QUIET_COUNTS)
+    return np.asarray(frame.noise**2 / np.where(dim, 1.0, light))
+
+
+def _painting_in(white: FrameMeasures, scene: FrameMeasures, black: float) -> Finding | None:
+    """Return the finding of a white that shows the object."""
+    import cv2
+
+    if white.picture.shape[0] * scene.picture.shape[1] == 0:
+        return None
+    size = scene.picture.shape[::-1]
+    small = np.asarray(cv2.resize(white.picture, size, interpolation=cv2.INTER_AREA))
+    level = np.full((1, 1), black)
+    advice = "take the painting out of the frame, or cover it with the board, and repeat"
+    try:
+        area = find_white_area(_template(scene.picture), _template(small), (level, level))
+    except CalibrationRefused as refused:
+        problem = refused.problems[0]
+        return Finding("white", "stop", f"{problem.message}: {problem.found}", advice)
+    if area.uncovered is None:
+        return None
+    share = float(area.uncovered.mean())
+    if share < LEAST:
+        return None
+    return Finding("white", "stop", f"{percent(share)} of the white shows the object", advice)
+
+
+def _template(picture: np.ndarray) -> Template:
+    none = np.zeros(picture.shape, bool)
+    return Template(picture.astype(np.float32), None, 1, none, none)
+
+
+def _ratio(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    lit = other > 0.1 * np.median(other)
+    return np.where(lit, one, 1.0)[lit] / other[lit]
+
+
+def _surface(cells: np.ndarray) -> np.ndarray:
+    """Return the polynomial of third order that fits a table of cells best."""
+    y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in cells.shape), indexing="ij")
+    terms = np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], -1)
+    design = terms.reshape(cells.size, -1)
+    found = np.linalg.lstsq(design, cells.ravel(), rcond=None)[0]
+    return np.asarray((design @ found).reshape(cells.shape))
+
+
+def percent(share: float) -> str:
+    """Return a share as messages give it.
+
+    >>> percent(0.0412), percent(0.5), percent(0.0004)
+    ('4.1 %', '50 %', '0.04 %')
+    """
+    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"

@@ -1,0 +1,225 @@
+"""What a frame is reduced to before it is judged: levels, noise, focus, a coarse table, a small picture.
+
+Nothing depends on other frames, so that each is decoded once, in whatever order they come.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from io import BytesIO
+
+import numpy as np
+
+from levkas.calibration.patterns import channel_names, channel_table, split
+from levkas.quality.image_quality.sharpness import edge_blur, middle_of
+
+ROWS, COLUMNS = 12, 16
+"""Cells of a frame, whose means tell how even and how bright it is."""
+PICTURE, WHITE_PICTURE = 320, 640
+"""Longer side of the small picture, px; of a white, where dust is looked for, finer."""
+SAMPLE = 1 << 19
+"""Pixels of a channel that levels are taken from, by whole rows: a share of 1e-4 is known to 14 %."""
+MOST_TABLES = 16
+"""Bands of a cube of which cells are kept."""
+PATCH, PLACES = 64, (0.2, 0.5, 0.8)
+"""Side of the patches kept at full size, px of one phase, and where their middles lie a side."""
+LOW, HIGH = 0.001, 0.999
+HARD = 0.001
+"""Share of a channel at its highest code from which that code counts as its full scale."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameMeasures:
+    """Numbers of one frame, counts unless said otherwise.
+
+    Parameters
+    ----------
+    shape : ndarray of int, (2,)
+        Height and width, native px.
+    level, low, high, full_share, noise : ndarray, (channels,)
+        Median, 0.1 % and 99.9 % quantile; share at full scale; standard deviation from pixel to pixel, by the median.
+    cells : ndarray, (channels, 12, 16), float32
+        Means of cells; of a cube of up to 16 of its bands.
+    blur_px : ndarray, ()
+        Blur of the sharpest edges in the middle, native px; NaN where there are none.
+    picture : ndarray, (h, w), float32
+        One channel, reduced to 320 px, of a white to 640.
+    patches : ndarray, (9, 64, 64), uint16
+        Of the same channel at full size; none, (0, 64, 64), of a small frame or a scan.
+    period : ndarray of int, (2,)
+        Rows and columns of the mosaic.
+    digest : ndarray of uint8, (16,)
+        Equal where the frames are.
+    """
+
+    shape: np.ndarray
+    level: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    full_share: np.ndarray
+    noise: np.ndarray
+    cells: np.ndarray
+    blur_px: np.ndarray
+    picture: np.ndarray
+    patches: np.ndarray
+    period: np.ndarray
+    digest: np.ndarray
+
+    @property
+    def key(self) -> str:
+        """The digest as text."""
+        return self.digest.tobytes().hex()
+
+    def to_bytes(self) -> bytes:
+        """Return the measures as they are kept in a file; the picture in 16 bits."""
+        buffer = BytesIO()
+        kept = {field.name: getattr(self, field.name) for field in fields(self)}
+        np.savez_compressed(buffer, **{**kept, "picture": self.picture.astype(np.float16)})
+        return buffer.getvalue()
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> FrameMeasures:
+        """Return measures that were kept; raises ValueError, KeyError or zipfile.BadZipFile where they were not."""
+        with np.load(BytesIO(data), allow_pickle=False) as kept:
+            found = {field.name: kept[field.name] for field in fields(cls)}
+        return cls(**{**found, "picture": found["picture"].astype(np.float32)})
+
+
+def measure_frame(
+    values: np.ndarray,
+    *,
+    full: float | None = None,
+    pattern: str | Sequence[Sequence[str]] | None = None,
+    white: bool = False,
+    detail: np.ndarray | None = None,
+) -> FrameMeasures:
+    """Reduce a frame to its measures.
+
+    Parameters
+    ----------
+    values : ndarray, (h, w) or (h, w, bands)
+        Raw codes.
+    full : float, optional
+        Full scale, counts. Codes that pile up at the top below it are full as well.
+    pattern : str or rows of names, optional
+        Of a mosaic.
+    white : bool
+        Whether it shows the white board.
+    detail : ndarray, (h, w), optional
+        Of a scan of which `values` are some lines: some that lie side by side, for the focus.
+
+    Examples
+    --------
+    >>> codes = np.random.default_rng(1).normal(1000, 5, (240, 320)).clip(0, 1010).astype(np.uint16)
+    >>> found = measure_frame(codes, full=1010)
+    >>> found.level.tolist(), found.full_share.round(2).tolist(), found.noise.round(0).tolist()
+    ([999.0], [0.02], [5.0])
+    """
+    table = np.zeros((1, 1), int) if pattern is None else channel_table(pattern)
+    planes = _channels(values, table)
+    thin = [plane[:: max(1, plane.size // SAMPLE)].astype(np.float32) for plane in planes]
+    shown = _shown(values, table, pattern)
+    levels = np.array([np.quantile(plane, (0.5, LOW, HIGH)) for plane in thin])
+    tops = [_full_scale(plane, full) for plane in thin]
+    share = [float(np.mean(p >= top)) for p, top in zip(thin, tops, strict=True)]
+    kept = np.linspace(0, len(planes) - 1, min(MOST_TABLES, len(planes))).astype(int)
+    side = max(table.shape)
+    patches = _patches(shown) if detail is None else np.zeros((0, PATCH, PATCH), np.uint16)
+    sharp = shown[middle_of(shown.shape)] if detail is None else detail
+    cells = np.stack([_reduced(planes[k], (ROWS, COLUMNS)) for k in kept])
+    picture = _picture(shown, WHITE_PICTURE if white else PICTURE)
+    return FrameMeasures(
+        shape=np.array(values.shape[:2]),
+        level=levels[:, 0],
+        low=levels[:, 1],
+        high=levels[:, 2],
+        full_share=np.array(share),
+        noise=np.array([_noise(plane) for plane in thin]),
+        cells=cells,
+        blur_px=np.array(edge_blur(sharp)[0] * side),
+        picture=picture,
+        patches=patches,
+        period=np.array(table.shape),
+        digest=_digest(values),
+    )
+
+
+def _channels(values: np.ndarray, table: np.ndarray) -> list[np.ndarray]:
+    """Return one plane a channel, (h, w): of a channel with several phases the first."""
+    if values.ndim == 3:
+        return list(np.moveaxis(values, 2, 0))
+    phases = split(values, *table.shape)
+    firsts = [int(np.flatnonzero(table == k)[0]) for k in range(int(table.max()) + 1)]
+    return [phases[place] for place in firsts]
+
+
+def _shown(
+    values: np.ndarray, table: np.ndarray, pattern: str | Sequence[Sequence[str]] | None
+) -> np.ndarray:
+    """Return the plane of the picture: the channel with the most sensels, the middle one of equals; of a cube the mean."""
+    if values.ndim == 3 and values.shape[2] > 3:
+        bands = np.linspace(0, values.shape[2] - 1, min(MOST_TABLES, values.shape[2])).astype(int)
+        return values[..., bands].mean(2, dtype=np.float32)
+    if values.ndim == 3:
+        return values[..., values.shape[2] // 2]
+    if pattern is None:
+        return values
+    counts = np.bincount(table.ravel())
+    most = np.flatnonzero(counts == counts.max())
+    return _channels(values, table)[int(most[len(most) // 2])]
+
+
+def _full_scale(plane: np.ndarray, full: float | None) -> float:
+    """Return the code from which on a channel is full: the stated one, or the highest where pixels pile up at it."""
+    top = float(plane.max())
+    at, below = np.count_nonzero(plane == top), np.count_nonzero((plane < top) & (plane >= top - 2))
+    piled = at >= max(HARD * plane.size, 16) and at > 4 * below and top > 16
+    return top if piled and (full is None or top < full) else np.inf if full is None else full
+
+
+def _noise(plane: np.ndarray) -> float:
+    """Return the standard deviation from pixel to pixel along rows, by the median of second differences."""
+    if plane.shape[1] < 3:
+        return float("nan")
+    apart = plane[:, :-2] - 2 * plane[:, 1:-1] + plane[:, 2:]
+    return 1.4826 * float(np.median(np.abs(apart))) / np.sqrt(6)
+
+
+def _reduced(plane: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    import cv2
+
+    plane = np.ascontiguousarray(plane if plane.dtype == np.uint16 else plane.astype(np.float32))
+    rows, columns = (min(n, m) for n, m in zip(size, plane.shape, strict=True))
+    # Areas of a float plane are means exactly; those of integers are rounded.
+    small = cv2.resize(plane.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
+    if (rows, columns) != size:
+        small = cv2.resize(small, size[::-1], interpolation=cv2.INTER_NEAREST)
+    return np.asarray(small)
+
+
+def _picture(plane: np.ndarray, most: int) -> np.ndarray:
+    step = max(1.0, max(plane.shape) / most)
+    return _reduced(plane, (max(1, int(plane.shape[0] / step)), max(1, int(plane.shape[1] / step))))
+
+
+def _patches(plane: np.ndarray) -> np.ndarray:
+    if min(plane.shape) < 2 * PATCH:
+        return np.zeros((0, PATCH, PATCH), np.uint16)
+    starts = [[int(n * share) - PATCH // 2 for share in PLACES] for n in plane.shape]
+    parts = [plane[y : y + PATCH, x : x + PATCH] for y in starts[0] for x in starts[1]]
+    return np.stack(parts).clip(0, 65535).astype(np.uint16)
+
+
+def _digest(values: np.ndarray) -> np.ndarray:
+    """Return a digest of about a million samples, rows spread over the frame."""
+    rows = values[:: max(1, values.size // (2 * SAMPLE))]
+    found = hashlib.blake2b(np.ascontiguousarray(rows).data, digest_size=16)
+    found.update(repr((values.shape, values.dtype.str)).encode())
+    return np.frombuffer(found.digest(), np.uint8)
+
+
+def names_of(pattern: str | Sequence[Sequence[str]] | None, bands: Sequence[str]) -> Sequence[str]:
+    """Return the names of the channels as messages give them."""
+    return channel_names(pattern) if pattern is not None else bands

@@ -1,0 +1,210 @@
+"""Checks of the picture of a frame: focus, whether it moved, glare, framing, dust."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from levkas.quality.frame_checks.light_checks import Finding, graded, percent
+from levkas.quality.frame_checks.measures import FrameMeasures
+
+BLURRED = (1.4, 2.2)
+"""Blur over that of the sharpest frame of the same scene, to look at and to stop at."""
+LEAST_BLUR = 0.4
+"""Px more than the sharpest frame has: less is the scatter of the measure."""
+MOVED_PX = (0.75, 4.0)
+"""Native px between shots that are averaged, to look at and to stop at."""
+BETWEEN_BANDS = (4.0, 0.006)
+"""Px, and share of the width: what filters and the lens may shift one band against the next at most."""
+SURE = 0.15
+"""Height of the peak of a phase correlation from which its place counts."""
+TEXTURE = 6.0
+"""Spread of a patch over its noise from which it has something to compare."""
+GLARE, ABOVE_WHITE = (0.004, 0.05), 1.15
+"""Share of the picture above the white, to look at and to stop at; reflectance that no paint has."""
+CUT, MARGIN, LIKE_BORDER = 0.08, 0.01, 0.06
+"""Share of a side that is the object; border to leave, of the width; difference from the border, of the range."""
+SPOT, SPOT_NOISES, LARGEST_SPOT = 0.03, 8.0, 0.002
+"""Depth of a speck in a white, relative, and over noise; share of the frame that a speck has at most."""
+SIDES = ("top", "bottom", "left", "right")
+
+
+def check_focus(
+    frame: FrameMeasures, best: FrameMeasures, before: FrameMeasures | None = None
+) -> list[Finding]:
+    """Check the focus against the sharpest frame of the same scene, camera and band.
+
+    `before` is the frame before it of these: it tells whether the focus runs away or comes back.
+    """
+    blur, least = float(frame.blur_px), float(best.blur_px)
+    if not (np.isfinite(blur) and np.isfinite(least)) or blur < least + LEAST_BLUR:
+        return []
+    severity = graded(blur / least, BLURRED)
+    if severity is None:
+        return []
+    way = ""
+    if before is not None and np.isfinite(before.blur_px):
+        step = blur - float(before.blur_px)
+        way = ", and getting worse" if step > 0.1 else ", and getting better" if step < -0.1 else ""
+    text = f"edges are blurred by {blur:.1f} px, {least:.1f} px in the sharpest frame{way}"
+    return [Finding("focus", severity, text, "focus again at this band, and repeat")]
+
+
+def shift_between(
+    frame: FrameMeasures, other: FrameMeasures, full: float | None = None
+) -> tuple[float, float] | None:
+    """Return how far a frame lies from another of the same scene, (x, y) native px; None where that is not plain.
+
+    Patches at full size are correlated in phase, the small picture where the shift is larger than they reach.
+    """
+    if frame.picture.shape != other.picture.shape or min(frame.picture.shape) < 16:
+        return None
+    step = frame.shape / np.array(frame.picture.shape)
+    coarse, peak = _correlate(frame.picture, other.picture)
+    if peak < SURE:
+        return None
+    coarse = (coarse[0] * step[1], coarse[1] * step[0])
+    if np.hypot(*coarse) > 12 * max(frame.period) or not len(frame.patches):
+        return coarse
+    if len(frame.patches) != len(other.patches):
+        return coarse
+    noises = [max(float(np.nanmedian(one.noise)), 0.5) for one in (frame, other)]
+    found = []
+    for a, b in zip(frame.patches, other.patches, strict=True):
+        if full is not None and max(a.max(), b.max()) >= 0.98 * full:
+            continue
+        if any(p.std() < TEXTURE * n for p, n in zip((a, b), noises, strict=True)):
+            continue
+        place, height = _correlate(a, b)
+        if height > SURE:
+            found.append(place)
+    if len(found) < 2:
+        return coarse if np.hypot(*coarse) > 2 * step.max() else None
+    x, y = np.median(found, 0)
+    return float(x * frame.period[1]), float(y * frame.period[0])
+
+
+def check_moved(
+    frame: FrameMeasures, other: FrameMeasures, *, same_band: bool, full: float | None = None
+) -> list[Finding]:
+    """Check whether camera or object moved since another frame of the same scene."""
+    shift = shift_between(frame, other, full)
+    if shift is None:
+        return []
+    distance = float(np.hypot(*shift))
+    limits = MOVED_PX
+    if not same_band:
+        least = max(BETWEEN_BANDS[0], BETWEEN_BANDS[1] * float(frame.shape[1]))
+        limits = (least, 4 * least)
+    severity = graded(distance, limits)
+    if severity is None:
+        return []
+    what = "the shot before" if same_band else "the band before"
+    text = f"the picture moved by {distance:.1f} px against {what}"
+    advice = "check tripod, stage and table, and repeat from the first shot"
+    return [Finding("moved", severity, text, advice)]
+
+
+def check_glare(
+    frame: FrameMeasures, white: FrameMeasures, *, black: float, ratio_of_times: float = 1.0
+) -> list[Finding]:
+    """Check how much of an object is brighter than the white, whose exposure is 1/`ratio_of_times` of its."""
+    import cv2
+
+    if frame.cells.shape != white.cells.shape:
+        return []
+    size = frame.picture.shape[::-1]
+    board = np.asarray(cv2.resize(white.picture, size, interpolation=cv2.INTER_AREA)) - black
+    lit = board > 0.1 * np.median(board)
+    if not lit.any():
+        return []
+    share = float(np.mean((frame.picture - black)[lit] > ABOVE_WHITE * ratio_of_times * board[lit]))
+    severity = graded(share, GLARE)
+    if severity is None:
+        return []
+    text = f"{percent(share)} of the picture is brighter than the white: glare"
+    advice = "move the lamps further to the side, or shade what they mirror in; for gold it may be all right"
+    return [Finding("glare", severity, text, advice)]
+
+
+def check_framing(frame: FrameMeasures) -> list[Finding]:
+    """Check that the object lies inside the frame with a border left, where the frame has a plain border at all.
+
+    A side is plain where it shows what most of the border shows. Of a detail that fills the frame no side is: nothing is
+    known then.
+    """
+    picture = frame.picture
+    band = max(2, round(MARGIN * max(picture.shape)))
+    strips = (picture[:band], picture[-band:], picture[:, :band].T, picture[:, -band:].T)
+    lines = [np.median(strip, 0) for strip in strips]
+    span = float(np.subtract(*np.quantile(picture, (0.99, 0.01))))
+    if span <= 0:
+        return []
+    levels = [float(np.median(line)) for line in lines]
+    alike = [sum(abs(one - other) < LIKE_BORDER * span for other in levels) for one in levels]
+    background = levels[int(np.argmax(alike))]
+    covered = [float(np.mean(np.abs(line - background) > LIKE_BORDER * span)) for line in lines]
+    inside = float(np.mean(np.abs(picture - background) > LIKE_BORDER * span))
+    plain = [share < 0.01 for share in covered]
+    cut = [side for side, share in zip(SIDES, covered, strict=True) if share > CUT]
+    if sum(plain) < 2 or not cut or inside < 0.2 or len(cut) > 2:
+        return []
+    text = f"the object is cut at the {' and the '.join(cut)}"
+    return [
+        Finding("framing", "look", text, "move camera or object until a border is left all round")
+    ]
+
+
+def check_dust(white: FrameMeasures, before: FrameMeasures, *, black: float) -> list[Finding]:
+    """Check for specks in a white that were not in the white before."""
+    import cv2
+
+    spots = new_specks(white, before, black)
+    count, _, stats, places = cv2.connectedComponentsWithStats(
+        spots.astype(np.uint8), None, None, None, 8
+    )
+    largest = LARGEST_SPOT * spots.size
+    kept = [k for k in range(1, count) if 2 <= stats[k, cv2.CC_STAT_AREA] <= largest]
+    if not kept or len(kept) > 50:  # texture of a board that was moved is none
+        return []
+    first = max(kept, key=lambda k: int(stats[k, cv2.CC_STAT_AREA]))
+    step = white.shape[::-1] / np.array(spots.shape[::-1])
+    x, y = ((np.asarray(places[first]) + 0.5) * step).astype(int)
+    what = "a new speck" if len(kept) == 1 else f"{len(kept)} new specks"
+    text = f"{what} in the white, the largest at column {x}, row {y}"
+    advice = "look at sensor, lens and board; clean, and repeat the white"
+    return [Finding("dust", "look", text, advice)]
+
+
+def new_specks(white: FrameMeasures, before: FrameMeasures, black: float) -> np.ndarray:
+    """Return where a white's picture is locally darker than before, bool; nowhere where sizes differ."""
+    import cv2
+
+    if white.picture.shape != before.picture.shape:
+        return np.zeros(white.picture.shape, bool)
+    old = before.picture - black
+    lit = old > 0.2 * np.median(old)
+    ratio = np.where(lit, (white.picture - black) / np.where(lit, old, 1), 1).astype(np.float32)
+    smooth = cv2.blur(ratio, (31, 31))
+    rest = ratio / np.maximum(smooth, 1e-3) - 1
+    noise = 1.4826 * float(np.median(np.abs(rest)))
+    edge = cv2.dilate((~lit).astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
+    return np.asarray((rest < -max(SPOT, SPOT_NOISES * noise)) & ~edge)
+
+
+def _correlate(one: np.ndarray, other: np.ndarray) -> tuple[tuple[float, float], float]:
+    """Return how far the first lies from the second, (x, y) px, and the height of the peak."""
+    import cv2
+
+    planes: Sequence[np.ndarray] = [
+        p - cv2.GaussianBlur(p, (0, 0), 8) for p in map(_floats, (one, other))
+    ]
+    window = cv2.createHanningWindow(planes[0].shape[::-1], cv2.CV_32F)
+    place, height = cv2.phaseCorrelate(planes[1], planes[0], window)
+    return (float(place[0]), float(place[1])), float(height)
+
+
+def _floats(plane: np.ndarray) -> np.ndarray:
+    """Return the logarithm of a plane: contrast counts alike in bands of unlike light."""
+    return np.log(np.maximum(plane.astype(np.float32), 1.0))

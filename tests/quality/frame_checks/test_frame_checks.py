@@ -1,0 +1,231 @@
+"""Frames of a camera with shot noise before a panel of patches: each fault is planted in light, at two sizes, and named."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, shift
+
+from levkas.quality.frame_checks import FrameMeasures, FrameOfSet, judge, measure_frame, worst
+from levkas.quality.frame_checks.judging import FrameJudge, SetRules
+from levkas.readers.facts import Facts
+
+HEIGHT, WIDTH = 360, 480
+BLACK, FULL, GAIN, READ = 64.0, 4095, 0.4, 3.0
+FACTS = Facts(Path("a.tif"), "tiff", (HEIGHT, WIDTH), "uint16", bits=12, iso=100.0, f_number=8.0)
+
+
+def panel() -> np.ndarray:
+    """Reflectance: patches of paint with a border of dark wall round them, a lens of 0.8 px blur."""
+    rng = np.random.default_rng(5)
+    paint = np.kron(rng.uniform(0.1, 0.85, (30, 40)), np.ones((9, 9)))
+    scene = np.full((HEIGHT, WIDTH), 0.03)
+    scene[45:315, 60:420] = paint
+    return gaussian_filter(scene, 0.8)
+
+
+PANEL = panel()
+SHADING = 1 - 0.12 * np.linspace(-1, 1, WIDTH) ** 2 * np.ones((HEIGHT, 1))
+RESPONSE = 1 + 0.01 * np.random.default_rng(80).normal(size=(HEIGHT, WIDTH))  # of single sensels
+
+
+def expose(
+    light: np.ndarray | float,
+    seed: int,
+    *,
+    lamp: float = 1.0,
+    black: float = BLACK,
+    noise: float = 1.0,
+) -> np.ndarray:
+    """Return codes of a scene of some reflectance; the white has 3,300 counts above black."""
+    rng = np.random.default_rng(seed)
+    signal = 3300 * lamp * np.broadcast_to(light, (HEIGHT, WIDTH)) * SHADING * RESPONSE
+    spread = noise * np.sqrt(GAIN * np.maximum(signal, 0) + READ**2)
+    return np.round(rng.normal(signal + black, spread)).clip(0, FULL).astype(np.uint16)
+
+
+def frame(name: str, role: str, codes: np.ndarray, **more: object) -> FrameOfSet:
+    measures = measure_frame(codes, full=FULL, white=role == "white")
+    target = {"object": "icon"}.get(role, role)
+    given = {"full": FULL, "exposure_s": 0.1, "at": float(name[:2]), "facts": FACTS, **more}
+    return FrameOfSet(name=name, role=role, target=target, measures=measures, **given)  # type: ignore[arg-type]
+
+
+def session() -> dict[str, FrameOfSet]:
+    """Return a good session: two darks, two whites, three shots of the panel, a white after it."""
+    frames = [
+        *(frame(f"0{k} dark", "dark", expose(0.0, k)) for k in (1, 2)),
+        *(frame(f"0{k} white", "white", expose(0.98, k)) for k in (3, 4)),
+        *(frame(f"0{k} shot", "object", expose(PANEL, k)) for k in (5, 6, 7)),
+        frame("08 white", "white", expose(0.98, 8, lamp=0.995)),
+    ]
+    return {one.name: one for one in frames}
+
+
+GOOD = session()
+WARM = FrameJudge()
+WARM.judge(GOOD.values())
+
+
+def blob(size: int) -> np.ndarray:
+    light = PANEL.copy()
+    light[100 : 100 + size, 150 : 150 + size] = 1.2
+    return light
+
+
+def speck(radius: float, depth: float) -> np.ndarray:
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    return 0.98 * (1 - depth * np.exp(-((x - 300) ** 2 + (y - 80) ** 2) / (2 * radius**2)))
+
+
+def half_covered(share: float) -> np.ndarray:
+    return np.where(np.arange(WIDTH) < share * WIDTH, PANEL, 0.98)
+
+
+def lit_dark(level: float) -> np.ndarray:
+    return level * np.linspace(0, 1, WIDTH) * np.ones((HEIGHT, 1))
+
+
+CASES = {
+    "white at full scale, a little": ("exposure", "08 white", expose(0.98, 8, lamp=1.21), {}),
+    "white at full scale": ("exposure", "08 white", expose(0.98, 8, lamp=1.6), {}),
+    "white without light for the scale": ("exposure", "08 white", expose(0.98, 8, lamp=0.05), {}),
+    "object at full scale, a little": ("exposure", "07 shot", expose(blob(25) * 1.05, 7), {}),
+    "object at full scale": ("exposure", "07 shot", expose(PANEL, 7, lamp=1.8), {}),
+    "dark with a little light": ("dark", "02 dark", expose(lit_dark(0.02), 2), {}),
+    "dark with the lamp on": ("dark", "02 dark", expose(lit_dark(0.4), 2), {}),
+    "black level, a little": ("black", "02 dark", expose(0.0, 2, black=BLACK + 14), {}),
+    "black level": ("black", "02 dark", expose(0.0, 2, black=BLACK + 30), {}),
+    "dark of another time": ("dark", "07 shot", expose(PANEL, 7), {"exposure_s": 0.2}),
+    "dark of a far time": ("dark", "07 shot", expose(PANEL, 7), {"exposure_s": 2.0}),
+    "white with some of the painting": ("white", "04 white", expose(half_covered(0.2), 4), {}),
+    "white that is the painting": ("white", "04 white", expose(PANEL, 4), {}),
+    "lamp sank by 4 %": ("drift", "08 white", expose(0.98, 8, lamp=0.96), {}),
+    "lamp sank by 12 %": ("drift", "08 white", expose(0.98, 8, lamp=0.88), {}),
+    "lamp sank in the stack, a little": ("drift", "07 shot", expose(PANEL, 7, lamp=0.98), {}),
+    "lamp sank in the stack": ("drift", "07 shot", expose(PANEL, 7, lamp=0.9), {}),
+    "noise, a little": ("noise", "07 shot", expose(PANEL, 7, noise=1.5), {}),
+    "noise of a white": ("noise", "08 white", expose(0.98, 8, noise=3), {}),
+    "noise of a dark": ("noise", "02 dark", expose(0.0, 2, noise=2), {}),
+    "focus, a little": ("focus", "07 shot", expose(gaussian_filter(PANEL, 1.6), 7), {}),
+    "focus": ("focus", "07 shot", expose(gaussian_filter(PANEL, 3), 7), {}),
+    "moved by 1.5 px": ("moved", "07 shot", expose(shift(PANEL, (0.9, 1.2), mode="nearest"), 7), {}),
+    "moved by 30 px": ("moved", "07 shot", expose(shift(PANEL, (5, 30), mode="nearest"), 7), {}),
+    "glare, a little": ("glare", "07 shot", expose(blob(36), 7, lamp=0.95), {}),
+    "glare": ("glare", "07 shot", expose(blob(160), 7, lamp=0.95), {}),
+    "dust, one speck": ("dust", "08 white", expose(speck(3, 0.15), 8), {}),
+    "dust, a large speck": ("dust", "08 white", expose(speck(6, 0.5), 8), {}),
+    "another ISO": ("settings", "07 shot", expose(PANEL, 7), {"facts": replace(FACTS, iso=200.0)}),
+    "another aperture": (
+        *("settings", "07 shot", expose(PANEL, 7)),
+        {"facts": replace(FACTS, f_number=5.6)},
+    ),
+    "another size": ("settings", "07 shot", expose(PANEL, 7)[:-20, :-20], {}),
+}  # fmt: skip
+
+
+def test_a_good_session_has_no_finding():
+    assert {name: found for name, found in judge(GOOD.values()).items() if found} == {}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_planted_fault_is_named_at_its_frame(case):
+    check, name, codes, more = CASES[case]
+    role = GOOD[name].role
+    frames = {**GOOD, name: frame(name, role, codes, **more)}
+
+    found = copy(WARM).judge(frames.values())  # what the good ones get is known already
+
+    assert check in [one.check for one in found[name]]
+    assert all(one.text and one.advice for one in found[name])
+    others = [n for n, some in found.items() if some and n != name and n > name[:2]]
+    assert len(others) <= 1  # a shot or white after it that is compared with the faulty one
+
+
+def test_small_and_large_differ_in_severity():
+    def severity(case: str) -> str:
+        _, name, codes, more = CASES[case]
+        frames = {**GOOD, name: frame(name, GOOD[name].role, codes, **more)}
+        return worst(copy(WARM).judge(frames.values())[name])
+
+    pairs = (("moved by 1.5 px", "moved by 30 px"), ("lamp sank by 4 %", "lamp sank by 12 %"))
+    for small, large in (*pairs, ("focus, a little", "focus")):
+        assert (severity(small), severity(large)) == ("look", "stop"), small
+
+
+def test_the_numbers_in_the_reasons_are_those_planted():
+    _, name, codes, _ = CASES["lamp sank by 4 %"]
+    found = copy(WARM).judge({**GOOD, name: frame(name, "white", codes)}.values())[name]
+    assert "4" in found[0].text.split("%")[0] and "less" in found[0].text
+    _, name, codes, _ = CASES["moved by 1.5 px"]
+    found = copy(WARM).judge({**GOOD, name: frame(name, "object", codes)}.values())[name]
+    assert abs(float(found[0].text.split("moved by ")[1].split(" px")[0]) - 1.5) <= 0.2
+
+
+def test_findings_hang_on_the_set_and_not_on_the_order_of_coming():
+    _, name, codes, _ = CASES["lamp sank by 4 %"]
+    frames = list({**GOOD, name: frame(name, "white", codes)}.values())
+    whole = judge(frames)
+    growing = FrameJudge()
+    for count in (1, 4, 6, len(frames)):
+        found = growing.judge(reversed(frames[-count:]))
+    assert found == whole
+    assert growing.judge(frames[:-1]) == judge(frames[:-1])  # one was deleted
+
+
+def test_what_a_campaign_allows_is_no_finding():
+    _, name, codes, more = CASES["another ISO"]
+    frames = {**GOOD, name: frame(name, "object", codes, **more)}.values()
+    assert judge(frames, SetRules(overrule=("iso",)))[name] == []
+    _, name, codes, _ = CASES["object at full scale"]
+    frames = {**GOOD, name: frame(name, "object", codes, exposure_s=0.1)}.values()
+    brackets = judge(frames, SetRules(brackets=True))[name]
+    assert "exposure" not in [one.check for one in brackets]
+
+
+def test_an_object_cut_at_a_side_is_named_with_the_side():
+    whole = measure_frame(expose(PANEL, 1))
+    cut = measure_frame(
+        expose(np.roll(PANEL, 130, axis=1)[:, :] * 1.0, 1)
+    )  # 70 px beyond the right
+    frames = [
+        frame("05 shot", "object", expose(PANEL, 1)),
+        replace(frame("06 shot", "object", expose(PANEL, 2)), measures=cut, target="other"),
+    ]
+    right = np.full((HEIGHT, WIDTH), 0.03)
+    right[:, 150:] = PANEL[:, 20:350]
+    frames[1] = replace(frames[1], measures=measure_frame(expose(right, 3)))
+    found = judge(frames)
+    assert whole.picture.shape == cut.picture.shape
+    assert found["05 shot"] == []
+    assert any(one.check == "framing" and "right" in one.text for one in found["06 shot"])
+
+
+def test_a_frame_that_came_twice_names_the_first():
+    codes = expose(PANEL, 7)
+    frames = {**GOOD, "09 shot": frame("09 shot", "object", codes)}.values()
+    found = judge([f for f in frames if f.name != "06 shot"])
+    assert [one.check for one in found["09 shot"]] == ["twice"] and "07 shot" in found["09 shot"][
+        0
+    ].text
+
+
+def test_measures_survive_being_kept():
+    kept = GOOD["05 shot"].measures
+    again = FrameMeasures.from_bytes(kept.to_bytes())
+    assert again.key == kept.key
+    assert np.array_equal(again.cells, kept.cells) and np.array_equal(again.patches, kept.patches)
+    assert np.allclose(again.picture, kept.picture, rtol=1e-3)
+
+
+@pytest.mark.parametrize("pattern", ["RGGB", None])
+def test_a_mosaic_is_judged_channel_by_channel(pattern):
+    filters = np.tile([[0.5, 1.0], [1.0, 0.35]], (HEIGHT // 2, WIDTH // 2))
+    good = measure_frame(expose(0.98 * filters, 1), full=FULL, pattern="RGGB")
+    assert good.level.shape == (3,) and np.argmax(good.level) == 1
+    bright = measure_frame(expose(0.98 * filters, 1, lamp=1.4), full=FULL, pattern=pattern)
+    assert bright.full_share.max() > (0.9 if pattern else 0.4)
