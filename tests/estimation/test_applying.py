@@ -45,6 +45,21 @@ def test_an_estimated_layer_is_near_the_measured_one_and_never_called_one(own_pa
     assert validate(own_paintings).ok
 
 
+def test_a_model_fitted_in_python_predicts_what_the_command_writes(own_paintings, models, tmp_path):
+    model = levkas.estimate(own_paintings, "rgb", "vis", method="wiener")
+    model.save(tmp_path / "mine.npz")
+    list(apply_model(own_paintings, tmp_path / "mine.npz", "mine", objects=["icon2"]))
+    icon = levkas.open(own_paintings)["icon2"]
+    spectra = model.predict(icon["rgb"].transpose("band", "y", "x"))
+    assert spectra.attrs["kind"] == "estimated" and spectra.dims == ("y", "x", "band")
+    np.testing.assert_allclose(spectra.values, icon["mine"].values, atol=1e-5)
+    np.testing.assert_allclose(model.predict(icon["rgb"].values[5, 6]), spectra[5, 6])
+    assert spectra.wavelength.values.tolist() == icon["vis"].wavelength.values.tolist()
+    assert 0 < spectra.sigma.max() < 0.3
+    with pytest.raises(Refused, match="other channels"):
+        model.predict(icon["vis"])
+
+
 def test_flags_and_places_without_a_value_follow_the_source_layer(own_paintings, models):
     list(apply_model(own_paintings, models / "rgb_wiener.npz", "guess", objects=["icon1"]))
     layer = levkas.open(own_paintings)["icon1"]["guess"]

@@ -16,7 +16,12 @@ from levkas.colour.srgb import SRGB_TO_XYZ, encode_srgb, xyz_weights
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["VIEWS", "gamut_cells", "lab_colours", "lab_of", "munsell_lab", "xyz_to_lab"]
+    from levkas.colour.illuminants import Light
+
+__all__ = [
+    *("VIEWS", "delta_e_2000", "gamut_cells", "lab_colours", "lab_of", "munsell_lab"),
+    *("spectral_angle", "xyz_to_lab"),
+]
 
 WHITE = SRGB_TO_XYZ.sum(1)
 EPSILON, KAPPA = 216 / 24389, 24389 / 27
@@ -40,12 +45,18 @@ def xyz_to_lab(xyz: np.ndarray, white: np.ndarray = WHITE) -> np.ndarray:
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -1)
 
 
-def lab_of(values: np.ndarray, wavelengths: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Return CIELAB under D65 of reflectance, (…, bands) → (…, 3); NaN stays NaN."""
-    weights = xyz_weights(wavelengths)
+def lab_of(
+    values: np.ndarray, wavelengths: Sequence[float] | np.ndarray, light: Light = "D65"
+) -> np.ndarray:
+    """Return CIELAB of reflectance under a light, its white that of the light, (…, bands) → (…, 3); NaN stays NaN.
+
+    >>> lab_of(np.ones(3), [450, 550, 650], "A").round(6).tolist()
+    [100.0, 0.0, 0.0]
+    """
+    weights = xyz_weights(wavelengths, light)
     # einsum, unlike a matrix product, sums in one order for any number of threads.
     xyz = np.stack([np.einsum("...b,b->...", np.asarray(values, float), w) for w in weights.T], -1)
-    return xyz_to_lab(xyz)
+    return xyz_to_lab(xyz, WHITE if light == "D65" else weights.sum(0))
 
 
 def gamut_cells(lab: np.ndarray, *, step: float = 1.0) -> np.ndarray:
@@ -106,3 +117,16 @@ def delta_e_2000(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     from skimage.color import deltaE_ciede2000
 
     return np.asarray(deltaE_ciede2000(a, b), float)
+
+
+def spectral_angle(estimated: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Return the angle between spectra, (…,), radians.
+
+    Kruse et al. 1993 (10.1016/0034-4257(93)90013-N).
+
+    >>> round(float(np.degrees(spectral_angle(np.array([1.0, 0.0]), np.array([1.0, 1.0])))), 6)
+    45.0
+    """
+    lengths = np.linalg.norm(estimated, axis=-1) * np.linalg.norm(measured, axis=-1)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.arccos(np.clip((estimated * measured).sum(-1) / lengths, -1, 1)))

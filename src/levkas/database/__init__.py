@@ -16,7 +16,7 @@ def open(path: str | Path) -> Database:
     Parameters
     ----------
     path : path
-        Folder of a database, or its address (``https://``, ``s3://``).
+        Folder of a database or of the campaign that it was built from, or its address (``https://``, ``s3://``).
 
     Returns
     -------

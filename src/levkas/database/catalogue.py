@@ -70,6 +70,24 @@ KIND = "kind"
 COLUMNS = tuple(field.name for field in fields(Entry) if field.name != KIND)
 
 
+def database_of(path: str | Path) -> Path:
+    """Return the database that a path means: itself, or the output of a campaign where it is one's folder or campaign.toml.
+
+    Raises
+    ------
+    CampaignInvalid
+        Where campaign.toml cannot be used.
+    """
+    found = place(path)
+    if is_remote(found) or (found / NAME).is_file():
+        return found
+    if found.name == "campaign.toml" or (found / "campaign.toml").is_file():
+        from levkas.campaign.campaign import load_campaign
+
+        return load_campaign(found).output
+    return found
+
+
 def write_catalogue(database: str | Path, entries: Iterable[Entry]) -> Path:
     """Write the catalogue, rows sorted by object, camera and setup; raises WriteRefused.
 

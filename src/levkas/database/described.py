@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan
 from pathlib import Path
@@ -10,7 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from levkas.core.cube import Band, band_labels
-from levkas.core.text import parse_bounded
+from levkas.core.problems import Refused
+from levkas.core.text import parse_bounded, read_text
 from levkas.database.layout import KINDS, LayerId
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.tiff_pages import TiffPages, open_pages
@@ -58,6 +60,37 @@ def _json(text: str) -> dict[str, Any]:
     except ValueError:
         return {"metadata": text} if text else {}
     return record if isinstance(record, dict) else {"metadata": text}
+
+
+def channel_shapes(database: Path, camera: str, labels: Sequence[str]) -> list[tuple[float, float]]:
+    """Return centroid and full width at half maximum of channels, nm, by the published sensitivities; NaN if not known."""
+    unknown = [(nan, nan)] * len(labels)
+    try:
+        text = read_text(database / "cameras" / camera / "sensitivity.csv", "sensitivities as CSV")
+        head_line, *lines = text.splitlines()
+        head = [cell.strip() for cell in head_line.split(",")]
+        table = np.loadtxt(lines, delimiter=",", ndmin=2)
+    except (Refused, ValueError):
+        return unknown
+    columns = {label: table[:, i] for i, label in enumerate(head) if i and i < table.shape[1]}
+    found = [columns.get(label) for label in labels]
+    return [_shape(table[:, 0], c) if c is not None and c.sum() > 0 else (nan, nan) for c in found]
+
+
+def _shape(wavelengths: np.ndarray, response: np.ndarray) -> tuple[float, float]:
+    """Centroid and full width at half maximum of a response.
+
+    >>> _shape(np.arange(400.0, 450.0, 10.0), np.array([0.0, 1.0, 1.0, 1.0, 0.0]))
+    (420.0, 30.0)
+    """
+    high = np.flatnonzero(response >= response.max() / 2)
+    low, top = max(high[0] - 1, 0), min(high[-1] + 1, len(response) - 1)
+    half = response.max() / 2
+    rise, fall = response[low : high[0] + 1], response[high[-1] : top + 1][::-1]
+    start = float(np.interp(half, rise, wavelengths[low : high[0] + 1]))
+    end = float(np.interp(half, fall, wavelengths[high[-1] : top + 1][::-1]))
+    centroid = float((response * wavelengths).sum() / response.sum())
+    return centroid, end - start
 
 
 class Pixels(NamedTuple):

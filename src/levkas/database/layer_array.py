@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,16 +11,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray
 
+from levkas.core.problems import Problem, Refused
+from levkas.database.catalogue import NAME as CATALOGUE
+from levkas.database.catalogue import read_catalogue
 from levkas.database.layout import LayerId
 from levkas.database.opening import has_sigma, open_layer, place_of
 
 if TYPE_CHECKING:
     from levkas.calibration.error_sources import Uncertain
+    from levkas.colour.illuminants import Light
     from levkas.database.components import Components, Method
     from levkas.database.pixel_frames import FrameMap
     from levkas.database.region_uncertainty import Of
     from levkas.database.regions import Region
 
+LEAST_COVERAGE = 0.9
+"""Of the weight of X, Y and Z, for bands to have a colour."""
 SAMPLES = 16
 """Rows and columns that are compared to know whether values are those of the layer; a change of all, or of a large part, is found."""
 
@@ -192,6 +198,105 @@ class LayerAccessor:
         )
         return to_dataset(made, names, unknown)
 
+    def render(self, light: Light = "D65", *, adapted: bool = True) -> xarray.DataArray:
+        """Show these pixels as they look under a light, sRGB, uint8 (…, rgb).
+
+        Parameters
+        ----------
+        light : str or (wavelengths, powers)
+            ``"D65"``, ``"A"`` and the others of `levkas.colour.illuminants`, or a spectrum, nm.
+        adapted : bool
+            Whether the eye is used to the light, so that white is white, or sees it beside a D65 display.
+
+        Raises
+        ------
+        Refused
+            ``E_VALUE`` where these are not reflectances of bands through the visible; `preview` shows any layer.
+        """
+        from levkas.colour.relighting import relight
+
+        return _by_pixel(
+            self._array, "rgb", lambda v, nm: relight(v, nm, light, adapted=adapted), [*"rgb"]
+        )
+
+    def lab(self, light: Light = "D65") -> xarray.DataArray:
+        """Return CIELAB of these pixels under a light, (…, lab), for the 2° observer; NaN where a band has no value.
+
+        Raises
+        ------
+        Refused
+            ``E_VALUE`` as of `render`.
+        """
+        from levkas.colour.gamut import lab_of
+
+        return _by_pixel(self._array, "lab", lambda v, nm: lab_of(v, nm, light), ["L", "a", "b"])
+
+    def delta_e(self, other: xarray.DataArray, light: Light = "D65") -> xarray.DataArray:
+        """Return the colour difference ΔE2000 of these pixels from others, (…).
+
+        Parameters
+        ----------
+        other : xarray.DataArray
+            Pixels of another layer or date on the same grid, aligned by x and y; or one spectrum, with ``wavelength``.
+        light : as of `render`
+
+        Raises
+        ------
+        Refused
+            ``E_VALUE`` as of `render`.
+        """
+        from levkas.colour.gamut import delta_e_2000
+
+        one, two = xarray.broadcast(
+            *xarray.align(self.lab(light), other.levkas.lab(light), join="inner")
+        )
+        made = delta_e_2000(
+            one.transpose(..., "lab").values, two.transpose(*one.dims[:-1], "lab").values
+        )
+        return xarray.DataArray(made, _places_of(one), one.dims[:-1], "delta_e")
+
+    def spectral_angle(self, reference: xarray.DataArray) -> xarray.DataArray:
+        """Return the angle between each pixel's spectrum and a reference, (…), radians: small where the material is alike.
+
+        Parameters
+        ----------
+        reference : xarray.DataArray, (wavelength,) or (band,)
+            Of a spectral library (`levkas.read_spectra`), or a pixel; linear between its wavelengths. Bands beyond them are
+            left out.
+
+        Raises
+        ------
+        Refused
+            ``E_VALUE`` where fewer than two bands lie within the reference, or bands have no wavelength.
+
+        Notes
+        -----
+        Kruse et al. 1993 (10.1016/0034-4257(93)90013-N).
+        """
+        from levkas.colour.gamut import spectral_angle
+
+        spectrum = reference.squeeze(drop=True).dropna(reference.squeeze(drop=True).dims[0])
+        known, values = np.asarray(spectrum["wavelength"].values, float), spectrum.values
+        order = np.argsort(known, kind="stable")
+
+        def angle(pixels: np.ndarray, nm: np.ndarray) -> np.ndarray:
+            within = (nm >= known.min()) & (nm <= known.max())
+            if within.sum() < 2:
+                raise _no_colours(
+                    self._array, f"bands within {known.min():g} to {known.max():g} nm"
+                )
+            wanted = np.interp(nm[within], known[order], values[order])
+            return spectral_angle(pixels[..., within], wanted)
+
+        return _by_pixel(self._array, None, angle)
+
+    @property
+    def verdict(self) -> str:
+        """What the catalogue states of the layer: ``"accept"``, ``"warn"`` …; empty where there is none."""
+        root, layer = self._place
+        listed = read_catalogue(root) if (root / CATALOGUE).is_file() else ()
+        return next((entry.verdict for entry in listed if entry.layer == layer), "")
+
     def components(self, method: Method = "pca") -> Components:
         """Find the principal components (``"pca"``) or minimum-noise fractions (``"mnf"``) of these pixels.
 
@@ -294,6 +399,67 @@ class LayerArray(xarray.DataArray):
             array = xarray.DataArray.sortby(self, "wavelength").set_xindex("wavelength")
         selected: LayerArray = array.sel(indexers, *args, **options)
         return selected
+
+    def _repr_html_(self) -> str:
+        """Return the picture of these pixels, their verdict and flags, above what xarray shows of any array."""
+        from levkas.database.notebook import describe_in_html
+
+        return describe_in_html(self) + super()._repr_html_()
+
+
+def _by_pixel(
+    array: xarray.DataArray,
+    axis: str | None,
+    compute: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    labels: Sequence[str] = (),
+) -> xarray.DataArray:
+    """Compute something of the spectrum of every pixel, by its values and wavelengths, nm; along `axis`, or one number each."""
+    from levkas.colour.srgb import visible_coverage
+
+    bands = next(
+        (
+            array[name].dims[0]
+            for name in ("wavelength", "band")
+            if name in array.coords and array[name].dims
+        ),
+        None,
+    )
+    nm = (
+        np.asarray(array["wavelength"].values, float)
+        if "wavelength" in array.coords
+        else np.array([])
+    )
+    coloured = axis is not None
+    if bands is None or not np.isfinite(nm).all():
+        raise _no_colours(array, "bands with wavelengths")
+    if array.attrs.get("quantity", "reflectance") != "reflectance":
+        raise _no_colours(array, "reflectance")
+    if coloured and (len(nm) < 3 or visible_coverage(nm) < LEAST_COVERAGE):
+        raise _no_colours(array, "bands through the visible")
+    moved = array.transpose(..., bands)
+    made = compute(np.asarray(moved.values, float), nm)
+    dims = moved.dims[:-1] + ((axis,) if axis else ())
+    places = _places_of(moved) | ({axis: list(labels)} if axis else {})
+    return xarray.DataArray(made, places, dims, name=axis or "spectral_angle")
+
+
+def _places_of(array: xarray.DataArray) -> dict[str, Any]:
+    """Return the coordinates of an array that say where its pixels lie."""
+    return {name: array.coords[name] for name in ("y", "x") if name in array.coords}
+
+
+def _no_colours(array: xarray.DataArray, expected: str) -> Refused:
+    nm = (
+        np.atleast_1d(np.asarray(array["wavelength"].values, float))
+        if "wavelength" in array.coords
+        else np.array([np.nan])
+    )
+    known = nm[np.isfinite(nm)]
+    span = f"{known.min():g} to {known.max():g} nm" if len(known) else "no wavelengths"
+    found = f"{array.attrs.get('quantity', 'values')}, {len(nm)} bands, {span}"
+    what = "this cannot be computed of these bands"
+    name = str(array.coords["layer"].values) if "layer" in array.coords else None
+    return Refused(Problem("E_VALUE", what, name, "wavelength", found, expected))
 
 
 def _uncertain_means(

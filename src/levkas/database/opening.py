@@ -12,7 +12,7 @@ from xarray.core import indexing
 from levkas.core.problems import Problem
 from levkas.database.catalogue import DatabaseRefused
 from levkas.database.containment import check_inside
-from levkas.database.described import describe_pages
+from levkas.database.described import channel_shapes, describe_pages
 from levkas.database.layout import KINDS, SIGMA, LayerId
 from levkas.database.lazy_array import LazyArray, TiffPixels, ZarrArray, is_described
 from levkas.database.remote import is_remote, place
@@ -40,6 +40,7 @@ def open_layer(root: Path, layer: LayerId, kind: str = "values") -> xarray.DataA
     else:
         check_inside(root, tiff := root / (layer.path + KINDS[kind]))
         array = open_pixels(tiff)
+    array = _with_published_widths(array, root, layer)
     text = str(root)
     _ROOTS[text] = root
     array.encoding["source"] = f"{text}/{layer.object}/{layer.name}"
@@ -65,6 +66,18 @@ def has_sigma(root: Path, layer: LayerId) -> bool:
     if open_layer(root, layer).attrs.get(SIGMA):
         return True
     return is_described(group / "sigma") or tiff.is_file() or (group / "sigma").is_dir()
+
+
+def _with_published_widths(array: xarray.DataArray, root: Path, layer: LayerId) -> xarray.DataArray:
+    """Give channels without a width that of their sensitivity, where the database has it."""
+    if is_remote(root) or not (root / "cameras" / layer.camera / "sensitivity.csv").is_file():
+        return array
+    stated = np.asarray(array.fwhm.values, float)
+    if np.isfinite(stated).all():
+        return array
+    shapes = channel_shapes(root, layer.camera, [str(label) for label in array.band.values])
+    widths = np.where(np.isfinite(stated), stated, [width for _, width in shapes])
+    return array.assign_coords(fwhm=("band", widths, array.fwhm.attrs))
 
 
 def _from_zarr(group: Path, kind: str, root: Path) -> xarray.DataArray:

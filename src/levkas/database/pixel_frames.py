@@ -20,10 +20,10 @@ import numpy as np
 from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused, closest_match
 from levkas.core.text import unusable_name
+from levkas.database.catalogue import database_of
 from levkas.database.containment import check_inside, is_plain_name
 from levkas.database.layout import layer_name
 from levkas.database.registrations import RecordRefused, beyond_checks, read_registration
-from levkas.database.remote import place
 from levkas.geometry import from_dict
 from levkas.geometry.transforms import Affine, Inverse, Transform
 from levkas.readers.facts import check_memory
@@ -225,7 +225,7 @@ def find_map(
     MappingRefused
         Where a frame is not there, or its registration was refused.
     """
-    records = Records(place(database), name)
+    records = Records(database_of(database), name)
     frames = [f if isinstance(f, Frame) else parse_frame(f) for f in (source, target)]
     ends = [records.pixels(frame) for frame in frames]
     if part is not None:
@@ -260,7 +260,7 @@ def find_position_sigma(
     ------
     MappingRefused
     """
-    records, frame = Records(place(database), name), Frame(camera, setup, band or "")
+    records, frame = Records(database_of(database), name), Frame(camera, setup, band or "")
     grid = records.pixels(Frame())
     if "sigma" not in records.entry(frame) or grid.size is None:
         return None
@@ -317,7 +317,7 @@ def predict_error(
     if not known:
         return None
     x, y = np.meshgrid(*(np.arange(0.0, side, step) for side in size))
-    grid = Records(place(database), name).pixels(Frame())
+    grid = Records(database_of(database), name).pixels(Frame())
     places = grid.from_reference.inverse(np.stack([x.ravel(), y.ravel()], 1))
     worst = np.max([Sigma.from_dict(table)(places) for table in known], axis=0)
     worst[beyond_checks(record, places)] = np.nan
@@ -361,7 +361,7 @@ def map_points(
 
 def warn_of_turns(database: str | Path, name: str, frames: Iterable[str]) -> list[str]:
     """Report of frames whose files viewers turn or mirror that their coordinates are those of the file as stored."""
-    layers = Records(place(database), name).layers
+    layers = Records(database_of(database), name).layers
     warnings = []
     for layer in dict.fromkeys(parse_frame(frame).layer for frame in frames):
         target = _load(layers[layer]).get("target") if layer in layers else None

@@ -13,13 +13,12 @@ import numpy as np
 import xarray
 
 from levkas.core.problems import Problem
-from levkas.database.catalogue import NAME, DatabaseRefused, Entry, read_catalogue
+from levkas.database.catalogue import NAME, DatabaseRefused, Entry, database_of, read_catalogue
 from levkas.database.containment import check_inside, check_plain_names
 from levkas.database.described import open_tiff
 from levkas.database.layer_array import LayerArray
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.opening import open_layer
-from levkas.database.remote import place
 from levkas.database.spectral_tiff import METADATA
 
 if TYPE_CHECKING:
@@ -46,14 +45,14 @@ class Database(Mapping[str, "Object"]):
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = place(path)
+        self.path = database_of(path)
         listed = (self.path / NAME).is_file()
         if not listed and not (self.path / "objects").is_dir():
             raise DatabaseRefused(
                 Problem(
                     "E_UNREADABLE",
                     "no database was found here",
-                    file=str(path),
+                    file=str(self.path),
                     expected=f"a folder with {NAME} and objects/",
                     fix="Give the folder or the address of a database, or build the campaign first.",
                 )
@@ -136,7 +135,8 @@ class Object(Mapping[Any, "LayerArray"]):
     def dataset(self, camera: str, setup: str = "") -> xarray.Dataset:
         """Return a layer as one `xarray.Dataset`, lazily: ``values``, ``flags`` and, where it is known, ``sigma``.
 
-        Attributes are those of the CF conventions; ``u_SOURCE`` (band) are the rows of its uncertainty budget that are known, with
+        Attributes are those of the CF conventions; where the sampling is known, ``x_mm`` and ``y_mm`` are places on the object in the
+        coordinate system that the grid mapping ``grid`` describes; ``u_SOURCE`` (band) are the rows of its uncertainty budget that are known, with
         their correlation as obsarray's conventions have it, and ``unc_comps`` of the values names them.
         """
         from levkas.database.region_uncertainty import budget_variables, read_budget
@@ -146,10 +146,8 @@ class Object(Mapping[Any, "LayerArray"]):
         known = {name: xarray.DataArray(part) for name, part in parts.items() if part is not None}
         budget = read_budget(self.path, self._layer((camera, setup)))
         rows = budget_variables(budget, values.band)
-        made = xarray.Dataset(
-            {**known, **rows},
-            attrs={"Conventions": "CF-1.11", "title": f"{self.name}, {values.name}"},
-        )
+        facts = {"Conventions": "CF-1.11", "title": f"{self.name}, {values.name}"}
+        made = _in_millimetres(xarray.Dataset({**known, **rows}, attrs=facts))
         components = ["sigma"] if "sigma" in known else []
         if components or rows:
             made["values"].attrs["unc_comps"] = [*components, *rows]
@@ -195,6 +193,28 @@ class Object(Mapping[Any, "LayerArray"]):
                 f"{self.name} has no layer {layer_name(camera, setup)!r}; it has: {there}"
             )
         return LayerId(self.name, camera, setup)
+
+
+OBJECT_CRS = (
+    'ENGCRS["grid of the object",EDATUM["middle of its first pixel"],CS[Cartesian,2],'
+    'AXIS["x",displayRight,ORDER[1]],AXIS["y",displayDown,ORDER[2]],LENGTHUNIT["millimetre",0.001]]'
+)
+"""Of places on an object, mm, as OGC's well-known text (ISO 19162) spells a local system."""
+
+
+def _in_millimetres(made: xarray.Dataset) -> xarray.Dataset:
+    """Give a dataset of known sampling places on the object, and the grid mapping that they are in."""
+    scale = made["values"].attrs.get("px_per_mm")
+    if not scale:
+        return made
+    facts = {"units": "mm", "long_name": "place on the object"}
+    columns = {f"{axis}_mm": (axis, made[axis].values / scale, facts) for axis in ("x", "y")}
+    made = made.assign_coords(columns)
+    made["grid"] = ((), 0, {"crs_wkt": OBJECT_CRS})
+    for name in ("values", "flags", "sigma"):
+        if name in made:
+            made[name].attrs["grid_mapping"] = "grid: x_mm y_mm"
+    return made
 
 
 def _layers_found(path: Path, name: str) -> tuple[tuple[str, str], ...]:

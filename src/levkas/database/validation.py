@@ -17,7 +17,7 @@ from levkas.core.digests import hash_file
 from levkas.core.machine import count_threads
 from levkas.core.problems import Problem
 from levkas.database.catalogue import NAME as CATALOGUE
-from levkas.database.catalogue import DatabaseRefused, read_catalogue
+from levkas.database.catalogue import DatabaseRefused, database_of, read_catalogue
 from levkas.database.containment import find_escapes
 from levkas.database.decoding import check_structure
 from levkas.database.manifest import (
@@ -30,7 +30,7 @@ from levkas.database.manifest import (
     read_manifest,
     unfinished,
 )
-from levkas.database.remote import THREADS, RemoteRefused, is_remote, place
+from levkas.database.remote import THREADS, RemoteRefused, is_remote
 
 BAG, TAGS = "bagit.txt", "tagmanifest-sha256.txt"
 
@@ -106,8 +106,8 @@ def validate(
     Parameters
     ----------
     database : path
-        A folder as `levkas build` writes it, one of the same kind by other hands, or a BagIt bag;
-        or the address of such a one that has a manifest.
+        A folder as `levkas build` writes it, that of the campaign that it was built from, one of the same kind by other
+        hands, or a BagIt bag; or the address of such a one that has a manifest.
     threads : int, optional
         For hashing; default: `levkas.core.machine.count_threads`.
     draw : callable
@@ -128,7 +128,7 @@ def validate(
     Traceback (most recent call last):
     levkas.database.catalogue.DatabaseRefused: no database was found here...
     """
-    root = place(database)
+    root = database_of(database)
     manifest = _find_manifest(root)
     steps = draw(check_files(root, threads=threads))
     problems = _once(p for step in steps for p in step.problems)
@@ -141,7 +141,7 @@ def check_files(database: str | Path, *, threads: int | None = None) -> Iterator
 
     Raises DatabaseRefused where there is no database at all.
     """
-    root = place(database)
+    root = database_of(database)
     manifest = _find_manifest(root)
     names = list_files(root)
     count = threads or (THREADS if is_remote(root) else count_threads())

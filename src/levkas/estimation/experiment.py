@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from time import perf_counter
 
 import numpy as np
@@ -129,6 +130,66 @@ class Paintings:
 def named_seed(seed: int, *names: str) -> int:
     """Return a seed for one purpose, the same for the same names."""
     return zlib.crc32("\0".join((str(seed), *names)).encode())
+
+
+def estimate(
+    database: str | Path,
+    sources: str | Sequence[str],
+    target: str = "",
+    *,
+    method: str = "wiener",
+    seed: int = 1,
+) -> StoredModel:
+    """Fit a model that estimates spectra from few channels, as ``levkas estimate`` does.
+
+    Parameters
+    ----------
+    database : path
+        Of at least two paintings: one is held out in turn, so that the errors of the model are known.
+    sources : str or sequence of str
+        Layers whose channels are its responses: ``"d80"``, ``["d80", "msbs"]``.
+    target : str
+        Layer whose spectra it estimates; default the reference camera where it is spectral.
+    method : str
+        A name of `levkas.estimation.methods.METHODS`.
+    seed : int
+
+    Returns
+    -------
+    model : StoredModel
+        ``model.predict(cube)`` estimates, ``model.sigma`` is the error of each band on held-out paintings,
+        ``model.save(path)`` keeps it for ``levkas estimate apply``.
+
+    Raises
+    ------
+    EstimationRefused
+        Where the layers or the method cannot be had, or too few paintings are there.
+
+    Notes
+    -----
+    The model is fitted on all paintings that have the layers; its errors are those of models that were fitted without
+    the painting in question. `levkas.estimation.methods.METHODS` has equation and source of each method.
+
+    Examples
+    --------
+    Photographs in counts are not estimated:
+
+    >>> try:
+    ...     estimate(plates / "database", "photo", "infrared")
+    ... except Refused as refused:
+    ...     print(refused.problems[0].code)
+    E_QUANTITY
+    """
+    group = (sources,) if isinstance(sources, str) else tuple(sources)
+    plan = ExperimentPlan(
+        *(database, [",".join(group)], target, [method]),
+        budget=False,
+        models=True,
+        seed=seed,
+    )
+    *_, last = run_experiment(plan)
+    assert last.report is not None
+    return last.report.sources[0].models[0]
 
 
 def run_experiment(plan: ExperimentPlan) -> Iterator[EstimationStep]:

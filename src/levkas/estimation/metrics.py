@@ -9,8 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from levkas.colour.gamut import delta_e_2000, xyz_to_lab
+from levkas.colour.gamut import delta_e_2000, spectral_angle, xyz_to_lab
 from levkas.colour.srgb import observer_under, visible_coverage, xyz_weights
+
+__all__ = ["delta_e", "gfc", "mrae", "r2", "rmse", "sees_colour", "spectral_angle"]
 
 MRAE_FLOOR = 0.01
 """Reflectance below which errors are relative to it: those of black paint would rule otherwise."""
@@ -43,19 +45,6 @@ def gfc(estimated: np.ndarray, measured: np.ndarray) -> np.ndarray:
         return np.asarray(
             product / (np.linalg.norm(estimated, axis=-1) * np.linalg.norm(measured, axis=-1))
         )
-
-
-def spectral_angle(estimated: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Return the angle between spectra, (…,), radians.
-
-    Kruse et al. 1993 (10.1016/0034-4257(93)90013-N).
-
-    >>> round(float(np.degrees(spectral_angle(np.array([1.0, 0.0]), np.array([1.0, 1.0])))), 6)
-    45.0
-    """
-    lengths = np.linalg.norm(estimated, axis=-1) * np.linalg.norm(measured, axis=-1)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.arccos(np.clip((estimated * measured).sum(-1) / lengths, -1, 1)))
 
 
 def mrae(estimated: np.ndarray, measured: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from levkas.core.cube import Band
 from levkas.core.files import make_folder, write_json
+from levkas.core.machine import steady_libraries
 from levkas.core.problems import Problem
 from levkas.core.text import read_json
 from levkas.estimation.methods import Model, load_model, save_model
@@ -17,6 +18,8 @@ from levkas.estimation.samples import EstimationRefused
 from levkas.estimation.uncertainty import ModelErrors
 
 if TYPE_CHECKING:
+    import xarray
+
     from levkas.database.layer_array import LayerArray
 
 
@@ -56,6 +59,60 @@ class StoredModel:
         record = {name: value for name, value in vars(self).items() if name != "model"}
         bands = [asdict(band) for band in self.bands]
         return {**record, "bands": bands, "errors": self.errors.to_dict()}
+
+    def predict(self, cube: xarray.DataArray | np.ndarray) -> xarray.DataArray:
+        """Estimate the spectra of pixels.
+
+        Parameters
+        ----------
+        cube : array, (…, channels)
+            The channels that the model was fitted with, in order: of one layer, or of several side by side
+            (``xarray.concat`` along the bands). Of a labelled array ``band`` may stand anywhere.
+
+        Returns
+        -------
+        spectra : xarray.DataArray, (…, band), float64
+            With ``wavelength``, and ``sigma``: the error of each band on held-out paintings. NaN where a channel has no value.
+            Estimated, not measured: the attribute `kind` says so.
+
+        Raises
+        ------
+        Refused
+            ``E_CHANNELS`` where the cube has other channels.
+        """
+        import xarray
+
+        moved = (
+            cube.transpose(..., "band")
+            if isinstance(cube, xarray.DataArray)
+            else xarray.DataArray(cube)
+        )
+        values = np.asarray(moved.values, float)
+        flat = values.reshape(-1, values.shape[-1])
+        known = np.isfinite(flat).all(1)
+        spectra = np.full((len(flat), len(self.bands)), np.nan)
+        with steady_libraries():
+            spectra[known] = self.model(flat[known])[0]
+        kept = {n: c for n, c in moved.coords.items() if set(c.dims) <= set(moved.dims[:-1])}
+        about = {
+            "band": [band.label for band in self.bands],
+            "wavelength": ("band", [band.wavelength for band in self.bands], {"units": "nm"}),
+            "sigma": ("band", list(self.sigma)),
+        }
+        facts = {
+            "quantity": "reflectance",
+            "kind": "estimated",
+            "method": self.method,
+            "units": "1",
+        }
+        shape = (*values.shape[:-1], len(self.bands))
+        return xarray.DataArray(
+            spectra.reshape(shape),
+            {**kept, **about},
+            (*moved.dims[:-1], "band"),
+            "estimated",
+            facts,
+        )
 
     def save(self, path: Path) -> list[Path]:
         """Write ``NAME.npz`` and ``NAME.json``; return both."""

@@ -78,10 +78,11 @@ def export(
         Where such a file exists, or the disk refuses.
     """
     from levkas.core.ownership import OwnFiles
+    from levkas.database.catalogue import database_of
     from levkas.database.reader import Database
-    from levkas.database.remote import is_remote, place
+    from levkas.database.remote import is_remote
 
-    root = place(database)
+    root = database_of(database)
     root = root if is_remote(root) else root.resolve()
     opened = Database(root)
     layers = [

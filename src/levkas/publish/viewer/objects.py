@@ -14,8 +14,9 @@ from levkas.campaign.schema.toml import read_toml
 from levkas.core.cube import Band
 from levkas.core.flags import describe_marks
 from levkas.core.problems import Refused
-from levkas.core.text import counted, parse_bounded, read_text
+from levkas.core.text import counted, parse_bounded
 from levkas.database.catalogue import ESTIMATED
+from levkas.database.described import channel_shapes
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.pixel_frames import Frame
 from levkas.database.region_uncertainty import OTHER_BUDGET, position_sigmas, read_budget
@@ -219,7 +220,7 @@ def _write_layer(
 ) -> dict[str, Any]:
     tiff = item.tiff(*layer)
     attrs, bands, centroids = _describe(tiff)
-    shapes = _broad_channels(item.database / "cameras" / layer[0] / "sensitivity.csv", bands)
+    shapes = channel_shapes(item.database, layer[0], [band.label for band in bands])
     if not np.isfinite(centroids).any():
         centroids = [centroid for centroid, _ in shapes]
     reference = item.tiff(item.reference, "") if item.reference else tiff
@@ -375,39 +376,6 @@ def _describe(tiff: Path) -> tuple[dict[str, Any], tuple[Band, ...], list[float]
 
 def _number(value: float | None) -> float:
     return math.nan if value is None else float(value)
-
-
-def _broad_channels(path: Path, bands: tuple[Band, ...]) -> list[tuple[float, float]]:
-    """Centroid and full width at half maximum, nm, by the published sensitivities; NaN if not known."""
-    unknown = [(math.nan, math.nan)] * len(bands)
-    try:
-        head_line, *lines = read_text(path, "a CSV of sensitivities").splitlines()
-        head = [cell.strip() for cell in head_line.split(",")]
-        table = np.loadtxt(lines, delimiter=",", ndmin=2)
-    except (Refused, ValueError):
-        return unknown
-    columns = {label: table[:, i] for i, label in enumerate(head) if i and i < table.shape[1]}
-    found = [columns.get(band.label) for band in bands]
-    return [
-        _shape(table[:, 0], c) if c is not None and c.sum() > 0 else (math.nan, math.nan)
-        for c in found
-    ]
-
-
-def _shape(wavelengths: np.ndarray, response: np.ndarray) -> tuple[float, float]:
-    """Centroid and full width at half maximum of a response.
-
-    >>> _shape(np.arange(400.0, 450.0, 10.0), np.array([0.0, 1.0, 1.0, 1.0, 0.0]))
-    (420.0, 30.0)
-    """
-    high = np.flatnonzero(response >= response.max() / 2)
-    low, top = max(high[0] - 1, 0), min(high[-1] + 1, len(response) - 1)
-    half = response.max() / 2
-    rise, fall = response[low : high[0] + 1], response[high[-1] : top + 1][::-1]
-    start = float(np.interp(half, rise, wavelengths[low : high[0] + 1]))
-    end = float(np.interp(half, fall, wavelengths[high[-1] : top + 1][::-1]))
-    centroid = float((response * wavelengths).sum() / response.sum())
-    return centroid, end - start
 
 
 def _reference_band(record: dict[str, Any], bands: tuple[Band, ...]) -> int:

@@ -1,0 +1,308 @@
+"""Libraries of spectra: ENVI `.sli`, ASD FieldSpec, text of the USGS library, CSV."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.core.files import write_bytes, write_text
+from levkas.core.text import read_text
+from levkas.readers.envi import DATA_TYPES
+from levkas.readers.envi_header import find_data, parse_header
+from levkas.readers.facts import check_memory, unreadable
+from levkas.readers.spectra import are_spectra, parse_spectra
+from levkas.readers.wavelengths import read_centres
+
+if TYPE_CHECKING:
+    import xarray
+
+DELETED = -1e30
+"""Below it a value of the USGS library is none: deleted channels are −1.23e34 (Kokaly et al. 2017, 10.3133/ds1035)."""
+ASD_HEADER, ASD_TYPES = 484, {0: "f4", 1: "i4", 2: "f8"}
+ASD_RAW, ASD_REFLECTANCE = 0, 1
+LARGEST_ASD = 4 << 20
+EXPECTED = (
+    "an ENVI spectral library (.sli or its .hdr), a file of ASD, text of the USGS library, or a CSV"
+)
+NM_FROM = 100.0
+"""Wavelengths of text below it are µm: no library has nanometres that short."""
+
+
+def read_spectra(
+    path: str | Path, *, wavelengths: Sequence[float] | None = None
+) -> xarray.DataArray:
+    """Read a library of spectra.
+
+    Parameters
+    ----------
+    path : path
+        ENVI's ``.sli`` or its header; ``.asd``; a ``.txt`` of the USGS library, whose wavelengths lie in a file of their own
+        (``…Wavelengths….txt`` beside it, of as many channels); a CSV of wavelength and a column a spectrum.
+    wavelengths : sequence of float, optional
+        nm, for a file that has none.
+
+    Returns
+    -------
+    spectra : xarray.DataArray, (spectrum, wavelength), float64
+        Reflectance, 1.0 = perfect diffuser; NaN where a channel was deleted. `wavelength`, nm, rises; `spectrum` has the names.
+
+    Raises
+    ------
+    UnreadableCapture
+        Where the file is none of these, is cut, or has no wavelengths; where a spectrum of ASD is neither reflectance nor
+        has its white reference beside it.
+
+    Examples
+    --------
+    >>> path = folder / "blue.csv"
+    >>> _ = path.write_text("nm,azurite\\n400,0.2\\n500,0.3\\n")
+    >>> read_spectra(path).sel(spectrum="azurite").interp(wavelength=450).item()
+    0.25
+    """
+    import xarray
+
+    path = Path(path)
+    head = b""
+    if path.is_file():
+        with path.open("rb") as file:
+            head = file.read(4)
+    if path.suffix.lower() in (".sli", ".hdr") or head.startswith(b"ENVI"):
+        nm, values, names = _read_sli(path)
+    elif re.match(rb"as[d\d]|ASD", head):
+        nm, values, names = _read_asd(path)
+    else:
+        nm, values, names = _read_text(path, wavelengths)
+    order = np.argsort(nm, kind="stable")
+    facts = {"units": "nm", "standard_name": "radiation_wavelength"}
+    return xarray.DataArray(
+        values[:, order],
+        {"spectrum": names, "wavelength": ("wavelength", nm[order], facts)},
+        ("spectrum", "wavelength"),
+        name="reflectance",
+        attrs={"units": "1", "source": path.name},
+    )
+
+
+def write_spectra(path: str | Path, spectra: xarray.DataArray) -> list[Path]:
+    """Write a library of spectra: ``.sli`` with its header for ENVI, or ``.csv``.
+
+    Parameters
+    ----------
+    path : path
+        Its suffix says which.
+    spectra : xarray.DataArray, (spectrum, wavelength)
+        As `read_spectra` returns them; one spectrum alone may be (wavelength,).
+
+    Returns
+    -------
+    files : list of Path
+
+    Raises
+    ------
+    ValueError
+        Of another suffix or other dimensions.
+    WriteRefused
+        Where the disk refuses.
+
+    Examples
+    --------
+    >>> import xarray
+    >>> one = xarray.DataArray([0.2, 0.3], {"wavelength": [400.0, 500.0]}, ("wavelength",), name="azurite")
+    >>> [made.name for made in write_spectra(folder / "blue.sli", one)]
+    ['blue.sli', 'blue.hdr']
+    """
+    path = Path(path)
+    if "spectrum" not in spectra.dims:
+        named = spectra.coords["spectrum"].item() if "spectrum" in spectra.coords else spectra.name
+        spectra = spectra.drop_vars("spectrum", errors="ignore").expand_dims(
+            spectrum=[named or "1"]
+        )
+    if set(spectra.dims) != {"spectrum", "wavelength"}:
+        raise ValueError(f"spectra have dimensions spectrum and wavelength, these {spectra.dims}")
+    table = spectra.transpose("spectrum", "wavelength")
+    nm, names = table["wavelength"].values, [str(name) for name in table["spectrum"].values]
+    if path.suffix.lower() == ".csv":
+        quoted = [f'"{name.replace(chr(34), chr(39))}"' if "," in name else name for name in names]
+        rows = [
+            ",".join(map(str, (at, *column))) for at, column in zip(nm, table.values.T, strict=True)
+        ]
+        write_text(path, "\n".join([",".join(["nm", *quoted]), *rows, ""]).replace("nan", ""))
+        return [path]
+    if path.suffix.lower() != ".sli":
+        raise ValueError(f"a library of spectra is written as .sli or .csv, not {path.suffix!r}")
+    plain = [re.sub(r"[{},\n]", " ", name).strip() for name in names]
+    lines = [
+        "ENVI",
+        f"samples = {len(nm)}",
+        f"lines = {len(names)}",
+        "bands = 1",
+        *("header offset = 0", "file type = ENVI Spectral Library", "data type = 5"),
+        *("interleave = bsq", "byte order = 0", "wavelength units = Nanometers"),
+        f"wavelength = {{{', '.join(repr(float(at)) for at in nm)}}}",
+        f"spectra names = {{{', '.join(plain)}}}",
+    ]
+    header = path.with_suffix(".hdr")
+    write_bytes(path, np.ascontiguousarray(table.values, "<f8").tobytes())
+    write_text(header, "\n".join([*lines, ""]))
+    return [path, header]
+
+
+Library = tuple[np.ndarray, np.ndarray, list[str]]
+"""Wavelengths (n,), nm; values (spectra, n); names."""
+
+
+def _read_sli(path: Path) -> Library:
+    header = parse_header(path if path.suffix.lower() == ".hdr" else _header_of(path))
+    samples, lines = header.whole("samples"), header.whole("lines")
+    kind = DATA_TYPES.get(header.whole("data type"))
+    order = ">" if header.text("byte order") == "1" else "<"
+    if kind is None or header.whole("bands", default=1) != 1:
+        found = f"data type {header.text('data type')}, {header.text('bands')} bands"
+        raise header.refusal(
+            *("this is no spectral library", "data type", found, "numbers, one band"),
+            "Open a cube with `levkas.open`.",
+        )
+    dtype = np.dtype(order + kind)
+    offset = header.whole("header offset", least=0, default=0)
+    needed = offset + samples * lines * dtype.itemsize
+    data = find_data(header, needed)
+    if data.stat().st_size < needed:
+        raise unreadable(
+            data,
+            "the library is cut",
+            found=f"{data.stat().st_size} bytes",
+            expected=f"{needed} bytes",
+        )
+    check_memory(data, samples * lines, 8)
+    values = np.fromfile(data, dtype, samples * lines, offset=offset).reshape(lines, samples)
+    numbers = [number for number in header.numbers("wavelength") if number is not None]
+    centres = read_centres(numbers, header.text("wavelength units"))
+    if centres.nm is None or len(centres.nm) != samples:
+        raise header.refusal(
+            *(
+                "the library has no wavelengths",
+                "wavelength",
+                f"{len(numbers)}",
+                f"{samples} in nm or µm",
+            ),
+            "Write `wavelength` and `wavelength units`.",
+        )
+    scale = header.number("reflectance scale factor") or 1.0
+    named = header.fields.get("spectra names") or ()
+    names = [named] if isinstance(named, str) else list(named)
+    if len(names) != lines:
+        names = [f"spectrum {number}" for number in range(1, lines + 1)]
+    return np.array(centres.nm), values.astype(float) / scale, names
+
+
+def _header_of(path: Path) -> Path:
+    from levkas.readers.envi_header import find_header
+
+    found = find_header(path)
+    if found is None:
+        raise unreadable(path, "the library has no header beside it", expected=f"{path.stem}.hdr")
+    return found
+
+
+def _read_asd(path: Path) -> Library:
+    """Read a file of an ASD FieldSpec, versions ASD to as8: 484 bytes of header, the spectrum, its white reference."""
+    if (size := path.stat().st_size) > LARGEST_ASD:
+        raise unreadable(
+            path, "the file is too large", found=f"{size} bytes", expected="a file of ASD"
+        )
+    data = path.read_bytes()
+    try:
+        kind, (first, step) = data[186], struct.unpack_from("<ff", data, 191)
+        dtype = np.dtype("<" + ASD_TYPES[data[199]])
+        count = struct.unpack_from("<H", data, 204)[0]
+        values = np.frombuffer(data, dtype, count, ASD_HEADER).astype(float)
+        behind = ASD_HEADER + count * dtype.itemsize
+        white = None
+        if data[:3] != b"ASD" and len(data) > behind + 2 and any(data[behind : behind + 2]):
+            words = struct.unpack_from("<H", data, behind + 18)[0]
+            white = np.frombuffer(data, dtype, count, behind + 20 + words).astype(float)
+    except (struct.error, KeyError, IndexError, ValueError) as error:
+        raise unreadable(path, "the file is cut, or none of ASD", found=str(error)) from None
+    if not (count and first > 0 and step > 0):
+        raise unreadable(
+            path, "the file has no wavelengths", found=f"from {first:g} nm by {step:g} nm"
+        )
+    if kind in (ASD_RAW, ASD_REFLECTANCE) and white is not None and white.any():
+        with np.errstate(divide="ignore", invalid="ignore"):
+            values = np.where(white > 0, values / white, np.nan)
+    elif kind != ASD_REFLECTANCE:
+        raise unreadable(
+            path,
+            "the spectrum is no reflectance",
+            field="data type",
+            found=f"{kind}, without a white reference",
+            expected="reflectance, or counts with their white reference",
+            fix="Save it as reflectance in ViewSpec or RS3.",
+        )
+    return first + step * np.arange(count), values[None], [path.stem]
+
+
+def _read_text(path: Path, wavelengths: Sequence[float] | None) -> Library:
+    text = read_text(path, EXPECTED)
+    rows = text.split("\n")
+    if "," not in text and re.search(r"Record\s*=?\s*\d+", rows[0]):
+        values = _numbers(path, rows[1:])
+        nm = (
+            np.asarray(wavelengths, float)
+            if wavelengths is not None
+            else _usgs_wavelengths(path, len(values))
+        )
+        if len(nm) != len(values):
+            raise unreadable(
+                path,
+                "the wavelengths do not match the channels",
+                found=f"{len(nm)}",
+                expected=f"{len(values)}",
+            )
+        name = re.sub(r".*Record\s*=?\s*\d+\s*:?", "", rows[0]).strip() or path.stem
+        return nm, np.where(values < DELETED, np.nan, values)[None], [name]
+    try:
+        table, head = parse_spectra(text)
+        if not are_spectra(table):
+            raise ValueError("no wavelengths that rise in the first column")
+    except ValueError as error:
+        raise unreadable(
+            path, "these are no spectra", found=str(error), expected=EXPECTED
+        ) from None
+    names = (
+        head[1:]
+        or [path.stem] * (table.shape[1] == 2)
+        or [f"spectrum {n}" for n in range(1, table.shape[1])]
+    )
+    scale = 1000.0 if table[-1, 0] < NM_FROM else 1.0
+    return table[:, 0] * scale, table[:, 1:].T, names
+
+
+def _usgs_wavelengths(path: Path, channels: int) -> np.ndarray:
+    """Return the wavelengths of a text of the USGS library, nm, by the one file of as many channels beside it."""
+    found = []
+    for beside in sorted(path.parent.glob("*avelengths*.txt")):
+        numbers = _numbers(beside, read_text(beside, "wavelengths").split("\n")[1:])
+        if len(numbers) == channels:
+            found.append(numbers)
+    if len(found) != 1:
+        raise unreadable(
+            path,
+            "the wavelengths of this spectrum are not known",
+            found=f"{len(found)} files of {channels} wavelengths beside it",
+            expected="one, as …_Wavelengths_….txt",
+            fix="Put the library's file of wavelengths beside it, or give `wavelengths`, nm.",
+        )
+    return found[0] * (1000.0 if found[0].max() < NM_FROM else 1.0)
+
+
+def _numbers(path: Path, rows: Sequence[str]) -> np.ndarray:
+    try:
+        return np.array([float(row) for row in rows if row.strip()])
+    except ValueError as error:
+        raise unreadable(path, "these are no numbers, one a line", found=str(error)) from None

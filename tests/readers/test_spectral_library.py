@@ -1,0 +1,100 @@
+"""Libraries of spectra, as the programs that write them have them."""
+
+import struct
+
+import numpy as np
+import pytest
+import xarray
+from spectral.io import envi
+
+import levkas
+from levkas.core.problems import Refused
+
+NM = np.arange(400.0, 701.0, 10.0)
+VALUES = np.stack([np.linspace(0.1, 0.9, 31), 0.5 + 0.3 * np.sin(NM / 40)])
+
+
+def library():
+    coords = {"spectrum": ["azurite", "lead white, new"], "wavelength": NM}
+    return xarray.DataArray(VALUES, coords, ("spectrum", "wavelength"))
+
+
+@pytest.mark.parametrize("suffix", [".sli", ".csv"])
+def test_what_is_written_is_read(tmp_path, suffix):
+    levkas.write_spectra(tmp_path / f"a{suffix}", library())
+    read = levkas.read_spectra(tmp_path / f"a{suffix}")
+    np.testing.assert_allclose(read.values, VALUES, rtol=1e-15)
+    assert read.wavelength.values.tolist() == NM.tolist()
+    assert read.spectrum.values[0] == "azurite"
+
+
+def test_spectral_python_reads_a_library_of_ours_and_we_read_its(tmp_path):
+    levkas.write_spectra(tmp_path / "ours.sli", library())
+    theirs = envi.open(str(tmp_path / "ours.hdr"), str(tmp_path / "ours.sli"))
+    np.testing.assert_allclose(theirs.spectra, VALUES, rtol=1e-6)
+    assert theirs.bands.centers == NM.tolist() and theirs.names[0] == "azurite"
+    header = {
+        "wavelength": (NM / 1000).tolist(),
+        "wavelength units": "Micrometers",
+        "spectra names": ["a", "b"],
+    }
+    envi.SpectralLibrary(VALUES.astype("f4"), header).save(str(tmp_path / "micro"))
+    read = levkas.read_spectra(tmp_path / "micro.sli")
+    np.testing.assert_allclose(read.wavelength.values, NM)
+    np.testing.assert_allclose(read.values, VALUES, rtol=1e-6)
+
+
+def asd(kind, values, white=None, version=b"as7"):
+    """A file by the table of offsets that ASD published."""
+    head = bytearray(484)
+    head[:3], head[186], head[199] = version, kind, 2
+    struct.pack_into("<ff", head, 191, 350.0, 1.0)
+    struct.pack_into("<H", head, 204, len(values))
+    behind = (
+        b"" if white is None else struct.pack("<HqqH", 0xFFFF, 0, 0, 3) + b"lab" + white.tobytes()
+    )
+    return bytes(head) + values.astype("<f8").tobytes() + behind
+
+
+def test_a_spectrum_of_asd_is_reflectance_by_its_white(tmp_path):
+    white, share = np.linspace(800.0, 2000.0, 101), np.linspace(0.1, 0.6, 101)
+    (tmp_path / "one.asd").write_bytes(asd(1, share * white, white))
+    (tmp_path / "plain.asd").write_bytes(asd(1, share))
+    for name in ("one", "plain"):
+        read = levkas.read_spectra(tmp_path / f"{name}.asd")
+        np.testing.assert_allclose(read.values[0], share)
+        assert (
+            read.wavelength.values[[0, -1]].tolist() == [350.0, 450.0]
+            and read.spectrum.item() == name
+        )
+    for name, data in (("raw", asd(0, share)), ("cut", asd(1, share)[:900])):
+        (tmp_path / f"{name}.asd").write_bytes(data)
+        with pytest.raises(Refused):
+            levkas.read_spectra(tmp_path / f"{name}.asd")
+
+
+def test_text_of_the_usgs_library_finds_its_wavelengths_and_deleted_channels(tmp_path):
+    path = tmp_path / "splib07a_Azurite_WS316_BECKb_AREF.txt"
+    path.write_text(
+        " splib07a Record=1442: Azurite WS316        BECKb AREF\n 0.2\n-1.2300000e+034\n 0.4\n"
+    )
+    with pytest.raises(Refused, match="wavelengths of this spectrum"):
+        levkas.read_spectra(path)
+    for name, numbers in (("BECK", "0.4\n0.5\n0.6"), ("ASD", "0.4\n0.5\n0.6\n0.7")):
+        (tmp_path / f"splib07a_Wavelengths_{name}.txt").write_text(
+            f" splib07a Record=1: Wavelengths\n{numbers}\n"
+        )
+    read = levkas.read_spectra(path)
+    assert read.wavelength.values.round(6).tolist() == [400.0, 500.0, 600.0]
+    np.testing.assert_allclose(read.values, [[0.2, np.nan, 0.4]])
+    assert read.spectrum.item().startswith("Azurite WS316")
+    assert levkas.read_spectra(path, wavelengths=[1, 2, 3]).wavelength.values.tolist() == [1, 2, 3]
+
+
+@pytest.mark.parametrize("content", [b"", b"a,b\nx,y\n", b"ENVI\n", b"\x00\xff" * 300])
+def test_files_that_are_none_are_refused_by_name(tmp_path, content):
+    (tmp_path / "no.csv").write_bytes(content)
+    with pytest.raises(Refused, match=r"no\.csv"):
+        levkas.read_spectra(tmp_path / "no.csv")
+    with pytest.raises(Refused):
+        levkas.read_spectra(tmp_path / "absent.sli")
