@@ -32,7 +32,7 @@ CALIBRATION_KEYS = (
 )  # fmt: skip
 NOT_THERE = "not registered"
 ROLES = ("object", "dark", "white", "chart")
-OF_A_FRAME = ("band", "wavelength", "exposure_s", "shot", "page")
+OF_A_FRAME = ("band", "wavelength", "exposure_s", "shot", "page", "tile")
 ONLY_WRITTEN = {
     "calibrate": ("campaign.", "objects.", "tag 65000"),
     "measure": ("grid.", "objects.", "cameras.", "file "),

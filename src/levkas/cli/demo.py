@@ -107,6 +107,21 @@ def simulate(
             help="Tilt of ground and leaf against the panel, in degrees; default 5 with other lightings, else 0."
         ),
     ] = None,
+    tiles: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Capture in tiles, ROWSxCOLUMNS, or CAMERA=ROWSxCOLUMNS for one camera; may be repeated."
+        ),
+    ] = None,
+    overlap: Annotated[
+        float | None, typer.Option(help="Share of a tile that its neighbour sees too.")
+    ] = None,
+    camera: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--camera", help="Simulate this camera and the reference only; may be repeated."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Simulate a five-camera campaign with known truth."""
@@ -114,6 +129,7 @@ def simulate(
     from levkas.simulation.presets import choose_preset
 
     chosen = choose_preset(preset, scale=scale, objects=objects)
+    chosen = chosen if overlap is None else replace(chosen, overlap=overlap)
     steps = simulate_campaign(
         folder,
         preset=replace(chosen, own_pigments=objects > 1, unevenness_deg=unevenness),
@@ -121,6 +137,8 @@ def simulate(
         objects=objects,
         seed=seed,
         setups=setup or setups,
+        cameras=camera,
+        tiles=tiles,
     )
     draw_steps(steps, as_json)
     print_report("simulate", as_json, True, [], campaign=str(folder))

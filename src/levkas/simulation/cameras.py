@@ -57,6 +57,10 @@ class CameraModel:
         A line scanner.
     setup : str
         Key of `lighting.SETUPS`.
+    tiles : tuple of int, (rows, columns)
+        Frames that show a painting together.
+    whole : tuple of int, (width, height), optional
+        What tiles show together, px.
     """
 
     name: str
@@ -78,6 +82,24 @@ class CameraModel:
     scan: bool = False
     setup: str = "proposed"
     wobble: tuple[float, float, float] = (0.0, 140.0, 0.0)
+    tiles: tuple[int, int] = (1, 1)
+    whole: tuple[int, int] | None = None
+
+    def tiled(self, rows: int, columns: int, overlap: float) -> CameraModel:
+        """Return the camera with a smaller sensor, whose tiles see together what it sees in one frame.
+
+        `overlap` is the share of a tile that its neighbour sees too. A tile has an even number of pixels a side.
+        """
+        counts, sides = (columns, rows), (self.width, self.height)
+        width, height = (
+            2 * round(side / (count - (count - 1) * overlap) / 2)
+            for side, count in zip(sides, counts, strict=True)
+        )
+        return replace(self, width=width, height=height, tiles=(rows, columns), whole=sides)
+
+    def step(self, overlap: float) -> tuple[float, float]:
+        """Return how far a tile lies from the next, across and down, mm."""
+        return tuple((1 - overlap) * n / self.sampling for n in (self.width, self.height))  # type: ignore[return-value]
 
     def scaled(self, scale: float) -> CameraModel:
         """Return the camera with `scale` times as many pixels a side, seeing the same."""
@@ -106,9 +128,10 @@ class CameraModel:
     @property
     def sampling(self) -> float:
         """Pixels per mm: the largest panel fills five sixths of the image."""
-        fit = (self.width / LARGEST_PANEL.width_mm, self.height / LARGEST_PANEL.height_mm)
+        width, height = self.whole or (self.width, self.height)
+        fit = (width / LARGEST_PANEL.width_mm, height / LARGEST_PANEL.height_mm)
         if self.scan:
-            turned = (self.width / LARGEST_PANEL.height_mm, self.height / LARGEST_PANEL.width_mm)
+            turned = (width / LARGEST_PANEL.height_mm, height / LARGEST_PANEL.width_mm)
             fit = max(fit, turned, key=min)
         return 0.83 * min(fit)
 

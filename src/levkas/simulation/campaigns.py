@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
+from math import prod
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ from levkas.simulation.presets import (
     choose_cameras,
     choose_preset,
     choose_setups,
+    choose_tiles,
     refusal,
 )
 from levkas.simulation.rendering import tabulate
@@ -80,6 +82,7 @@ def simulate_campaign(
     grid: bool = True,
     library: Path | str | None = None,
     photographs: Sequence[Path | str] = (),
+    tiles: str | Sequence[str] | None = None,
 ) -> Iterator[SimulationStep]:
     """Simulate a campaign into `folder`: `raw/`, `truth/` and a campaign.toml that builds.
 
@@ -107,6 +110,10 @@ def simulate_campaign(
         Measured spectra of pigments, as in `pigments.paint_spectra`.
     photographs : sequence of path
         Textures of the first objects, instead of painted icons.
+    tiles : str or sequence of str, optional
+        Rows and columns of frames that show an object together: ``"3x4"`` of every camera but the line scanner,
+        ``"d80=3x4"`` of one. A camera keeps its sampling and has a smaller sensor; a stage moves it, and its record is
+        beside campaign.toml. No chart is captured then.
 
     Yields
     ------
@@ -130,7 +137,8 @@ def simulate_campaign(
     folder = Path(folder)
     folder = folder.resolve() if folder.is_symlink() else folder
     chosen = choose_preset(preset, scale=scale, objects=objects)
-    models = choose_cameras(chosen, cameras)
+    chosen = replace(chosen, charts=chosen.charts and not tiles)
+    models = choose_tiles(choose_cameras(chosen, cameras), tiles, chosen.overlap)
     lightings = choose_setups(setups)
     if chosen.unevenness_deg is None and lightings:
         chosen = replace(chosen, unevenness_deg=UNEVEN_DEG)
@@ -151,6 +159,7 @@ def simulate_campaign(
         truth = session.truth()
         truth.save(aside.path / "truth")
         write_tables(aside, models)
+        write_positions(aside, models, chosen.overlap)
         write_campaign_toml(
             aside, models, session.panels,
             chart=CHART if chosen.charts else None,
@@ -167,7 +176,7 @@ def _bytes_needed(models: dict[str, CameraModel], targets: int) -> int:
     for m in models.values():
         planes = len(m.bands) if not KINDS[m.kind].is_broad else len(m.sensors)
         frame = 2 * m.width * m.height * planes
-        total += frame * targets * m.shots
+        total += frame * targets * m.shots * prod(m.tiles)
         total += frame * (m.whites + m.darks) // (m.height if m.scan else 1)
     return total
 
@@ -186,7 +195,9 @@ class SimulatedSession:
         }
         self.panels = {name: self._panel(name) for name in self.names}
         self.views = {
-            name: {c: self._view(name, m) for c, m in models.items()}
+            name: {
+                frame: view for m in models.values() for frame, view in self._views(name, m).items()
+            }
             for name in [*self.names, CHART]
         }
         self.done = self.total = 0
@@ -225,6 +236,25 @@ class SimulatedSession:
         moved = again.uniform(-0.4, 0.4, 2) * p.shift_mm
         return view.moved(lay, np.array([*moved, 0.0]))
 
+    def _views(self, name: str, model: CameraModel) -> dict[str, Viewpoint]:
+        """Return where a camera stands, by CAMERA, or by CAMERA#TILE where a stage moves it from tile to tile."""
+        view, p = self._view(name, model), self.preset
+        if model.whole is None:
+            return {model.name: view}
+        axes = turn(0.0, 0.0, float(self._rng("stage", model.name).normal(0, p.stage_turn_deg)))
+        views = {}
+        for tile, place in tile_places(model, p.overlap).items():
+            rng = self._rng("stage", name, model.name, tile)
+            lean = turn(*(float(v) for v in rng.normal(0, p.stage_deg, 3)))
+            stop = axes @ (*place, 0.0) + rng.normal(0, p.stage_mm, 3) * (1.0, 1.0, 0.25)
+            rotation, moved = lean @ np.reshape(view.rotation, (3, 3)), view.translation - stop
+            views[f"{model.name}#{tile}"] = replace(
+                view,
+                rotation=tuple(float(v) for v in rotation.ravel()),
+                translation=tuple(float(v) for v in moved),
+            )
+        return views
+
     def run(
         self,
         writer: FrameWriter,
@@ -235,13 +265,13 @@ class SimulatedSession:
         """Capture everything."""
         p = self.preset
         targets = len(self.names) + int(p.charts)
-        self.total = sum(len(m.bands) for m in self.models.values()) * (targets + 2)
+        self.total = sum(len(m.bands) * (targets * prod(m.tiles) + 2) for m in self.models.values())
         self.total += len(self.names)
         others = []
         for setup in setups:
             model = relit(self.models[SETUP_CAMERA], SETUPS[setup].illuminant)
             others.append(SimulatedCamera(model, self.root, setup, p.supersampling))
-            self.total += len(model.bands) * (len(self.names) + 1)
+            self.total += len(model.bands) * (len(self.names) * prod(model.tiles) + 1)
         for camera in self.cameras.values():
             for target in ("dark", "white"):
                 yield from self._take(writer, camera, target, None)
@@ -299,16 +329,21 @@ class SimulatedSession:
             factor = max(1, int(painting.px_per_mm / (2.2 * camera.model.sampling)))
             if factor not in by_factor:
                 by_factor[factor] = painting.reduced(factor)
-            reduced, view = by_factor[factor], self.views[name][camera.model.name]
-            lattice = tabulate(view, panel)
-            sight = view_painting(camera.model, view, panel, reduced, lattice=lattice)
-            yield from self._take(writer, camera, name, sight)
-            for other in others:
-                if other.model.name == camera.model.name:
-                    other_sight = view_painting(
-                        other.model, view, panel, reduced, setup=other.setup, lattice=lattice
-                    )
-                    yield from self._take(writer, other, name, other_sight)
+            reduced = by_factor[factor]
+            for frame, view in self.views[name].items():
+                camera_name, _, tile = frame.partition("#")
+                if camera_name != camera.model.name:
+                    continue
+                target = f"{name}/{tile}" if tile else name
+                lattice = tabulate(view, panel)
+                sight = view_painting(camera.model, view, panel, reduced, lattice=lattice)
+                yield from self._take(writer, camera, target, sight)
+                for other in others:
+                    if other.model.name == camera.model.name:
+                        other_sight = view_painting(
+                            other.model, view, panel, reduced, setup=other.setup, lattice=lattice
+                        )
+                        yield from self._take(writer, other, target, other_sight)
 
     def _take(
         self, writer: FrameWriter, camera: SimulatedCamera, target: str, sight: PaintingView | None
@@ -329,9 +364,22 @@ class SimulatedSession:
         return SimulatedTruth(
             REFERENCE,
             self.panels,
-            {name: model.geometry() for name, model in self.models.items()},
+            {
+                frame: self.models[frame.partition("#")[0]].geometry()
+                for frame in self.views[self.names[0]]
+            },
             {name: self.views[name] for name in self.names},
         )
+
+
+def tile_places(model: CameraModel, overlap: float) -> dict[str, tuple[float, float]]:
+    """Return where the middles of a camera's tiles are, mm from the middle of all, x right and y down, by their names."""
+    (rows, columns), (across, down) = model.tiles, model.step(overlap)
+    return {
+        f"r{i + 1}c{j + 1}": ((j - (columns - 1) / 2) * across, (i - (rows - 1) / 2) * down)
+        for i in range(rows)
+        for j in range(columns)
+    }
 
 
 WHITE_TABLE = "white_reflectance.csv"
@@ -414,6 +462,14 @@ def write_tables(folder: Folder, models: Mapping[str, CameraModel]) -> None:
             _write_lines(folder, f"{name}_sensitivity.csv", lines)
 
 
+def write_positions(folder: Folder, models: Mapping[str, CameraModel], overlap: float) -> None:
+    """Write where the stage of every camera of tiles was to stop, mm."""
+    for name, model in models.items():
+        if model.whole:
+            rows = [f"{t},{x:.3f},{y:.3f}" for t, (x, y) in tile_places(model, overlap).items()]
+            _write_lines(folder, f"{name}_stage.csv", ["tile,x,y", *rows])
+
+
 def _write_lines(folder: Folder, name: str, lines: list[str]) -> None:
     folder.write_bytes(name, ("\n".join(lines) + "\n").encode())
 
@@ -448,7 +504,7 @@ def write_campaign_toml(
     for label in setups:
         parts.append(
             f"[setups.{label}.cameras.{SETUP_CAMERA}]\n"
-            f'files = "raw/{label}/{SETUP_CAMERA}/{{target}}/DSC_{{shot}}.tif"\n'
+            + _files(models[SETUP_CAMERA], f"raw/{label}/{SETUP_CAMERA}", "DSC_{shot}.tif")
         )
     for name, panel in panels.items():
         size = (panel.width_mm, panel.height_mm)
@@ -466,13 +522,15 @@ def _camera_text(model: CameraModel) -> str:
     head = f'[cameras.{model.name}]\nkind = "{model.kind}"\n'
     raw = f"raw/{model.name}"
     bands_in = KINDS[model.kind].bands_in
+    if model.whole:
+        head += f'positions = "{model.name}_stage.csv"\n'
     if bands_in == "pattern":
         return (
-            f'{head}files = "{raw}/{{target}}/DSC_{{shot}}.tif"\npattern = "{_pattern(model, 0)}"\n'
+            f'{head}{_files(model, raw, "DSC_{shot}.tif")}pattern = "{_pattern(model, 0)}"\n'
             f'sensitivity = "{model.name}_sensitivity.csv"\n{levels}'
         )
     if bands_in == "files":
-        return f'{head}files = "{raw}/{{target}}/{{wavelength}}nm_{{shot}}.tif"\n{_steps(model)}{levels}'
+        return f"{head}{_files(model, raw, '{wavelength}nm_{shot}.tif')}{_steps(model)}{levels}"
     if bands_in == "file":
         return f'{head}files = "{raw}/{{target}}.hdr"\n{_steps(model)}{levels}'
     text = f'{head}sensitivity = "{model.name}_sensitivity.csv"\n{levels}'
@@ -481,9 +539,15 @@ def _camera_text(model: CameraModel) -> str:
         mosaic = f"pattern = {_rows(model, i)}\n" if sensor.pattern else ""
         text += (
             f'\n[[cameras.{model.name}.sensors]]\nname = "{sensor.name}"\n'
-            f'files = "{raw}/{{target}}/{sensor.name}_{{shot}}.tif"\n{mosaic}bands = [{labels}]\n'
+            f"{_files(model, raw, sensor.name + '_{shot}.tif')}{mosaic}bands = [{labels}]\n"
         )
     return text
+
+
+def _files(model: CameraModel, raw: str, name: str) -> str:
+    one = f'"{raw}/{{target}}/{name}"'
+    tiled = f'"{raw}/{{target}}/r{{row}}c{{column}}/{name}"'
+    return f"files = [{tiled}, {one}]\n" if model.whole else f"files = {one}\n"
 
 
 def _pattern(model: CameraModel, sensor: int) -> str:

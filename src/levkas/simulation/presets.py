@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from levkas.core.problems import Problem, Refused, unknown_name
@@ -43,6 +44,12 @@ class Preset:
     unevenness_deg : float, optional
         How far ground and leaf lean, as in a setup file of the planner; 0 is an even panel with a
         varnish that mirrors. Left out, it is 5 where lightings are compared, else 0.
+    overlap : float
+        Share of a tile that its neighbour sees too.
+    stage_mm, stage_deg : float
+        Spread of where a stage stops, of its height a fourth, and of how the camera leans there.
+    stage_turn_deg : float
+        Spread of the stage's axes about the camera's.
     """
 
     scale: float = 0.32
@@ -61,6 +68,10 @@ class Preset:
     scanner_turn_deg: float = 0.0
     own_pigments: bool = False
     unevenness_deg: float | None = None
+    overlap: float = 0.25
+    stage_mm: float = 0.5
+    stage_deg: float = 0.05
+    stage_turn_deg: float = 0.4
 
 
 PRESETS: dict[str, Preset] = {
@@ -105,6 +116,43 @@ def choose_preset(preset: str | Preset, *, scale: float | None, objects: int) ->
         raise refusal("a campaign needs an object", "objects", objects, "1 or more")
     # At full size sub-pixels are as fine as the painting's samples with two a side already.
     return replace(preset, supersampling=2) if preset.scale > 0.6 else preset
+
+
+def choose_tiles(
+    models: Mapping[str, CameraModel], tiles: str | Sequence[str] | None, overlap: float
+) -> dict[str, CameraModel]:
+    """Return cameras of which some capture in tiles.
+
+    Parameters
+    ----------
+    models : dict of str to CameraModel
+    tiles : str or sequence of str, optional
+        ``"3x4"``: rows and columns of every camera that takes frames; ``"d80=3x4"``: of one.
+    overlap : float
+        Share of a tile that its neighbour sees too.
+
+    Raises
+    ------
+    SimulationRefused
+        For a text that is no such number, an unknown camera, and a line scanner.
+    """
+    made = dict(models)
+    if not 0.02 <= overlap <= 0.6:
+        raise refusal("the overlap is out of range", "overlap", overlap, "0.02 to 0.6")
+    for text in (tiles,) if isinstance(tiles, str) else tiles or ():
+        name, _, count = text.rpartition("=")
+        found = re.fullmatch(r"([1-9]\d?)x([1-9]\d?)", count.strip())
+        if found is None:
+            raise refusal(
+                "these are no tiles", "tiles", text, "ROWSxCOLUMNS, or CAMERA=ROWSxCOLUMNS"
+            )
+        frames = [n for n, model in models.items() if not model.scan]
+        if name and name not in frames:
+            raise refusal("no camera of frames has this name", "tiles", name, ", ".join(frames))
+        rows, columns = map(int, found.groups())
+        for one in [name] if name else frames:
+            made[one] = models[one].tiled(rows, columns, overlap)
+    return made
 
 
 def choose_setups(setups: bool | Sequence[str]) -> tuple[str, ...]:

@@ -81,6 +81,8 @@ class SimulatedTruth:
     cameras : dict of str to CameraGeometry
     views : dict of str to dict of str to View
         By object, then camera.
+
+    Cameras that capture in tiles are a frame a tile, ``CAMERA#TILE``.
     """
 
     reference: tuple[str, str]
@@ -183,12 +185,24 @@ class SimulatedTruth:
         with np.errstate(invalid="ignore"):
             points = points[np.all(np.abs(on_board) <= half, axis=1)]
         for other in self.cameras:
-            points = points[np.isfinite(self.map(points, other, name=name)).all(1)]
+            if "#" not in other:  # no tile sees all of the object
+                points = points[np.isfinite(self.map(points, other, name=name)).all(1)]
         return points
+
+    def panel_grid(self, *, name: str | None = None, count: int = GRID_POINTS) -> np.ndarray:
+        """Return about `count` points (s, t) on the board, mm, in a regular grid, a fiftieth of its size from its edges."""
+        panel = self.panels[name or next(iter(self.panels))]
+        sides = np.array([panel.width_mm, panel.height_mm]) * (1 - 2 * MARGIN)
+        step = float(np.sqrt(np.prod(sides) / count))
+        axes = [np.arange(-side / 2 + step / 2, side / 2, step) for side in sides]
+        return np.stack(np.meshgrid(*axes), -1).reshape(-1, 2)
 
     def save(self, folder: Path) -> None:
         """Write `truth.json` and the point files of CONTRACT.md, last section, into `folder`."""
         write_json(folder / "truth.json", self.to_dict())
+        if any("#" in frame for frame in self.cameras):
+            self._save_tiles(folder)
+            return
         for name in self.panels:
             points = self.grid(name=name)
             rows = {c: self.rows(points, c, name=name) for c in self.cameras}
@@ -196,6 +210,20 @@ class SimulatedTruth:
             write_bytes(folder / f"{name}_ref_px.npy", _npy(points[in_view]))
             for camera, pixels in rows.items():
                 write_bytes(folder / f"{name}_{camera}_px.npy", _npy(pixels[:, in_view]))
+
+    def _save_tiles(self, folder: Path) -> None:
+        """Write points of the board, and where every frame and tile sees them; NaN where it does not."""
+        for name in self.panels:
+            places = self.panel_grid(name=name)
+            write_bytes(folder / f"{name}_panel_mm.npy", _npy(places))
+            for frame, geometry in self.cameras.items():
+                labels = [None, *(band.label for band in geometry.bands)]
+                rows = [self.from_panel(places, frame, label, name=name) for label in labels]
+                write_bytes(folder / f"{name}_{frame}_px.npy", _npy(np.stack(rows)))
+            camera, band = self.reference
+            if camera in self.cameras:
+                pixels = self.from_panel(places, camera, band, name=name)
+                write_bytes(folder / f"{name}_ref_px.npy", _npy(pixels))
 
     def rows(self, points: np.ndarray, camera: str, *, name: str | None = None) -> np.ndarray:
         """Return where `points` (n, 2), reference px, lie: (1 + bands, n, 2), first without band."""

@@ -84,6 +84,15 @@ def calibrate(capture: Capture, campaign: Campaign, templates: TemplateCache) ->
     Refused
         UnreadableCapture or CalibrationRefused, with the files in question; TooLarge.
     """
+    if capture.tiles:
+        raise CalibrationRefused(
+            Problem(
+                "E_TILE",
+                f"{capture.camera}: tiles cannot be joined yet",
+                field=f"cameras.{capture.camera}.files",
+                fix="Give each tile a {target} of its own.",
+            )
+        )
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
     require_memory(capture, campaign.cameras[capture.camera].kind)

@@ -41,6 +41,8 @@ class FrameRef:
         Of a `cube` whose bands stand in another order than those of the object's first file: where each of these is.
     object : str
         The one object that a dark or white serves; empty where it serves all.
+    tile : str
+        The part of the object that it shows: ``r2c3``, or what {tile} matched; empty where it shows all of it.
     """
 
     path: Path
@@ -54,6 +56,7 @@ class FrameRef:
     page: int | None = None
     order: tuple[int, ...] | None = None
     object: str = ""
+    tile: str = ""
 
 
 @dataclass(frozen=True)
@@ -95,12 +98,18 @@ class SensorFrames:
 
 @dataclass(frozen=True)
 class Capture:
-    """One object by one camera under one setup; the setup is empty for the default one."""
+    """One object by one camera under one setup; the setup is empty for the default one.
+
+    `tiles` are the parts of an object that is larger than a frame, each with its own frames, darks and whites; `sensors`
+    then has the frames of all of them. `tile` is the name of such a part.
+    """
 
     object: str
     camera: str
     setup: str
     sensors: tuple[SensorFrames, ...]
+    tiles: tuple[Capture, ...] = ()
+    tile: str = ""
 
     @property
     def bands(self) -> tuple[Band, ...]:

@@ -194,6 +194,7 @@ class FoundFile:
     shot: str = ""
     sensor: str = ""
     object: str = ""
+    tile: str = ""
 
 
 def find_files(

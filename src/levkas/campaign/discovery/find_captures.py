@@ -48,6 +48,7 @@ from levkas.campaign.discovery.file_index import (
     scan_folders,
 )
 from levkas.campaign.discovery.patterns import Pattern, natural
+from levkas.campaign.discovery.tiles import joined_tiles, tiles_of
 from levkas.core.cube import find_band
 from levkas.core.internal_errors import InternalError, as_refusal
 from levkas.core.problems import Problem, Refused, closest_match
@@ -118,8 +119,7 @@ def find_captures(
                 continue
             try:
                 _require_frames(index, name, camera_name, setup)
-                sensors = frames_of_sensors(index, name, campaign.cameras[camera_name], setup)
-                capture = Capture(name, camera_name, setup, sensors)
+                capture = _capture(index, name, campaign.cameras[camera_name], setup)
                 _check_reference_bands(campaign, capture)
                 captures.append(capture)
             except Exception as error:
@@ -312,10 +312,30 @@ def _check_reference_bands(campaign: Campaign, capture: Capture) -> None:
             raise CaptureRefused(*problems) from None
 
 
+def _capture(index: FileIndex, name: str, camera: Camera, setup: str) -> Capture:
+    """Return an object by a camera, with its parts where its frames are tiles."""
+    tiles = tiles_of(index.of(name, camera.name, setup), camera)
+    if not tiles:
+        return Capture(name, camera.name, setup, frames_of_sensors(index, name, camera, setup))
+    problems: list[Problem] = []
+    parts: list[Capture] = []
+    for tile in tiles:
+        try:
+            sensors = frames_of_sensors(index, name, camera, setup, tile=tile)
+            parts.append(Capture(name, camera.name, setup, sensors, tile=tile))
+        except InternalError:
+            raise
+        except Refused as refused:
+            problems.extend(refused.problems)
+    if problems:
+        raise CaptureRefused(*problems)
+    return joined_tiles(parts, camera)
+
+
 def frames_of_sensors(
-    index: FileIndex, name: str, camera: Camera, setup: str
+    index: FileIndex, name: str, camera: Camera, setup: str, *, tile: str | None = None
 ) -> tuple[SensorFrames, ...]:
-    """Return what every sensor of a camera saw of an object, everything declared found.
+    """Return what every sensor of a camera saw of an object, or of one `tile` of it, everything declared found.
 
     Raises
     ------
@@ -326,7 +346,7 @@ def frames_of_sensors(
     sensors: list[SensorFrames] = []
     for sensor in camera.sensors or (None,):
         try:
-            sensors.append(_sensor(index, name, camera, setup, sensor))
+            sensors.append(_sensor(index, name, camera, setup, sensor, tile))
         except InternalError:
             raise
         except Refused as refused:
@@ -344,15 +364,21 @@ def frames_of_sensors(
 
 
 def _sensor(
-    index: FileIndex, name: str, camera: Camera, setup: str, sensor: SensorKeys | None
+    index: FileIndex,
+    name: str,
+    camera: Camera,
+    setup: str,
+    sensor: SensorKeys | None,
+    tile: str | None,
 ) -> SensorFrames:
     """Return the frames of one sensor of an object, with its bands, darks and whites."""
     label = sensor.name if sensor else ""
 
     found = in_natural_order(index.of(name, camera.name, setup))
-    found = [f for f in found if f.sensor == label]
+    found = [f for f in found if f.sensor == label and tile in (None, f.tile)]
     if not found:
-        raise CaptureRefused(_no_sensor(index, name, camera, label))
+        whose = f"{name} {tile}" if tile else name
+        raise CaptureRefused(_no_sensor(index, whose, camera, label))
     campaign = index.campaign
     templates = Templates(index, camera, label, setup, found)
     names = {"dark": campaign.darks_of(camera), "white": campaign.whites_of(camera)}

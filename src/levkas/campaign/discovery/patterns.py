@@ -48,15 +48,20 @@ class TextPiece:
 class NumberPiece:
     """A number with or without decimals, never a part of a longer one."""
 
+    decimals: bool = True
+
     def ends(self, text: str, start: int) -> Iterator[int]:
         before, point = text[start - 1 : start], text[max(start - 2, 0) : start]
-        if before.isdecimal() or (len(point) == 2 and point[0].isdecimal() and point[1] == "."):
+        after_point = len(point) == 2 and point[0].isdecimal() and point[1] == "."
+        if before.isdecimal() or (self.decimals and after_point):
             return
         whole = _DIGITS.match(text, start)
         if whole is None:
             return
         point = text[whole.end() : whole.end() + 1]
-        decimals = _DIGITS.match(text, whole.end() + 1) if point == "." else None
+        decimals = None
+        if self.decimals and point == ".":
+            decimals = _DIGITS.match(text, whole.end() + 1)
         if decimals:
             yield decimals.end()
         yield whole.end()
@@ -190,7 +195,10 @@ def _values_by_name(names: Sequence[str], places: Sequence[int], text: str) -> d
     return found
 
 
-FIELDS = ("target", "object", "setup", "band", "wavelength", "exposure", "shot", "sensor")
+FIELDS = (
+    "target", "object", "setup", "band", "wavelength", "exposure", "shot", "sensor", "tile", "row",
+    "column",
+)  # fmt: skip
 SECONDS = {
     "min": 60.0,
     "s": 1.0,
@@ -212,6 +220,9 @@ _BODY = {
     "band": r"[^/]+?",
     "sensor": r"[^/]+?",
     "shot": r"[^/]*?",
+    "tile": r"[^/]+?",
+    "row": r"(?<!\d)\d+(?!\d)",
+    "column": r"(?<!\d)\d+(?!\d)",
     "wavelength": _NUMBER,
     "exposure": _NUMBER,
 }
@@ -222,6 +233,9 @@ _KIND: dict[str, PieceKind] = {
     "band": TextPiece(1, greedy=False),
     "sensor": TextPiece(1, greedy=False),
     "shot": TextPiece(0, greedy=False),
+    "tile": TextPiece(1, greedy=False),
+    "row": NumberPiece(decimals=False),
+    "column": NumberPiece(decimals=False),
     "wavelength": NumberPiece(),
     "exposure": NumberPiece(),
 }
@@ -345,6 +359,8 @@ class Pattern:
         --------
         >>> Pattern.parse("{target}_{exposure}ms.tif").read("icon_1_250ms.TIF")
         {'target': 'icon_1', 'exposure_s': 0.25}
+        >>> Pattern.parse("{target}_{row}_{column}.tif").read("icon_1_02_3.tif")
+        {'target': 'icon_1', 'tile': 'r2c3'}
         """
         text = "/".join(self.segments)
         for knowledge in known if isinstance(known, tuple) else ways_to_read(known or {}):
@@ -360,7 +376,18 @@ class Pattern:
         if "exposure" in values:
             seconds = float(values.pop("exposure")) * SECONDS[exposure_unit(self.text)]
             values["exposure_s"] = float(f"{seconds:.12g}")
+        if "row" in values or "column" in values:
+            values["tile"] = _place_in_grid(values.pop("row", None), values.pop("column", None))
         return values
+
+
+def _place_in_grid(row: str | None, column: str | None) -> str:
+    """Return the name of a tile by its place.
+
+    >>> _place_in_grid("02", "3"), _place_in_grid(None, "11")
+    ('r2c3', 'c11')
+    """
+    return "".join(f"{axis}{int(n)}" for axis, n in (("r", row), ("c", column)) if n is not None)
 
 
 def _nanometres(number: str, pattern: str) -> float:
@@ -417,7 +444,7 @@ def _match(text: str, known: Known, ends: bool, name: str, *, named: bool) -> di
 def _free(text: str) -> int:
     """Count what shares a name with something else and may end in more than one place; no numbers."""
     shared = [s for s in text.split("/") if not re.fullmatch(r"\{[^{}]*\}", s)]
-    numbers = r"\{(?:wavelength|exposure)\}"
+    numbers = r"\{(?:wavelength|exposure|row|column)\}"
     return sum(len(re.findall(r"\*\*|\*|\{", re.sub(numbers, "", s))) for s in shared)
 
 

@@ -424,6 +424,7 @@ def _files(document: Document, root: Path) -> Iterator[Problem]:
     white = document.targets.white
     named = {f"cameras.{n}.sensitivity": c.sensitivity for n, c in document.cameras.items()}
     charts = {n: c.white_chart for n, c in document.cameras.items()}
+    named |= {f"cameras.{n}.positions": c.positions for n, c in document.cameras.items()}
     named |= {f"cameras.{n}.white.reference": w.reference for n, w in charts.items() if w}
     if white and isinstance(white.reflectance, str):
         named["targets.white.reflectance"] = white.reflectance
@@ -476,6 +477,13 @@ def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
         yield Problem("E_KEY", "files is required", field=f"{where}.files")
     for text in camera.files:
         yield from check_pattern(f"{where}.files", text, camera.kind)
+    if camera.positions and not any(f"{{{f}}}" in t for t in camera.patterns for f in TILE_FIELDS):
+        yield value_problem(
+            f"{where}.positions",
+            "the camera has no tiles whose positions these could be",
+            camera.positions,
+            "{tile}, or {row} and {column}, in `files`",
+        )
     yield from _wavelengths(where, camera)
     mosaic = camera.pattern if camera.traits.bands_in == "pattern" else None
     yield from _channels(where, mosaic, camera.bands)
@@ -563,6 +571,9 @@ def _sensor_alignment(where: str, sensors: tuple[SensorKeys, ...]) -> Iterator[P
         )
 
 
+TILE_FIELDS = {"tile", "row", "column"}
+
+
 def check_pattern(field: str, text: str, kind: str) -> Iterator[Problem]:
     """Yield what is wrong with a pattern of files for a camera of some kind."""
     try:
@@ -579,6 +590,20 @@ def check_pattern(field: str, text: str, kind: str) -> Iterator[Problem]:
             owners = " or ".join(map(repr, kinds))
             message = f"only a camera of kind {owners} has {{{name}}}"
             yield value_problem(field, message, text, fix="Write * instead.")
+    if "tile" in fields and fields & {"row", "column"}:
+        yield value_problem(
+            field,
+            "a tile has one name: {tile}, or its {row} and {column}",
+            text,
+            fix="Write * in place of the other.",
+        )
+    if fields & TILE_FIELDS and KINDS[kind].is_scanned:
+        yield value_problem(
+            field,
+            "files of a line scan are its strips, which need no {tile}",
+            text,
+            fix="Write * instead.",
+        )
     if "object" in fields and not KINDS[kind].is_calibrated:
         yield value_problem(
             field,

@@ -254,6 +254,7 @@ class CameraKeys(Table):
     saturation: Annotated[Number, Field(gt=0)] | None = None
     exposures: Literal["one", "best", "merge"] = "one"
     manifest: PathText | None = None
+    positions: PathText | None = None
     sensors: tuple[SensorKeys, ...] = ()
     scan: Literal["push-broom", "mirror"] | None = None
     overrule: Names = ()
