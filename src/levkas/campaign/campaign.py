@@ -25,6 +25,7 @@ from levkas.campaign.schema.tables import (
 )
 from levkas.campaign.schema.toml import TomlRefused, read_toml
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import missing_path
 
 __all__ = ["Camera", "Campaign", "CampaignInvalid", "campaign_of", "load_campaign"]
 
@@ -173,7 +174,11 @@ def load_campaign(path: str | Path) -> Campaign:
             in_folder = path.name == "campaign.toml" and path.parent.is_dir()
             found = "a folder without campaign.toml" if in_folder else "no such folder"
             message = "no campaign was found here"
-            problems = [replace(p, message=message, found=found) for p in problems]
+            folder = path.parent if path.name == "campaign.toml" else path
+            near = missing_path(folder)
+            if near is not None and near.fix and near.fix.startswith("Did"):
+                fix = near.fix
+            problems = [replace(p, message=message, found=found, fix=fix) for p in problems]
         raise CampaignInvalid(*problems) from None
     document, problems = _validate(path, record)
     if document is None or problems:

@@ -45,7 +45,6 @@ app = typer.Typer(
     name="levkas",
     cls=Grouped,
     help="Raw captures of a painting to one calibrated, registered spectral image database.",
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     no_args_is_help=True,

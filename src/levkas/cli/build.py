@@ -13,6 +13,7 @@ from levkas.cli.output import (
     CampaignPath,
     DatabasePath,
     Json,
+    Objects,
     draw_steps,
     finish,
     path_or_address,
@@ -54,9 +55,7 @@ def look(
 def build(
     campaign: CampaignPath,
     output: DatabasePath = None,
-    objects: Annotated[
-        list[str] | None, typer.Option("--object", help="Build only this object; may be repeated.")
-    ] = None,
+    objects: Objects = None,
     keep_removed: Annotated[
         bool,
         typer.Option(

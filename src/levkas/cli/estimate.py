@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from levkas.cli.output import Json, Overwrite, draw_steps, finish, print_report, refusing
+from levkas.cli.output import Json, Objects, Overwrite, draw_steps, finish, print_report, refusing
 
 Database = Annotated[Path, typer.Argument(help="Database folder.")]
 Sources = Annotated[
@@ -105,9 +105,7 @@ def apply(
     database: Database,
     model: Annotated[Path, typer.Argument(help="Model, .npz of an earlier `levkas estimate -o`.")],
     layer: Annotated[str, typer.Argument(help="Name of the new layer.")],
-    objects: Annotated[
-        list[str] | None, typer.Option("--object", help="Only this object; may be repeated.")
-    ] = None,
+    objects: Objects = None,
     as_json: Json = False,
 ) -> None:
     """Write a layer that is estimated with a model; it is never called a measurement."""

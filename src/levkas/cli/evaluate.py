@@ -10,6 +10,7 @@ import typer
 
 from levkas.cli.output import (
     Json,
+    Objects,
     Overwrite,
     draw_steps,
     path_or_address,
@@ -88,9 +89,7 @@ def agree(
             parser=path_or_address,
         ),
     ],
-    objects: Annotated[
-        list[str] | None, typer.Option("--object", help="Only this object; may be repeated.")
-    ] = None,
+    objects: Objects = None,
     rate: Annotated[
         float,
         typer.Option(
@@ -129,9 +128,7 @@ def methods(
     chosen: Annotated[
         list[str] | None, typer.Option("--method", help="Only this method; may be repeated.")
     ] = None,
-    objects: Annotated[
-        list[str] | None, typer.Option("--object", help="Only this object; may be repeated.")
-    ] = None,
+    objects: Objects = None,
     time_limit_s: Annotated[
         float | None,
         typer.Option("--time-limit", help="Time limit for one method and layer, s.", min=1),

@@ -7,13 +7,7 @@ from typing import Annotated
 
 import typer
 
-from levkas.cli.output import (
-    Json,
-    Overwrite,
-    finish,
-    print_report,
-    refusing,
-)
+from levkas.cli.output import Cameras, Json, Overwrite, finish, print_report, refusing
 
 
 @refusing("chart")
@@ -28,9 +22,7 @@ def chart(
             help="Type of the chart in a cube: ColorChecker24 (the default), ColorCheckerSG, or edges (without colours)."
         ),
     ] = None,
-    cameras: Annotated[
-        list[str] | None, typer.Option("--camera", help="Only this camera; may be repeated.")
-    ] = None,
+    cameras: Cameras = None,
     objects: Annotated[
         list[str] | None,
         typer.Option("--object", help="Object of a database that is a chart; may be repeated."),
@@ -88,9 +80,7 @@ def radiometry(
         Path,
         typer.Argument(help="Campaign (folder or campaign.toml), a frame, or a folder of frames."),
     ],
-    cameras: Annotated[
-        list[str] | None, typer.Option("--camera", help="Only this camera; may be repeated.")
-    ] = None,
+    cameras: Cameras = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="HTML page to write, for a campaign.")
     ] = None,

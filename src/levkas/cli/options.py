@@ -1,13 +1,20 @@
-"""Options that act only with others or exclude them, and options given twice: refused before a command runs, never ignored."""
+"""What commands share: help with examples and plain words, options that need or exclude others, near misses named."""
 
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
-from typing import Any
+from typing import Any, get_args
 
+from typer import BadParameter
 from typer.core import TyperCommand
 
+from levkas.cli.examples import EXAMPLES
+from levkas.core.problems import closest_match
+
+NOT_ONE = re.compile(r"(?:Value error, )?'(?P<value>[^']*)' is not one of (?P<choices>.*)\.")
+"""What typer writes of a choice that is none."""
 Needs = dict[str, tuple[str, ...]]
 NEEDS: dict[str, Needs] = {
     "build": {"--insecure": ("--cluster", "$DASK_SCHEDULER_ADDRESS")},
@@ -45,12 +52,57 @@ EXCLUDES: dict[str, Needs] = {
 """Command → option → others that would have no effect beside it."""
 
 
+METAVARS = {"path": "PATH", "int": "N", "float": "NUMBER"}
+"""Type → what stands behind an option in the help; behind one of text its own name."""
+
+
 class StrictCommand(TyperCommand):
-    """A command that refuses what it would ignore, with exit status 2 (`UsageError`)."""
+    """A command that refuses what it would ignore, with exit status 2 (`UsageError`), and whose help has examples."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        for param in self.params:
+            if param.metavar is None and not getattr(param, "is_flag", False):
+                param.metavar = _metavar(param)
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Return the words behind the command: arguments in capitals, in brackets where they may be left out."""
+        arguments = [p for p in self.get_params(ctx) if p.param_type_name == "argument"]
+        words = [str(p.metavar) if p.required else f"[{p.metavar}]" for p in arguments]
+        return ["[OPTIONS]", *words]
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write arguments and options, each with the plain word for its value."""
+        for title, kind in (("Arguments", "argument"), ("Options", "option")):
+            params = [p for p in self.get_params(ctx) if p.param_type_name == kind]
+            records = [(p, record) for p in params if (record := p.get_help_record(ctx))]
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(
+                        [
+                            (str(p.metavar) if kind == "argument" else name, text)
+                            for p, (name, text) in records
+                        ]
+                    )
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the examples of the command."""
+        with formatter.section("Examples"):
+            for line in EXAMPLES.get(_words(ctx), ()):
+                formatter.write(f"{'':>{formatter.current_indent}}{line}\n")
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse words as typer does; raises UsageError where an option would have no effect."""
-        rest = super().parse_args(ctx, list(args))
+        try:
+            rest = super().parse_args(ctx, list(args))
+        except BadParameter as error:
+            if found := NOT_ONE.fullmatch(error.message):
+                choices = re.findall(r"'([^']*)'", found["choices"])
+                near = closest_match(found["value"], choices)
+                error.message = " ".join(
+                    filter(None, (f"{found['given']!r} is none of {', '.join(choices)}.", near))
+                )
+            raise
         values, _, order = self.make_parser(ctx).parse_args(list(args))
         options = [param for param in order if param.param_type_name == "option"]
         for param, count in Counter(options).items():
@@ -68,6 +120,19 @@ class StrictCommand(TyperCommand):
             if option in given and not any(_is_there(one, given) for one in needed):
                 ctx.fail(f"{option} acts only with {' or '.join(needed)}")
         return rest
+
+
+def _metavar(param: Any) -> str:
+    """Return the word for what a person writes: ``PATH``, ``N``, ``envi|matlab``, ``OBJECT``."""
+    asked = param.type_descriptor
+    if asked.is_choice:
+        return "|".join(str(choice) for choice in asked.choices)
+    inner = get_args(asked.annotation)
+    kind = getattr(inner[0] if inner else asked.annotation, "__name__", "str").lower()
+    own = _name(param).lstrip("-").replace("-", "_").upper()
+    if param.param_type_name == "argument":
+        return f"{own}..." if param.nargs != 1 else own
+    return METAVARS.get(kind, own.rpartition("_")[2])
 
 
 def _name(param: Any) -> str:

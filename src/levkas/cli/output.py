@@ -6,6 +6,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Protocol, cast
@@ -32,6 +33,36 @@ DatabasePath = Annotated[
     typer.Option("--output", "-o", help="Database folder, instead of the campaign's own."),
 ]
 CampaignPath = Annotated[Path, typer.Argument(help="Folder of a campaign, or its campaign.toml.")]
+
+
+def _names_in(ctx: Any, place: int) -> list[str]:
+    """Return names of objects (0) or cameras (1) in the database that a command line already names, for completion."""
+    from levkas.database.catalogue import database_of, read_catalogue
+
+    for given in (*ctx.params.values(), *ctx.args):
+        if isinstance(given, str | Path) and Path(given).exists():
+            with suppress(Refused, OSError):
+                entries = read_catalogue(database_of(given))
+                return sorted({(entry.object, entry.camera)[place] for entry in entries})
+    return []
+
+
+def _objects_in(ctx: typer.Context) -> list[str]:
+    return _names_in(ctx, 0)
+
+
+def _cameras_in(ctx: typer.Context) -> list[str]:
+    return _names_in(ctx, 1)
+
+
+Objects = Annotated[
+    list[str] | None,
+    typer.Option("--object", help="Only this object; may be repeated.", autocompletion=_objects_in),
+]
+Cameras = Annotated[
+    list[str] | None,
+    typer.Option("--camera", help="Only this camera; may be repeated.", autocompletion=_cameras_in),
+]
 
 
 def path_or_address(text: str) -> Path:

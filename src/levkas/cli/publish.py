@@ -8,7 +8,9 @@ from typing import Annotated, Literal
 import typer
 
 from levkas.cli.output import (
+    Cameras,
     Json,
+    Objects,
     Overwrite,
     draw_steps,
     path_or_address,
@@ -107,12 +109,8 @@ def export(
         Path | None,
         typer.Option("--output", "-o", help="Folder; default DATABASE.FORMAT beside it."),
     ] = None,
-    objects: Annotated[
-        list[str] | None, typer.Option("--object", help="Only this object; may be repeated.")
-    ] = None,
-    cameras: Annotated[
-        list[str] | None, typer.Option("--camera", help="Only this camera; may be repeated.")
-    ] = None,
+    objects: Objects = None,
+    cameras: Cameras = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:

@@ -6,12 +6,16 @@ import json
 import os
 import re
 import stat
+from contextlib import suppress
+from itertools import islice
 from math import isfinite
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused, closest_match
 
+MOST_BESIDE = 1000
+"""Names beside one that does not exist that are looked at."""
 LARGEST_TABLE = 16 << 20
 """Bytes of a CSV or a JSON record."""
 DEEPEST = 64
@@ -118,6 +122,22 @@ def what_stands_at(path: Path) -> str:
     except (OSError, ValueError) as error:  # a name that is too long, or holds a null byte
         return getattr(error, "strerror", None) or str(error)
     return next((words for is_one, words in KINDS if is_one(mode)), "no plain file")
+
+
+def missing_path(path: Path, what: str = "folder") -> Problem | None:
+    """Return the problem of a folder or file that does not exist, with a name beside it that may be meant; None where it does.
+
+    >>> print(missing_path(Path("/nowhere/at/all")))
+    this folder does not exist (file: /nowhere/at/all; found: no such folder). Check the path.
+    """
+    if path.exists():
+        return None
+    beside: list[str] = []
+    with suppress(OSError):
+        beside = sorted(one.name for one in islice(path.parent.iterdir(), MOST_BESIDE))
+    fix = closest_match(path.name, beside) or "Check the path."
+    message = f"this {what} does not exist"
+    return Problem("E_UNREADABLE", message, str(path), found=f"no such {what}", fix=fix)
 
 
 def read_text(path: Path, expected: str, *, most: int = LARGEST_TABLE) -> str:

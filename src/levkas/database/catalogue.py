@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from levkas.core.files import write_changed
 from levkas.core.problems import Problem, Refused
-from levkas.core.text import TextRefused, read_text
+from levkas.core.text import TextRefused, missing_path, read_text
 from levkas.database.containment import check_inside, check_plain_names
 from levkas.database.layout import LayerId
 from levkas.database.remote import is_remote, place
@@ -86,6 +86,17 @@ def database_of(path: str | Path) -> Path:
 
         return load_campaign(found).output
     return found
+
+
+def no_database(path: Path, expected: str) -> DatabaseRefused:
+    """Return the refusal of a path that is no database: of a folder that does not exist, or that is something else."""
+    absent = None if is_remote(path) else missing_path(path)
+    if absent is not None:
+        return DatabaseRefused(absent)
+    fix = "Give the folder or the address of a database, or build the campaign first."
+    return DatabaseRefused(
+        Problem("E_UNREADABLE", "no database was found here", str(path), expected=expected, fix=fix)
+    )
 
 
 def write_catalogue(database: str | Path, entries: Iterable[Entry]) -> Path:

@@ -13,7 +13,14 @@ import numpy as np
 import xarray
 
 from levkas.core.problems import Problem
-from levkas.database.catalogue import NAME, DatabaseRefused, Entry, database_of, read_catalogue
+from levkas.database.catalogue import (
+    NAME,
+    DatabaseRefused,
+    Entry,
+    database_of,
+    no_database,
+    read_catalogue,
+)
 from levkas.database.containment import check_inside, check_plain_names
 from levkas.database.described import open_tiff
 from levkas.database.layer_array import LayerArray
@@ -48,15 +55,7 @@ class Database(Mapping[str, "Object"]):
         self.path = database_of(path)
         listed = (self.path / NAME).is_file()
         if not listed and not (self.path / "objects").is_dir():
-            raise DatabaseRefused(
-                Problem(
-                    "E_UNREADABLE",
-                    "no database was found here",
-                    file=str(self.path),
-                    expected=f"a folder with {NAME} and objects/",
-                    fix="Give the folder or the address of a database, or build the campaign first.",
-                )
-            )
+            raise no_database(self.path, f"a folder with {NAME} and objects/")
         self.catalogue: tuple[Entry, ...] = read_catalogue(self.path) if listed else ()
 
     def __getitem__(self, name: str) -> Object:

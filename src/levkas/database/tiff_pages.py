@@ -14,6 +14,7 @@ import numpy as np
 
 from levkas.core.machine import count_threads
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import missing_path
 from levkas.core.threads import each
 from levkas.readers.facts import COPY_AGAIN, UnreadableCapture, check_ratio
 from levkas.readers.tiff import LARGEST_RATIO, check_strips
@@ -215,6 +216,8 @@ def _place(handle: BinaryIO, page: TiffPage, number: int, plane: np.ndarray, sta
 
 
 def _unreadable(path: Path, error: BaseException, index: int | None = None) -> Problem:
+    if isinstance(error, FileNotFoundError) and (absent := missing_path(path, "file")) is not None:
+        return absent
     reason = " ".join(str(error).split())[:200] or type(error).__name__
     where = "" if index is None else f" in band page {index}"
     return Problem(

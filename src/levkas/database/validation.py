@@ -17,7 +17,7 @@ from levkas.core.digests import hash_file
 from levkas.core.machine import count_threads
 from levkas.core.problems import Problem
 from levkas.database.catalogue import NAME as CATALOGUE
-from levkas.database.catalogue import DatabaseRefused, database_of, read_catalogue
+from levkas.database.catalogue import DatabaseRefused, database_of, no_database, read_catalogue
 from levkas.database.containment import find_escapes
 from levkas.database.decoding import check_structure
 from levkas.database.manifest import (
@@ -126,7 +126,7 @@ def validate(
     --------
     >>> validate("no/such/folder")
     Traceback (most recent call last):
-    levkas.database.catalogue.DatabaseRefused: no database was found here...
+    levkas.database.catalogue.DatabaseRefused: this folder does not exist...
     """
     root = database_of(database)
     manifest = _find_manifest(root)
@@ -162,15 +162,7 @@ def _find_manifest(root: Path) -> Manifest | None:
     """Read the manifest, that of a bag with its tag files; refuse a folder that is no database."""
     found = (root / NAME).is_file()
     if not found and not (root / CATALOGUE).is_file() and not (root / "objects").is_dir():
-        raise DatabaseRefused(
-            Problem(
-                "E_UNREADABLE",
-                "no database was found here",
-                file=str(root),
-                expected=f"a folder with {CATALOGUE}, {NAME} or objects/",
-                fix="Give the folder of a database, or build the campaign first.",
-            )
-        )
+        raise no_database(root, f"a folder with {CATALOGUE}, {NAME} or objects/")
     if not found and not is_remote(root):
         return None
     manifest = read_manifest(root / NAME)

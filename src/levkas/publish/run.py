@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import missing_path
 from levkas.publish.analysis_names import parse_analyses
 from levkas.publish.crate import NAME as CRATE
 from levkas.publish.metadata import NAME as FACTS
@@ -379,9 +380,10 @@ def find_manifest(database: Path) -> Manifest:
     from levkas.database.manifest import NAME, is_partial, list_files, read_manifest
 
     path = database / NAME
+    if (absent := missing_path(database)) is not None:
+        raise PublishRefused(absent)
     if not path.is_file():
-        found = "a file" if database.exists() else "no such folder"
-        found = "a folder without one" if database.is_dir() else found
+        found = "a folder without one" if database.is_dir() else "a file"
         raise PublishRefused(
             Problem(
                 "E_UNREADABLE",

@@ -171,7 +171,8 @@ def choose_cameras(preset: Preset, cameras: Sequence[str] | None) -> dict[str, C
     wanted = list(models) if cameras is None else list(cameras)
     unknown = [c for c in wanted if c not in models]
     if unknown:
-        raise refusal("there is no such camera", "cameras", unknown[0], ", ".join(models))
+        what = "there is no such camera"
+        raise SimulationRefused(unknown_name(what, unknown[0], models, field="cameras"))
     result = {}
     for name, model in models.items():
         if name not in wanted and name != REFERENCE[0]:

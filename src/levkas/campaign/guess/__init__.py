@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from levkas.campaign.guess.proposal import LookRefused
 from levkas.core.problems import Problem
+from levkas.core.text import missing_path
 
 if TYPE_CHECKING:
     from levkas.campaign.guess.proposal import Proposal
@@ -38,6 +39,8 @@ def look(folder: str | Path) -> Proposal:
     from levkas.campaign.guess.listing import list_captures
     from levkas.campaign.guess.proposal import propose
 
+    if (absent := missing_path(Path(folder))) is not None:
+        raise LookRefused(absent)
     listing = list_captures(folder)
     if not listing.captures:
         others = ", ".join(f"{n} {suffix}" for suffix, n in listing.others.most_common(5))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-from levkas.core.problems import Problem, closest_match
+from levkas.core.problems import Problem, closest_match, unknown_name
 from levkas.publish.export.layer import ExportLayer, ExportRefused
 
 FORMS = {
@@ -120,9 +120,7 @@ def export(
 def load_writer(form: str) -> Writer:
     """Return the function of a format."""
     if form not in FORMS:
-        raise ExportRefused(
-            Problem("E_VALUE", "unknown format", None, "--for", form, ", ".join(FORMS))
-        )
+        raise ExportRefused(unknown_name("unknown format", form, FORMS, field="--for"))
     module, _, function = FORMS[form].partition(":")
     writer: Writer = getattr(import_module(module), function)
     return writer

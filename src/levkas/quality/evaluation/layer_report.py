@@ -12,7 +12,7 @@ import numpy as np
 
 from levkas.calibration.error_sources import COVERAGE
 from levkas.core.problems import Problem, Refused, closest_match
-from levkas.core.text import read_json
+from levkas.core.text import missing_path, read_json
 from levkas.database.containment import check_inside
 from levkas.database.layout import layer_name
 from levkas.database.pixel_frames import warn_of_turns
@@ -199,6 +199,8 @@ def locate(path: Path) -> tuple[Path, Path]:
         if (campaign.output / "catalogue.csv").is_file():
             return campaign.output, campaign.root
         path = campaign.output
+    elif not is_remote(path) and (absent := missing_path(path)) is not None:
+        raise EvaluationRefused(absent)
     raise EvaluationRefused(
         Problem(
             "E_UNREADABLE",
