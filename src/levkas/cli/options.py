@@ -100,7 +100,7 @@ class StrictCommand(TyperCommand):
                 choices = re.findall(r"'([^']*)'", found["choices"])
                 near = closest_match(found["value"], choices)
                 error.message = " ".join(
-                    filter(None, (f"{found['given']!r} is none of {', '.join(choices)}.", near))
+                    filter(None, (f"{found['value']!r} is none of {', '.join(choices)}.", near))
                 )
             raise
         values, _, order = self.make_parser(ctx).parse_args(list(args))
@@ -124,11 +124,11 @@ class StrictCommand(TyperCommand):
 
 def _metavar(param: Any) -> str:
     """Return the word for what a person writes: ``PATH``, ``N``, ``envi|matlab``, ``OBJECT``."""
-    asked = param.type_descriptor
-    if asked.is_choice:
-        return "|".join(str(choice) for choice in asked.choices)
-    inner = get_args(asked.annotation)
-    kind = getattr(inner[0] if inner else asked.annotation, "__name__", "str").lower()
+    value = param.type_descriptor
+    if value.is_choice:
+        return "|".join(str(choice) for choice in value.choices)
+    inner = get_args(value.annotation)
+    kind = getattr(inner[0] if inner else value.annotation, "__name__", "str").lower()
     own = _name(param).lstrip("-").replace("-", "_").upper()
     if param.param_type_name == "argument":
         return f"{own}..." if param.nargs != 1 else own
