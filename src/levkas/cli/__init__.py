@@ -10,12 +10,24 @@ import typer
 import typer.core
 
 from levkas import __version__
-from levkas.cli import build, demo, doctor, estimate, evaluate, inspect, measure, plan, publish
+from levkas.cli import (
+    build,
+    demo,
+    doctor,
+    estimate,
+    evaluate,
+    inspect,
+    measure,
+    plan,
+    publish,
+    watch,
+)
 from levkas.cli.options import StrictCommand
 from levkas.core.instructions import hold_instructions
 
 ORDER = {
     "Begin": ("doctor", "demo", "look", "plan", "simulate"),
+    "Capture": ("watch",),
     "Build": ("build", "status", "inspect", "points"),
     "Measure": ("radiometry", "chart", "evaluate", "agree", "methods", "loops", "validate"),
     "Use": ("map", "estimate", "estimate apply", "estimate score", "export", "publish"),
@@ -102,6 +114,7 @@ for _name, _command in {
     "demo": demo.demo,
     "doctor": doctor.doctor,
     "inspect": inspect.inspect,
+    "watch": watch.watch,
     "publish": publish.publish,
     "export": publish.export,
     "radiometry": measure.radiometry,

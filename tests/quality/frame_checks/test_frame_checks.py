@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
 
-from levkas.quality.frame_checks import FrameMeasures, FrameOfSet, judge, measure_frame, worst
+from levkas.quality.frame_checks import (
+    FrameMeasures,
+    FrameOfSet,
+    FramePictures,
+    judge,
+    measure_frame,
+    worst,
+)
 from levkas.quality.frame_checks.judging import FrameJudge, SetRules
 from levkas.readers.facts import Facts
 
@@ -216,9 +223,12 @@ def test_a_frame_that_came_twice_names_the_first():
 
 def test_measures_survive_being_kept():
     kept = GOOD["05 shot"].measures
-    again = FrameMeasures.from_bytes(kept.to_bytes())
+    pictures = FramePictures.from_bytes(kept.pictures.to_bytes())
+    again = FrameMeasures.from_bytes(kept.to_bytes(), pictures)
     assert again.key == kept.key
-    assert np.array_equal(again.cells, kept.cells) and np.array_equal(again.patches, kept.patches)
+    assert np.array_equal(again.cells, kept.cells) and np.array_equal(
+        pictures.patches, kept.pictures.patches
+    )
     assert np.allclose(again.picture, kept.picture, rtol=1e-3)
 
 

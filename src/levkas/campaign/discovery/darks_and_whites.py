@@ -134,7 +134,7 @@ class Templates:
         ends = [same[0], same[-1]]
         for moments_of, apart, words in (
             (self._times, STACK_S, _in_time),
-            (_times_in_names, STACK_S, _in_time),
+            (_times_in_their_names, STACK_S, _in_time),
             (_running_numbers, 0.0, _in_number),
         ):
             known = moments_of(group)
@@ -177,10 +177,14 @@ class Templates:
         return found
 
 
-def _times_in_names(files: Iterable[FoundFile]) -> dict[Path, float]:
+def _times_in_their_names(files: Iterable[FoundFile]) -> dict[Path, float]:
+    return times_in_names(file.path for file in files)
+
+
+def times_in_names(paths: Iterable[Path]) -> dict[Path, float]:
     """Return when files were captured by date and time in their names, else by the date of the nearest folder's, s."""
     found: dict[Path, float] = {}
-    for path in dict.fromkeys(file.path for file in files):
+    for path in dict.fromkeys(paths):
         timed = _TIME.search(path.stem)
         dated = next(filter(None, map(_DATE.search, (path.stem, *path.parts[-2::-1]))), None)
         if not (timed or dated):

@@ -4,14 +4,17 @@
 reads a file: a program that receives frames hands in their values.
 """
 
-from levkas.quality.frame_checks.judging import FrameOfSet, judge
+from levkas.quality.frame_checks.judging import FrameJudge, FrameOfSet, SetRules, judge
 from levkas.quality.frame_checks.light_checks import Finding, Severity, worst
-from levkas.quality.frame_checks.measures import FrameMeasures, measure_frame
+from levkas.quality.frame_checks.measures import FrameMeasures, FramePictures, measure_frame
 
 __all__ = [
     "Finding",
+    "FrameJudge",
     "FrameMeasures",
     "FrameOfSet",
+    "FramePictures",
+    "SetRules",
     "Severity",
     "judge",
     "measure_frame",

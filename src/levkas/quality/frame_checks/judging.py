@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from levkas.campaign.discovery.patterns import natural
 from levkas.quality.frame_checks import light_checks as light
 from levkas.quality.frame_checks import picture_checks as picture
 from levkas.quality.frame_checks.light_checks import SAME_TIME, Finding
@@ -33,7 +34,7 @@ class FrameOfSet:
     Parameters
     ----------
     name : str
-        Unique; frames of the same time are ordered by it.
+        Unique; frames of the same time are ordered by it, 9 before 10.
     role : {"object", "white", "dark", "chart"}
     target, band, shot : str
         Band and shot are empty where the name has none; a frame without a band serves all.
@@ -76,11 +77,14 @@ class SetRules:
         Whether several exposures are merged or chosen from: a single one may clip, or be dim.
     scanned : bool
         Whether lines are exposed one after another: no stacks, no pictures to compare.
+    plain : bool
+        Whether nothing is calibrated: a photograph or a radiograph, of which any size and exposure may be right.
     """
 
     overrule: Collection[str] = ()
     brackets: bool = False
     scanned: bool = False
+    plain: bool = False
 
 
 @dataclass
@@ -92,7 +96,9 @@ class FrameJudge:
 
     def judge(self, frames: Iterable[FrameOfSet]) -> dict[str, list[Finding]]:
         """Return the findings of every frame by its name, in the order of time."""
-        companions = _Companions(sorted(frames, key=lambda f: (f.at, f.name)), self.rules)
+        companions = _Companions(
+            sorted(frames, key=lambda f: (f.at, natural(f.name), f.name)), self.rules
+        )
         fresh: dict[tuple[object, ...], list[Finding]] = {}
         found = {}
         for frame in companions.frames:
@@ -142,6 +148,8 @@ class _Beside:
     settings: tuple[tuple[ComparedFact, object, str, object], ...] = ()
     same_band: bool = True
     same_exposure: bool = True
+    same_scene: bool = True
+    scale: float | None = None
     size: tuple[int, ...] | None = None
 
     @cached_property
@@ -149,7 +157,7 @@ class _Beside:
         single = (self.white, self.scene, self.before, self.best, self.twin, *self.like)
         names = tuple(None if f is None else f"{f.name}/{f.measures.key}" for f in single)
         differing = tuple(fact.name for fact, *_ in self.settings)
-        return (names, self.black, self.dark_times, differing, self.size)
+        return (names, self.black, self.scale, self.dark_times, differing, self.size)
 
 
 class _Companions:
@@ -173,14 +181,19 @@ class _Companions:
         darks = [float(np.median(f.measures.level)) for f in by["role", "dark"]]
         stated = next((f.black for f in frames if f.black is not None), None)
         self.black = float(np.median(darks)) if darks else stated if stated is not None else 0.0
-        self.sharpest: dict[tuple[str, str], FrameOfSet] = {}
+        stated_full = next((f.full for f in frames if f.full is not None), None)
+        lit = [float(f.measures.high.max()) for role in LIT_ROLES for f in by["role", role]]
+        self.scale = stated_full if stated_full is not None else max(lit, default=None)
+        self.sharpest: dict[tuple[object, ...], FrameOfSet] = {}
         for frame in by["role", "object"]:
-            scene = frame.target, frame.band
-            best, blur = self.sharpest.get(scene), float(frame.measures.blur_px)
-            if np.isfinite(blur) and (best is None or blur < float(best.measures.blur_px)):
-                self.sharpest[scene] = frame
+            if not np.isfinite(frame.measures.blur_px):
+                continue
+            for alike in _scenes(frame):
+                best = self.sharpest.setdefault(alike, frame)
+                if frame.measures.blur_px < best.measures.blur_px:
+                    self.sharpest[alike] = frame
         self.usual = _usual_settings(frames)
-        sizes = Counter(tuple(map(int, f.measures.shape)) for f in frames)
+        sizes = Counter(_size(f, rules) for f in frames)
         self.size = sizes.most_common(1)[0][0] if sizes else None
 
     def of(self, frame: FrameOfSet) -> _Beside:
@@ -202,6 +215,7 @@ class _Companions:
             if before is None:
                 same_band = False
                 before = self._before(frame, self.by["target", frame.role, frame.target])
+        best, same_scene = self._sharpest(frame, stack)
         twins = self.by["twin", frame.measures.key]
         lit = frame.role != "dark"
         return _Beside(
@@ -210,15 +224,29 @@ class _Companions:
             white=self._nearest(frame, "white") if frame.role == "object" else None,
             scene=self._nearest(frame, "object") if frame.role == "white" else None,
             before=before,
-            best=self.sharpest.get((frame.target, frame.band)) if frame.role == "object" else None,
+            best=best,
             twin=twins[0] if twins[0] is not frame else None,
             like=like,
             dark_times=self.dark_times if lit else (),
             settings=tuple(self._differing(frame)),
             same_band=same_band,
             same_exposure=same_exposure,
+            same_scene=same_scene,
+            scale=self.scale,
             size=self.size,
         )
+
+    def _sharpest(
+        self, frame: FrameOfSet, stack: Sequence[FrameOfSet]
+    ) -> tuple[FrameOfSet | None, bool]:
+        """Return the sharpest frame to compare with, and whether it is of the same scene: of a stack, of the band, of the object."""
+        if frame.role != "object":
+            return None, True
+        scenes = _scenes(frame)
+        if len(stack) > 1:
+            return self.sharpest.get(scenes[0]), True
+        found = (self.sharpest.get(scene) for scene in (() if self.rules.brackets else scenes[1:]))
+        return next((one for one in found if one is not None and one is not frame), None), False
 
     def _before(self, frame: FrameOfSet, frames: Sequence[FrameOfSet]) -> FrameOfSet | None:
         places = [self.place[f.name] for f in frames] if len(frames) < 3 else _Places(self, frames)
@@ -249,6 +277,15 @@ class _Companions:
                 continue
             if fact.compare(expected[1], value) == "refused":
                 yield fact, value, expected[0].name, expected[1]
+
+
+def _scenes(frame: FrameOfSet) -> list[tuple[object, ...]]:
+    """Return what frames are compared in focus by: the same stack, the same band of any object, the same object in any band."""
+    return [
+        ("stack", frame.target, frame.band, frame.exposure_s),
+        ("band", frame.band),
+        ("target", frame.target),
+    ]
 
 
 class _Places(Sequence[int]):
@@ -291,7 +328,7 @@ def _usual_settings(
 
 def _findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[Finding]:
     """Return what is wrong with one frame, the gravest first."""
-    found = [*_settings(frame, beside)]
+    found = [] if rules.plain else [*_settings(frame, beside, rules)]
     if beside.twin is not None and frame.measures.high.max() > frame.measures.low.min():
         text = f"the same picture as {beside.twin.name}"
         found.append(
@@ -300,10 +337,10 @@ def _findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[Findi
     elif frame.role == "dark":
         before = beside.before.measures if beside.before else None
         found += light.check_dark(
-            frame.measures, black=beside.stated_black, full=frame.full, before=before
+            frame.measures, black=beside.stated_black, scale=beside.scale, before=before
         )
         found += light.check_noise(frame.measures, _measures(beside.like), beside.black)
-    elif not any(f.severity == "stop" for f in found):
+    elif not (rules.plain or any(f.severity == "stop" for f in found)):
         found += _lit_findings(frame, beside, rules)
     return sorted(found, key=lambda f: f.severity != "stop")
 
@@ -331,7 +368,9 @@ def _lit_findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[F
     found += light.check_noise(own, _measures(beside.like), black)
     if beside.best is not None and beside.best is not frame:
         before = beside.before.measures if beside.before and beside.same_band else None
-        found += picture.check_focus(own, beside.best.measures, before)
+        found += picture.check_focus(
+            own, beside.best.measures, before, same_scene=beside.same_scene
+        )
     if frame.role == "object":
         found += picture.check_framing(own)
     return found
@@ -352,17 +391,23 @@ def _white_findings(frame: FrameOfSet, beside: _Beside) -> list[Finding]:
     return found + light.check_noise(own, _measures(beside.like), black)
 
 
-def _settings(frame: FrameOfSet, beside: _Beside) -> Iterable[Finding]:
+def _settings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> Iterable[Finding]:
     """Yield where a frame's file states otherwise than most of its set, or has another size."""
-    size = tuple(map(int, frame.measures.shape))
+    size = _size(frame, rules)
     if beside.size is not None and size != beside.size:
-        own, other = (f"{w} x {h}" for h, w in (size, beside.size))
+        own, other = (" x ".join(map(str, one)) for one in (size, beside.size))
         text = f"the frame is {own} px, the others are {other} px"
         yield Finding("settings", "stop", text, "set the camera's size and format back, and repeat")
     for fact, value, name, expected in beside.settings:
         own, other = describe_value(fact, value), describe_value(fact, expected)
         text = f"{fact.title}: {own}, but {other} in {name} and most others"
         yield Finding("settings", "stop", text, "set the camera back, and repeat the frame")
+
+
+def _size(frame: FrameOfSet, rules: SetRules) -> tuple[int, ...]:
+    """Return width and height; of a scan, whose lines may be any number, the width alone."""
+    height, width = map(int, frame.measures.shape)
+    return (width,) if rules.scanned else (width, height)
 
 
 def _measures(frames: Iterable[FrameOfSet]) -> list[FrameMeasures]:

@@ -30,6 +30,8 @@ LEAK, BLACK_OFF, NOISES = (0.005, 0.1), 0.002, 4.0
 """Of the full scale: unevenness or level of a dark that is light, and its change that is no noise; and over its noise."""
 UNEVEN, ROUGH, RELIT = 0.3, 0.06, 0.04
 """A white's darkest cell over its median; rms about a smooth surface; change of its shading from the white before."""
+SHOWN = (LEAST, 0.25)
+"""Share of a white that shows the object: a build marks these pixels, and refuses from a half."""
 DRIFT, STACK = (0.02, 0.1), (0.01, 0.05)
 """Relative change of the light between whites, and within a stack, to look at and to stop at."""
 NOISIER, QUIET_COUNTS = 1.8, 0.6
@@ -145,23 +147,34 @@ def check_dark(
     dark: FrameMeasures,
     *,
     black: float | None,
-    full: float | None,
+    scale: float | None,
     before: FrameMeasures | None = None,
 ) -> list[Finding]:
-    """Check that a dark is dark, even, and as the dark before it of the same time."""
-    scale = full or float(dark.high.max())
+    """Check that a dark is dark, even, and as the dark before it of the same time.
+
+    Parameters
+    ----------
+    dark : FrameMeasures
+    black, scale : float, optional
+        Stated black level and full scale, counts.
+    before : FrameMeasures, optional
+    """
     level = float(np.median(dark.level))
     noise = max(float(np.nanmedian(dark.noise)), QUIET_COUNTS)
     apart = dark.cells - np.median(dark.cells, (1, 2), keepdims=True)
-    lit = float(np.quantile(apart, 0.98))
-    above = level - (black if black is not None else 0.0)
-    severity = graded(max(lit, above if black is not None else above - 0.25 * scale) / scale, LEAK)
+    lit = float(np.quantile(apart, 0.95))
+    above = level - black if black is not None else level - 0.25 * (scale or np.inf)
+    severity = graded(max(lit, above) / scale, LEAK) if scale else None
     if severity is not None:
-        text = f"the dark is not dark: {level:.0f} counts, up to {level + lit:.0f}, {percent((above + lit) / scale)} of the scale"
-        return [Finding("dark", severity, text, "cover the lens, switch the lamp off, and repeat")]
+        uneven = lit >= above
+        text = f"the dark is not dark: {level:.0f} counts" + f", up to {level + lit:.0f}" * uneven
+        advice = "cover the lens, switch the lamp off, and repeat"
+        if uneven and severity == "look":
+            advice += "; if it stays, it is the sensor's own glow, which the dark takes away"
+        return [Finding("dark", severity, text, advice)]
     if before is not None and before.level.shape == dark.level.shape:
         change = float(np.median(dark.cells.mean((1, 2)) - before.cells.mean((1, 2))))
-        if abs(change) > max(BLACK_OFF * scale, NOISES * noise):
+        if abs(change) > max(BLACK_OFF * (scale or 0.0), NOISES * noise):
             text = f"the black level moved by {change:+.1f} counts since the dark before"
             advice = "let the camera warm up, then repeat the darks and the frames between"
             return [Finding("black", "look", text, advice)]
@@ -323,7 +336,10 @@ def _painting_in(white: FrameMeasures, scene: FrameMeasures, black: float) -> Fi
     share = float(area.uncovered.mean())
     if share < LEAST:
         return None
-    return Finding("white", "stop", f"{percent(share)} of the white shows the object", advice)
+    severity = graded(share, SHOWN)
+    return Finding(
+        "white", severity or "look", f"{percent(share)} of the white shows the object", advice
+    )
 
 
 def _template(picture: np.ndarray) -> Template:

@@ -31,6 +31,32 @@ HARD = 0.001
 
 
 @dataclass(frozen=True, eq=False)
+class FramePictures:
+    """What of a frame is compared as a picture; a program with thousands of frames keeps it on the disk.
+
+    Parameters
+    ----------
+    picture : ndarray, (h, w), float32
+        One channel, reduced to 320 px, of a white to 640.
+    patches : ndarray, (9, 64, 64), uint16
+        Of the same channel at full size; none, (0, 64, 64), of a small frame or a scan.
+    """
+
+    picture: np.ndarray
+    patches: np.ndarray
+
+    def to_bytes(self) -> bytes:
+        """Return the pictures as they are kept in a file, the picture in 16 bits."""
+        return _packed(picture=self.picture.astype(np.float16), patches=self.patches)
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> FramePictures:
+        """Return pictures that were kept; raises as `FrameMeasures.from_bytes`."""
+        found = _unpacked(data, ("picture", "patches"))
+        return cls(found["picture"].astype(np.float32), found["patches"])
+
+
+@dataclass(frozen=True, eq=False)
 class FrameMeasures:
     """Numbers of one frame, counts unless said otherwise.
 
@@ -44,14 +70,11 @@ class FrameMeasures:
         Means of cells; of a cube of up to 16 of its bands.
     blur_px : ndarray, ()
         Blur of the sharpest edges in the middle, native px; NaN where there are none.
-    picture : ndarray, (h, w), float32
-        One channel, reduced to 320 px, of a white to 640.
-    patches : ndarray, (9, 64, 64), uint16
-        Of the same channel at full size; none, (0, 64, 64), of a small frame or a scan.
     period : ndarray of int, (2,)
         Rows and columns of the mosaic.
     digest : ndarray of uint8, (16,)
         Equal where the frames are.
+    pictures : FramePictures
     """
 
     shape: np.ndarray
@@ -62,29 +85,42 @@ class FrameMeasures:
     noise: np.ndarray
     cells: np.ndarray
     blur_px: np.ndarray
-    picture: np.ndarray
-    patches: np.ndarray
     period: np.ndarray
     digest: np.ndarray
+    pictures: FramePictures
 
     @property
     def key(self) -> str:
         """The digest as text."""
         return self.digest.tobytes().hex()
 
+    @property
+    def picture(self) -> np.ndarray:
+        """The small picture."""
+        return self.pictures.picture
+
     def to_bytes(self) -> bytes:
-        """Return the measures as they are kept in a file; the picture in 16 bits."""
-        buffer = BytesIO()
-        kept = {field.name: getattr(self, field.name) for field in fields(self)}
-        np.savez_compressed(buffer, **{**kept, "picture": self.picture.astype(np.float16)})
-        return buffer.getvalue()
+        """Return the numbers as they are kept in a file, without the pictures."""
+        return _packed(**{name: getattr(self, name) for name in NUMBERS})
 
     @classmethod
-    def from_bytes(cls, data: bytes) -> FrameMeasures:
-        """Return measures that were kept; raises ValueError, KeyError or zipfile.BadZipFile where they were not."""
-        with np.load(BytesIO(data), allow_pickle=False) as kept:
-            found = {field.name: kept[field.name] for field in fields(cls)}
-        return cls(**{**found, "picture": found["picture"].astype(np.float32)})
+    def from_bytes(cls, data: bytes, pictures: FramePictures) -> FrameMeasures:
+        """Return measures that were kept; raises ValueError, KeyError, EOFError or zipfile.BadZipFile where they were not."""
+        return cls(**_unpacked(data, NUMBERS), pictures=pictures)
+
+
+NUMBERS = tuple(f.name for f in fields(FrameMeasures) if f.name != "pictures")
+
+
+def _packed(**arrays: np.ndarray) -> bytes:
+    buffer = BytesIO()
+    np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def _unpacked(data: bytes, names: Sequence[str]) -> dict[str, np.ndarray]:
+    with np.load(BytesIO(data), allow_pickle=False) as kept:
+        return {name: kept[name] for name in names}
 
 
 def measure_frame(
@@ -139,10 +175,9 @@ def measure_frame(
         noise=np.array([_noise(plane) for plane in thin]),
         cells=cells,
         blur_px=np.array(edge_blur(sharp)[0] * side),
-        picture=picture,
-        patches=patches,
         period=np.array(table.shape),
         digest=_digest(values),
+        pictures=FramePictures(picture, patches),
     )
 
 
@@ -207,7 +242,10 @@ def _picture(plane: np.ndarray, most: int) -> np.ndarray:
 def _patches(plane: np.ndarray) -> np.ndarray:
     if min(plane.shape) < 2 * PATCH:
         return np.zeros((0, PATCH, PATCH), np.uint16)
-    starts = [[int(n * share) - PATCH // 2 for share in PLACES] for n in plane.shape]
+    starts = [
+        [min(max(int(n * share) - PATCH // 2, 0), n - PATCH) for share in PLACES]
+        for n in plane.shape
+    ]
     parts = [plane[y : y + PATCH, x : x + PATCH] for y in starts[0] for x in starts[1]]
     return np.stack(parts).clip(0, 65535).astype(np.uint16)
 

@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from levkas.quality.frame_checks.light_checks import Finding, graded, percent
 from levkas.quality.frame_checks.measures import FrameMeasures
 
-BLURRED = (1.4, 2.2)
-"""Blur over that of the sharpest frame of the same scene, to look at and to stop at."""
-LEAST_BLUR = 0.4
+BLURRED, UNLIKE_BLURRED = (1.4, 2.2), (2.5, 5.0)
+"""Blur over that of the sharpest shot of the same band and exposure, to look at and to stop at; of another object or band,
+whose edges are others and which the lens focuses otherwise."""
+LEAST_BLUR, UNLIKE_BLUR = 0.4, 1.5
 """Px more than the sharpest frame has: less is the scatter of the measure."""
 MOVED_PX = (0.75, 4.0)
 """Native px between shots that are averaged, to look at and to stop at."""
 BETWEEN_BANDS = (4.0, 0.006)
 """Px, and share of the width: what filters and the lens may shift one band against the next at most."""
-SURE = 0.15
-"""Height of the peak of a phase correlation from which its place counts."""
+SURE = 0.5
+"""Correlation of two pictures at their best place from which that place counts."""
 TEXTURE = 6.0
 """Spread of a patch over its noise from which it has something to compare."""
-GLARE, ABOVE_WHITE = (0.004, 0.05), 1.15
-"""Share of the picture above the white, to look at and to stop at; reflectance that no paint has."""
+GLARE, ABOVE_WHITE, OTHER_LIGHT = (0.004, 0.05), 1.15, 0.3
+"""Share of the picture above the white, to look at and to stop at; reflectance that no paint has; share from which it is
+the white that is wrong."""
 CUT, MARGIN, LIKE_BORDER = 0.08, 0.01, 0.06
 """Share of a side that is the object; border to leave, of the width; difference from the border, of the range."""
 SPOT, SPOT_NOISES, LARGEST_SPOT = 0.03, 8.0, 0.002
@@ -31,16 +31,21 @@ SIDES = ("top", "bottom", "left", "right")
 
 
 def check_focus(
-    frame: FrameMeasures, best: FrameMeasures, before: FrameMeasures | None = None
+    frame: FrameMeasures,
+    best: FrameMeasures,
+    before: FrameMeasures | None = None,
+    *,
+    same_scene: bool = True,
 ) -> list[Finding]:
-    """Check the focus against the sharpest frame of the same scene, camera and band.
+    """Check the focus against the sharpest frame of its camera: of the same object, band and exposure where there are others.
 
-    `before` is the frame before it of these: it tells whether the focus runs away or comes back.
+    `before` is the shot before it of these: it tells whether the focus runs away or comes back.
     """
     blur, least = float(frame.blur_px), float(best.blur_px)
-    if not (np.isfinite(blur) and np.isfinite(least)) or blur < least + LEAST_BLUR:
+    apart = LEAST_BLUR if same_scene else UNLIKE_BLUR
+    if not (np.isfinite(blur) and np.isfinite(least)) or blur < least + apart:
         return []
-    severity = graded(blur / least, BLURRED)
+    severity = graded(blur / least, BLURRED if same_scene else UNLIKE_BLURRED)
     if severity is None:
         return []
     way = ""
@@ -56,7 +61,7 @@ def shift_between(
 ) -> tuple[float, float] | None:
     """Return how far a frame lies from another of the same scene, (x, y) native px; None where that is not plain.
 
-    Patches at full size are correlated in phase, the small picture where the shift is larger than they reach.
+    Patches at full size are correlated, the small picture where the shift is larger than they reach.
     """
     if frame.picture.shape != other.picture.shape or min(frame.picture.shape) < 16:
         return None
@@ -65,13 +70,13 @@ def shift_between(
     if peak < SURE:
         return None
     coarse = (coarse[0] * step[1], coarse[1] * step[0])
-    if np.hypot(*coarse) > 12 * max(frame.period) or not len(frame.patches):
+    if np.hypot(*coarse) > 12 * max(frame.period) or not len(frame.pictures.patches):
         return coarse
-    if len(frame.patches) != len(other.patches):
+    if len(frame.pictures.patches) != len(other.pictures.patches):
         return coarse
     noises = [max(float(np.nanmedian(one.noise)), 0.5) for one in (frame, other)]
     found = []
-    for a, b in zip(frame.patches, other.patches, strict=True):
+    for a, b in zip(frame.pictures.patches, other.pictures.patches, strict=True):
         if full is not None and max(a.max(), b.max()) >= 0.98 * full:
             continue
         if any(p.std() < TEXTURE * n for p, n in zip((a, b), noises, strict=True)):
@@ -123,6 +128,10 @@ def check_glare(
     severity = graded(share, GLARE)
     if severity is None:
         return []
+    if share > OTHER_LIGHT:
+        text = f"{percent(share)} of the picture is brighter than the white: the white has other light or exposure"
+        advice = "capture a white under this light and with this exposure"
+        return [Finding("white", "stop", text, advice)]
     text = f"{percent(share)} of the picture is brighter than the white: glare"
     advice = "move the lamps further to the side, or shade what they mirror in; for gold it may be all right"
     return [Finding("glare", severity, text, advice)]
@@ -148,9 +157,9 @@ def check_framing(frame: FrameMeasures) -> list[Finding]:
     inside = float(np.mean(np.abs(picture - background) > LIKE_BORDER * span))
     plain = [share < 0.01 for share in covered]
     cut = [side for side, share in zip(SIDES, covered, strict=True) if share > CUT]
-    if sum(plain) < 2 or not cut or inside < 0.2 or len(cut) > 2:
+    if sum(plain) < 3 or not cut or inside < 0.2:
         return []
-    text = f"the object is cut at the {' and the '.join(cut)}"
+    text = f"the object is cut at the {cut[0]}"
     return [
         Finding("framing", "look", text, "move camera or object until a border is left all round")
     ]
@@ -194,15 +203,33 @@ def new_specks(white: FrameMeasures, before: FrameMeasures, black: float) -> np.
 
 
 def _correlate(one: np.ndarray, other: np.ndarray) -> tuple[tuple[float, float], float]:
-    """Return how far the first lies from the second, (x, y) px, and the height of the peak."""
-    import cv2
+    """Return how far the first lies from the second, (x, y) px, and their correlation there.
 
-    planes: Sequence[np.ndarray] = [
-        p - cv2.GaussianBlur(p, (0, 0), 8) for p in map(_floats, (one, other))
-    ]
-    window = cv2.createHanningWindow(planes[0].shape[::-1], cv2.CV_32F)
-    place, height = cv2.phaseCorrelate(planes[1], planes[0], window)
-    return (float(place[0]), float(place[1])), float(height)
+    Not the phase alone: noise has phases too, and would have as much weight as edges.
+    """
+    import cv2
+    from scipy.fft import irfft2, rfft2
+
+    window = cv2.createHanningWindow(one.shape[::-1], cv2.CV_32F)
+    logs = [_floats(plane) for plane in (one, other)]
+    planes = [(p - cv2.GaussianBlur(p, (0, 0), 8)) * window for p in logs]
+    power = float(np.sqrt(np.prod([np.sum(plane.astype(float) ** 2) for plane in planes])))
+    if power == 0:
+        return (0.0, 0.0), 0.0
+    product = irfft2(rfft2(planes[0]) * np.conj(rfft2(planes[1])), s=one.shape)
+    y, x = divmod(int(np.argmax(product)), product.shape[1])
+    place = [
+        _vertex(product[y - 1, x], product[y, x], product[(y + 1) % len(product), x], y, one.shape[0]),
+        _vertex(product[y, x - 1], product[y, x], product[y, (x + 1) % one.shape[1]], x, one.shape[1]),
+    ]  # fmt: skip
+    return (place[1], place[0]), float(product[y, x]) / power
+
+
+def _vertex(before: float, at: float, after: float, place: int, size: int) -> float:
+    """Return where the parabola through three values of a circular correlation is highest, −size/2 to size/2."""
+    bend = before - 2 * at + after
+    place = place - size if place > size // 2 else place
+    return float(place + (0.5 * (before - after) / bend if bend < 0 else 0.0))
 
 
 def _floats(plane: np.ndarray) -> np.ndarray:

@@ -1,0 +1,388 @@
+"""The frames of a folder: which files are there, what each is by campaign.toml or a guess, and whether it is at rest."""
+
+from __future__ import annotations
+
+import os
+import time
+import tomllib
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from levkas.campaign.campaign import Campaign, CampaignInvalid, campaign_of, load_campaign
+from levkas.campaign.discovery.darks_and_whites import times_in_names
+from levkas.campaign.discovery.file_index import (
+    FileIndex,
+    FolderListings,
+    FoundFile,
+    declared_targets,
+    scan_folders,
+    walk_folders,
+)
+from levkas.campaign.guess import LookRefused, look
+from levkas.campaign.schema.tables import Document
+from levkas.core.digests import Stamp, stamp_of
+from levkas.core.problems import Refused
+from levkas.quality.frame_checks import Finding
+from levkas.readers.frames import ALONE, files_of
+
+REST_S, OLD_S = 0.5, 10.0
+"""How long a file must not have changed before it is read; and after which age it is taken to rest already."""
+RESCAN_S = 5.0
+"""After which folders are listed again though none changed: some shares do not tell."""
+GUESS_S, GUESS_SHARE = 2.0, 4.0
+"""How long names must rest before a folder is guessed again; and times what the guess took."""
+FILE = "campaign.toml"
+
+
+@dataclass(frozen=True)
+class WatchedFile:
+    """A file of the folder, and what it is.
+
+    Parameters
+    ----------
+    path : Path
+    name : str
+        As it is shown: relative to the folder.
+    camera, setup, sensor : str
+    role : {"object", "white", "dark", "chart"}
+    target : str
+    band, shot : str
+        Empty where its name has none.
+    exposure_s : float, optional
+        By its name.
+    """
+
+    path: Path
+    name: str
+    camera: str
+    setup: str
+    sensor: str
+    role: str
+    target: str
+    band: str = ""
+    shot: str = ""
+    exposure_s: float | None = None
+
+
+@dataclass(frozen=True)
+class FrameState:
+    """One frame as it is shown.
+
+    Parameters
+    ----------
+    file : WatchedFile
+    verdict : {"green", "look", "stop", "waiting"}
+        Waiting while it is being written.
+    findings : tuple of Finding
+    at : float
+        s, on the clock that orders the frames of its camera.
+    exposure_s : float, optional
+    size : tuple of int
+        Height and width, px; empty while it waits.
+    """
+
+    file: WatchedFile
+    verdict: str
+    findings: tuple[Finding, ...] = ()
+    at: float = 0.0
+    exposure_s: float | None = None
+    size: tuple[int, ...] = ()
+
+    @property
+    def what(self) -> str:
+        """Camera, setup, role or object, band and exposure in words."""
+        file = self.file
+        who = file.camera + (f"@{file.setup}" if file.setup else "")
+        who += f" {file.sensor}" if file.sensor else ""
+        target = file.target if file.role in ("object", "chart") else file.role
+        time_ = f"{self.exposure_s:g} s" if self.exposure_s else ""
+        return " · ".join(part for part in (who, target, file.band, time_, file.shot) if part)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the frame, JSON-ready."""
+        return {
+            "name": self.file.name,
+            "what": self.what,
+            "camera": self.file.camera,
+            "setup": self.file.setup,
+            "role": self.file.role,
+            "target": self.file.target,
+            "band": self.file.band,
+            "verdict": self.verdict,
+            "findings": [finding.to_dict() for finding in self.findings],
+            "at": self.at,
+        }
+
+
+@dataclass(frozen=True)
+class FolderListing:
+    """What of a folder is known without reading a pixel.
+
+    Parameters
+    ----------
+    campaign : Campaign or None
+        None of a folder in which nothing could be guessed yet.
+    guessed : bool
+    files : mapping of Path to WatchedFile
+    stamps : mapping of Path to Stamp
+        Of the files that could be looked at.
+    strays : tuple of str
+        Pictures that fit no pattern.
+    problems : tuple of str
+        Why frames cannot be found.
+    """
+
+    campaign: Campaign | None = None
+    guessed: bool = False
+    files: Mapping[Path, WatchedFile] = field(default_factory=dict)
+    stamps: Mapping[Path, Stamp] = field(default_factory=dict)
+    strays: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
+
+
+def watched_files(campaign: Campaign, index: FileIndex) -> dict[Path, WatchedFile]:
+    """Return what every file is that fits a pattern of the campaign; the first camera whose pattern fits has it."""
+    files: dict[Path, WatchedFile] = {}
+    declared = set(campaign.targets.objects or ())
+    known = set(declared_targets(campaign))
+    for (name, setup), frames in index.frames.items():
+        camera = campaign.cameras[name]
+        roles = dict.fromkeys(campaign.targets.charts, "chart")
+        roles |= dict.fromkeys(campaign.whites_of(camera), "white")
+        roles |= dict.fromkeys(campaign.darks_of(camera), "dark")
+        for found in frames:
+            role = roles.get(found.target, "object")
+            if role == "object" and declared and found.target not in declared | known:
+                continue
+            files.setdefault(found.path, _watched(campaign.root, name, setup, role, found))
+    return files
+
+
+def _watched(root: Path, camera: str, setup: str, role: str, found: FoundFile) -> WatchedFile:
+    band = found.band or ("" if found.wavelength is None else f"{found.wavelength:g} nm")
+    return WatchedFile(
+        found.path, _shown(found.path, root), camera, setup, found.sensor, role,
+        found.target, band, found.shot, found.exposure_s,
+    )  # fmt: skip
+
+
+def _shown(path: Path, root: Path) -> str:
+    with suppress(ValueError):
+        return path.relative_to(root).as_posix()
+    return Path(os.path.relpath(path, root)).as_posix()
+
+
+def stamps_of(path: Path) -> Stamp | None:
+    """Return the stamp of a frame, of header and data together; None where one of them cannot be looked at."""
+    try:
+        every = [stamp_of(path)]
+        if path.suffix.lower() not in ALONE:
+            every = [stamp_of(file) for file in files_of(path)]
+    except (OSError, Refused):
+        return None
+    if len(every) == 1:
+        return every[0]
+    sizes, modified, changed, inodes = zip(*every, strict=True)
+    return sum(sizes), max(modified), max(changed), hash(inodes)
+
+
+class FolderWatch:
+    """Looks at a folder again and again; holds nothing open.
+
+    Parameters
+    ----------
+    folder : path
+        With campaign.toml, or to be guessed.
+
+    Raises
+    ------
+    CampaignInvalid
+        Where there is a campaign.toml and it cannot be used.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.root = folder.resolve()
+        self.listing = FolderListing()
+        self.away_since: float | None = None
+        self._index: FileIndex | None = None
+        self._signature: object = None
+        self._scanned = -RESCAN_S
+        self._rest: dict[Path, tuple[Stamp, float]] = {}
+        self._guess: tuple[object, float, float] = (None, 0.0, 0.0)
+        self._campaign_stamp: Stamp | None = None
+        self._invalid: tuple[str, ...] = ()
+        self._load()
+
+    def look(self, now: float | None = None) -> FolderListing:
+        """Return the folder as it is; as it was while it cannot be reached.
+
+        Parameters
+        ----------
+        now : float, optional
+            s of a clock that never jumps.
+        """
+        now = time.monotonic() if now is None else now
+        if not _is_reachable(self.root) or (self.listing.files and _is_bare(self.root)):
+            self.away_since = self.away_since or time.time()
+            return self.listing
+        if self.away_since is not None:
+            self.away_since, self._signature = None, None
+        self._load()
+        if now - self._scanned >= RESCAN_S or self._signature != self._folders():
+            self._scan(now)
+        stamps = {path: stamp for path in self.listing.files if (stamp := stamps_of(path))}
+        self.listing = FolderListing(
+            self.listing.campaign, self.listing.guessed,
+            {path: file for path, file in self.listing.files.items() if path in stamps},
+            stamps, self.listing.strays, self.listing.problems,
+        )  # fmt: skip
+        self._note_rest(stamps, now)
+        return self.listing
+
+    def is_at_rest(self, path: Path, now: float) -> bool:
+        """Whether a file has not changed for half a second, as seen here: no clock but this one counts."""
+        return path in self._rest and now - self._rest[path][1] >= REST_S
+
+    def rest_s(self, path: Path, now: float) -> float:
+        """Return how long a file has not changed."""
+        return now - self._rest[path][1] if path in self._rest else 0.0
+
+    def _note_rest(self, stamps: Mapping[Path, Stamp], now: float) -> None:
+        clock = time.time_ns()
+        for path, stamp in stamps.items():
+            if (known := self._rest.get(path)) is None:
+                # What was there long before need not be waited for; a clock that is wrong only costs the wait.
+                old = clock - max(stamp[1], stamp[2]) > OLD_S * 1e9
+                self._rest[path] = stamp, now - (OLD_S if old else 0.0)
+            elif known[0] != stamp:
+                self._rest[path] = stamp, now
+        for gone in self._rest.keys() - stamps.keys():
+            del self._rest[gone]
+
+    def _load(self) -> None:
+        """Read campaign.toml where there is one, anew when it changed; a broken one keeps the last that was sound."""
+        path = self.root / FILE
+        try:
+            stamp = stamp_of(path)
+        except OSError:
+            return
+        if stamp == self._campaign_stamp:
+            return
+        first, self._campaign_stamp = self._campaign_stamp is None, stamp
+        try:
+            campaign = load_campaign(self.root)
+        except CampaignInvalid as invalid:
+            if first:
+                raise
+            self._invalid = tuple(str(problem) for problem in invalid.problems)
+            self._signature = None
+            return
+        self._invalid = ()
+        self.listing = FolderListing(campaign, False, self.listing.files)
+        self._signature = None
+
+    def _folders(self) -> object:
+        """Return the times of change of all folders that were listed: names in them came or went when these differ."""
+        if self._index is None:
+            return None
+        found = []
+        for folder in self._index.folders.listed:
+            with suppress(OSError):
+                found.append((folder, os.stat(folder).st_mtime_ns))  # noqa: PTH116
+        return tuple(found)
+
+    def _scan(self, now: float) -> None:
+        self._scanned = now
+        if self.listing.campaign is None or self.listing.guessed:
+            self._guess_again(now)
+        campaign = self.listing.campaign
+        if campaign is None:
+            return
+        self._index = index = scan_folders(campaign)
+        problems = self._invalid + tuple(
+            str(p) for refused in index.broken.values() for p in refused.problems
+        )
+        files = watched_files(campaign, index)
+        strays = () if self.listing.guessed else tuple(_strays(campaign, index, files))
+        self._signature = self._folders()
+        self.listing = FolderListing(campaign, self.listing.guessed, files, {}, strays, problems)
+
+    def _guess_again(self, now: float) -> None:
+        """Guess the campaign from names, headers and pixels, when names have come to rest and it is worth its time."""
+        names = tuple(_names_and_sizes(self.root))
+        named, since, took = self._guess
+        if names != named:
+            self._guess = names, now, took
+            if self.listing.campaign is not None or not names:
+                self._scanned = -RESCAN_S
+                return
+        elif self.listing.campaign is not None and since < 0:
+            return  # guessed already
+        elif now - since < max(GUESS_S, GUESS_SHARE * took):
+            self._scanned = -RESCAN_S
+            return
+        start = time.monotonic()
+        with suppress(LookRefused, CampaignInvalid, ValueError):
+            document = Document.model_validate(tomllib.loads(look(self.root).text))
+            campaign = campaign_of(document, self.root / FILE)
+            self.listing = FolderListing(campaign, True, self.listing.files)
+        self._guess = names, -1.0, time.monotonic() - start
+
+
+def _names_and_sizes(root: Path) -> Iterator[tuple[str, int]]:
+    for above, names in walk_folders(root, FolderListings()):
+        for name in names or ():
+            path = root.joinpath(*above, name)
+            with suppress(OSError):
+                yield str(path), path.stat().st_size
+
+
+def _is_reachable(folder: Path) -> bool:
+    try:
+        with os.scandir(folder):
+            return True
+    except OSError:
+        return False
+
+
+def _is_bare(folder: Path) -> bool:
+    """Whether a folder is empty: where there were frames, a share that is not mounted."""
+    with os.scandir(folder) as entries:
+        return next(entries, None) is None
+
+
+def _strays(campaign: Campaign, index: FileIndex, files: Mapping[Path, WatchedFile]) -> list[str]:
+    """Return pictures below the campaign that no pattern fits."""
+    found = []
+    data = {file for path in files if path.suffix.lower() == ".hdr" for file in _beside(path)}
+    for above, names in walk_folders(campaign.root, index.folders):
+        for name in names or ():
+            path = campaign.root.joinpath(*above, name)
+            if path.suffix.lower() in ALONE and path not in files and path not in data:
+                found.append(_shown(path, campaign.root))
+    return found
+
+
+def _beside(path: Path) -> tuple[Path, ...]:
+    try:
+        return files_of(path)
+    except Refused:
+        return (path,)
+
+
+def moments_of(
+    files: Mapping[Path, WatchedFile],
+    captured: Mapping[Path, float | None],
+    stamps: Mapping[Path, Stamp],
+) -> dict[Path, float]:
+    """Return when the frames of one sensor were captured, s: by their headers where all state it, by their names, else by the files."""
+    stated = {path: captured.get(path) for path in files}
+    if files and all(moment is not None for moment in stated.values()):
+        return {path: moment for path, moment in stated.items() if moment is not None}
+    named = times_in_names(files)
+    if files and len(named) == len(files):
+        return named
+    return {path: stamps[path][1] / 1e9 for path in files if path in stamps}

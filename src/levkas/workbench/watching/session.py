@@ -1,0 +1,434 @@
+"""A session as a function of its folder: every frame that is whole, its findings, and what is missing.
+
+Nothing hangs on when or in which order a frame came: of the same files the state is the same, after a restart or in a
+second window.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from functools import lru_cache
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from levkas.calibration.full_scale import stated_full_scale
+from levkas.campaign.campaign import Camera, Campaign
+from levkas.campaign.discovery.patterns import natural
+from levkas.core.digests import Stamp, stamp_of
+from levkas.core.internal_errors import InternalError
+from levkas.core.problems import Refused
+from levkas.planning.loading import load_setup
+from levkas.quality.frame_checks import (
+    Finding,
+    FrameJudge,
+    FrameMeasures,
+    FrameOfSet,
+    SetRules,
+    measure_frame,
+    worst,
+)
+from levkas.readers.envi import open_envi
+from levkas.readers.facts import Facts
+from levkas.readers.frames import read_facts, read_frame
+from levkas.workbench.watching.cache import MeasureCache, cache_folder
+from levkas.workbench.watching.files import (
+    FolderListing,
+    FolderWatch,
+    FrameState,
+    WatchedFile,
+    moments_of,
+)
+from levkas.workbench.watching.missing import Missing, find_missing
+
+PLAN = "bench.toml"
+"""A setup file that names the cameras of the session."""
+WHOLE_S = 5.0
+"""How long a file rests before one that cannot be read counts as broken: until then it may be half written."""
+RETRY_S = 1.0
+MOST_LINES, SIDE_BY_SIDE = 256, 128
+"""Lines of a scan that are read, spread over it; and those in its middle, for the focus."""
+MOST_SAMPLES = 1 << 28
+"""Of pages of a file, which are thinned to it."""
+
+
+@dataclass(frozen=True)
+class SessionState:
+    """The whole session.
+
+    Parameters
+    ----------
+    frames : tuple of FrameState
+        In natural order of their names.
+    missing : tuple of Missing
+        What is to be captured, or captured again, before the object leaves.
+    guessed : bool
+        Whether there is no campaign.toml.
+    strays : tuple of str
+        Pictures that no pattern fits.
+    problems : tuple of str
+    away : bool
+        Whether the folder cannot be reached.
+    """
+
+    frames: tuple[FrameState, ...] = ()
+    missing: tuple[Missing, ...] = ()
+    guessed: bool = False
+    strays: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
+    away: bool = False
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the session, JSON-ready."""
+        counts = {v: 0 for v in ("green", "look", "stop", "waiting")}
+        for frame in self.frames:
+            counts[frame.verdict] += 1
+        return {
+            "counts": counts,
+            "frames": [frame.to_dict() for frame in self.frames],
+            "missing": [asdict(item) for item in self.missing],
+            "guessed": self.guessed,
+            "strays": list(self.strays[:20]),
+            "problems": list(self.problems),
+            "away": self.away,
+        }
+
+
+@dataclass
+class _Known:
+    """A frame that was read: its stamp, facts and measures; or why it could not be."""
+
+    stamp: Stamp | None
+    key: str = ""
+    facts: Facts | None = None
+    measures: FrameMeasures | None = None
+    refused: str = ""
+    tried: float = 0.0
+
+
+@dataclass
+class WatchedSession:
+    """Follows a folder; `poll` takes in what changed, `state` says what it is.
+
+    Parameters
+    ----------
+    folder : Path
+        Of a campaign, or of frames alone.
+    cache : MeasureCache, optional
+        By default the user's for this folder.
+    """
+
+    folder: Path
+    cache: MeasureCache | None = None
+    _known: dict[Path, _Known] = field(default_factory=dict)
+    _judges: dict[tuple[str, str, str], FrameJudge] = field(default_factory=dict)
+    _judged: dict[tuple[str, str, str], tuple[object, dict[str, list[Finding]]]] = field(
+        default_factory=dict
+    )
+
+    def __post_init__(self) -> None:
+        self.watch = FolderWatch(Path(self.folder))
+        self.cache = self.cache or MeasureCache(cache_folder(self.watch.root))
+        self.listing = FolderListing()
+        self._now = 0.0
+        self._plan: tuple[Stamp | None, tuple[str, ...]] = (None, ())
+
+    @property
+    def campaign(self) -> Campaign | None:
+        """The campaign, or what was guessed of it."""
+        return self.listing.campaign
+
+    def poll(self, now: float | None = None, most: int = 64) -> Iterator[WatchedFile]:
+        """Look at the folder and read up to `most` frames that came to rest, yielding each as it is read.
+
+        Parameters
+        ----------
+        now : float, optional
+            s, of a clock that does not jump.
+        most : int
+        """
+        now = time.monotonic() if now is None else now
+        before, self._now = self.listing.campaign, now
+        self.listing = listing = self.watch.look(now)
+        if listing.campaign is not before:
+            self._forget_others()
+        if self.watch.away_since is not None:
+            return
+        for gone in self._known.keys() - listing.files.keys():
+            del self._known[gone]
+        left = most
+        for path, file in listing.files.items():
+            if left and self._is_due(path, now):
+                left -= 1
+                self._read(file, now)
+                yield file
+
+    def settle(self, patience_s: float = 60.0) -> SessionState:
+        """Poll until every file was read, or is broken, and return the state."""
+        end = time.monotonic() + patience_s
+        while True:
+            for _ in self.poll():
+                pass
+            state = self.state()
+            waiting = any(frame.verdict == "waiting" for frame in state.frames)
+            if (self.campaign is not None and not waiting) or time.monotonic() > end:
+                return state
+            time.sleep(0.1)
+
+    def state(self) -> SessionState:
+        """Return the session as the folder is now."""
+        listing, campaign = self.listing, self.listing.campaign
+        if campaign is None:
+            return SessionState(problems=listing.problems, away=self.watch.away_since is not None)
+        findings, moments = self._findings(campaign, listing)
+        frames = [self._shown(file, findings, moments) for file in listing.files.values()]
+        frames.sort(key=lambda f: (natural(f.file.name), f.file.name))
+        planned = [name for name in self._planned() if name not in campaign.cameras]
+        missing = find_missing(campaign, frames, planned) if frames else ()
+        away = self.watch.away_since is not None
+        return SessionState(
+            tuple(frames), tuple(missing), listing.guessed, listing.strays, listing.problems, away
+        )
+
+    def follow(self, interval_s: float = 0.3) -> Iterator[tuple[SessionState, list[FrameState]]]:
+        """Yield the state and what of it is new, for ever: a frame that came, or whose findings changed.
+
+        Parameters
+        ----------
+        interval_s : float
+            Between two looks; longer where a look takes longer than half of it, so that a core is never held.
+        """
+        known: dict[str, FrameState] = {}
+        last: object = None
+        while True:
+            start = time.monotonic()
+            read = sum(1 for _ in self.poll(most=8))
+            waiting = any(frame.verdict == "waiting" for frame in known.values())
+            now = (self.listing.stamps, self.listing.problems, self.watch.away_since, self.campaign)
+            if read or waiting or now != last:
+                last, state = now, self.state()
+                fresh = [f for f in state.frames if known.get(f.file.name) != f]
+                known = {frame.file.name: frame for frame in state.frames}
+                yield state, fresh
+            if not read:
+                time.sleep(max(interval_s, 2 * (time.monotonic() - start)))
+
+    def _planned(self) -> tuple[str, ...]:
+        """Return the cameras of a setup file that lies beside the frames."""
+        path = self.watch.root / PLAN
+        try:
+            stamp = stamp_of(path)
+        except OSError:
+            return ()
+        if self._plan[0] != stamp:
+            try:
+                self._plan = stamp, tuple(load_setup(path).cameras)
+            except Refused:
+                self._plan = stamp, ()
+        return self._plan[1]
+
+    def _forget_others(self) -> None:
+        """Let frames be measured anew whose pattern, full scale or role a changed campaign declares otherwise."""
+        for path, known in self._known.items():
+            file = self.listing.files.get(path)
+            if file and known.facts and known.stamp and known.key != self._key(file, known):
+                known.stamp = None
+
+    def _key(self, file: WatchedFile, known: _Known) -> str:
+        """Return the key of a frame's measures: everything that they depend on."""
+        assert self.listing.campaign is not None and known.facts is not None
+        camera = self.listing.campaign.cameras[file.camera]
+        pattern, full = _pattern_of(camera, file, known.facts), _full_of(camera, known.facts)
+        text = repr((known.stamp, file.role == "white", pattern, full, camera.kind))
+        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+    def _is_due(self, path: Path, now: float) -> bool:
+        known = self._known.get(path)
+        if not self.watch.is_at_rest(path, now):
+            return False
+        if known is None or known.stamp != self.listing.stamps[path]:
+            return True
+        return (
+            bool(known.refused) and now - known.tried >= RETRY_S and not self._is_broken(path, now)
+        )
+
+    def _is_broken(self, path: Path, now: float) -> bool:
+        return self.watch.rest_s(path, now) >= WHOLE_S + RETRY_S
+
+    def _read(self, file: WatchedFile, now: float) -> None:
+        assert self.cache is not None and self.listing.campaign is not None
+        stamp = self.listing.stamps[file.path]
+        camera = self.listing.campaign.cameras[file.camera]
+        known = _Known(stamp, tried=now)
+        try:
+            known.facts = read_facts(file.path)
+            known.key = self._key(file, known)
+            known.measures = self.cache.get(known.key)
+            if known.measures is None:
+                known.measures = self.cache.put(known.key, _measure(file, camera, known.facts))
+        except InternalError:
+            raise
+        except (Refused, OSError) as refused:
+            known.refused = _why(refused)
+        self._known[file.path] = known
+
+    def _findings(
+        self, campaign: Campaign, listing: FolderListing
+    ) -> tuple[dict[Path, list[Finding]], dict[Path, float]]:
+        groups: dict[tuple[str, str, str], dict[Path, WatchedFile]] = {}
+        for path, file in listing.files.items():
+            known = self._known.get(path)
+            if known is not None and known.measures is not None:
+                groups.setdefault((file.camera, file.setup, file.sensor), {})[path] = file
+        found: dict[Path, list[Finding]] = {}
+        moments: dict[Path, float] = {}
+        for key, files in groups.items():
+            camera = campaign.cameras[key[0]]
+            if key[1] and not _darks(files):  # a setup without darks of its own takes the camera's
+                files = {**files, **_darks(groups.get((key[0], "", key[2]), {}))}
+            captured = {path: _moment(self._facts(path)) for path in files}
+            at = moments_of(files, captured, listing.stamps)
+            content = (
+                tuple((path, self._known[path].stamp, at.get(path)) for path in files),
+                _rules(camera), camera.black, camera.saturation, camera.bits,
+            )  # fmt: skip
+            if key not in self._judged or self._judged[key][0] != content:
+                judge = self._judges.setdefault(key, FrameJudge())
+                judge.rules = _rules(camera)
+                frames = [
+                    self._of_set(file, camera, at.get(path, 0.0)) for path, file in files.items()
+                ]
+                self._judged[key] = content, judge.judge(frames)
+            for path, file in files.items():
+                if (file.camera, file.setup, file.sensor) == key:
+                    found[path], moments[path] = self._judged[key][1][file.name], at.get(path, 0.0)
+        for gone in self._judged.keys() - groups.keys():
+            del self._judged[gone]
+        return found, moments
+
+    def _facts(self, path: Path) -> Facts:
+        facts = self._known[path].facts
+        assert facts is not None
+        return facts
+
+    def _of_set(self, file: WatchedFile, camera: Camera, at: float) -> FrameOfSet:
+        known, facts = self._known[file.path], self._facts(file.path)
+        assert known.measures is not None
+        pattern = _pattern_of(camera, file, facts)
+        black = camera.black if camera.black is not None else facts.black
+        return FrameOfSet(
+            file.name, file.role, file.target, facts, known.measures,
+            band=file.band, shot=file.shot, at=at,
+            exposure_s=file.exposure_s or facts.exposure_s,
+            names=_names_of(pattern, facts, len(known.measures.level)),
+            full=_full_of(camera, facts), black=black,
+        )  # fmt: skip
+
+    def _shown(
+        self,
+        file: WatchedFile,
+        findings: Mapping[Path, list[Finding]],
+        moments: Mapping[Path, float],
+    ) -> FrameState:
+        known = self._known.get(file.path)
+        if known is None or (known.refused and not self._is_broken(file.path, self._now)):
+            return FrameState(file, "waiting", exposure_s=file.exposure_s)
+        if known.measures is None or known.facts is None:
+            advice = "capture it again, or copy it again from the camera's card"
+            broken = Finding("file", "stop", f"the file is not whole: {known.refused}", advice)
+            return FrameState(file, "stop", (broken,), exposure_s=file.exposure_s)
+        own = tuple(findings.get(file.path, ()))
+        exposure_s = file.exposure_s or known.facts.exposure_s
+        size = tuple(map(int, known.measures.shape))
+        return FrameState(file, worst(own), own, moments.get(file.path, 0.0), exposure_s, size)
+
+
+def _darks(files: Mapping[Path, WatchedFile]) -> dict[Path, WatchedFile]:
+    return {path: file for path, file in files.items() if file.role == "dark"}
+
+
+def _rules(camera: Camera) -> SetRules:
+    return SetRules(
+        overrule=tuple(camera.overrule),
+        brackets=camera.exposures != "one",
+        scanned=camera.traits.is_scanned,
+        plain=not camera.traits.is_calibrated,
+    )
+
+
+def _pattern_of(camera: Camera, file: WatchedFile, facts: Facts) -> Any:
+    """Return the mosaic of a frame: of its sensor, else of its camera, else what its file states."""
+    if len(facts.shape) == 3 or facts.kind == "envi":
+        return None
+    sensor = next((s for s in camera.sensors if s.name == file.sensor), None)
+    declared = sensor.pattern if sensor else camera.pattern
+    return declared or (facts.pattern if camera.traits.is_calibrated else None)
+
+
+def _names_of(pattern: Any, facts: Facts, channels: int) -> tuple[str, ...]:
+    from levkas.quality.frame_checks.measures import names_of
+
+    names = names_of(pattern, facts.band_names or ())
+    return (
+        tuple(names) if len(names) == channels else tuple(f"band {k + 1}" for k in range(channels))
+    )
+
+
+def _full_of(camera: Camera, facts: Facts) -> float | None:
+    """Return the full scale; None where only the size of the words is known, as of 12 bits in words of 16."""
+    found = stated_full_scale(facts, saturation=camera.saturation, bits=camera.bits)
+    words = found is not None and found.counts == 65535 and not (camera.saturation or camera.bits)
+    return None if found is None or (words and not facts.saturation) else found.counts
+
+
+@lru_cache(maxsize=1 << 15)
+def _seconds(captured: str) -> float | None:
+    try:
+        moment = datetime.fromisoformat(captured)
+    except ValueError:
+        return None
+    return moment.replace(tzinfo=moment.tzinfo or UTC).timestamp()
+
+
+def _moment(facts: Facts) -> float | None:
+    return None if facts.captured is None else _seconds(facts.captured)
+
+
+def _why(refused: Exception) -> str:
+    if isinstance(refused, Refused) and refused.problems:
+        problem = refused.problems[0]
+        return f"{problem.message}" + (f" ({problem.found})" if problem.found else "")
+    return str(refused)
+
+
+def _measure(file: WatchedFile, camera: Camera, facts: Facts) -> FrameMeasures:
+    """Read a frame, of a scan some lines, and measure it."""
+    white = file.role == "white"
+    pattern, full = _pattern_of(camera, file, facts), _full_of(camera, facts)
+    if facts.kind == "envi":
+        cube = open_envi(file.path)
+        lines = facts.shape[0]
+        chosen = np.unique(np.linspace(0, lines - 1, min(lines, MOST_LINES)).astype(int))
+        values = np.concatenate([cube.read_lines(int(k), int(k) + 1) for k in chosen])
+        middle = max(0, (lines - SIDE_BY_SIDE) // 2)
+        detail = cube.read_lines(middle, min(lines, middle + SIDE_BY_SIDE)).mean(2)
+        found = measure_frame(values, full=full, white=white, detail=detail)
+        return _with_height(found, lines)
+    if facts.pages > 1 and (camera.traits.reads_pages or not file.band):
+        thin = max(1, -(-prod(facts.shape) * facts.pages // MOST_SAMPLES))
+        pages = [read_frame(file.path, page=k)[::thin] for k in range(facts.pages)]
+        values = np.stack([page if page.ndim == 2 else page[..., 0] for page in pages], -1)
+        return _with_height(measure_frame(values, full=full, white=white), facts.shape[0])
+    return measure_frame(read_frame(file.path), full=full, pattern=pattern, white=white)
+
+
+def _with_height(measures: FrameMeasures, height: int) -> FrameMeasures:
+    from dataclasses import replace
+
+    return replace(measures, shape=np.array([height, measures.shape[1]]))

@@ -1,0 +1,221 @@
+"""A folder into which frames come whole, half, late, twice, in any order: the same files give the same state."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from levkas.core.progress import FRAMES
+from levkas.workbench.watching import WatchedSession
+from levkas.workbench.watching.cache import MeasureCache
+
+CAMPAIGN = """
+[campaign]
+reference = { camera = "colour", band = "G" }
+
+[cameras.colour]
+kind = "mosaic"
+pattern = "RGGB"
+files = "raw/{target}/{exposure}ms_{shot}.tif"
+bits = 12
+
+[targets]
+dark = "dark"
+white = { names = "white", reflectance = 0.98 }
+objects = ["icon"]
+"""
+SHAPE = (200, 260)
+RNG = np.random.default_rng(3)
+PAINT = np.kron(RNG.uniform(0.1, 0.8, (20, 26)), np.ones((10, 10)))
+FAR = 1e6  # of the clock, s, where every file has come to rest
+
+
+def codes(light: np.ndarray | float, seed: int) -> np.ndarray:
+    signal = 3000 * np.broadcast_to(light, SHAPE)
+    noisy = np.random.default_rng(seed).normal(signal + 64, np.sqrt(0.4 * signal + 9))
+    return noisy.round().clip(0, 4095).astype(np.uint16)
+
+
+def frames() -> dict[str, np.ndarray]:
+    """Return a good session by the names of its files."""
+    return {
+        **{f"raw/dark/100ms_{k}.tif": codes(0.0, k) for k in (1, 2)},
+        **{f"raw/white/100ms_{k}.tif": codes(0.98, 10 + k) for k in (1, 2)},
+        **{f"raw/icon/100ms_{k}.tif": codes(PAINT, 20 + k) for k in (1, 2, 3)},
+    }
+
+
+GOOD = frames()
+AGES = {name: 1_700_000_000 + 60 * k for k, name in enumerate(GOOD)}
+
+
+def put(folder: Path, name: str, values: np.ndarray) -> Path:
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    tifffile.imwrite(path, values, photometric="minisblack", metadata=None)
+    os.utime(path, (AGES.get(name, 1_700_000_500),) * 2)
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path):
+    home = tmp_path / "campaign"
+    home.mkdir()
+    (home / "campaign.toml").write_text(CAMPAIGN)
+    return home
+
+
+@pytest.fixture
+def session(folder, tmp_path):
+    return WatchedSession(folder, MeasureCache(tmp_path / "cache"))
+
+
+def after(session: WatchedSession, now: float):
+    """Return the state after two looks, the second when all has come to rest."""
+    for moment in (now, now + 1):
+        for _ in session.poll(moment):
+            pass
+    return session.state()
+
+
+def verdicts(state) -> dict[str, str]:
+    return {frame.file.name: frame.verdict for frame in state.frames}
+
+
+def test_a_good_session_is_green_and_complete(session, folder):
+    for name, values in GOOD.items():
+        put(folder, name, values)
+    put(folder, "raw/white/100ms_3.tif", codes(0.98, 99))
+    state = after(session, 0.0)
+    assert set(verdicts(state).values()) == {"green"}
+    assert state.missing == () and state.strays == ()
+    assert state.frames[1].what == "colour · dark · 0.1 s · 2"
+
+
+def test_what_is_missing_is_listed_from_the_first_frame_on(session, folder):
+    put(folder, "raw/white/100ms_1.tif", GOOD["raw/white/100ms_1.tif"])
+    kinds = {(m.kind, m.what) for m in after(session, 0.0).missing}
+    assert {("dark", "colour: dark"), ("capture", "colour: icon")} <= kinds
+
+
+def test_order_of_coming_does_not_matter(tmp_path):
+    bad = {**GOOD, "raw/white/100ms_2.tif": codes(0.90, 12)}
+    states = []
+    for seed in range(3):
+        home = tmp_path / str(seed)
+        home.mkdir()
+        (home / "campaign.toml").write_text(CAMPAIGN)
+        session = WatchedSession(home, MeasureCache(tmp_path / f"cache{seed}"))
+        names = list(bad)
+        random.Random(seed).shuffle(names)
+        for k, name in enumerate(names):
+            put(home, name, bad[name])
+            state = after(session, 10.0 * k)
+        states.append(state.to_dict())
+    assert states[0] == states[1] == states[2]
+    assert [f["verdict"] for f in states[0]["frames"] if f["findings"]] == ["look"]
+
+
+def test_a_half_written_frame_waits_and_a_broken_one_stops(session, folder):
+    path = put(folder, "raw/icon/100ms_1.tif", GOOD["raw/icon/100ms_1.tif"])
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    for _ in session.poll(0.0):
+        pass
+    assert verdicts(session.state()) == {"raw/icon/100ms_1.tif": "waiting"}
+    assert verdicts(after(session, 1.0)) == {"raw/icon/100ms_1.tif": "waiting"}
+    path.write_bytes(whole)
+    assert verdicts(after(session, 3.0)) == {"raw/icon/100ms_1.tif": "green"}
+    path.write_bytes(whole[:-500])
+    for now in (10.0, 11.0, 13.0, 20.0):
+        state = after(session, now)
+    assert state.frames[0].verdict == "stop" and state.frames[0].findings[0].check == "file"
+    assert state.missing[0].kind == "again"
+
+
+def test_replaced_renamed_deleted_and_doubled_frames(session, folder):
+    for name, values in GOOD.items():
+        put(folder, name, values)
+    first = after(session, 0.0)
+    put(folder, "raw/icon/100ms_2.tif", codes(np.minimum(PAINT * 3, 1.5), 22))
+    assert verdicts(after(session, 10.0))["raw/icon/100ms_2.tif"] == "stop"
+    put(folder, "raw/icon/100ms_2.tif", GOOD["raw/icon/100ms_2.tif"])
+    (folder / "raw/icon/100ms_3.tif").rename(folder / "raw/icon/100ms_7.tif")
+    state = after(session, 20.0)
+    assert "raw/icon/100ms_3.tif" not in verdicts(state)
+    assert verdicts(state)["raw/icon/100ms_7.tif"] == "green"
+    (folder / "raw/icon/100ms_7.tif").rename(folder / "raw/icon/100ms_3.tif")
+    shutil.copyfile(folder / "raw/icon/100ms_1.tif", folder / "raw/icon/100ms_4.tif")
+    doubled = after(session, 30.0)
+    last = next(f for f in doubled.frames if f.file.name == "raw/icon/100ms_4.tif")
+    assert [f.check for f in last.findings] == ["twice"]
+    (folder / "raw/icon/100ms_4.tif").unlink()
+    assert verdicts(after(session, 40.0)) == verdicts(first)
+
+
+def test_a_share_that_goes_away_keeps_what_was_known(session, folder, tmp_path):
+    for name, values in GOOD.items():
+        put(folder, name, values)
+    before = after(session, 0.0)
+    folder.rename(tmp_path / "elsewhere")
+    away = after(session, 10.0)
+    assert away.away and away.frames == before.frames
+    folder.mkdir()  # the empty folder on which a share is mounted
+    assert after(session, 20.0).away
+    folder.rmdir()
+    (tmp_path / "elsewhere").rename(folder)
+    back = after(session, 30.0)
+    assert not back.away and verdicts(back) == verdicts(before)
+
+
+def test_a_restart_reads_no_frame_again(session, folder, tmp_path):
+    for name, values in GOOD.items():
+        put(folder, name, values)
+    before = after(session, 0.0).to_dict()
+    session.cache.close()
+    count = FRAMES.count
+    again = WatchedSession(folder, MeasureCache(tmp_path / "cache"))
+    assert after(again, FAR).to_dict() == before
+    assert FRAMES.count == count
+
+
+@pytest.mark.parametrize("damage", [b"no database", b""])
+def test_a_damaged_cache_is_made_anew(session, folder, tmp_path, damage):
+    put(folder, "raw/icon/100ms_1.tif", GOOD["raw/icon/100ms_1.tif"])
+    before = after(session, 0.0).to_dict()
+    session.cache.close()
+    for path in (tmp_path / "cache").iterdir():
+        path.write_bytes(damage)
+    assert after(WatchedSession(folder, MeasureCache(tmp_path / "cache")), FAR).to_dict() == before
+
+
+def test_a_folder_without_a_campaign_is_guessed(tmp_path):
+    for name, values in GOOD.items():
+        put(tmp_path / "frames", name, values)
+    session = WatchedSession(tmp_path / "frames", MeasureCache(tmp_path / "cache"))
+    state = after(session, 0.0)
+    assert state.guessed
+    assert {f.file.role for f in state.frames} == {"dark", "white", "object"}
+
+
+def test_a_picture_that_no_pattern_fits_is_named(session, folder):
+    put(folder, "raw/DSC_0001.tif", GOOD["raw/icon/100ms_1.tif"])
+    put(folder, "raw/icon/100ms_1.tif", GOOD["raw/icon/100ms_1.tif"])
+    assert after(session, 0.0).strays == ("raw/DSC_0001.tif",)
+
+
+def test_a_campaign_that_is_edited_is_read_again(session, folder):
+    for name, values in GOOD.items():
+        put(folder, name, values)
+    after(session, 0.0)
+    (folder / "campaign.toml").write_text(CAMPAIGN.replace("bits = 12", "saturation = 2000"))
+    assert verdicts(after(session, 10.0))["raw/white/100ms_1.tif"] == "stop"
+    (folder / "campaign.toml").write_text("[campaign")
+    broken = after(session, 20.0)
+    assert broken.problems and verdicts(broken)["raw/white/100ms_1.tif"] == "stop"
