@@ -1,8 +1,9 @@
-# One environment for everything; `make demo` and `make test` need nothing but Python 3.11 or newer.
+# One environment: `make demo` installs what Levkas needs to run, everything else what its development needs too.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
+USABLE := $(VENV)/usable
 export PYTHONUTF8 := 1
 
 # Test processes: one more than two processors, for many wait for a browser, a worker or the disk. Three need about
@@ -15,7 +16,7 @@ PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-re
 env: $(READY)
 	@echo "The environment is $(VENV). Next: make demo | test | lint | docs; CONTRIBUTING.md says more."
 
-demo: $(READY)
+demo: $(USABLE)
 	$(BIN)/levkas demo demo
 
 # The tests to run before every commit; what was skipped, and why, stands at the end.
@@ -67,7 +68,24 @@ docs: $(READY)
 	rm -rf docs/_generated
 	$(BIN)/python -m sphinx -W -b html docs docs/_build/html
 
-# uv installs the same pinned, hashed packages several times faster where it is to be had.
+# What runs, and no more; an environment for development has it too. uv installs the same pinned, hashed packages
+# several times faster where it is to be had.
+$(USABLE): requirements-use.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit("levkas needs Python 3.11 or newer, this is " + sys.version.split()[0]) if sys.version_info < (3, 11) else None'
+	@if test ! -e $(READY); then \
+		printf 'Installing Levkas and $(shell grep -c "^[a-z].*==" requirements-use.lock) packages (0.8 GB on the disk) into $(VENV), once ... '; \
+		test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || exit 1; \
+		if command -v uv >/dev/null 2>&1; then \
+			uv pip install --quiet --python $(BIN)/python --require-hashes -r requirements-use.lock || exit 1; \
+		else \
+			$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-use.lock || exit 1; \
+		fi; \
+		$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip >/dev/null || exit 1; \
+		$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps . || exit 1; \
+		echo done; \
+	fi
+	@touch $(USABLE)
+
 $(READY): requirements.lock pyproject.toml hatch_build.py
 	$(PYTHON) -c 'import sys; sys.exit("levkas needs Python 3.11 or newer, this is " + sys.version.split()[0]) if sys.version_info < (3, 11) else None'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -116,9 +134,11 @@ fuzz: requirements-fuzz.lock
 	fi
 	PYTHONPATH=src $(FUZZ)/bin/python benchmarks/fuzzing.py $(SECONDS)
 
-lock:
+lock: # first the environment for development, then the same versions of what runs alone
 	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
 		--no-header --extra test --extra lint --extra docs pyproject.toml requirements-build.in -o requirements.lock
+	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
+		--no-header --constraint requirements.lock pyproject.toml -o requirements-use.lock
 	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
 		--no-header --extra peers pyproject.toml -o requirements-peers.lock
 	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \

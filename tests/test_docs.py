@@ -108,7 +108,7 @@ def test_a_page_that_one_reads_is_short():
 
 
 def test_the_lock_file_names_no_registry_and_pins_by_hash():
-    for name in ("requirements-peers.lock", "requirements-fuzz.lock"):
+    for name in ("requirements-use.lock", "requirements-peers.lock", "requirements-fuzz.lock"):
         assert "://" not in (ROOT / name).read_text()
     text = (ROOT / "requirements.lock").read_text()
     assert "://" not in text and text.count("--hash=sha256:") > 300
