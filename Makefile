@@ -73,15 +73,15 @@ docs: $(READY)
 $(USABLE): requirements-use.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit("levkas needs Python 3.11 or newer, this is " + sys.version.split()[0]) if sys.version_info < (3, 11) else None'
 	@if test ! -e $(READY); then \
-		printf 'Installing Levkas and $(shell grep -c "^[a-z].*==" requirements-use.lock) packages (0.8 GB on the disk) into $(VENV), once ... '; \
+		printf 'Installing Levkas and what it needs (0.8 GB on the disk) into $(VENV), once ... '; \
 		test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || exit 1; \
 		if command -v uv >/dev/null 2>&1; then \
 			uv pip install --quiet --python $(BIN)/python --require-hashes -r requirements-use.lock || exit 1; \
 		else \
-			$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-use.lock || exit 1; \
+			$(BIN)/python -m pip install -qq --disable-pip-version-check --require-hashes -r requirements-use.lock || exit 1; \
 		fi; \
 		$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip >/dev/null || exit 1; \
-		$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps . || exit 1; \
+		$(BIN)/python -m pip install -qq --disable-pip-version-check --no-deps . || exit 1; \
 		echo done; \
 	fi
 	@touch $(USABLE)

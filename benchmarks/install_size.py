@@ -1,22 +1,20 @@
 """What each package that Levkas needs at run time takes on the disk.
 
-    python benchmarks/install_size.py [--results benchmarks/results.json]
+    python benchmarks/install_size.py
 
 Files of every package of the closure of pyproject.toml's dependencies as they are installed here, without bytecode, which is made when a
-module is first imported. Packages of less than `SMALL` MB are added up.
+module is first imported. Packages of less than `SMALL` MB are added up. The table stands in docs/howto/install.md.
 """
 
 from __future__ import annotations
 
-import argparse
 import tomllib
 from importlib.metadata import distribution
 from pathlib import Path
 
 from house import ROOT, closure
-from results import add_option, record
 
-SMALL = 10
+SMALL = 40
 """MB."""
 
 
@@ -28,10 +26,7 @@ def megabytes(name: str) -> float:
 
 
 def main() -> None:
-    """Measure, print and record."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    add_option(parser)
-    results = parser.parse_args().results
+    """Measure and print the table."""
     with (ROOT / "pyproject.toml").open("rb") as file:
         declared = tomllib.load(file)["project"]["dependencies"]
     sizes = {name: megabytes(name) for name in closure(declared)}
@@ -40,8 +35,7 @@ def main() -> None:
     rows[f"{len(sizes) - len(large)} others"] = sum(sizes.values()) - sum(large.values())
     rows["all"] = sum(sizes.values())
     for name, size in rows.items():
-        print(f"{size:7.1f} {name}")
-    record(results, "install", rows)
+        print(f"| {name} | {size:.0f} |")
 
 
 if __name__ == "__main__":
