@@ -285,6 +285,28 @@ def test_tiles_show_a_wobble_along_the_lines_and_say_nothing_across_them():
     assert found.common_edges and found.across == 0.0 and found.to_dict()["common_edges"]
 
 
+def framed(painting):
+    """Return a painting between bars that run along the lines, as an icon is scanned towards its frame."""
+    found = painting.copy()
+    for first in (6, 15, 24, 33, 42, 196, 205, 214):
+        found[MARGIN + first : MARGIN + first + 9] = 0.9 if first % 2 else 0.05
+    return found
+
+
+def test_a_frame_along_the_lines_hides_no_wobble_across_them(studio, painting):
+    panel = framed(painting)
+    front = studio.photograph(panel, Affine.identity(), seed=1)
+    found = measured(front, scan(panel, across(sine(0.8, 40))))
+    assert (found.lines, found.course.kind) == ("rows", "period")
+    assert found.course.period == pytest.approx(40, rel=0.05)
+    painted = slice(56, 190)
+    left = find_correction(found, 1.0).shift[painted, 1] - sine(0.8, 40)[painted]
+    smooth = np.polynomial.legendre.legvander(np.linspace(-1, 1, len(left)), 3)
+    left = left - smooth @ np.linalg.lstsq(smooth, left, rcond=None)[0]  # a map is smooth, too
+    assert np.sqrt(np.mean(left**2)) < 0.1
+    assert measured(front, scan(panel)).course is None
+
+
 def test_too_few_lines_are_not_measured(front):
     blank = measured(front, np.full((240, 310), 0.5, np.float32))
     assert blank is None or blank.course is None

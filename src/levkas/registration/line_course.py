@@ -34,7 +34,13 @@ class CourseSettings:
         parts show where six show the mean, 4 at most (`benchmarks/line_displacement.py`).
     common_edges, averaged : float; int, lines
         Mean correlation, along the scan, of how much detail the parts show, averaged over some lines, from which they are no
-        independent witnesses: below 0.1 of 95 % of painted scans, 0.25 to 0.8 of nine in ten grids of tiles.
+        independent witnesses: below 0.1 of 95 % of painted scans, 0.25 to 0.8 of nine in ten grids of tiles, 0.15 to 0.5 of
+        icons whose frames run along the lines.
+    most_beside, noise_information : float; float, 1/px²
+        Share of the lines that may lie beside such edges, and median information of the others, so that these
+        count: on icons 8 to 40 % and 9 to 27, of the lines between tiles 1 to 8, as noise that is matched with noise has.
+    beside_weight : float
+        Of lines beside such edges.
     edge_lines : int
         So far from an edge along the lines other sharpness and noise feign a displacement. On grids of tiles that explains
         half of the covariance and more, of painted scans 0.23 at most.
@@ -70,6 +76,9 @@ class CourseSettings:
     common_edges: float = 0.15
     averaged: int = 3
     edge_lines: int = 8
+    most_beside: float = 0.4
+    noise_information: float = 8.0
+    beside_weight: float = 0.05
     outer: float = 0.4
     few: float = 0.1
     near_lines: int = 7
@@ -158,10 +167,10 @@ def find_course(shifts: LineShifts, sizes: np.ndarray) -> tuple[Course | None, f
 class LineShifts:
     """Shifts of the parts of lines about their course along the scan, (lines, parts, 2) px.
 
-    `information` is that of each, 1/px², 0 where unknown; `weight` the same, less of shifts that stray. `common_edges` says
-    whether all parts show their detail in the same lines. Edges that run along the lines through all parts, as on a chart or
-    of a grid of tiles, move what lies beside them where sharpness differs, in all parts alike: then nothing is
-    known across the lines, and those shifts are 0. `places` are the middles of the parts, -1 to 1 along the line; `spread` is
+    `information` is that of each, 1/px², 0 where unknown; `weight` the same, less of shifts that stray. Edges that run along the
+    lines through all parts, as of a frame, a chart or a grid of tiles, move what lies beside them where sharpness differs, in
+    all parts alike: across the lines, lines beside them weigh next to nothing. `common_edges` says whether nothing else is
+    left: then those shifts are 0. `places` are the middles of the parts, -1 to 1 along the line; `spread` is
     the root mean square over a line of a displacement that is 1 px where it is stated: less than 1 of `slopes`, which are stated
     at the ends. `ends`, px along the line, are the places -1 and 1.
     """
@@ -187,8 +196,11 @@ class LineShifts:
         if measured.sum() < SETTINGS.least_lines:
             return None
         left, weight = _without_course(shift, information)
-        if common_edges := _have_common_edges(information[..., 1]):
+        beside = _beside_common_edges(information[..., 1])
+        if common_edges := bool(beside.all()):
             left[..., 1] = 0.0
+        else:  # they carry the course of lines where nothing else is known
+            weight[beside, :, 1] *= SETTINGS.beside_weight
         places = (2 * middles - ends[0] - ends[1]) / (ends[1] - ends[0])
         known = np.where(weight > 0, information, 0.0)
         return cls(left, known, weight, places, common_edges, ends=ends)
@@ -303,17 +315,41 @@ def _without_course(shift: np.ndarray, information: np.ndarray) -> tuple[np.ndar
     return np.where(known, left, 0.0), weight
 
 
-def _have_common_edges(information: np.ndarray) -> bool:
-    """Return whether parts, (lines, parts) 1/px², show their detail in the same lines, beside a smooth course of it."""
+def _beside_common_edges(information: np.ndarray) -> np.ndarray:
+    """Return which lines, (lines,), lie beside edges that run along them through all parts; all of them where nothing else is known.
+
+    The line of which all parts, (lines, parts) 1/px², show most or least detail is left out with its neighbours, until parts show
+    their detail in different lines. What then is left between edges may be noise, which a match with noise seems to know to
+    half a pixel.
+    """
+    lines = len(information)
     whole = (information > 0).all(1)
-    if whole.sum() < SETTINGS.least_lines:
-        return False
-    windows = np.lib.stride_tricks.sliding_window_view(information[whole], SETTINGS.averaged, 0)
+    beside = np.zeros(lines, bool)
+    while (left := whole & ~beside).sum() >= SETTINGS.least_lines:
+        number, common, correlation = _common_detail(information, left)
+        if correlation < SETTINGS.common_edges:
+            known = not beside.any() or np.median(information[left]) > SETTINGS.noise_information
+            return beside if known else np.ones(lines, bool)
+        edge = number[np.abs(common).argmax()]
+        beside[max(0, edge - SETTINGS.edge_lines) : edge + SETTINGS.edge_lines + 1] = True
+        if (whole & beside).sum() > SETTINGS.most_beside * whole.sum():
+            break
+    return beside if not beside.any() else np.ones(lines, bool)
+
+
+def _common_detail(
+    information: np.ndarray, lines: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return by how much more detail than along a smooth course all parts show in some lines, their numbers, and the correlation of the parts."""
+    number = np.flatnonzero(lines)
+    windows = np.lib.stride_tricks.sliding_window_view(information[number], SETTINGS.averaged, 0)
     detail = np.log(windows.mean(-1))
     basis = np.polynomial.legendre.legvander(np.linspace(-1, 1, len(detail)), SETTINGS.degree)
     rest = detail - basis @ np.linalg.lstsq(basis, detail, rcond=None)[0]
+    half = SETTINGS.averaged // 2
     above = np.triu_indices(rest.shape[1], 1)
-    return bool(np.corrcoef(rest.T)[above].mean() > SETTINGS.common_edges)
+    correlation = float(np.corrcoef(rest.T)[above].mean())
+    return number[half : len(number) - half], rest.mean(1), correlation
 
 
 def _has_outer_parts(shifts: LineShifts, axis: int) -> bool:
@@ -356,14 +392,19 @@ def _find_step(shifts: LineShifts, sizes: np.ndarray) -> tuple[Course, float] | 
     beside = SETTINGS.beside
     windows = np.lib.stride_tricks.sliding_window_view
     known = shifts.information
-    medians = np.median(windows(np.where(known > 0, shifts.shift, np.nan), beside, 0), -1)
+    shown = windows(np.where(known > 0, shifts.shift, np.nan), beside, 0)
+    medians = np.median(shown, -1)
+    scatter = 1.4826 * np.median(np.abs(shown - medians[..., None]), -1)
     sure = windows(known, beside, 0).sum(-1)
     heights = (medians[beside:] - medians[:-beside]) * sizes
     sure = np.minimum(sure[beside:], sure[:-beside]).min((1, 2))
     measured = np.isfinite(heights).all((1, 2))
     if measured.sum() < SETTINGS.least_lines:
         return None
-    heights, sure = heights[measured], sure[measured]
+    # Parts that scatter much there show no step: a median of n values has pi/2n of their variance.
+    local = np.square(scatter[beside:]) + np.square(scatter[:-beside])
+    local = np.sqrt(np.pi / 2 / beside * local.sum(1)) * sizes / known.shape[1]
+    heights, sure, local = heights[measured], sure[measured], local[measured]
     a, b = (heights[:, k] for k in shifts.pairs)
     noise = 1.4826 * np.median(np.abs(a - b), (0, 1)) / np.sqrt(2 * heights.shape[1])
     common = heights.mean(1) * np.sqrt(np.minimum(sure / np.median(sure), 1.0))[:, None]
@@ -376,6 +417,7 @@ def _find_step(shifts: LineShifts, sizes: np.ndarray) -> tuple[Course, float] | 
     stray = 1.4826 * np.median(np.abs(heights - heights.mean(1, keepdims=True)), 0)
     if not alone or (heights[best] @ way + stray @ np.abs(way)).min() < SETTINGS.alike * height:
         return None
+    noise = np.maximum(noise, local[best])
     deviations = float(length[best]) / max(float(np.hypot(*(way * noise))), 1e-30)
     near = beside + int(np.flatnonzero(measured)[best]) + np.arange(-beside, beside + 1)
     line, course = np.arange(len(shifts.shift)), shifts.common * sizes
