@@ -223,7 +223,7 @@ def _attempt(
     for mirror in (False, True) if pairs else ():
         found = _match_pictures(ours, theirs, pairs, mirror)
         every = TentativeMatches.joined(found)
-        tried = _fit_robustly(every, mirror, ours.shape) or _fit_cluster(every, mirror, ours.shape)
+        tried = fit_robustly(every, mirror, ours.shape) or _fit_cluster(every, mirror, ours.shape)
         if tried is None:
             continue
         if best is None or tried.count > 1.2 * best.count:
@@ -282,13 +282,13 @@ def _fit_cluster(
     if near is None:
         return None
     if not widely:
-        return _fit_robustly(matches, mirror, shape, near)
+        return fit_robustly(matches, mirror, shape, near)
     # What was let in lies near already: of that, some agree more closely by chance.
     chance = near.sum() * (SETTINGS.reach / (1.5 * REACH * max(shape))) ** 2
-    return _fit_robustly(matches, mirror, shape, near, chance)
+    return fit_robustly(matches, mirror, shape, near, chance)
 
 
-def _fit_robustly(
+def fit_robustly(
     matches: TentativeMatches,
     mirror: bool,
     shape: tuple[int, ...],

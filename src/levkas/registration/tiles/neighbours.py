@@ -1,0 +1,181 @@
+"""Which tiles may overlap, and roughly how: by given positions, or by key points of all."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping
+
+import numpy as np
+from scipy import fft
+
+from levkas.geometry.transforms import Affine, Transform
+from levkas.registration.bands import BandImage, sqrt_images
+from levkas.registration.features import KeyPoints, ScaledFeatures
+from levkas.registration.initial import fit_robustly
+from levkas.registration.local_shifts import detail_on_grid
+from levkas.registration.matching import match_mutually
+
+#: Pictures of tiles that are held at once.
+HELD = 4
+#: Longer side, px, to which a tile is reduced for key points; how many are kept of each.
+LONG_SIDE, KEY_POINTS = 1200, 1500
+#: Share of a tile by which a given position may be wrong.
+STAGE_SHARE = 0.15
+#: Correlation of an overlap found by its detail alone, and of the second best place over it, up to which it is unique.
+LEAST_CORRELATION, MOST_SECOND = 0.2, 0.8
+#: Longer side of the pictures of which detail is correlated; least share of a tile that has to overlap; px apart of a second place.
+CORRELATED_SIDE, LEAST_COMMON, APART_PX = 512, 0.01, 6
+
+
+class TilePictures:
+    """Pictures of tiles, read when they are needed; few are held, and key points of all.
+
+    Parameters
+    ----------
+    tiles : mapping of name to BandImage
+    """
+
+    def __init__(self, tiles: Mapping[str, BandImage]) -> None:
+        self._tiles = tiles
+        self._pictures: OrderedDict[str, np.ndarray] = OrderedDict()
+        self._points: dict[str, KeyPoints] = {}
+        self.shapes: dict[str, tuple[int, int]] = {}
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return the square root of a tile, (h, w), NaN where invalid."""
+        if name not in self._pictures:
+            while len(self._pictures) >= HELD:
+                self._pictures.popitem(last=False)
+            band = self._tiles[name]
+            self._pictures[name] = sqrt_images([band])[band.label]
+            height, width = band.values.shape
+            self.shapes[name] = height, width
+        self._pictures.move_to_end(name)
+        return self._pictures[name]
+
+    def key_points(self, name: str) -> KeyPoints:
+        """Return the strongest key points of a tile."""
+        if name not in self._points:
+            picture = self[name]
+            factor = max(1, -(-max(picture.shape) // LONG_SIDE))
+            found = ScaledFeatures([picture], factor, None)[0]
+            self._points[name] = found[np.arange(min(KEY_POINTS, len(found)))]
+        return self._points[name]
+
+
+def match_tiles(pictures: TilePictures, first: str, second: str) -> Transform | None:
+    """Return px of the first → px of the second tile as key points have it, or None."""
+    ours, theirs = pictures.key_points(first), pictures.key_points(second)
+    matches = match_mutually(ours, theirs, mirror=False)
+    found = fit_robustly(matches, False, pictures.shapes[first])
+    if found is None:
+        return None
+    # Few points of a narrow overlap determine no perspective.
+    points, partners = found.reference[found.kept], found.target[found.kept]
+    return similarity(points, partners)
+
+
+def similarity(points: np.ndarray, partners: np.ndarray) -> Affine:
+    """Return the turned, scaled and moved frame, px → px, that fits best by least squares.
+
+    >>> corners = np.array([[0.0, 0], [2, 0], [0, 2]])
+    >>> similarity(corners, corners @ [[0, 1], [-1, 0]] + 5).matrix.round(9).tolist()
+    [[0.0, -1.0, 5.0], [1.0, 0.0, 5.0]]
+    """
+    middle, other = points.mean(0), partners.mean(0)
+    (x, y), (u, v) = (points - middle).T, (partners - other).T
+    size = max(float((x * x + y * y).sum()), 1e-12)
+    a, b = float((x * u + y * v).sum()) / size, float((x * v - y * u).sum()) / size
+    linear = np.array([[a, -b], [b, a]])
+    return Affine(np.column_stack([linear, other - linear @ middle]))
+
+
+def near_pairs(
+    places: Mapping[str, tuple[float, float]], sizes: Mapping[str, tuple[int, int]] | None,
+    size: tuple[int, int], slack: float = STAGE_SHARE,
+) -> list[tuple[str, str]]:  # fmt: skip
+    """Return the pairs of tiles, in name order, whose boxes touch if each is wrong by up to `slack` of its size.
+
+    >>> near_pairs({"a": (0, 0), "b": (90, 0), "c": (180, 0)}, None, (100, 50))
+    [('a', 'b'), ('b', 'c')]
+    """
+    from scipy.spatial import cKDTree
+
+    names = sorted(places)
+    box = np.array([(sizes or {}).get(name, size) for name in names], float)
+    corner = np.array([places[name] for name in names], float)
+    reach = float((box * (1 + slack)).max())
+    pairs = cKDTree(corner).query_pairs(reach, p=np.inf, output_type="ndarray")
+    near = []
+    for i, j in sorted(map(tuple, np.sort(pairs, axis=1).tolist())):
+        low, high = (
+            np.maximum(corner[i], corner[j]),
+            np.minimum(corner[i] + box[i], corner[j] + box[j]),
+        )
+        room = high - low + slack * np.minimum(box[i], box[j])
+        across = high - low
+        # Corners alone hold too little.
+        if (room > 0).all() and across.max() > 0.3 * min(box[i].min(), box[j].min()):
+            near.append((names[i], names[j]))
+    return near
+
+
+def correlate_tiles(
+    first: np.ndarray, second: np.ndarray, begin: Transform, reach: float
+) -> tuple[Affine, float] | None:
+    """Return px of the first → px of the second tile by the detail of both, and how far it may be wrong, px; None where no shift stands out.
+
+    Parameters
+    ----------
+    first, second : ndarray, (h, w), float32
+        NaN where invalid.
+    begin : Transform
+        Px of the first → px of the second.
+    reach : float, px
+        Shifts that are tried.
+    """
+    step = max(1, -(-max(first.shape) // CORRELATED_SIDE))
+    shape = first.shape[0] // step, first.shape[1] // step
+    pad = int(np.ceil(reach / step))
+    wide = shape[0] + 2 * pad, shape[1] + 2 * pad
+    corner = Affine(np.array([[1.0, 0, -pad * step], [0, 1, -pad * step]]))
+    from levkas.geometry.transforms import Composed
+
+    one = detail_on_grid(first, corner, wide, step=step)
+    two = detail_on_grid(second, Composed(corner, begin), wide, step=step)
+    found = _best_shift(one, two, pad)
+    if found is None:
+        return None
+    shift = np.array(found) * step
+    moved = Composed(Affine(np.array([[1.0, 0, shift[0]], [0, 1, shift[1]]])), begin)
+    x, y = np.meshgrid(*(np.linspace(0, n - 1, 5) for n in first.shape[::-1]))
+    points = np.stack([x.ravel(), y.ravel()], 1)
+    return Affine.fit(points, moved(points)), 2.0 * step
+
+
+def _best_shift(one: np.ndarray, two: np.ndarray, reach: int) -> tuple[int, int] | None:
+    """Return (x, y), px, by which `two` has what `one` has here, or None where none is best by far."""
+    shape = [fft.next_fast_len(n + reach + 1, real=True) for n in one.shape]
+    a, b = (np.nan_to_num(image).astype(float) for image in (one, two))
+    known, other = (np.isfinite(image).astype(float) for image in (one, two))
+
+    def against(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        product = np.conj(fft.rfft2(u, shape)) * fft.rfft2(v, shape)
+        return np.asarray(fft.irfft2(product, shape))
+
+    common = against(known, other)
+    energy = against(a * a, other) * against(known, b * b)
+    scores = against(a, b)
+    enough = common > LEAST_COMMON * one.size
+    floor = 1e-3 * float(energy[enough].max(initial=0.0))
+    scores = np.where(enough & (energy > floor), scores / np.sqrt(np.maximum(energy, 1e-30)), 0.0)
+    dy, dx = (np.fft.fftfreq(n, 1 / n).astype(int) for n in shape)
+    scores[(np.abs(dy)[:, None] > reach) | (np.abs(dx)[None, :] > reach)] = 0
+    row, column = np.unravel_index(int(scores.argmax()), scores.shape)
+    best = float(scores[row, column])
+    away = np.hypot(dy[:, None] - dy[row], dx[None, :] - dx[column]) > APART_PX
+    # The peak of that many places without anything in common: about four times their scatter.
+    chance = 5.0 / np.sqrt(max(common[row, column], 1.0) / 12)
+    if best < max(LEAST_CORRELATION, chance) or scores[away].max(initial=0) > MOST_SECOND * best:
+        return None
+    return int(dx[column]), int(dy[row])

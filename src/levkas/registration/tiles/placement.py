@@ -1,0 +1,483 @@
+"""Tiles of a painting on one plane: neighbours, overlaps, loops, one adjustment, and what is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from levkas.core.machine import steady_libraries
+from levkas.core.problems import Problem
+from levkas.geometry import from_dict
+from levkas.geometry.transforms import Affine, Composed, Inverse, Lens, Transform
+from levkas.registration.bands import BandImage
+from levkas.registration.record import RegistrationRefused
+from levkas.registration.tiles.adjustment import (
+    SHARED,
+    Adjustment,
+    AdjustmentTerms,
+    TileFrame,
+    TileMaps,
+    Windows,
+    adjust,
+    choose_terms,
+)
+from levkas.registration.tiles.loops import consistent_pairs, lay_along_tree, short_loops
+from levkas.registration.tiles.neighbours import (
+    STAGE_SHARE,
+    TilePictures,
+    correlate_tiles,
+    match_tiles,
+    near_pairs,
+    similarity,
+)
+from levkas.registration.tiles.overlaps import NoOverlap, OverlapWindows, measure_overlap
+
+#: Share of a tile that another one shows too from which it is there twice.
+TWICE_SHARE = 0.95
+#: Px, and times the common rms, by which an overlap may be off after the adjustment.
+MOST_OFF_PX, MOST_OFF = 1.0, 8.0
+#: Rounds in which overlaps that contradict the adjustment are taken out.
+ROUNDS = 10
+#: Px by which a tile's place may be wrong before its first adjustment is refined.
+PREDICTED_PX = 12.0
+Pair = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class TilePlacement:
+    """Where every tile of a painting lies.
+
+    Parameters
+    ----------
+    transforms : dict of name to Transform
+        Px of a tile → mosaic px.
+    size : (width, height), mosaic px
+        Of the box about all tiles.
+    sigma : dict of name to float, mosaic px
+        Standard uncertainty of a tile's px along an axis, the root mean square over the tile, in the frame of the whole mosaic.
+    left_out : dict of name to str
+        Why a tile is not placed.
+    overlaps : list of dict
+        Of every pair of tiles that was used or refused: `tiles`, `windows`, `rms` and `sigma` (px), `held_out` (px), `off` (px after the
+        adjustment), `used`, `reason`.
+    loops : list of dict
+        `tiles` of every shortest loop, and by how much it does not close, `closure` (px), before overlaps are adjusted.
+    lens : Lens or None
+        Which all tiles share: px put right → px.
+    bend : Polynomial or None
+        What the lens leaves, as far as windows left out show it: px put right by it → px put right.
+    rms : float, px
+        Of all windows after the adjustment, along an axis.
+    errors : dict of str to float, px
+        In windows left out, of plain homographies (``"none"``), with a lens and with a bend.
+    by_position : dict of name to str
+        Tiles that no overlap holds and that lie where their position says; why.
+    deviations : dict of str to float, px
+        What tiles differ by in `scale`, `shear`, `tilt`, at the rim.
+    """
+
+    transforms: dict[str, Transform]
+    size: tuple[int, int]
+    sigma: dict[str, float]
+    left_out: dict[str, str]
+    overlaps: list[dict[str, Any]]
+    loops: list[dict[str, Any]]
+    lens: Lens | None
+    bend: Transform | None
+    rms: float
+    errors: dict[str, float]
+    by_position: dict[str, str] = field(default_factory=dict)
+    deviations: dict[str, float] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready record."""
+        return {
+            "kind": "tiles",
+            "transforms": {name: one.to_dict() for name, one in self.transforms.items()},
+            "size": list(self.size),
+            "sigma": self.sigma,
+            "left_out": self.left_out,
+            "by_position": self.by_position,
+            "overlaps": self.overlaps,
+            "loops": self.loops,
+            "lens": self.lens and self.lens.to_dict(),
+            "bend": self.bend and self.bend.to_dict(),
+            "rms": self.rms,
+            "errors": self.errors,
+            "deviations": self.deviations,
+        }
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any]) -> TilePlacement:
+        """Read what `to_dict` wrote."""
+        lens, bend = (from_dict(of) if (of := record[key]) else None for key in ("lens", "bend"))
+        assert lens is None or isinstance(lens, Lens)
+        transforms = {name: from_dict(one) for name, one in record["transforms"].items()}
+        width, height = record["size"]
+        rest = {
+            key: record[key]
+            for key in (
+                "sigma", "left_out", "overlaps", "loops", "rms", "errors", "by_position", "deviations"
+            )
+        }  # fmt: skip
+        return cls(transforms=transforms, size=(width, height), lens=lens, bend=bend, **rest)
+
+
+def place_tiles(
+    tiles: Mapping[str, BandImage],
+    *,
+    starts: Mapping[str, tuple[float, float]] | None = None,
+    lens: bool = True,
+    seed: int = 0,
+) -> TilePlacement:
+    """Place the tiles of a painting beside one another.
+
+    Parameters
+    ----------
+    tiles : mapping of name to BandImage
+        Pictures of parts of one plane by one camera. A value is read whenever it is needed, and few are held: a mapping may read files.
+    starts : mapping of name to (x, y), px, optional
+        Where the first px of a tile lies, to about a tenth of its side.
+    lens : bool
+        Whether tiles share a lens that is not known.
+    seed : int
+        Nothing is drawn: the result is the same for every seed.
+
+    Returns
+    -------
+    placement : TilePlacement
+        The first tile in name order that is placed is neither turned nor scaled.
+
+    Raises
+    ------
+    RegistrationRefused
+        ``E_TILES`` where no two tiles overlap.
+
+    Notes
+    -----
+    A block adjustment as photogrammetry has it ([brown1976]_), of windows in place of tie points; docs/explanation/tiles.md describes it.
+    """
+    with steady_libraries():
+        return _Mosaic(tiles, dict(starts or {}), lens).place()
+
+
+class _Mosaic:
+    """A mosaic at work: pictures, overlaps as far as they are measured, and why tiles are left out."""
+
+    def __init__(
+        self,
+        tiles: Mapping[str, BandImage],
+        starts: dict[str, tuple[float, float]],
+        lens: bool,
+    ) -> None:
+        self.names = sorted(tiles)
+        self.pictures = TilePictures(tiles)
+        self.starts = {name: starts[name] for name in self.names if name in starts}
+        self.lens = lens
+        self.found: dict[Pair, OverlapWindows] = {}
+        self.missed: dict[Pair, str] = {}
+        self.refused: dict[Pair, str] = {}
+        self.left_out: dict[str, str] = {}
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the first tile."""
+        self.pictures[self.names[0]]
+        height, width = self.pictures.shapes[self.names[0]]
+        return width, height
+
+    def place(self) -> TilePlacement:
+        for pair in self._candidates():
+            self._measure_from_key_points(pair)
+        self._leave_out_twins()
+        joined, adjusted = self._adjusted(AdjustmentTerms(self.lens, covariance=False))
+        if self._measure_predicted(joined, adjusted):
+            joined, adjusted = self._adjusted(AdjustmentTerms(self.lens, covariance=False))
+        return self._placement(joined)
+
+    # --- overlaps
+
+    def _candidates(self) -> list[Pair]:
+        """Return the pairs that may overlap, in name order."""
+        if len(self.starts) == len(self.names):
+            return near_pairs(self.starts, None, self.size)
+        return [(a, b) for k, a in enumerate(self.names) for b in self.names[k + 1 :]]
+
+    def _measure_from_key_points(self, pair: Pair) -> None:
+        begin = match_tiles(self.pictures, *pair)
+        if begin is not None and self._measure(pair, begin, 4.0):
+            return
+        if all(name in self.starts for name in pair):
+            shift = np.subtract(self.starts[pair[0]], self.starts[pair[1]])
+            begin = Affine(np.array([[1.0, 0, shift[0]], [0, 1, shift[1]]]))
+            self._measure_by_detail(pair, begin, STAGE_SHARE * max(self.size))
+
+    def _measure_by_detail(self, pair: Pair, begin: Transform, reach: float) -> bool:
+        first, second = (self.pictures[name] for name in pair)
+        found = correlate_tiles(first, second, begin, reach)
+        if found is None:
+            outcome = measure_overlap(first, second, begin)
+            self.missed[pair] = outcome.reason if isinstance(outcome, NoOverlap) else "unlike"
+            return False
+        return self._measure(pair, *found)
+
+    def _measure(self, pair: Pair, begin: Transform, reach: float) -> bool:
+        first, second = (self.pictures[name] for name in pair)
+        outcome = measure_overlap(first, second, begin, reach=reach)
+        if isinstance(outcome, NoOverlap):
+            self.missed[pair] = outcome.reason
+            return False
+        self.found[pair] = outcome
+        self.missed.pop(pair, None)
+        return True
+
+    def _measure_predicted(self, joined: list[str], adjusted: Adjustment) -> bool:
+        """Measure overlaps of placed tiles that were not found before, from where the adjustment puts them."""
+        corner = {
+            name: tuple(adjusted.maps(np.array([k]), np.zeros((1, 2)))[0])
+            for k, name in enumerate(joined)
+        }
+        number = {name: k for k, name in enumerate(joined)}
+        new = False
+        for pair in near_pairs(corner, None, self.size, 0.0):
+            if pair in self.found or pair in self.refused:
+                continue
+            onto = Composed(*(
+                adjusted.maps.transform(number[pair[0]]),
+                Inverse(adjusted.maps.transform(number[pair[1]])),
+            ))  # fmt: skip
+            new |= self._measure(pair, onto, PREDICTED_PX)
+        return new
+
+    def _leave_out_twins(self) -> None:
+        """Leave out tiles that show the same as one before them."""
+        for (first, second), overlap in sorted(self.found.items()):
+            if overlap.share >= TWICE_SHARE and first not in self.left_out:
+                self.left_out[second] = (
+                    f"shows the same as tile {first!r}: {100 * overlap.share:.0f} % of it"
+                )
+
+    # --- adjustment
+
+    def _adjusted(self, terms: AdjustmentTerms) -> tuple[list[str], Adjustment]:
+        """Return the tiles that are joined, and their adjustment; overlaps that contradict it are refused."""
+        for _ in range(ROUNDS):
+            joined, pairs = self._joined()
+            windows, begin = self._windows(joined, pairs), self._begin(joined, pairs)
+            adjusted = adjust(windows, begin, terms)
+            off = overlap_offsets(windows, adjusted)
+            size = np.hypot(*off.T)
+            most = max(MOST_OFF_PX, MOST_OFF * adjusted.rms)
+            if not (size > most).any():
+                break
+            worst = pairs[int(np.argmax(size))]
+            self.refused[worst] = f"contradicts the others by {size.max():.1f} px"
+        return joined, adjusted
+
+    def _joined(self) -> tuple[list[str], list[Pair]]:
+        """Return the largest set of tiles that overlaps join, and these; what contradicts loops is refused."""
+        usable = {
+            pair: one
+            for pair, one in sorted(self.found.items())
+            if pair not in self.refused and not set(pair) & self.left_out.keys()
+        }
+        maps = {pair: similarity(one.points, one.partners) for pair, one in usable.items()}
+        weights = {pair: one.windows * one.explained for pair, one in usable.items()}
+        tolerance = max(3.0, 0.01 * max(self.size))
+        kept, refused = consistent_pairs(maps, weights, self.size, tolerance)
+        self.refused |= {
+            pair: f"does not close its loops: off by {off:.1f} px" for pair, off in refused.items()
+        }
+        parts = components(self.names, kept)
+        joined = max(parts, key=lambda part: (len(part), [-self.names.index(n) for n in part]))
+        if len(joined) < 2:
+            raise self._nothing_joined()
+        return joined, [pair for pair in kept if pair[0] in set(joined)]
+
+    def _nothing_joined(self) -> RegistrationRefused:
+        reasons = sorted(set(self.missed.values()) | set(self.left_out.values()))
+        return RegistrationRefused(
+            Problem(
+                "E_TILES",
+                "no two tiles overlap",
+                field="tiles",
+                found=f"{len(self.names)} tiles"
+                + (f", {'; '.join(reasons[:3])}" if reasons else ""),
+                expected="tiles of one painting, each with detail that a neighbour shows too",
+                fix="Give the positions of the tiles, or capture with more overlap.",
+            )
+        )
+
+    def _windows(self, joined: list[str], pairs: list[Pair]) -> Windows:
+        number = {name: k for k, name in enumerate(joined)}
+        found = [self.found[pair] for pair in pairs]
+        return Windows(
+            np.array([[number[a], number[b]] for a, b in pairs]),
+            np.repeat(np.arange(len(pairs)), [len(one.points) for one in found]),
+            np.concatenate([one.points for one in found]),
+            np.concatenate([one.partners for one in found]),
+            np.concatenate([one.information for one in found]),
+        )
+
+    def _begin(self, joined: list[str], pairs: list[Pair]) -> TileMaps:
+        """Return tiles along the strongest overlaps, from the middle one on."""
+        maps = {
+            pair: similarity(self.found[pair].points, self.found[pair].partners) for pair in pairs
+        }
+        weights = {pair: float(self.found[pair].windows) for pair in pairs}
+        laid = lay_along_tree(joined, maps, weights)
+        frame = TileFrame.of_size(self.size)
+        own = np.zeros((len(joined), 8))
+        for k, name in enumerate(joined):
+            own[k, :2] = laid[name].matrix[:, 0] * frame.spread
+            own[k, 2:4] = laid[name](frame.centre[None])[0]
+        return TileMaps(frame, own, np.zeros(SHARED))
+
+    # --- what is handed back
+
+    def _placement(self, joined: list[str]) -> TilePlacement:
+        terms = AdjustmentTerms(lens=False)
+        errors: dict[str, float] = {}
+        if self.lens:
+            _, pairs = self._joined()
+            terms, errors = choose_terms(self._windows(joined, pairs), self._begin(joined, pairs))
+        joined, adjusted = self._adjusted(terms)
+        _, pairs = self._joined()
+        windows = self._windows(joined, pairs)
+        off = overlap_offsets(windows, adjusted)
+        gauge = self._gauge(joined, adjusted)
+        transforms, boxes, sigma = {}, [], {}
+        scale = float(np.sqrt(np.linalg.det(gauge.matrix[:, :2])))
+        for k, name in enumerate(joined):
+            height, width = self.pictures.shapes[name]
+            whole = adjusted.maps.transform(k)
+            x, y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 9))
+            points = np.stack([x.ravel(), y.ravel()], 1)
+            transforms[name] = Composed(whole, gauge)
+            boxes.append(transforms[name](points))
+            spread = adjusted.place_covariance(k, points)
+            sigma[name] = scale * float(np.sqrt(np.trace(spread, axis1=1, axis2=2).mean() / 2))
+        low = np.floor(np.min([box.min(0) for box in boxes], axis=0) + 0.5)
+        high = np.max([box.max(0) for box in boxes], axis=0)
+        shift = Affine(np.array([[1.0, 0, -low[0]], [0, 1, -low[1]]]))
+        width, height = (np.ceil(high - low - 1e-6) + 1).astype(int).tolist()
+        self._explain_missing(joined)
+        names = ("scale", "shear", "tilt")
+        return TilePlacement(
+            {name: Composed(one, shift) for name, one in transforms.items()},
+            (width, height),
+            sigma,
+            dict(sorted(self.left_out.items())),
+            self._overlap_records(pairs, off),
+            loop_records(joined, windows, off),
+            adjusted.maps.lens if terms.lens else None,
+            adjusted.maps.bend,
+            adjusted.rms,
+            errors,
+            {},
+            dict(zip(names, adjusted.deviations.tolist(), strict=True)),
+        )
+
+    def _gauge(self, joined: list[str], adjusted: Adjustment) -> Affine:
+        """Return the similarity after which the first tile is neither turned nor scaled about its middle."""
+        maps = adjusted.maps
+        place, by_px, _, _ = maps.linearised(np.zeros(1, int), maps.frame.centre[None])
+        (a, b), (c, d) = by_px[0]
+        linear = np.array([[a + d, c - b], [b - c, a + d]]) / 2
+        linear = linear / np.linalg.det(linear)
+        return Affine(np.column_stack([linear, maps.frame.centre - linear @ place[0]]))
+
+    def _explain_missing(self, joined: list[str]) -> None:
+        """Say of every tile that is not placed why."""
+        for name in self.names:
+            if name in joined or name in self.left_out:
+                continue
+            refused = {p: r for p, r in self.refused.items() if name in p}
+            others = sorted({n for p in self.found if name in p for n in p} - {name})
+            missed = {r for p, r in self.missed.items() if name in p}
+            if refused and all(pair in refused for pair in self.found if name in pair):
+                pair, reason = next(iter(sorted(refused.items())))
+                partner = pair[1] if pair[0] == name else pair[0]
+                self.left_out[name] = f"its overlap with tile {partner!r} {reason}"
+            elif others:
+                listed = ", ".join(repr(n) for n in others)
+                self.left_out[name] = (
+                    f"overlaps {listed} only, which no overlap joins to the others"
+                )
+            elif missed == {"no detail"}:
+                self.left_out[name] = "shows no detail where it overlaps others"
+            else:
+                self.left_out[name] = "shows nothing that any other tile shows"
+
+    def _overlap_records(self, pairs: list[Pair], off: np.ndarray) -> list[dict[str, Any]]:
+        at = {pair: float(np.hypot(*off[k])) for k, pair in enumerate(pairs)}
+        records = []
+        for pair, one in sorted(self.found.items()):
+            left = next((self.left_out[name] for name in pair if name in self.left_out), None)
+            spread = np.linalg.inv(one.information.sum(0))
+            records.append(
+                {
+                    "tiles": list(pair),
+                    "windows": one.windows,
+                    "share": one.share,
+                    "rms": one.rms,
+                    "sigma": float(np.sqrt(np.trace(spread) / 2)),
+                    "held_out": one.held_out if np.isfinite(one.held_out) else None,
+                    "off": at.get(pair),
+                    "used": pair in at,
+                    "reason": self.refused.get(pair) or (left if pair not in at else None),
+                }
+            )
+        for pair, reason in sorted(self.missed.items()):
+            if reason != "apart":
+                records.append({"tiles": list(pair), "windows": 0, "used": False, "reason": reason})
+        return records
+
+
+def overlap_offsets(windows: Windows, adjusted: Adjustment) -> np.ndarray:
+    """Return by how much every overlap is off after the adjustment, (m, 2), px of its first tile: the mean of its windows by their information."""
+    count = len(windows.pairs)
+    total, goal = np.zeros((count, 2, 2)), np.zeros((count, 2))
+    np.add.at(total, windows.overlap, windows.information)
+    np.add.at(
+        goal, windows.overlap, np.einsum("nab,nb->na", windows.information, adjusted.residual)
+    )
+    return np.asarray(np.linalg.solve(total + 1e-12 * np.eye(2), goal[..., None])[..., 0])
+
+
+def loop_records(joined: list[str], windows: Windows, off: np.ndarray) -> list[dict[str, Any]]:
+    """Return by how much every shortest loop does not close, px."""
+    place = {(int(i), int(j)): off[k] for k, (i, j) in enumerate(windows.pairs)}
+    records = []
+    for loop in short_loops([tuple(pair) for pair in windows.pairs.tolist()]):
+        total = np.zeros(2)
+        for i, j in zip(loop, (*loop[1:], loop[0]), strict=True):
+            total += place[i, j] if (i, j) in place else -place[j, i]
+        records.append({"tiles": [joined[i] for i in loop], "closure": float(np.hypot(*total))})
+    return records
+
+
+def components(names: list[str], pairs: list[Pair]) -> list[list[str]]:
+    """Return the sets of tiles that pairs join, each in name order.
+
+    >>> components(["a", "b", "c"], [("a", "c")])
+    [['a', 'c'], ['b']]
+    """
+    root = {name: name for name in names}
+
+    def top(name: str) -> str:
+        while root[name] != name:
+            root[name] = root[root[name]]
+            name = root[name]
+        return name
+
+    for a, b in pairs:
+        low, high = sorted((top(a), top(b)))
+        root[high] = low
+    parts: dict[str, list[str]] = {}
+    for name in names:
+        parts.setdefault(top(name), []).append(name)
+    return list(parts.values())

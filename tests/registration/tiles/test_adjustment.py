@@ -1,0 +1,185 @@
+"""One adjustment of all tiles, on observations without pictures; truth is made by matrices of its own."""
+
+import numpy as np
+import pytest
+
+from levkas.registration.tiles.adjustment import (
+    SHARED,
+    AdjustmentTerms,
+    TileFrame,
+    TileMaps,
+    Windows,
+    adjust,
+    choose_terms,
+)
+from levkas.registration.tiles.dissection import BlockFactor, BlockSystem, Elimination
+from levkas.registration.tiles.loops import closure, consistent_pairs
+from levkas.registration.tiles.neighbours import similarity
+
+SIZE = (400, 300)
+
+
+def grid_pairs(rows, columns):
+    index = np.arange(rows * columns).reshape(rows, columns)
+    across = np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()], 1)
+    down = np.stack([index[:-1].ravel(), index[1:].ravel()], 1)
+    return np.concatenate([across, down])
+
+
+def dense(system):
+    count, d = system.diagonal.shape[:2]
+    matrix = np.zeros((count * d + len(system.corner),) * 2)
+    for k in range(count):
+        here = slice(k * d, (k + 1) * d)
+        matrix[here, here], matrix[here, count * d :] = system.diagonal[k], system.border[k]
+        matrix[count * d :, here] = system.border[k].T
+    for (i, j), block in zip(system.pairs, system.coupling, strict=True):
+        matrix[i * d : (i + 1) * d, j * d : (j + 1) * d] = block
+        matrix[j * d : (j + 1) * d, i * d : (i + 1) * d] = block.T
+    matrix[count * d :, count * d :] = system.corner
+    return matrix
+
+
+def test_dissection_solves_and_inverts_as_a_dense_matrix_does():
+    rng, pairs, d, s = np.random.default_rng(1), grid_pairs(6, 9), 3, 2
+    rows = rng.normal(size=(len(pairs), 5, 2 * d + s))
+    parts = np.einsum("mai,maj->mij", rows, rows)
+    diagonal, border = np.tile(0.1 * np.eye(d), (54, 1, 1)), np.zeros((54, d, s))
+    for side, cut in ((0, slice(d)), (1, slice(d, 2 * d))):
+        np.add.at(diagonal, pairs[:, side], parts[:, cut, cut])
+        np.add.at(border, pairs[:, side], parts[:, cut, 2 * d :])
+    corner = parts[:, 2 * d :, 2 * d :].sum(0) + np.eye(s)
+    system = BlockSystem(pairs, diagonal, parts[:, :d, d : 2 * d], border, corner)
+    places = np.stack([np.arange(54) % 9, np.arange(54) // 9], 1).astype(float)
+    order = Elimination.of_plane(places, pairs)
+    assert len(order.own) > 5
+    factor, inverse = BlockFactor(system, order), np.linalg.inv(dense(system))
+    right = rng.normal(size=54 * d + s)
+    blocks, shared = factor.solve(right[:-s].reshape(54, d), right[-s:])
+    np.testing.assert_allclose(np.append(blocks, shared), inverse @ right, atol=1e-12)
+    own, mixed, last = factor.covariances()
+    for k in range(54):
+        here = slice(k * d, (k + 1) * d)
+        np.testing.assert_allclose(own[k], inverse[here, here], atol=1e-12)
+        np.testing.assert_allclose(mixed[k], inverse[here, -s:], atol=1e-12)
+    np.testing.assert_allclose(last, inverse[-s:, -s:], atol=1e-12)
+
+
+def planted(rows, columns, rng, *, noise, k1=0.01, bend=0.0):
+    """Windows of tiles seen through one lens: plane → tile by a homography, then radial distortion about the middle."""
+    middle, reach = (np.array(SIZE) - 1) / 2, SIZE[0] / 2
+    count, views = rows * columns, []
+    for n in range(count):
+        turn, size = rng.normal() * 0.01, 1 + rng.normal() * 1e-3
+        place = np.array([n % columns * 320.0, n // columns * 240.0]) + rng.normal(size=2) * 5
+        matrix = np.eye(3)
+        matrix[:2, :2] = size * np.array(
+            [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
+        )
+        tilt = np.eye(3)
+        tilt[2, :2] = rng.normal(size=2) * 5e-6
+        away = np.eye(3)
+        away[:2, 2] = -place
+        views.append(tilt @ matrix @ away)
+
+    def see(n, points):
+        lifted = points @ views[n][:, :2].T + views[n][:, 2]
+        u = lifted[:, :2] / lifted[:, 2:] / reach
+        bent = u * (1 + k1 * (u**2).sum(1, keepdims=True)) + bend * u[:, ::-1] ** 3
+        return bent * reach + middle
+
+    pairs, first, second, overlap = grid_pairs(rows, columns), [], [], []
+    for k, (i, j) in enumerate(pairs):
+        centre = np.linalg.inv(views[i])[:2, 2] / np.linalg.inv(views[i])[2, 2]
+        points = centre + rng.uniform(-1, 1, (4000, 2)) * 220
+        a, b = see(i, points), see(j, points)
+        inside = ((a >= 0) & (b >= 0) & (a <= np.array(SIZE) - 1) & (b <= np.array(SIZE) - 1)).all(
+            1
+        )
+        here = np.flatnonzero(inside)[:20]
+        first.append(a[here] + rng.normal(size=(len(here), 2)) * noise)
+        second.append(b[here])
+        overlap.append(np.full(len(here), k))
+    information = np.tile(np.eye(2) / max(noise, 1e-3) ** 2, (sum(map(len, first)), 1, 1))
+    windows = Windows(
+        pairs, np.concatenate(overlap), np.concatenate(first), np.concatenate(second), information
+    )
+    own = np.zeros((count, 8))
+    own[:, 0] = reach
+    own[:, 2] = np.arange(count) % columns * 320.0
+    own[:, 3] = np.arange(count) // columns * 240.0
+    return windows, TileMaps(TileFrame.of_size(SIZE), own, np.zeros(SHARED)), views, see
+
+
+def errors(adjusted, views, see, rng):
+    """Where tiles put points of the plane, less where these lie, after one homography of all."""
+    from levkas.geometry.transforms import Homography
+
+    laid, true, tile = [], [], []
+    for n, view in enumerate(views):
+        centre = np.linalg.inv(view)[:2, 2] / np.linalg.inv(view)[2, 2]
+        points = centre + np.stack(np.meshgrid([-160, 0, 160], [-120, 0, 120]), -1).reshape(-1, 2)
+        laid.append(adjusted.maps.transform(n)(see(n, points)))
+        true.append(points)
+        tile += [n] * 9
+    laid, true = np.concatenate(laid), np.concatenate(true)
+    return Homography.fit(laid, true)(laid) - true, np.array(tile)
+
+
+def test_tiles_and_their_lens_are_recovered():
+    rng = np.random.default_rng(2)
+    windows, begin, views, see = planted(4, 4, rng, noise=0.001)
+    adjusted = adjust(windows, begin)
+    off, _ = errors(adjusted, views, see, rng)
+    assert (
+        np.abs(off).max() < 0.15
+    )  # windows to 0.001 px; what bends a whole mosaic is known from loops alone
+    assert adjusted.maps.lens.radial[0] == pytest.approx(0.01, abs=3e-4)
+
+
+def test_errors_are_those_that_sigma_promises():
+    rng = np.random.default_rng(3)
+    windows, begin, views, see = planted(5, 6, rng, noise=0.03)
+    adjusted = adjust(windows, begin)
+    off, _tile = errors(adjusted, views, see, rng)
+    sigma = [
+        np.trace(adjusted.place_covariance(n, np.array([[199.5, 149.5]]))[0]) / 2 for n in range(30)
+    ]
+    middle = off[4::9]
+    ratio = np.sqrt((middle**2).mean() / np.mean(sigma))
+    assert 0.5 < ratio < 1.6
+
+
+def test_windows_left_out_choose_the_lens_and_the_bend():
+    rng = np.random.default_rng(4)
+    none, _ = choose_terms(*planted(3, 3, rng, noise=0.02, k1=0.0)[:2])
+    lens, _ = choose_terms(*planted(3, 3, rng, noise=0.02)[:2])
+    bent, _ = choose_terms(*planted(3, 3, rng, noise=0.02, bend=0.01)[:2])
+    assert [(one.lens, one.bend) for one in (none, lens, bent)] == [
+        (False, False), (True, False), (True, True),
+    ]  # fmt: skip
+
+
+def test_an_overlap_one_period_off_closes_no_loop():
+    names = [f"{r}{c}" for r in range(3) for c in range(3)]
+    place = {name: 100.0 * np.array([int(name[1]), int(name[0])]) for name in names}
+    maps, weights = {}, {}
+    for i, j in grid_pairs(3, 3):
+        a, b = names[i], names[j]
+        corners = np.array([[0.0, 0], [100, 0], [0, 100]])
+        maps[a, b] = similarity(corners, corners + place[a] - place[b])
+        weights[a, b] = 10.0
+    wrong = maps["00", "01"].matrix.copy()
+    wrong[:, 2] += (40, 0)
+    maps["00", "01"], weights["00", "01"] = type(maps["00", "01"])(wrong), 99.0
+    kept, refused = consistent_pairs(maps, weights, (120, 120), 3.0)
+    # One loop alone cannot tell which of its overlaps is wrong; those with another loop that closes stay.
+    assert set(refused) == {("00", "01")} or set(refused) == {("00", "10")}
+    assert closure(("11", "12", "22", "21"), maps, (120, 120)) == pytest.approx(0, abs=1e-9)
+    assert len(kept) == 11
+
+
+def test_terms_without_projective_keep_tiles_similar():
+    windows, begin, *_ = planted(3, 3, np.random.default_rng(5), noise=0.02)
+    adjusted = adjust(windows, begin, AdjustmentTerms(projective=False))
+    assert np.abs(adjusted.maps.own[:, 4:] - adjusted.maps.shared[-4:]).max() < 1e-3

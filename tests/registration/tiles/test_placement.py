@@ -1,0 +1,139 @@
+"""Tiles cut from one texture by known maps, placed again."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
+
+from levkas.geometry.transforms import Composed, Homography, Inverse, Lens
+from levkas.registration import BandImage, RegistrationRefused
+from levkas.registration.tiles import TilePlacement, place_tiles
+
+SIZE, STEP = (200, 160), (150, 120)
+GRID = np.stack(np.meshgrid(np.linspace(0, 199, 5), np.linspace(0, 159, 5)), -1).reshape(-1, 2)
+
+
+def texture(seed, shape=(480, 620)):
+    rng = np.random.default_rng(seed)
+    parts = [gaussian_filter(rng.normal(size=shape), s) * s**1.3 for s in (1.2, 2.5, 6, 15)]
+    values = sum(parts)
+    return 0.5 + 0.12 * values / values.std()
+
+
+def cut(scene, corner, rng, lens):
+    turn = rng.normal() * 0.01
+    middle = (np.array(SIZE) - 1) / 2
+    matrix = np.eye(3)
+    matrix[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+    matrix[:2, 2] = corner + middle
+    away = np.eye(3)
+    away[:2, 2] = -middle
+    onto = Composed(Inverse(lens), Homography(matrix @ away))
+    x, y = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    places = onto(np.stack([x.ravel(), y.ravel()], 1).astype(float))
+    values = map_coordinates(spline_filter(scene), places.T[::-1], order=3, prefilter=False)
+    values = values.reshape(SIZE[::-1]) + rng.normal(size=SIZE[::-1]) * 0.005
+    return BandImage.of("1", values.astype(np.float32)), onto
+
+
+class Lazy(Mapping):
+    """Tiles that are made anew whenever they are read, which is counted."""
+
+    def __init__(self, tiles, order):
+        self.tiles, self.order, self.reads = tiles, order, 0
+
+    def __getitem__(self, name):
+        self.reads += 1
+        return self.tiles[name]
+
+    def __iter__(self):
+        return iter(self.order)
+
+    def __len__(self):
+        return len(self.tiles)
+
+
+@pytest.fixture(scope="module")
+def mosaic():
+    rng, scene = np.random.default_rng(7), texture(1)
+    lens = Lens((np.array(SIZE) - 1) / 2, 100.0, (0.008, 0.0))
+    tiles, truth, corners = {}, {}, {}
+    for row in range(2):
+        for column in range(3):
+            name = f"r{row}c{column}"
+            corners[name] = (20 + STEP[0] * column, 20 + STEP[1] * row)
+            tiles[name], truth[name] = cut(
+                scene, np.array(corners[name]) + rng.normal(size=2) * 4, rng, lens
+            )
+    return tiles, truth, corners
+
+
+@pytest.fixture(scope="module")
+def placed(mosaic):
+    tiles, _truth, _ = mosaic
+    foreign, _ = cut(texture(2), (100, 100), np.random.default_rng(0), Lens(np.zeros(2), 100.0))
+    return place_tiles({**tiles, "stranger": foreign, "twin": tiles["r0c1"]})
+
+
+def errors(placement, truth):
+    ours = np.concatenate([placement.transforms[name](GRID) for name in sorted(truth)])
+    theirs = np.concatenate([truth[name](GRID) for name in sorted(truth)])
+    return np.linalg.norm(Homography.fit(ours, theirs)(ours) - theirs, axis=1)
+
+
+def test_tiles_lie_where_they_were_cut(mosaic, placed):
+    _, truth, _ = mosaic
+    off = errors(placed, truth)
+    assert off.mean() < 0.15
+    assert np.sqrt((off**2).mean() / 2) < 2 * np.mean(list(placed.sigma.values()))
+    assert off.max() < 0.4
+    assert placed.rms < 0.05
+    assert max(loop["closure"] for loop in placed.loops) < 0.1
+
+
+def test_what_does_not_belong_is_left_out_with_its_reason(placed):
+    assert set(placed.left_out) == {"stranger", "twin"}
+    assert "r0c1" in placed.left_out["twin"]
+    assert "nothing" in placed.left_out["stranger"]
+    assert (
+        set(placed.transforms)
+        == set(placed.sigma)
+        == {f"r{r}c{c}" for r in (0, 1) for c in (0, 1, 2)}
+    )
+
+
+def test_the_box_of_the_mosaic_holds_all_tiles(placed):
+    places = np.concatenate([one(GRID) for one in placed.transforms.values()])
+    width, height = placed.size
+    assert (places.min(0) >= -0.5).all() and (places.min(0) < 1).all()
+    assert (places.max(0) <= np.array([width, height]) - 0.5).all()
+    corner = placed.transforms["r0c0"].jacobian(np.array([[99.5, 79.5]]))[0]
+    np.testing.assert_allclose(corner, np.eye(2), atol=2e-3)  # the first tile is not turned
+
+
+def test_the_record_gives_the_placement_back(placed):
+    import json
+
+    again = TilePlacement.from_dict(json.loads(json.dumps(placed.to_dict())))
+    for name, one in placed.transforms.items():
+        np.testing.assert_allclose(again.transforms[name](GRID), one(GRID), atol=1e-9)
+    assert again.sigma == placed.sigma and again.size == placed.size
+
+
+def test_order_and_positions_change_nothing_but_the_work(mosaic):
+    tiles, truth, corners = mosaic
+    names = sorted(tiles)
+    one = place_tiles(Lazy(tiles, names), starts=corners)
+    lazy = Lazy(tiles, names[::-1])
+    other = place_tiles(lazy, starts=dict(reversed(corners.items())))
+    assert one.to_dict() == other.to_dict()
+    assert lazy.reads <= 4 * len(tiles)
+    assert errors(one, truth).mean() < 0.15
+
+
+def test_tiles_of_two_paintings_are_refused():
+    rng, lens = np.random.default_rng(0), Lens(np.zeros(2), 100.0)
+    tiles = {str(seed): cut(texture(seed), (50, 50), rng, lens)[0] for seed in (3, 4)}
+    with pytest.raises(RegistrationRefused, match="no two tiles overlap"):
+        place_tiles(tiles)
