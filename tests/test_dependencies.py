@@ -114,7 +114,11 @@ def test_locks_name_what_is_declared_and_no_registry():
 
 def test_the_lock_for_use_has_the_versions_of_development_and_nothing_of_it():
     pins = [
-        {line.split(" ")[0] for line in (ROOT / name).read_text().splitlines() if line[:1].isalpha()}
+        {
+            line.split(" ")[0]
+            for line in (ROOT / name).read_text().splitlines()
+            if line[:1].isalpha()
+        }
         for name in ("requirements-use.lock", "requirements.lock")
     ]
     assert pins[0] < pins[1]

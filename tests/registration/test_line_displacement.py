@@ -11,6 +11,7 @@ from levkas.geometry.transforms import Affine, Composed
 from levkas.registration import register
 from levkas.registration.joint import SensorObservations, adjust_jointly
 from levkas.registration.line_correction import LineCorrection, find_correction
+from levkas.registration.line_course import LineShifts, find_course
 from levkas.registration.line_displacement import measure_line_displacement
 from levkas.registration.local_shifts import highpass
 from levkas.registration.verdict_rules import lines_lie_still
@@ -305,6 +306,19 @@ def test_a_frame_along_the_lines_hides_no_wobble_across_them(studio, painting):
     left = left - smooth @ np.linalg.lstsq(smooth, left, rcond=None)[0]  # a map is smooth, too
     assert np.sqrt(np.mean(left**2)) < 0.1
     assert measured(front, scan(panel)).course is None
+
+
+@pytest.mark.parametrize(("information", "least", "most"), [(6.0, 0, 2), (80.0, 20, 20)])
+def test_lines_at_the_rim_that_show_next_to_nothing_are_not_displaced(information, least, most):
+    found = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        shift, known = rng.normal(0, 0.1, (200, 4, 2)), rng.uniform(60, 100, (200, 4, 2))
+        shift[190:198, :, 1] += rng.normal(0, 4, (8, 1))
+        known[190:198] = information
+        shifts = LineShifts.of(shift, known, np.array([10.0, 50, 150, 190]), (0.0, 200.0))
+        found += find_course(shifts, np.ones(2))[0] is not None
+    assert least <= found <= most
 
 
 def test_too_few_lines_are_not_measured(front):

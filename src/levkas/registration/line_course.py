@@ -38,7 +38,8 @@ class CourseSettings:
         icons whose frames run along the lines.
     most_beside, noise_information : float; float, 1/px²
         Share of the lines that may lie beside such edges, and median information of the others, so that these
-        count: on icons 8 to 40 % and 9 to 27, of the lines between tiles 1 to 8, as noise that is matched with noise has.
+        count: on icons 8 to 40 % and 9 to 27, of the lines between tiles 1 to 8, as noise that is matched with noise has. Of
+        some lines that alone are displaced, at the rim of what both pictures show, less is left out, too.
     beside_weight : float
         Of lines beside such edges.
     edge_lines : int
@@ -150,6 +151,8 @@ def find_course(shifts: LineShifts, sizes: np.ndarray) -> tuple[Course | None, f
     needed = SETTINGS.least_slope if shifts.spread < 1 else SETTINGS.least_deviations
     displaced = most >= needed and _has_outer_parts(shifts, axis) and not _is_feigned(shifts, sizes)
     some = _displaced_lines(shifts, axis) if displaced else None
+    if some and np.median(shifts.information[some, :, axis]) < SETTINGS.noise_information:
+        return find_course(shifts.leaving_out(some), sizes)
     course = _find_course_of_some(shifts, sizes, some) if some else None
     if course and course.kind == "aside":
         return course, most
@@ -269,6 +272,12 @@ class LineShifts:
         shift, information = self.shift[lines], self.information[lines]
         return replace(self, shift=shift, information=information, weight=self.weight[lines])
 
+    def leaving_out(self, lines: slice) -> LineShifts:
+        """Return the same, of which some lines are not known."""
+        information, weight = self.information.copy(), self.weight.copy()
+        information[lines] = weight[lines] = 0.0
+        return replace(self, information=information, weight=weight)
+
     def without(self, course: np.ndarray) -> LineShifts:
         """Return what is left of the shifts beside a common course, (lines, 2)."""
         return replace(self, shift=self.shift - course[:, None])
@@ -327,7 +336,7 @@ def _beside_common_edges(information: np.ndarray) -> np.ndarray:
     beside = np.zeros(lines, bool)
     while (left := whole & ~beside).sum() >= SETTINGS.least_lines:
         number, common, correlation = _common_detail(information, left)
-        if correlation < SETTINGS.common_edges:
+        if not correlation >= SETTINGS.common_edges:  # or NaN, of detail that is even
             known = not beside.any() or np.median(information[left]) > SETTINGS.noise_information
             return beside if known else np.ones(lines, bool)
         edge = number[np.abs(common).argmax()]
