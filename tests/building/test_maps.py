@@ -13,6 +13,7 @@ from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.problems import Refused
 from levkas.core.text import read_json
+from levkas.database.layout import Places
 from levkas.readers.frames import read_frame
 from levkas.stages.calibrate import calibrate
 from levkas.stages.template_cache import TemplateCache
@@ -85,7 +86,7 @@ def calibrated(folder):
     loaded = load_campaign(folder)
     captures, *_ = find_captures(loaded)
     (capture,) = (one for one in captures if one.camera == "xrf")
-    return calibrate(capture, loaded, TemplateCache(folder / "kept"))
+    return calibrate(capture, loaded, TemplateCache(folder / "kept"), Places(folder / "database"))
 
 
 def test_maps_in_a_file_each_are_those_of_a_stack(campaign, files):

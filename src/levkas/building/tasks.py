@@ -55,7 +55,7 @@ class CalibratedCache:
 
         self.let_go()
         self.templates.used.clear()
-        native = calibrate(capture, self.campaign, self.templates)
+        native = calibrate(capture, self.campaign, self.templates, self.places)
         self._keep(capture, native.packed())
         return native
 

@@ -43,11 +43,15 @@ class MappingRefused(Refused):
 
 @dataclass(frozen=True)
 class Frame:
-    """The name of a pixel frame; ``grid`` has no camera, and a camera may leave its band open."""
+    """The name of a pixel frame; ``grid`` has no camera, and a camera may leave its band open.
+
+    A camera of tiles has a frame a tile; without one its frame is that of the tiles joined, reference px.
+    """
 
     camera: str = ""
     setup: str = ""
     band: str = ""
+    tile: str = ""
 
     @property
     def layer(self) -> str:
@@ -57,11 +61,12 @@ class Frame:
     def __str__(self) -> str:
         if not self.camera:
             return GRID
-        return f"{self.layer}:{self.band}" if self.band else self.layer
+        name = f"{self.layer}#{self.tile}" if self.tile else self.layer
+        return f"{name}:{self.band}" if self.band else name
 
 
 def parse_frame(text: str) -> Frame:
-    """Read ``grid``, ``CAMERA``, ``CAMERA:BAND``, ``CAMERA@SETUP`` or ``CAMERA@SETUP:BAND``.
+    """Read ``grid``, ``CAMERA``, ``CAMERA:BAND``, ``CAMERA@SETUP`` or ``CAMERA@SETUP:BAND``, of tiles ``CAMERA#TILE:BAND``.
 
     Raises
     ------
@@ -70,22 +75,24 @@ def parse_frame(text: str) -> Frame:
     Examples
     --------
     >>> parse_frame("lctf-nir@45-degree:650 nm")
-    Frame(camera='lctf-nir', setup='45-degree', band='650 nm')
-    >>> parse_frame("grid")
-    Frame(camera='', setup='', band='')
+    Frame(camera='lctf-nir', setup='45-degree', band='650 nm', tile='')
+    >>> parse_frame("d80#r2c3:R")
+    Frame(camera='d80', setup='', band='R', tile='r2c3')
     """
     if text.strip() == GRID:
         return Frame()
     layer, colon, band = text.partition(":")
+    layer, sharp, tile = layer.partition("#")
     camera, at, setup = layer.partition("@")
-    parts = [part.strip() for part in (camera, setup, band)]
-    if not parts[0] or (at and not parts[1]) or (colon and not parts[2]):
+    parts = [part.strip() for part in (camera, setup, band, tile)]
+    given = (True, at, colon, sharp)
+    if any(mark and not part for mark, part in zip(given, parts, strict=True)):
         raise MappingRefused(
             Problem(
                 "E_KEY",
                 f"{text!r} is not a pixel frame",
                 found=text,
-                expected="grid, CAMERA, CAMERA:BAND, CAMERA@SETUP or CAMERA@SETUP:BAND",
+                expected="grid, CAMERA, CAMERA:BAND, CAMERA@SETUP, CAMERA@SETUP:BAND or CAMERA#TILE:BAND",
             )
         )
     return Frame(*parts)
@@ -338,8 +345,8 @@ def map_points(
     points : ndarray, (n, 2), px of `source`
         (x, y), pixel centres at integers.
     source, target : str
-        Names of frames: ``"grid"``, ``"CAMERA"``, ``"CAMERA:BAND"``, ``"CAMERA@SETUP"`` or
-        ``"CAMERA@SETUP:BAND"``.
+        Names of frames: ``"grid"``, ``"CAMERA"``, ``"CAMERA:BAND"``, ``"CAMERA@SETUP"``,
+        ``"CAMERA@SETUP:BAND"``, or of a tile ``"CAMERA#TILE:BAND"``.
 
     Returns
     -------
@@ -464,7 +471,27 @@ class Records:
         record = self._record(frame)
         labels = list(record["bands"])
         label = labels[find_band(labels, frame.band)] if frame.band else _reference_channel(record)
-        return dict(record["bands"][label])
+        bands = self._tile(record, frame)["bands"] if frame.tile else record["bands"]
+        return dict(bands[label])
+
+    def _tile(self, record: dict[str, Any], frame: Frame) -> dict[str, Any]:
+        """Return what a record says of one tile."""
+        tiles = record.get("tiles", {})
+        placed = [name for name, one in tiles.items() if one.get("bands")]
+        if frame.tile in placed:
+            return dict(tiles[frame.tile])
+        left_out = tiles.get(frame.tile, {}).get("verdict", {}).get("reasons", [])
+        why = f"was left out: {' '.join(left_out)}" if frame.tile in tiles else "is not there"
+        raise MappingRefused(
+            Problem(
+                "E_KEY",
+                f"tile {frame.tile} of {frame.layer} {why}",
+                file=str(self.layers[frame.layer]),
+                found=str(frame),
+                expected=", ".join(placed) or f"{frame.layer}, which has no tiles",
+                fix=closest_match(frame.tile, placed),
+            )
+        )
 
     def reference(self) -> FramePixels:
         """Return the reference frame itself, with its size where that is known."""

@@ -34,6 +34,8 @@ KINDS: dict[str, tuple[type, ...]] = {
     "bands": (dict,),
     "errors": (dict,),
     "pairs_by_hand": (int,),
+    "tiles": (dict,),
+    "placement": (dict,),
 }
 """What the parts of a record are, where they are there."""
 WHOLE = ("object", "camera", "reference", "verdict")
@@ -225,6 +227,10 @@ def _parts(record: dict[str, Any], needed: tuple[str, ...]) -> Iterator[tuple[st
             yield key, part if isinstance(part, kinds) else None
     for label, band in (record.get("bands") or {}).items():
         yield f"bands: {label}", band if isinstance(band, dict) else None
+    for tile, one in (record.get("tiles") or {}).items():
+        yield "verdict", one["verdict"]
+        for label, band in one.get("bands", {}).items():
+            yield f"bands: {tile} {label}", band if isinstance(band, dict) else None
 
 
 def _check(place: str, part: Any) -> None:

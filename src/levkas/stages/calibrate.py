@@ -59,6 +59,7 @@ from levkas.stages.native_cubes import Native, read_native, require_memory, writ
 from levkas.stages.scans import is_streamed, open_scan
 from levkas.stages.shared_noise import Mosaic
 from levkas.stages.spectra import board_of, broad_centroids, read_sensitivity
+from levkas.stages.tiles import TiledCapture
 from levkas.stages.written import Written
 
 if TYPE_CHECKING:
@@ -76,8 +77,10 @@ Noted = tuple[Cube, list[str]]
 """Of one sensor, and what a person should know of it."""
 
 
-def calibrate(capture: Capture, campaign: Campaign, templates: TemplateCache) -> CalibratedCapture:
-    """Calibrate a capture; a scan that is larger than memory is opened, and calibrated as it is written.
+def calibrate(
+    capture: Capture, campaign: Campaign, templates: TemplateCache, places: Places
+) -> CalibratedCapture:
+    """Calibrate a capture; tiles, and a scan that is larger than memory, are calibrated as they are written.
 
     Raises
     ------
@@ -85,14 +88,9 @@ def calibrate(capture: Capture, campaign: Campaign, templates: TemplateCache) ->
         UnreadableCapture or CalibrationRefused, with the files in question; TooLarge.
     """
     if capture.tiles:
-        raise CalibrationRefused(
-            Problem(
-                "E_TILE",
-                f"{capture.camera}: tiles cannot be joined yet",
-                field=f"cameras.{capture.camera}.files",
-                fix="Give each tile a {target} of its own.",
-            )
-        )
+        for tile in capture.tiles:
+            require_memory(tile, campaign.cameras[capture.camera].kind)
+        return TiledCapture(capture, campaign, places, mosaics_of(capture, campaign), templates)
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
     require_memory(capture, campaign.cameras[capture.camera].kind)
@@ -129,6 +127,9 @@ def load_calibrated(
     templates: TemplateCache,
 ) -> CalibratedCapture:
     """Read back what `write_calibrated` wrote; `notes` as it returned them."""
+    if capture.tiles:
+        mosaics = mosaics_of(capture, campaign)
+        return TiledCapture(capture, campaign, places, mosaics, notes=dict(notes))
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
     return read_native(capture, places, notes, mosaics_of(capture, campaign))

@@ -330,15 +330,19 @@ def write_native(
     layer = Layer(
         capture.object, capture.camera, capture.setup, credits=credits, centroids=centroids
     )
-    for _, rows in native.sensors():
-        least = least_bytes(prod(rows.shape), rows.quantity, noisy=rows.has_sigma)
-        require_space(places.output, least)
     made = []
     for sensor, rows in native.sensors():
+        least = least_bytes(prod(rows.shape), rows.quantity, noisy=rows.has_sigma)
+        require_space(places.output, least)
         path = places.native(capture.object, capture.camera, capture.setup, sensor, kind="")
         make_folder(path.parent)
         made += write_tiffs(path, layer, rows)
     return made
+
+
+def part_name(capture: Capture, sensor: str) -> str:
+    """Return how a part of a layer is called in the names of its native files: ``ccd1``, ``tile-r2c3_ccd1``, or nothing."""
+    return "_".join(filter(None, (capture.tile and f"tile-{capture.tile}", sensor)))
 
 
 def read_native(
@@ -350,7 +354,11 @@ def read_native(
         name, quantity = sensor.name, notes.get("quantity", "counts")
         paths = {
             kind: places.native(
-                capture.object, capture.camera, capture.setup, name, kind=f"{kind}.tif"
+                capture.object,
+                capture.camera,
+                capture.setup,
+                part_name(capture, name),
+                kind=f"{kind}.tif",
             )
             for kind in ("", ".flags", ".sigma")
         }

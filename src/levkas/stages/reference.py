@@ -58,12 +58,30 @@ class ReferenceFrame:
     ) -> None:
         self.campaign, self.places, self.captures = campaign, places, captures
         self.capture = captures[0]
-        self.images: Sequence[BandImage] = native.images()
+        self._native: CalibratedCapture | None = native
+        self._images: Sequence[BandImage] | None = None
         self._own: Registration | None = None
         self._prepared: PreparedReference | None = None
         self._grid: tuple[Grid, float | None, Region | None] | None = None
         self.grey: Grey | None = None
         """Of its layer, where that was drawn or read already."""
+
+    @property
+    def images(self) -> Sequence[BandImage]:
+        """Its bands; those of tiles joined, once they are placed."""
+        if self._images is None:
+            assert self._native is not None
+            self._images, self._native = self._native.images(), None
+        return self._images
+
+    @images.setter
+    def images(self, images: Sequence[BandImage]) -> None:
+        self._images = images
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the reference band."""
+        return self._image().size
 
     @cached_property
     def band(self) -> str:
@@ -104,6 +122,8 @@ class ReferenceFrame:
             self._prepared.release()
 
     def _release(self) -> None:
+        if any(capture.tiles for capture in self.captures):
+            return  # tiles are registered to parts of all bands
         keys = [self.campaign.registration_of(capture.camera) for capture in self.captures]
         if self._prepared is not None and all(method_of(one).prepared for one in keys):
             self._prepared.freeze(self.registration().transforms)

@@ -27,6 +27,16 @@ from levkas.registration.joint import SensorObservations
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.record import COLUMNS, HandMark, Matches
 from levkas.stages.control_points import declared_points, joined, placed_in, placed_pairs
+from levkas.stages.tile_registration import (
+    FoundTile,
+    TilesToReference,
+    place_reference,
+    placement_of,
+    results_of,
+    sigma_of_mosaic,
+    verdict_of,
+)
+from levkas.stages.tiles import TiledCapture
 from levkas.stages.written import Written
 
 if TYPE_CHECKING:
@@ -36,6 +46,7 @@ if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
     from levkas.geometry.grid import Grid
+    from levkas.geometry.transforms import Transform
     from levkas.registration import BandImage
     from levkas.registration.predictors import PreparedReference
     from levkas.stages.native_cubes import CalibratedCapture
@@ -49,6 +60,8 @@ def measure(
     capture: Capture, native: CalibratedCapture, frame: ReferenceFrame, campaign: Campaign
 ) -> Measured:
     """Register a capture by itself; `frame` takes the registration of the reference camera's own."""
+    if isinstance(native, TiledCapture):
+        return _measure_tiles(capture, native, frame, campaign)
     leads = capture is frame.capture
     own = None if leads else frame.registration()
     channel = frame.channel(capture)
@@ -87,6 +100,41 @@ def measure(
         problems,
         [[figure.svg, figure.caption] for figure in figures] or draw_figures(record),
     )
+
+
+def _measure_tiles(
+    capture: Capture, native: TiledCapture, frame: ReferenceFrame, campaign: Campaign
+) -> Measured:
+    """Register the tiles of a capture: those of the reference to one another, those of others each to the reference."""
+    options = dict(campaign.registration_of(capture.camera))
+    refused, extra = None, {}
+    found: dict[str, FoundTile] = {}
+    try:
+        if capture is frame.capture:
+            found, placement = place_reference(native, frame.band, campaign)
+            size = placement.size
+            extra = {"placement": placement.to_dict()}
+            del extra["placement"]["transforms"]
+        else:
+            size = frame.size
+            found = TilesToReference(native, frame, campaign, options).run()
+    except RegistrationRefused as error:
+        refused = error
+    if any(one.is_placed for one in found.values()):
+        native.placement = placement_of(found, size)
+    if capture is frame.capture and refused is not None:
+        problems = verdict_problems({}, capture, refused)
+        return Measured(_refusal(refused) | {"object": capture.object}, problems=problems)
+    results = _refusal(refused) if refused else results_of(found, native, size)
+    if capture is frame.capture:
+        maps: dict[str, Transform] = {b.label: Affine.identity() for b in native.bands}
+        sigma = dict.fromkeys(maps, sigma_of_mosaic(found, size))
+        frame.registered(Registration("", maps, verdict_of(found), {}, Matches.none(), sigma=sigma))
+    grid, sampling, _ = frame.layout()
+    channel = frame.channel(capture)
+    record = _heading(capture, frame, grid, sampling, channel) | results | extra
+    problems = verdict_problems(record, capture, refused)
+    return Measured(record, problems=problems, figures=draw_figures(record))
 
 
 def corners_of_grid(grid: Grid) -> np.ndarray:

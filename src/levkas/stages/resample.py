@@ -20,6 +20,7 @@ from levkas.stages.capture_statistics import DefaultLayer, LayerStatistics, desc
 from levkas.stages.native_cubes import least_bytes
 from levkas.stages.reference import maps_of
 from levkas.stages.spectra import broad_centroids
+from levkas.stages.tiles import TiledCapture
 from levkas.stages.written import Written
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import Capture
     from levkas.core.cube import Cube, CubeRows
     from levkas.geometry.grid import Grid
+    from levkas.geometry.joining import Seams
     from levkas.geometry.transforms import Transform
     from levkas.stages.native_cubes import CalibratedCapture
     from levkas.stages.reference import ReferenceFrame
@@ -98,12 +100,15 @@ class Resampled:
         Count shown as white, as of `database.layers.write_layer`.
     correlation : ndarray or None
         Of the noise of neighbours, `neighbour_correlation`; None where noise is not known.
+    seams : Seams or None
+        Of tiles: what they differ by, of the rows that have passed.
     """
 
     rows: Cube | CubeRows
     statistics: LayerStatistics
     white: float | None
     correlation: np.ndarray | None = None
+    seams: Seams | None = None
 
 
 def resample(native: CalibratedCapture, target: GridTarget, frame: ReferenceFrame) -> Resampled:
@@ -121,7 +126,8 @@ def resample(native: CalibratedCapture, target: GridTarget, frame: ReferenceFram
     if rows.has_sigma and native.quantity == "reflectance":
         correlation = native.noise_correlation(maps, grid.size)
     statistics = LayerStatistics(default, gains, native.thinning)
-    return Resampled(rows, statistics, native.white, correlation)
+    seams = native.seams if isinstance(native, TiledCapture) else None
+    return Resampled(rows, statistics, native.white, correlation, seams)
 
 
 def write_resampled(
@@ -149,6 +155,8 @@ def write_resampled(
     }
     if made.correlation is not None:
         notes["noise_correlation"] = made.correlation.tolist()
+    if made.seams is not None:
+        notes["seams"] = made.seams.records()
     return Written(files, notes)
 
 

@@ -55,12 +55,9 @@ def tiles_of(found: Sequence[FoundFile], camera: Camera) -> list[str]:
     for tile in tiles:
         if why := why_unsafe(tile) or ("it contains '#'" if "#" in tile else ""):
             path = next(f.path for f in found if f.tile == tile)
-            problems.append(
-                _problem(
-                    *("E_TILE", camera, f"{tile!r} cannot be the name of a tile: {why}"),
-                    *(path, tile, EXPECTED, "Rename the frames, or name their {row} and {column}."),
-                )
-            )
+            what = f"{tile!r} cannot be the name of a tile: {why}"
+            fix = "Rename the frames, or name their {row} and {column}."
+            problems.append(_problem("E_TILE", camera, what, path, tile, EXPECTED, fix))
     problems += _shown_twice(found, camera)
     if problems:
         raise CaptureRefused(*problems)
@@ -151,6 +148,19 @@ def holes(tiles: Iterable[str]) -> list[str]:
         span = range(min(there), max(there) + 1) if there else ()
         axes.append([f"{letter}{n}" for n in span] or [""])
     return [row + column for row in axes[0] for column in axes[1] if row + column not in names]
+
+
+def place_in_grid(tile: str) -> tuple[float, float] | None:
+    """Return column and row of a tile by its name, 0 for one that it does not have; None where it is no place.
+
+    >>> place_in_grid("r2c3"), place_in_grid("c4"), place_in_grid("left")
+    ((3.0, 2.0), (4.0, 0.0), None)
+    """
+    found = IN_GRID.fullmatch(tile)
+    if not (found and found.group(0)):
+        return None
+    row, column = (float(n or 0) for n in found.groups())
+    return column, row
 
 
 def read_positions(path: Path) -> dict[str, tuple[float, float]]:

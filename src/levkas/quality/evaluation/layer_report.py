@@ -14,15 +14,16 @@ from levkas.calibration.error_sources import COVERAGE
 from levkas.core.problems import Problem, Refused, closest_match
 from levkas.core.text import missing_path, read_json
 from levkas.database.containment import check_inside
-from levkas.database.layout import layer_name
+from levkas.database.layout import Places, layer_name
 from levkas.database.pixel_frames import warn_of_turns
-from levkas.database.registrations import read_registrations
+from levkas.database.registrations import read_registration, read_registrations
 from levkas.database.remote import is_remote, place
 from levkas.geometry import from_dict
 from levkas.quality.evaluation.similarity import (
     BandError,
     Truth,
     inside,
+    places_by_tiles,
     position_errors,
     read_truth,
     summarise_errors,
@@ -67,6 +68,12 @@ class Assessment:
                 f"{result['layer']:28} {verdict:14} {len(result['bands']):5d} "
                 f"{_mean_error(errors):>15} {_number(worst):>11} {_number(most):>8} {_mean_error(result['check_points']):>15} {ssim:>15}"
             )
+            for tile in result.get("tiles", ()):
+                numbers = (tile["error_mean"], tile["error_max"])
+                mean, most = (_number(np.nan if n is None else n) for n in numbers)
+                verdict = DECISIONS[tile["verdict"]].partition(",")[0]
+                name = f"  tile {tile['tile']}"
+                lines.append(f"{name:28} {verdict:14} {'':5} {mean:>15} {'':>11} {most:>8}")
         if any("±" in line for line in lines):
             lines.append(
                 f"± is the expanded uncertainty of a mean, k = {COVERAGE:g}: how far it may be off what such a picture has everywhere."
@@ -333,10 +340,14 @@ def _assess_layer(
     name, camera, setup = record["object"], record["camera"], record.get("setup", "")
     layer = layer_name(camera, setup)
     decision = record["verdict"]["decision"]
-    truth = read_truth(truth_folder, name, camera)
+    places = _places(output, record, truth_folder)
+    truth = read_truth(truth_folder, name, camera, places)
     own = checks_by_band(checks, record, layer)
+    tiles = _tile_errors(record, truth_folder, places)
     bands = [
-        _band_error(label, band, record, truth, own.get(label))
+        _over_tiles(label, tiles)
+        if tiles
+        else _band_error(label, band, record, truth, own.get(label))
         for label, band in record.get("bands", {}).items()
     ]
     ssim = layer_ssim(output, record, maps) if decision != "refuse" else None
@@ -347,12 +358,67 @@ def _assess_layer(
         "layer": f"{name}/{layer}",
         "verdict": decision,
         "bands": [b.to_dict() for b in bands],
+        **({"tiles": _tile_rows(record, tiles)} if record.get("tiles") else {}),
         "check_points": _checked(record, own),
         "ssim": ssim and ssim[0],
         "ssim_u": ssim and ssim[1],
         "seconds": _seconds(output, name, layer),
         "method": record.get("method", ""),
     }
+
+
+def _places(output: Path, record: dict[str, Any], folder: Path) -> np.ndarray | None:
+    """Return where the points of the truth lie in reference px where the reference camera has tiles; None where it has none."""
+    path = Places(output).registration(record["object"], record["reference"]["camera"])
+    reference = read_registration(path) if path.is_file() else {}
+    return places_by_tiles(folder, record["object"], reference) if reference.get("tiles") else None
+
+
+Errors = dict[str, tuple[np.ndarray, np.ndarray]]
+"""By band: errors, (n,), and their places, (n, 2), reference px."""
+
+
+def _tile_errors(
+    record: dict[str, Any], folder: Path, places: np.ndarray | None
+) -> dict[str, Errors]:
+    """Return the errors of every tile that is placed and has a truth, by tile and band."""
+    found: dict[str, Errors] = {}
+    for tile, one in record.get("tiles", {}).items():
+        truth = read_truth(folder, record["object"], f"{record['camera']}#{tile}", places)
+        if truth is None or not one.get("bands"):
+            continue
+        found[tile] = {}
+        for label, band in one["bands"].items():
+            reference, target = truth.reference, truth.bands[label]
+            keep = np.isfinite(reference).all(1) & inside(target, band["size"])
+            grid = from_dict(record["grid"]["transform"]).inverse(reference[keep])
+            keep[keep] = inside(grid, record["grid"]["size"])
+            errors = position_errors(from_dict(band["transform"]), reference[keep], target[keep])
+            found[tile][label] = errors, reference[keep]
+    return found
+
+
+def _over_tiles(label: str, tiles: Mapping[str, Errors]) -> BandError:
+    errors, places = zip(*(one[label] for one in tiles.values() if label in one), strict=True)
+    return summarise_errors(label, np.concatenate(errors), np.concatenate(places))
+
+
+def _tile_rows(record: dict[str, Any], tiles: Mapping[str, Errors]) -> list[dict[str, Any]]:
+    """Return a row a tile: its verdict, and mean and largest error over all bands where its truth is known."""
+    rows = []
+    for tile, one in record["tiles"].items():
+        errors = [e for e, _ in tiles.get(tile, {}).values()]
+        known = np.concatenate(errors) if errors else np.zeros(0)
+        rows.append(
+            {
+                "tile": tile,
+                "verdict": one["verdict"]["decision"],
+                "points": len(errors[0]) if errors else 0,
+                "error_mean": float(known.mean()) if known.size else None,
+                "error_max": float(known.max()) if known.size else None,
+            }
+        )
+    return rows
 
 
 def _checked(record: dict[str, Any], own: dict[str, np.ndarray]) -> list[dict[str, Any]]:
@@ -431,7 +497,6 @@ def layer_ssim(
 def _grey(output: Path, name: str, record: dict[str, Any]) -> tuple[np.ndarray, np.ndarray] | None:
     """Mean of the registered bands, and the pixels that every band saw."""
     from levkas.database.grey import read_grey
-    from levkas.database.layout import Places
 
     path = Places(output).layer(name, record["camera"], record.get("setup", ""))
     check_inside(output, path, path.with_name(f"{path.stem}.flags.tif"))

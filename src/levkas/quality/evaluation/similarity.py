@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.core.text import read_json
+from levkas.geometry import from_dict
 from levkas.readers.arrays import read_npy
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from levkas.geometry.transforms import Transform
@@ -147,8 +148,12 @@ class Truth:
     bands: dict[str, np.ndarray]
 
 
-def read_truth(folder: Path, name: str, camera: str) -> Truth | None:
-    """Read the truth of one object and camera; None where there is none.
+def read_truth(
+    folder: Path, name: str, camera: str, points: np.ndarray | None = None
+) -> Truth | None:
+    """Read the truth of one object and camera, or one of its tiles, CAMERA#TILE; None where there is none.
+
+    `points`, (n, 2), is where the points lie in reference px, where that is no single frame (`places_by_tiles`).
 
     Raises
     ------
@@ -156,13 +161,48 @@ def read_truth(folder: Path, name: str, camera: str) -> Truth | None:
         Where the arrays do not fit `truth.json`.
     """
     reference, target = folder / f"{name}_ref_px.npy", folder / f"{name}_{camera}_px.npy"
-    if not (reference.is_file() and target.is_file() and (folder / "truth.json").is_file()):
+    known = target.is_file() and (folder / "truth.json").is_file()
+    if not known or (points is None and not reference.is_file()):
         return None
     record = read_json(folder / "truth.json")
     labels = list(record.get("cameras", {}).get(camera, {}).get("bands", []))
-    points = read_npy(reference, (None, 2))
+    points = read_npy(reference, (None, 2)) if points is None else points
     rows = read_npy(target, (1 + len(labels), len(points), 2))
     return Truth(points, dict(zip(labels, rows[1:], strict=True)))
+
+
+def places_by_tiles(folder: Path, name: str, record: Mapping[str, Any]) -> np.ndarray | None:
+    """Return where the points of a truth lie in the frame that the reference camera's tiles were placed in, (n, 2) px.
+
+    Each by the tile in whose frame it lies deepest, which is the one that is published; NaN where no tile shows it.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the truth.
+    name : str
+        The object.
+    record : mapping
+        Of the reference camera's registration.
+    """
+    camera, band = record["reference"]["camera"], record["reference"]["band"]
+    places: np.ndarray | None = None
+    deepest = np.zeros(0)
+    for tile, one in record["tiles"].items():
+        path = folder / f"{name}_{camera}#{tile}_px.npy"
+        if not (one.get("bands") and path.is_file() and (folder / "truth.json").is_file()):
+            continue
+        cameras = read_json(folder / "truth.json").get("cameras", {})
+        labels = list(cameras.get(f"{camera}#{tile}", {}).get("bands", []))
+        pixels = read_npy(path, (1 + len(labels), None, 2))[1 + labels.index(band)]
+        if places is None:
+            places, deepest = np.full(pixels.shape, np.nan), np.zeros(len(pixels))
+        low, high = pixels + 0.5, np.array(one["size"]) - 0.5 - pixels
+        depth = np.nan_to_num(np.minimum(low, high).min(1), nan=-1.0)
+        here = depth > deepest
+        places[here] = from_dict(one["bands"][band]["transform"]).inverse(pixels[here])
+        deepest[here] = depth[here]
+    return places
 
 
 def inside(points: np.ndarray, size: Sequence[int]) -> np.ndarray:

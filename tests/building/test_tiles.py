@@ -1,0 +1,167 @@
+"""Paintings in tiles, from files to layers. Tiles are cut out of one picture by known homographies, with noise."""
+
+import json
+from itertools import product
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from levkas.building import build
+from levkas.database.pixel_frames import find_map, map_points
+from levkas.geometry.transforms import Homography
+from levkas.quality.evaluation.layer_report import assess
+
+WIDTH, HEIGHT = 460, 380
+TILE = (220, 190)
+NOISE = 0.004
+KEYS = """[campaign]
+reference = { camera = "photo" }
+[cameras.photo]
+kind = "image"
+files = "photo/{target}_r{row}c{column}.tif"
+[cameras.infrared]
+kind = "image"
+files = "infrared/{target}.tif"
+"""
+XRAY = """[cameras.xray]
+kind = "image"
+files = "xray/{target}_{tile}.tif"
+"""
+
+
+def painting(seed):
+    """Detail of all sizes, none finer than 2 px, 0.1 … 0.9."""
+    rng = np.random.default_rng(seed)
+    total = np.zeros((HEIGHT + 80, WIDTH + 80), np.float32)
+    for blur in (1.2, 2.5, 5.0, 12.0):
+        layer = cv2.GaussianBlur(rng.standard_normal(total.shape).astype(np.float32), (0, 0), blur)
+        total += layer / layer.std()
+    return np.clip(0.5 + 0.1 * total, 0.05, 0.95)
+
+
+def cut(picture, homography, size, rng):
+    """Return what a frame sees: its px → px of the picture by a homography, the spline of order 3 in between."""
+    from scipy.ndimage import map_coordinates
+
+    x, y = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
+    places = homography(np.stack([x.ravel(), y.ravel()], 1))
+    values = map_coordinates(picture, places[:, ::-1].T, order=3, mode="constant", cval=0.0)
+    values = values.reshape(size[::-1]) + NOISE * rng.standard_normal(size[::-1])
+    return np.clip(np.round(values * 60000), 0, 65535).astype(np.uint16)
+
+
+def laid(x, y, turn, scale=1.0, tilt=(0.0, 0.0)):
+    c, s = scale * np.cos(np.radians(turn)), scale * np.sin(np.radians(turn))
+    return Homography(np.array([[c, -s, x], [s, c, y], [*tilt, 1.0]]))
+
+
+def write(path, values):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    tifffile.imwrite(path, values, photometric="minisblack")
+
+
+def make(folder, *, xray=False, seed=1):
+    """Write the campaign; return where its frames lie, px of each → px of the picture."""
+    rng, picture = np.random.default_rng(seed), painting(seed)
+    other = cv2.GaussianBlur(picture, (0, 0), 0.8) ** 1.3
+    frames = {}
+    for i, j in product(range(2), range(3)):
+        x, y = 40 + 130 * j + rng.uniform(-3, 3), 40 + 140 * i + rng.uniform(-3, 3)
+        frames[f"photo#r{i + 1}c{j + 1}"] = laid(x, y, rng.uniform(-0.6, 0.6), tilt=(1e-6, -1e-6))
+    frames["infrared"] = laid(45, 42, 1.5, 1.45)
+    for name, x in (("left", 50), ("right", 230)) if xray else ():
+        frames[f"xray#{name}"] = laid(x, 60, -0.8, 0.9)
+    for frame, homography in frames.items():
+        camera, _, tile = frame.partition("#")
+        size = {"photo": TILE, "infrared": (300, 250), "xray": (260, 340)}[camera]
+        source = picture if camera == "photo" else other
+        name = f"{camera}/one{'_' if tile else ''}{tile}.tif"
+        write(folder / name, cut(source, homography, size, rng))
+    (folder / "campaign.toml").write_text(KEYS + (XRAY if xray else ""))
+    return frames
+
+
+def steps_of(folder):
+    return {(s.key.camera, s.key.stage): s for s in build(folder) if s.finished}
+
+
+def record_of(folder, camera):
+    path = folder / f"database/objects/one/registration/{camera}.json"
+    return json.loads(path.read_text())
+
+
+def error(folder, frames, source, target):
+    """Distances, px of the target, of a map between two frames from the truth."""
+    x, y = np.meshgrid(np.linspace(5, TILE[0] - 6, 12), np.linspace(5, TILE[1] - 6, 12))
+    points = np.stack([x.ravel(), y.ravel()], 1)
+    found = map_points(folder / "database", "one", points, source=source, target=target)
+    truth = frames[target].inverse(frames[source](points))
+    known = np.isfinite(found).all(1)
+    assert known.sum() > 5
+    return np.linalg.norm(found - truth, axis=1)[known]
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tiles")
+    frames = make(folder)
+    steps = steps_of(folder)
+    assert [s.line for s in steps.values() if s.state != "done"] == []
+    return folder, frames
+
+
+def test_every_tile_is_placed_and_mapped(built):
+    folder, frames = built
+    record = record_of(folder, "photo")
+    assert record["verdict"]["decision"] == "accept", record["verdict"]
+    assert len(record["tiles"]) == 6
+    for source, target in (
+        ("photo#r1c1", "photo#r1c2"), ("photo#r1c2", "photo#r2c2"), ("photo#r1c2", "infrared"),
+        ("photo#r2c3", "infrared"),
+    ):  # fmt: skip
+        found = error(folder, frames, source, target)
+        assert found.mean() < 0.06, (source, target)
+        assert found.max() < 0.25, (source, target)
+
+
+def test_the_layer_is_the_picture_without_a_seam(built):
+    folder, frames = built
+    from scipy.ndimage import map_coordinates
+
+    import levkas
+
+    values = levkas.open(folder / "database")["one"]["photo"].values[..., 0]
+    to_tile = find_map(folder / "database", "one", "grid", "photo#r1c1")
+    y, x = np.mgrid[30:150, 30:190]
+    points = np.stack([x.ravel(), y.ravel()], 1).astype(float)
+    places = frames["photo#r1c1"](to_tile(points))
+    truth = map_coordinates(painting(1), places[:, ::-1].T, order=3).reshape(x.shape)
+    off = values[30:150, 30:190] / 60000 - truth
+    assert np.nanstd(off) < 2 * NOISE
+    whole = assess(folder / "database")
+    assert {r["camera"]: len(r.get("tiles", ())) for r in whole.results}["photo"] == 6
+
+
+def test_built_again_all_is_fresh(built):
+    folder, _ = built
+    assert {s.state for s in steps_of(folder).values()} == {"fresh"}
+
+
+@pytest.mark.slow
+def test_a_tile_of_another_painting_is_a_hole(tmp_path):
+    frames = make(tmp_path, xray=True)
+    rng = np.random.default_rng(5)
+    write(tmp_path / "photo/one_r2c3.tif", cut(painting(7), laid(100, 90, 0.0), TILE, rng))
+    write(tmp_path / "xray/one_right.tif", cut(painting(8), laid(100, 60, 0.0), (260, 340), rng))
+    steps = steps_of(tmp_path)
+    assert {s.state for s in steps.values()} == {"done"}
+    for camera, lost in (("photo", "r2c3"), ("xray", "right")):
+        record = record_of(tmp_path, camera)
+        assert record["verdict"]["decision"] == "warn"
+        assert [t for t, one in record["tiles"].items() if "bands" not in one] == [lost]
+        assert any(lost in reason for reason in record["verdict"]["reasons"])
+    found = error(tmp_path, frames, "photo#r1c1", "xray#left")
+    assert found.mean() < 0.06
+    assert found.max() < 0.25
