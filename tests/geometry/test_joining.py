@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from levkas.core.flags import Flag
-from levkas.geometry.joining import FEATHER_PX, Part, Seams, depth_in_frame, join, weights_of
+from levkas.geometry.joining import FEATHER_PX, Seams, TilePart, depth_in_frame, join, weights_of
 from levkas.geometry.transforms import Affine
 
 SHAPE = (40, 100, 1)
@@ -18,7 +18,7 @@ def part(name, start, value, *, noise=None, sigma=0.0):
     values = np.full((40, WIDE, 1), value, np.float32)
     variance = None if noise is None else np.full(values.shape, noise**2, np.float32)
     columns = slice(start, start + WIDE)
-    return Part(name, columns, values, np.zeros(values.shape, np.uint8), variance, depth, sigma)
+    return TilePart(name, columns, values, np.zeros(values.shape, np.uint8), variance, depth, sigma)
 
 
 def test_depth_is_the_distance_from_the_edge_of_the_frame():

@@ -115,7 +115,7 @@ def _cells(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class TilePart:
     """Some rows of a part on the grid.
 
     Parameters
@@ -148,7 +148,7 @@ class Joined:
     variance: np.ndarray | None
 
 
-def weights_of(parts: Sequence[Part], shape: tuple[int, int]) -> list[np.ndarray]:
+def weights_of(parts: Sequence[TilePart], shape: tuple[int, int]) -> list[np.ndarray]:
     """Return how much each part counts at every pixel, 0 … 1: 1 where it is the deepest, 0 from `FEATHER_PX` less on."""
     deepest = np.full(shape, np.float32(0))
     for part in parts:
@@ -165,14 +165,16 @@ def weights_of(parts: Sequence[Part], shape: tuple[int, int]) -> list[np.ndarray
     ]
 
 
-def join(parts: Sequence[Part], shape: tuple[int, int, int], seams: Seams | None = None) -> Joined:
+def join(
+    parts: Sequence[TilePart], shape: tuple[int, int, int], seams: Seams | None = None
+) -> Joined:
     """Join rows of parts.
 
     Where the deepest part is saturated or has a defect, another one that is sound takes its place.
 
     Parameters
     ----------
-    parts : sequence of Part
+    parts : sequence of TilePart
     shape : (rows, width, bands)
     seams : Seams, optional
         Takes what parts differ by.
@@ -206,7 +208,7 @@ def join(parts: Sequence[Part], shape: tuple[int, int, int], seams: Seams | None
 
 
 def _fill(
-    parts: Sequence[Part],
+    parts: Sequence[TilePart],
     there: Sequence[np.ndarray],
     sound: Sequence[np.ndarray],
     used: Sequence[np.ndarray],
@@ -238,7 +240,7 @@ class Seams:
     labels: tuple[str, ...]
     sums: dict[tuple[str, str], dict[str, np.ndarray]] = field(default_factory=dict)
 
-    def add(self, parts: Sequence[Part], used: Sequence[np.ndarray]) -> None:
+    def add(self, parts: Sequence[TilePart], used: Sequence[np.ndarray]) -> None:
         """Take the pixels of some rows where two parts count, `used` (rows, columns, bands) each."""
         for (i, a), (j, b) in combinations(enumerate(parts), 2):
             low, high = (
@@ -251,7 +253,9 @@ class Seams:
             if both.any():
                 self._add_pair(a, b, mine, theirs, both)
 
-    def _add_pair(self, a: Part, b: Part, mine: slice, theirs: slice, both: np.ndarray) -> None:
+    def _add_pair(
+        self, a: TilePart, b: TilePart, mine: slice, theirs: slice, both: np.ndarray
+    ) -> None:
         first, second = a.values[:, mine], b.values[:, theirs]
         found = {
             "pixels": both.sum((0, 1)).astype(float),

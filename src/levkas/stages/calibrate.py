@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
@@ -90,11 +90,28 @@ def calibrate(
     if capture.tiles:
         for tile in capture.tiles:
             require_memory(tile, campaign.cameras[capture.camera].kind)
-        return TiledCapture(capture, campaign, places, mosaics_of(capture, campaign), templates)
+        notes = {
+            "warnings": tuple(_contradictions(capture, campaign, templates)),
+            "captured": read_facts(capture.sensors[0].object[0].path).captured or "",
+        }
+        tiles = (develop(tile, campaign, templates) for tile in capture.tiles)
+        return TiledCapture(capture, places, mosaics_of(capture, campaign), tiles, notes)
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
     require_memory(capture, campaign.cameras[capture.camera].kind)
     return develop(capture, campaign, templates)
+
+
+def _contradictions(
+    capture: Capture, campaign: Campaign, templates: TemplateCache
+) -> Iterator[str]:
+    """Compare what files of different tiles state; raises CalibrationRefused where they contradict each other."""
+    where, camera = f"{capture.object}/{capture.layer}", campaign.cameras[capture.camera]
+    for sensor in capture.sensors:
+        facts = read_facts(sensor.object[0].path)
+        context = SensorContext(campaign, camera, sensor, facts, templates)
+        notes = compare_facts(camera, sensor, context.alignments)
+        yield from (f"{where}: {note}" for note in (*notes, *sensor.remarks))
 
 
 def write_calibrated(
@@ -129,7 +146,7 @@ def load_calibrated(
     """Read back what `write_calibrated` wrote; `notes` as it returned them."""
     if capture.tiles:
         mosaics = mosaics_of(capture, campaign)
-        return TiledCapture(capture, campaign, places, mosaics, notes=dict(notes))
+        return TiledCapture(capture, places, mosaics, notes=dict(notes))
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
     return read_native(capture, places, notes, mosaics_of(capture, campaign))

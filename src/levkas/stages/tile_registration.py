@@ -108,7 +108,8 @@ def place_reference(
     if starts and placement.left_out:  # names or positions may be wrong
         other = place_tiles(tiles)
         placement = other if len(other.left_out) < len(placement.left_out) else placement
-    own = _own_bands(native, band, list(placement.transforms))
+    rigid = campaign.cameras[native.capture.camera].traits.bands_in in RIGID
+    own = _own_bands(native, band, list(placement.transforms), rigid=rigid)
     found = {}
     for name in tiles:
         size = tiles.sizes[name]
@@ -166,16 +167,15 @@ def _even(sigma: float, size: tuple[int, int]) -> Sigma:
 
 
 def _own_bands(
-    native: TiledCapture, band: str, tiles: Sequence[str]
+    native: TiledCapture, band: str, tiles: Sequence[str], *, rigid: bool
 ) -> dict[str, dict[str, Transform]]:
     """Return for every tile px of the reference band → px of each band.
 
-    Of a camera that captures all bands at once the tile with most detail serves all of them.
+    Of a `rigid` camera, which captures all bands at once, the tile with most detail serves all of them.
     """
     labels = [one.label for one in native.bands]
     if len(labels) == 1:
         return {name: {band: Affine.identity()} for name in tiles}
-    traits = native.campaign.cameras[native.capture.camera].traits
     found: dict[str, dict[str, Transform]] = {}
     best: tuple[float, str] = (np.inf, "")
     detail = {name: _detail(native.tile(name), band) for name in tiles}
@@ -185,7 +185,7 @@ def _own_bands(
             continue
         found[name] = one.transforms
         best = min(best, (-detail[name], name))
-        if traits.bands_in in RIGID:
+        if rigid:
             break
     if not found:
         raise RegistrationRefused(

@@ -9,19 +9,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from levkas.calibration.agreement import compare_facts
-from levkas.calibration.sensor_context import SensorContext
 from levkas.core.cube import UNRELIABLE, Cube, CubeRows, is_flagged
 from levkas.core.rounding import round_root, round_values
 from levkas.database.registrations import read_registration
 from levkas.database.tiff_pages import TiffPages, open_pages
 from levkas.geometry import from_dict
-from levkas.geometry.joining import Box, Part, Seams, box_on_grid, depth_in_frame, join
+from levkas.geometry.joining import Box, Seams, TilePart, box_on_grid, depth_in_frame, join
 from levkas.geometry.pixel_maps import PixelMap, lay
 from levkas.geometry.resample import source_rows, warp
 from levkas.geometry.transforms import Affine, Composed
 from levkas.quality.image_quality.glare import setup_gains
-from levkas.readers.frames import read_facts
 from levkas.registration.bands import BandImage, share_of_most
 from levkas.stages.native_cubes import Native, part_name, read_native
 from levkas.stages.shared_noise import neighbour_correlation, shared_noise
@@ -29,14 +26,12 @@ from levkas.stages.shared_noise import neighbour_correlation, shared_noise
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.core.cube import Band
     from levkas.database.layout import Places
     from levkas.geometry.transforms import Transform
     from levkas.stages.capture_statistics import DefaultLayer
     from levkas.stages.shared_noise import Mosaic
-    from levkas.stages.template_cache import TemplateCache
 
 BLOCK_SAMPLES = 6_000_000
 """Values of the grid that are joined at a time; with two tiles about each, and flags and sigma, 0.2 GB."""
@@ -89,13 +84,12 @@ class TiledCapture:
     ----------
     capture : Capture
         With its tiles.
-    campaign : Campaign
     places : Places
         Of the tiles' files.
     mosaics : dict of str to Mosaic
         By sensor.
-    templates : TemplateCache, optional
-        What tiles are calibrated with; None where they have been.
+    developed : iterator of Native
+        Its tiles as they are calibrated, one after another, in their order; taken once. Empty where they are in files.
     notes : dict
         As `stages.calibrate.write_calibrated` returned them; filled while tiles are calibrated.
     placement : Placement, optional
@@ -103,10 +97,9 @@ class TiledCapture:
     """
 
     capture: Capture
-    campaign: Campaign
     places: Places
     mosaics: Mapping[str, Mosaic]
-    templates: TemplateCache | None = None
+    developed: Iterator[Native] = field(default_factory=lambda: iter(()))
     notes: dict[str, Any] = field(default_factory=dict)
     placement: Placement | None = None
     seams: Seams | None = None
@@ -176,20 +169,14 @@ class TiledCapture:
     # --- calibrated tile by tile
 
     def sensors(self) -> Iterator[tuple[str, Cube | CubeRows]]:
-        """Calibrate the tiles one after another; yield the name of each part of a file, and its pixels."""
-        from levkas.stages.calibrate import develop
-
-        assert self.templates is not None, "these tiles have been calibrated"
-        warnings, focus = list(self._contradictions()), []
+        """Take the tiles as they are calibrated; yield the name of each part of a file, and its pixels."""
+        warnings, focus = list(self.warnings), []
         quantities = set()
-        for tile in self.capture.tiles:
-            native = develop(tile, self.campaign, self.templates)
+        for tile, native in zip(self.capture.tiles, self.developed, strict=True):
             quantities.add(native.quantity)
             warnings += native.warnings
             focus.append(native.focus)
             self.notes.setdefault("measured", dict(native.measured))
-            if not self.notes.get("captured"):
-                self.notes["captured"] = native.captured or ""
             while native.cubes:  # the memory of one goes before the next one is made
                 sensor = next(iter(native.cubes))
                 yield part_name(tile, sensor), native.cubes.pop(sensor)
@@ -197,18 +184,6 @@ class TiledCapture:
         quantity = "reflectance" if quantities == {"reflectance"} else "counts"
         kept = tuple(dict.fromkeys(warnings))
         self.notes |= {"quantity": quantity, "warnings": kept, "focus": _median_focus(focus)}
-
-    def _contradictions(self) -> Iterator[str]:
-        """Compare what files of different tiles state; raises CalibrationRefused where they contradict each other."""
-        camera = self.campaign.cameras[self.capture.camera]
-        where = f"{self.capture.object}/{self.capture.layer}"
-        for sensor in self.capture.sensors:
-            facts = read_facts(sensor.object[0].path)
-            assert self.templates is not None
-            context = SensorContext(self.campaign, camera, sensor, facts, self.templates)
-            for note in compare_facts(camera, sensor, context.alignments):
-                yield f"{where}: {note}"
-            yield from (f"{where}: {remark}" for remark in sensor.remarks)
 
     def tile(self, name: str) -> Native:
         """Return a tile, held whole."""
@@ -405,7 +380,7 @@ class _Joiner:
         values = round_values(joined.values, out=joined.values)
         return Cube(values, joined.flags, sigma, self._source.bands, self._source.quantity)
 
-    def _part(self, tile: _LaidTile, start: int, stop: int) -> Part:
+    def _part(self, tile: _LaidTile, start: int, stop: int) -> TilePart:
         left, top, right, bottom = tile.box
         low, high = max(start, top), min(stop, bottom)
         if not tile.laid:
@@ -422,7 +397,7 @@ class _Joiner:
             flags = np.pad(flags, wide)
             variance = None if variance is None else np.pad(variance, wide)
             depth = np.pad(depth, wide[:2], constant_values=-np.inf)
-        return Part(tile.name, slice(left, right), values, flags, variance, depth, tile.sigma)
+        return TilePart(tile.name, slice(left, right), values, flags, variance, depth, tile.sigma)
 
     def _lay(self, tile: _LaidTile, sensor: str) -> _LaidSensor:
         left, top, right, bottom = tile.box
