@@ -452,6 +452,21 @@ def test_a_map_follows_what_lines_do(painting, front, planted):
     assert np.linalg.norm(errors, axis=1).mean() < 0.1
 
 
+def test_rows_and_columns_that_are_displaced_both_are_named_and_one_of_them_is_followed(
+    painting, front
+):
+    x, y = np.meshgrid(np.arange(310.0), np.arange(240.0))
+    moved = np.stack([x + np.sin(2 * np.pi * y / 40), y + 0.5 * np.sin(2 * np.pi * x / 30)], -1)
+    places = STRAIGHT.inverse(moved.reshape(-1, 2)) + MARGIN
+    shown = ndimage.map_coordinates(painting, places.T[::-1], order=3).reshape(x.shape)
+    noise = np.random.default_rng(2).normal(0, 0.004, x.shape)
+    found = register(front, (shown + noise).astype(np.float32))
+    assert found.verdict.decision == "warn"
+    said = " ".join(found.verdict.reasons)
+    assert "±1.00 px every 40 lines" in said and "The map follows every line" in said
+    assert "every 29.9 columns" in said and "The map does not follow that" in said
+
+
 def test_sigma_holds_the_displacement_of_lines(painting, front):
     still = register(front, scan(painting))
     assert still.verdict.decision == "accept"

@@ -512,13 +512,15 @@ def _put_lines_right(
 ) -> tuple[SensorTask, RefinedMap, LineDisplacement | None, LineCorrection | None]:
     """Register a picture whose lines are displaced again, put right line by line, for as long as less of it is left.
 
+    Of rows and columns that are displaced both, those that are displaced more are put right; the others are named.
+
     Returns the task with the pictures put right, its map, how lines lie beside that, and the correction; None without one.
     """
     whole, now = None, task
     lines = task.measure_lines(found)
     for _ in range(SETTINGS.line_rounds):
         rest = find_correction(lines, task.scale) if lines else None
-        if lines is None or rest is None:
+        if lines is None or rest is None or (whole and rest.lines != whole.lines):
             break
         correction = rest if whole is None else whole.followed_by(rest)
         again = replace(task, images=correction.put_right(task.images))

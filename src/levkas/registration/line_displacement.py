@@ -316,7 +316,8 @@ def describe_displacement(numbers: Mapping[str, Any]) -> tuple[str, str]:
 def describe_correction(numbers: Mapping[str, Any]) -> tuple[str, str]:
     """Return what `LineCorrection.to_dict` says of lines that a map follows, and what to do where neighbours lie apart, in words."""
     head, _, repair = _name_lines(numbers["before"])
-    text = f"{head}. The map follows every line, to {numbers['error_px']:.2f} px"
+    line = "line" if numbers["before"]["lines"] == "rows" else "column"
+    text = f"{head}. The map follows every {line}, to {numbers['error_px']:.2f} px"
     if numbers["uneven_px"] > numbers["error_px"]:
         text += f"; a place between two of them shows both, {numbers['uneven_px']:.2f} px (root mean square) to either side"
     return f"{text}.", repair
