@@ -24,6 +24,7 @@ await build({
     sheet: "src/viewer/sheet.ts",
     viewer: "src/viewer/viewer.ts",
     workbench: "src/workbench/main.ts",
+    watch: "src/watch/main.ts",
   },
   outdir,
   bundle: true,

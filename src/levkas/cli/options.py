@@ -38,6 +38,7 @@ NEEDS: dict[str, Needs] = {
         "--overwrite": ("--report",),
     },
     "radiometry": {"--overwrite": ("--output",)},
+    "simulate": {"--interval": ("--live",), "--faults": ("--live",)},
 }
 """Command → option → others, one of which it needs; ``$NAME`` is a variable of the environment."""
 EXCLUDES: dict[str, Needs] = {
@@ -48,6 +49,7 @@ EXCLUDES: dict[str, Needs] = {
     "publish": {"--check": ("--edition", "--no-iiif")},
     "simulate": {"--setups": ("--setup",)},
     "status": {"--graph": ("--json",)},
+    "watch": {"--once": ("--bell", "--port", "--no-open")},
 }
 """Command → option → others that would have no effect beside it."""
 

@@ -14,7 +14,7 @@ from levkas.core.problems import Problem
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from levkas.workbench.watching import SessionState
+    from levkas.workbench.watching import SessionState, WatchedSession
     from levkas.workbench.watching.files import FrameState
 
 COLOURS = {"green": typer.colors.GREEN, "look": typer.colors.YELLOW, "stop": typer.colors.RED}
@@ -34,6 +34,12 @@ def watch(
         bool,
         typer.Option("--bell", help="Ring the terminal once at a look, three times at a stop."),
     ] = False,
+    port: Annotated[
+        int, typer.Option(help="Port of the page; 0 uses any free one.", min=0, max=65535)
+    ] = 0,
+    no_open: Annotated[
+        bool, typer.Option("--no-open", help="Print the address without opening a browser.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Watch a session while it lasts: each frame is green, look or stop, with the reason and what to do now."""
@@ -44,15 +50,28 @@ def watch(
     session = WatchedSession(folder)
     if once or as_json:
         _finish(session.settle(), as_json)
-    typer.echo(
-        f"Watching {session.watch.root} by looking at it three times a second. Press Ctrl-C to end."
-    )
-    verdicts: dict[str, str] = {}
+    _follow(session, port, browse=not no_open, bell=bell)
+
+
+def _follow(session: WatchedSession, port: int, *, browse: bool, bell: bool) -> None:
+    """Print what happens, and show it on the page, until Ctrl-C."""
+    from levkas.workbench.watching.page import SessionBoard, WatchServer
+
+    board = SessionBoard(session)
+    server = WatchServer(board, port)
+    root, verdicts = session.watch.root, dict[str, str]()
+    typer.echo(f"Watching {root} by looking at it three times a second. Press Ctrl-C to end.")
+    typer.echo(f"The page is at {server.address.url}")
+    if browse:
+        server.opening.show()
     try:
-        for _, fresh in session.follow():
+        for state, fresh in session.follow():
+            board.publish(state)
             _print_fresh(fresh, verdicts, bell)
     except KeyboardInterrupt:
         typer.echo()
+    finally:
+        server.stop()
     print_missing(session.state())
 
 

@@ -20,7 +20,7 @@ SURE = 0.5
 """Correlation of two pictures at their best place from which that place counts."""
 TEXTURE = 6.0
 """Spread of a patch over its noise from which it has something to compare."""
-GLARE, ABOVE_WHITE, OTHER_LIGHT = (0.004, 0.05), 1.15, 0.3
+GLARE, ABOVE_WHITE, OTHER_LIGHT = (0.01, 0.06), 1.15, 0.3
 """Share of the picture above the white, to look at and to stop at; reflectance that no paint has; share from which it is
 the white that is wrong."""
 CUT, MARGIN, LIKE_BORDER = 0.08, 0.01, 0.06

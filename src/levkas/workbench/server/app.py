@@ -93,8 +93,6 @@ def serve(
     Refused
         Where the campaign cannot be read, the pages were not built, or the port is taken.
     """
-    import uvicorn
-
     from levkas.campaign.edits import sweep_corrections
     from levkas.pages.screen import read_built
     from levkas.workbench.library import Library
@@ -110,15 +108,11 @@ def serve(
     for name in ("workbench.js", "workbench.css"):
         read_built(name)
     threading.Thread(target=_warm_up, args=(library,), daemon=True).start()
-    listening = _listen(port)
+    listening = listen_on(port)
     address = Address(listening.getsockname()[1], token_urlsafe(TOKEN_BYTES))
     opening = OpeningPage(address)
     app = make_app(library, port=address.port, token=address.token, entered=opening.remove)
-    config = uvicorn.Config(
-        app, log_level="warning", access_log=False, ws="none", lifespan="off",
-        server_header=False, date_header=False, timeout_graceful_shutdown=1,
-    )  # fmt: skip
-    server = uvicorn.Server(config)
+    server = server_of(app)
     announce(address)
     sys.stdout.flush()
     try:
@@ -131,6 +125,17 @@ def serve(
     finally:
         opening.remove()
         listening.close()
+
+
+def server_of(app: App) -> uvicorn.Server:
+    """Return the server of an application, which runs on a socket that listens."""
+    import uvicorn
+
+    config = uvicorn.Config(
+        app, log_level="warning", access_log=False, ws="none", lifespan="off",
+        server_header=False, date_header=False, timeout_graceful_shutdown=1,
+    )  # fmt: skip
+    return uvicorn.Server(config)
 
 
 @contextlib.contextmanager
@@ -217,7 +222,8 @@ class OpeningPage:
                 self.path.unlink()
 
 
-def _listen(port: int) -> socket.socket:
+def listen_on(port: int) -> socket.socket:
+    """Return a socket that listens on a port of this machine alone; raises ServerRefused where it is taken."""
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:

@@ -20,8 +20,11 @@ Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 SAFE = frozenset({"GET", "HEAD"})
-OPEN = frozenset({"/", "/assets/workbench.js", "/assets/workbench.css", "/enter"})
-"""What needs no token: the page without any data, and where the token is handed in."""
+SCRIPTS = tuple(
+    f"/assets/{page}.{kind}" for page in ("workbench", "watch") for kind in ("js", "css")
+)
+OPEN = frozenset({"/", "/enter", *SCRIPTS})
+"""What needs no token: the pages without any data, and where the token is handed in."""
 LARGEST_ENTRY, LARGEST_BODY, LARGEST_IMPORT = 512, 1 << 20, 48 << 20
 """Bytes of a body: where no token is needed, with one, and with two files of 16 MiB in base64."""
 CSP = "; ".join(

@@ -181,6 +181,25 @@ def _whole_number(text: str) -> int:
     return int(text)
 
 
+def enter(body: dict[str, Any], token: str, cookie: str, entered: Callable[[], object]) -> Response:
+    """Let a browser in that hands in the token: from then on a cookie carries it."""
+    if not compare_digest(str(body.get("token", "")).encode(), token.encode()):
+        problem = {"code": "E_NOT_ALLOWED", "message": "the token is wrong"}
+        return JSONResponse({"ok": False, "problems": [problem]}, 401)
+    response = JSONResponse({"ok": True})
+    entered()
+    response.set_cookie(cookie, token, httponly=True, samesite="strict", path="/")
+    return response
+
+
+def asset(request: Request, assets: dict[str, str]) -> Response:
+    """Return a built file that is one of a page's; raises FrameMissing for others."""
+    name = request.path_params["name"]
+    if name not in assets:
+        raise FrameMissing(Problem("E_NO_FILE", "there is no such file"))
+    return Response(read_built(name), media_type=assets[name])
+
+
 async def refuse_http(request: Request, error: Exception) -> Response:
     """Answer for a path or a method that there is not, as every refusal is answered."""
     status = getattr(error, "status_code", 404)
@@ -219,20 +238,10 @@ class Handlers:
         return HTMLResponse(PAGE)
 
     def asset(self, request: Request, body: dict[str, Any]) -> Response:
-        name = request.path_params["name"]
-        if name not in ASSETS:
-            raise FrameMissing(Problem("E_NO_FILE", "there is no such file"))
-        return Response(read_built(name), media_type=ASSETS[name])
+        return asset(request, ASSETS)
 
     def enter(self, request: Request, body: dict[str, Any]) -> Response:
-        given = str(body.get("token", ""))
-        if not compare_digest(given.encode(), self.token.encode()):
-            problem = {"code": "E_NOT_ALLOWED", "message": "the token is wrong"}
-            return JSONResponse({"ok": False, "problems": [problem]}, 401)
-        response = JSONResponse({"ok": True})
-        self.entered()
-        response.set_cookie(self.cookie, self.token, httponly=True, samesite="strict", path="/")
-        return response
+        return enter(body, self.token, self.cookie, self.entered)
 
     def cameras(self, request: Request, body: dict[str, Any]) -> Response:
         title = self.library.campaign.campaign.title
@@ -513,20 +522,25 @@ def _files(value: Any) -> list[bytes]:
     )
 
 
-PAGE = """\
+def page_of(title: str, name: str) -> str:
+    """Return the document of a page that its script fills."""
+    return f"""\
 <!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="robots" content="noindex">
-<title>Levkas workbench</title>
+<title>{title}</title>
 <link rel="icon" href="data:,">
-<link rel="stylesheet" href="/assets/workbench.css">
-<script src="/assets/workbench.js" defer></script>
+<link rel="stylesheet" href="/assets/{name}.css">
+<script src="/assets/{name}.js" defer></script>
 </head>
 <body>
-<noscript>The workbench needs JavaScript; nothing is loaded from anywhere else.</noscript>
+<noscript>This page needs JavaScript; nothing is loaded from anywhere else.</noscript>
 </body>
 </html>
 """
+
+
+PAGE = page_of("Levkas workbench", "workbench")

@@ -196,6 +196,20 @@ class WatchedSession:
             tuple(frames), tuple(missing), listing.guessed, listing.strays, listing.problems, away
         )
 
+    def picture_of(self, name: str) -> bytes | None:
+        """Return the small picture of a frame as PNG, brightened so that its brightest hundredth is white; None of none."""
+        import cv2
+
+        path = next((p for p, file in self.listing.files.items() if file.name == name), None)
+        known = self._known.get(path) if path is not None else None
+        if known is None or known.measures is None:
+            return None
+        picture = known.measures.picture
+        low, high = np.quantile(picture, (0.002, 0.99))
+        light = np.clip((picture - low) / max(float(high - low), 1.0), 0, 1) ** (1 / 2.2)
+        done, data = cv2.imencode(".png", np.round(255 * light).astype(np.uint8))
+        return data.tobytes() if done else None
+
     def follow(self, interval_s: float = 0.3) -> Iterator[tuple[SessionState, list[FrameState]]]:
         """Yield the state and what of it is new, for ever: a frame that came, or whose findings changed.
 

@@ -1,0 +1,120 @@
+"""The page of a watched session: what it tells a browser, what it refuses, and that a second one shows the same."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+
+import numpy as np
+import pytest
+import tifffile
+from starlette.testclient import TestClient
+
+from levkas.pages.screen import ScreenMissing, read_built
+from levkas.workbench.server.guard import cookie_of
+from levkas.workbench.watching import WatchedSession
+from levkas.workbench.watching.cache import MeasureCache
+from levkas.workbench.watching.page import SessionBoard, WatchServer, make_watch_app
+
+PORT, TOKEN = 8765, "t" * 43
+CAMPAIGN = """
+[campaign]
+reference = { camera = "grey", band = "550 nm" }
+[cameras.grey]
+kind = "bands"
+files = "{target}_{wavelength}nm.tif"
+wavelengths = [550, 650]
+bits = 12
+[targets]
+dark = "dark"
+white = { names = "white", reflectance = 0.98 }
+objects = ["icon"]
+"""
+
+
+def put(home, name: str, level: float) -> None:
+    codes = np.random.default_rng(len(name)).normal(level, 8, (100, 140)).clip(0, 4095)
+    tifffile.imwrite(home / name, codes.astype(np.uint16), metadata=None)
+
+
+@pytest.fixture
+def board(tmp_path):
+    home = tmp_path / "icons"
+    home.mkdir()
+    (home / "campaign.toml").write_text(CAMPAIGN)
+    put(home, "dark_550nm.tif", 64)
+    put(home, "white_550nm.tif", 6000)
+    session = WatchedSession(home, MeasureCache(tmp_path / "cache"))
+    board = SessionBoard(session)
+    board.publish(session.settle())
+    return board
+
+
+@pytest.fixture
+def client(board):
+    app = make_watch_app(board, port=PORT, token=TOKEN)
+    return TestClient(app, base_url=f"http://127.0.0.1:{PORT}")
+
+
+def test_nothing_of_the_session_is_shown_without_the_token(client):
+    assert client.get("/").status_code == 200
+    for path in ("/api/session", "/api/events", "/api/picture?name=white_550nm.tif"):
+        assert client.get(path).status_code == 401
+
+
+def test_whoever_has_the_token_sees_frames_and_pictures(client):
+    client.cookies.set(cookie_of(PORT), TOKEN)
+    record = client.get("/api/session").json()
+    assert record["folder"] == "icons" and record["counts"]["stop"] == 1
+    picture = client.get("/api/picture", params={"name": "white_550nm.tif"})
+    assert picture.content.startswith(b"\x89PNG")
+    for name in ("../../etc/passwd", "campaign.toml", ""):
+        assert client.get("/api/picture", params={"name": name}).status_code == 404
+
+
+def test_a_browser_is_told_all_at_first_and_then_what_changes(board):
+    async def follow():
+        events = board.events()
+        first = json.loads((await anext(events)).removeprefix("data: "))
+        home = board.session.watch.root
+        (home / "white_550nm.tif").unlink()
+        put(home, "white_650nm.tif", 3000)
+        board.publish(await asyncio.to_thread(board.session.settle))
+        second = json.loads((await anext(events)).removeprefix("data: "))
+        await events.aclose()
+        return first, second
+
+    first, second = asyncio.run(follow())
+    assert [f["name"] for f in first["frames"]] == ["dark_550nm.tif", "white_550nm.tif"]
+    assert [f["name"] for f in second["frames"]] == ["white_650nm.tif"]
+    assert second["gone"] == ["white_550nm.tif"]
+    late = board.news({})  # a second browser
+    assert [f["name"] for f in late["frames"]] == ["dark_550nm.tif", "white_650nm.tif"]
+
+
+@pytest.mark.slow
+def test_the_page_shows_a_clipped_white_in_large_letters(board, chromium_path):
+    try:
+        read_built("watch.js")
+    except ScreenMissing:
+        pytest.skip("the pages were not built")
+    from playwright.sync_api import sync_playwright
+
+    server = WatchServer(board)
+    try:
+        with sync_playwright() as player:
+            browser = player.chromium.launch(executable_path=chromium_path, args=["--no-sandbox"])
+            page = browser.new_page(viewport={"width": 1440, "height": 900})
+            told = []
+            page.on("console", lambda message: told.append(message.text))
+            page.goto(server.address.url)
+            page.get_by_text("full scale").first.wait_for()
+            verdict = page.locator(".card.stop .verdict")
+            assert verdict.inner_text().lower() == "stop"
+            page.keyboard.press("l")
+            assert verdict.evaluate("e => parseFloat(getComputedStyle(e).fontSize)") > 100
+            assert page.evaluate("document.documentElement.scrollWidth") <= 1440
+            assert told == []
+            browser.close()
+    finally:
+        server.stop()
