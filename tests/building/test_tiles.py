@@ -165,3 +165,11 @@ def test_a_tile_of_another_painting_is_a_hole(tmp_path):
     found = error(tmp_path, frames, "photo#r1c1", "xray#left")
     assert found.mean() < 0.06
     assert found.max() < 0.25
+
+
+def test_the_report_shows_the_tiles(built):
+    folder, _ = built
+    page = (folder / "database/objects/one/report.html").read_text()
+    assert "6 tiles of 6" in page
+    assert "loops of tiles close to" in page
+    assert 'aria-label="tiles of the layer"' in page

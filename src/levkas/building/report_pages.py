@@ -50,6 +50,7 @@ from levkas.pages.page import (
 )
 from levkas.pages.radiometry import RadiometryRow, describe_layer
 from levkas.pages.summary import describe_length, summarise_layers
+from levkas.pages.tiles import draw_tiles
 from levkas.quality.evaluation.camera_agreement import PairAgreement, agreement_in
 from levkas.quality.image_quality.light import choose_places
 from levkas.readers.frames import files_of
@@ -275,7 +276,7 @@ def _layer(
         flags=describe_flags(resampled.get("flags", {})) if shown else "–",
         preview=preview.name if shown else "",
         description=str(resampled.get("description", "")) or counted(len(capture.bands), "band"),
-        figures=[] if removal else drawn,
+        figures=[*([] if removal else drawn), *draw_tiles(record, resampled.get("seams", ()))],
         history=drawn if removal else [],
         maps=draw_maps(places.output, capture.object, record, tiff, quantity) if shown else [],
         links=_links_of_layer(campaign, places, capture),

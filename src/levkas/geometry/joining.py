@@ -6,7 +6,7 @@ a few pixels about the seam, where two parts are equally deep, one fades into th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -29,6 +29,8 @@ NODES_PX = 16
 AROUND = 64
 """Places along each side of a frame that say which pixels of the grid it covers."""
 UNTRUSTED = UNRELIABLE | Flag.DEFECT
+MOST_STEP, LEAST_PIXELS = 0.02, 2000
+"""Mean difference at a seam, of the value, from which on it shows on even ground, and pixels of all bands that say so."""
 WITHIN = 2.0
 """Times its standard uncertainty that a difference at a seam may be."""
 
@@ -282,6 +284,26 @@ class Seams:
         mean value, by band.
         """
         return [_record(pair, sums, self.labels) for pair, sums in sorted(self.sums.items())]
+
+
+def mean_step(seam: Mapping[str, Any]) -> float:
+    """Return by how much the second tile is brighter at a seam of `Seams.records`, of the value, in the mean over the bands.
+
+    >>> round(mean_step({"relative": {"R": 0.03, "G": 0.01, "B": None}}), 3)
+    0.02
+    """
+    known = [value for value in seam["relative"].values() if value is not None]
+    return float(np.mean(known)) if known else 0.0
+
+
+def describe_steps(seams: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Report of seams whose step shows."""
+    return [
+        f"tiles {' and '.join(one['tiles'])} differ by {100 * abs(mean_step(one)):.1f} % where they meet: light, flat field, glare or "
+        "the object changed between them"
+        for one in seams
+        if abs(mean_step(one)) > MOST_STEP and one["pixels"] >= LEAST_PIXELS
+    ]
 
 
 def _record(

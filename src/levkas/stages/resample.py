@@ -14,6 +14,7 @@ from levkas.database.credits import credits_of
 from levkas.database.grey import read_grey
 from levkas.database.layers import Layer, write_layer
 from levkas.database.preview import encode_png
+from levkas.geometry.joining import describe_steps
 from levkas.geometry.transforms import Composed
 from levkas.quality.evaluation.similarity import structural_similarity
 from levkas.stages.capture_statistics import DefaultLayer, LayerStatistics, describe_flags
@@ -153,11 +154,15 @@ def write_resampled(
         "glare": statistics.glare,
         "ranges": statistics.ranges(),
     }
+    warnings: tuple[str, ...] = ()
     if made.correlation is not None:
         notes["noise_correlation"] = made.correlation.tolist()
     if made.seams is not None:
         notes["seams"] = made.seams.records()
-    return Written(files, notes)
+        where = f"{target.capture.object}/{target.capture.layer}"
+        warnings = tuple(f"{where}: {text}" for text in describe_steps(notes["seams"]))
+        notes["warnings"] = list(warnings)
+    return Written(files, notes, warnings=warnings)
 
 
 def similarity(
