@@ -92,7 +92,13 @@ test("notes of another object, and what is no note, are refused with the place a
 });
 
 test("what is typed becomes plain text", () => {
-  expect(plainText("<b>1 < 2</b>\u0000\n<!--")).toBe("< b>1 < 2< /b>\n< !--");
+  const typed = "a<b\u0000 <b>1 < 2</b>\n<!--";
+  const plain = "a<b <b>1 < 2</b>\n<!--";
+  expect(plainText(typed)).toBe(plain);
+  const file = writeNotes([{ ...note(SHAPES[0]!), text: plain, author: "<i>" }], full);
+  expect(file).not.toMatch(/<[a-z/!?]/i);
+  expect(readNotes(file, full)[0]).toMatchObject({ text: plain, author: "<i>" });
+  expect(plainText("<a".repeat(2000)).length).toBeLessThan(2700);
   expect(newId()).toMatch(
     /^urn:uuid:[0-9a-f]{8}-[0-9a-f]{4}-4[0-9a-f]{3}-[89ab][0-9a-f]{3}-[0-9a-f]{12}$/,
   );

@@ -39,6 +39,8 @@ const CORNER = new RegExp(`^(${NUMBER}),(${NUMBER})$`);
 const DATE = /^\d{4}-\d{2}-\d{2}(T\d{2}:\d{2}(:\d{2}(\.\d{1,6})?)?(Z|[+-]\d{2}:\d{2})?)?$/;
 const NAME = /^(urn:uuid:[0-9a-f-]{36}|https?:\/\/[\w.~:/?#@!$&()*+,;=%-]{1,500})$/i;
 const MARKUP = /<[a-z/!?]/i;
+const JOINER = "\u2060";
+const GUARDED = /<\u2060(?=[a-z/!?])/gi;
 const CONTROL = /[\0-\x08\x0b\x0c\x0e-\x1f\x7f]/;
 const CONTROLS = new RegExp(CONTROL.source, "g");
 
@@ -67,12 +69,16 @@ export function readPage(value: unknown, ground: Ground): Note[] {
   return items.map((item, i) => readNote(item, `items[${i}]`, ground));
 }
 
-/** Make what a person typed a plain text: a space after a < that would begin markup, no control characters. */
+/** Make what a person typed a plain text without control characters, that is short enough in a file, too. */
 export function plainText(text: string): string {
-  return text
-    .replace(/<(?=[a-z/!?])/gi, "< ")
-    .replace(CONTROLS, "")
-    .slice(0, LONGEST_TEXT);
+  let plain = text.replace(CONTROLS, "").slice(0, LONGEST_TEXT);
+  while (guarded(plain).length > LONGEST_TEXT) plain = plain.slice(0, -1);
+  return plain;
+}
+
+/** Write a text so that no program takes a < in it for markup: an invisible word joiner stands behind it. */
+function guarded(text: string): string {
+  return text.replace(/<(?=[a-z/!?])/gi, `<${JOINER}`);
 }
 
 /** Say why a text is not taken as a note; empty where it is. */
@@ -100,8 +106,8 @@ function readNote(value: unknown, where: string, ground: Ground): Note {
   return {
     id: typeof id === "string" && NAME.test(id) ? id : newId(),
     shape: readTarget(single(item["target"]), `${where}.target`, ground),
-    text,
-    author: authorOf(single(item["creator"]), `${where}.creator`),
+    text: text.replace(GUARDED, "<"),
+    author: authorOf(single(item["creator"]), `${where}.creator`).replace(GUARDED, "<"),
     made,
   };
 }
@@ -211,8 +217,8 @@ function writeNote({ id, shape, text, author, made }: Note, { canvas, size }: Gr
     type: "Annotation",
     motivation: "commenting",
     ...(made ? { modified: made } : {}),
-    ...(author ? { creator: { type: "Person", name: author } } : {}),
-    body: { type: "TextualBody", value: text, format: "text/plain" },
+    ...(author ? { creator: { type: "Person", name: guarded(author) } } : {}),
+    body: { type: "TextualBody", value: guarded(text), format: "text/plain" },
     target: {
       type: "SpecificResource",
       source: {

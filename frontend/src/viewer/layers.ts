@@ -64,6 +64,7 @@ export class LayerList {
     const number = this.layers.indexOf(layer) + 1;
     const disabled = number === 0;
     const about = describe(layer);
+    const [, verdict = "", rest = ""] = /^([^,]*)(?:, (.*))?$/s.exec(layer.verdict) ?? [];
     const first = make(
       "button",
       {
@@ -80,9 +81,10 @@ export class LayerList {
           "span",
           { class: "first" },
           make("span", { class: "layer-name", title: layer.name }, layer.name),
-          make("span", { class: `badge ${layer.decision}` }, layer.verdict),
+          make("span", { class: `badge ${layer.decision}` }, verdict),
         ),
         make("span", { class: "soft" }, about),
+        rest && make("span", { class: "soft", title: rest }, rest),
       ),
       number > 0 && number < 10 && make("kbd", { "aria-hidden": "true" }, String(number)),
     );
@@ -103,7 +105,7 @@ export class LayerList {
     if (layer.by_hand) row.append(make("p", { class: "by-hand" }, `${layer.by_hand}.`));
     if (layer.decision !== "accept" || layer.unchecked >= WORTH_NAMING) {
       const reasons = layer.reasons.join(" ");
-      if (reasons) row.append(make("p", { class: "reasons" }, reasons));
+      if (reasons) row.append(folded(reasons));
     }
     effect(() => {
       const chosen = SLOTS.map((slot) => this.state[slot].value?.layer === layer);
@@ -112,6 +114,14 @@ export class LayerList {
     });
     return row;
   }
+}
+
+/** Reasons by their first sentence; the others unfold. */
+function folded(reasons: string): HTMLElement {
+  const [first = reasons] = /^.*?[.!?](?=\s|$)/s.exec(reasons) ?? [];
+  const rest = reasons.slice(first.length).trim();
+  if (!rest) return make("p", { class: "reasons" }, first);
+  return make("details", { class: "reasons" }, make("summary", {}, first), make("p", {}, rest));
 }
 
 function thumbnail({ thumbnail }: Layer): HTMLElement {

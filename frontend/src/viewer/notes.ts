@@ -199,10 +199,7 @@ export class NotePanel {
       this.change(number, { ...this.state.notes.value[number]!, text: plainText(text.value) }),
     );
     text.addEventListener("change", () => {
-      const plain = plainText(text.value);
-      if (plain !== text.value)
-        this.message.textContent = "Notes are plain text: a space was put after <.";
-      text.value = plain;
+      text.value = plainText(text.value);
     });
     const remove = button("×");
     remove.setAttribute("aria-label", `Remove ${name}`);

@@ -52,6 +52,7 @@ export class PinList {
   );
   private reference: Reference | null = null;
   private turn = 0;
+  private following = true;
 
   constructor(
     host: HTMLElement,
@@ -91,7 +92,7 @@ export class PinList {
     load.addEventListener("click", () => this.file.click());
     this.file.addEventListener("change", () => void this.load());
     this.forget.addEventListener("click", () => this.use(null));
-    this.choice.addEventListener("change", () => void this.refresh());
+    const shown = this.follow(most?.layer.name ?? "");
     this.save.addEventListener("click", () => void this.saveAll());
     this.saveDrawing.addEventListener("click", () => this.saveChart());
     effect(() => {
@@ -101,10 +102,29 @@ export class PinList {
       this.save.disabled = !state.pins.value.length;
       void this.refresh();
     });
-    this.register(address, most?.layer.name ?? "");
+    this.register(address, shown);
   }
 
-  private register(address: Address, fresh: string): void {
+  /** Until a person chooses, compare spectra of the layer that is shown; return which that is. */
+  private follow(otherwise: string): () => string {
+    const shown = (): string => {
+      const name = this.state.a.value?.layer.name ?? "";
+      return this.sources.some(({ layer }) => layer.name === name) ? name : otherwise;
+    };
+    this.choice.addEventListener("change", () => {
+      this.following = false;
+      void this.refresh();
+    });
+    effect(() => {
+      const name = shown();
+      if (!this.following || this.choice.value === name) return;
+      this.choice.value = name;
+      void this.refresh();
+    });
+    return shown;
+  }
+
+  private register(address: Address, fresh: () => string): void {
     const { pin, pins } = this.state;
     const { width, height } = this.record.grid;
     address.add({
@@ -117,7 +137,7 @@ export class PinList {
         pin.value = place && [place[0]!, place[1]!];
       },
     });
-    address.addChoice("spectra", this.choice, () => fresh);
+    address.addChoice("spectra", this.choice, fresh);
     const readPin = (text: string): Pin[] => {
       const [x, y, ...rest] = text.split(",");
       const at: Point = [Number(x), Number(y)];

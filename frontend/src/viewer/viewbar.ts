@@ -46,8 +46,10 @@ export class ViewBar {
         this.byTouch.value = !this.byTouch.value;
       },
     );
+    const screen = quiet("⛶", "The whole screen for the picture (W)", () => this.toggleScreen());
+    screen.hidden = !document.fullscreenEnabled;
     this.percent.addEventListener("click", () => this.showPixels());
-    host.append(out, this.percent, closer, fit, turn, overview, touch);
+    host.append(out, this.percent, closer, fit, turn, overview, touch, screen);
     effect(() => {
       overview.setAttribute("aria-pressed", String(this.overview.value));
       this.minimap.shown = this.overview.value;
@@ -63,6 +65,12 @@ export class ViewBar {
   /** Turn the pictures by quarters, clockwise. */
   turn(quarters: number): void {
     this.stage.turn(QUARTER * quarters);
+  }
+
+  /** Give the picture and its tools the whole screen, or give it back. */
+  toggleScreen(): void {
+    if (document.fullscreenElement) void document.exitFullscreen();
+    else void find("stage").closest(".wall")?.requestFullscreen();
   }
 
   toggleOverview(): void {

@@ -130,10 +130,13 @@ stage.onPick = (pixel) => {
 effect(() => void find("stage").classList.toggle("bare", !state.marks.value));
 effect(() => {
   const pin = state.pin.value;
+  document.body.classList.toggle("reading", pin !== null);
   stage.mark(pin, state.pins.value);
   if (pin) void readout.show(pin, true);
   else readout.clear();
 });
+
+find("close-reading").addEventListener("click", () => (state.pin.value = null));
 
 function movePin(right: number, down: number): void {
   const from = state.pin.value ?? stage.left.centre;
@@ -210,6 +213,7 @@ const keys: Key[] = [
   shiftKey("T", "Turn by 90°, anticlockwise", () => bar.turn(-1)),
   key("T", ["t"], "Turn by 90°, clockwise", () => bar.turn(1)),
   key("Z", ["z"], "Small picture of the whole, on and off", () => bar.toggleOverview()),
+  key("W", ["w"], "The whole screen for the picture, on and off", () => bar.toggleScreen()),
   key("+ −", ["+", "=", "-", "_"], "Zoom", (event) =>
     stage.zoom("+=".includes(event.key) ? ZOOM_STEP : 1 / ZOOM_STEP),
   ),

@@ -23,15 +23,16 @@ WORTH_NAMING = 0.1
 
 
 def describe_decision(decision: str, unchecked: float = 0.0, area: str = "") -> str:
-    """Return a decision of a record in words, with the share of the layer that nothing confirms, and its area.
+    """Return a decision of a record in words, with the share of the layer that was checked, and the area of the rest.
 
     >>> describe_decision("warn"), describe_decision("accept", 0.214, "340 mm²")
-    ('doubtful, please check', 'accepted, 21 % of the layer (340 mm²) not checked')
+    ('doubtful, please check', 'accepted, checked over 79 % of the layer (not in 340 mm²)')
     """
     words = DECISIONS.get(decision, decision)
     if decision != "accept" or unchecked < WORTH_NAMING:
         return words
-    return f"{words}, {percent(unchecked)} of the layer{f' ({area})' if area else ''} not checked"
+    rest = f" (not in {area})" if area else ""
+    return f"{words}, checked over {percent(1 - unchecked)} of the layer{rest}"
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,8 @@ class LayerReport:
     maps: Sequence[Any] = ()
     links: Sequence[tuple[str, str]] = ()
     ssim_map: str = ""
+    recorded: str = ""
+    """Of a layer that was refused: its picture as it was recorded, as data address."""
     columns: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = ()
     budget: Any = None

@@ -133,21 +133,21 @@ def test_sixty_hostile_texts_typed_or_imported_are_text_or_refused(browser, addr
         opened.get_by_role("button", name="Note here").click()
         opened.get_by_label(f"Text of note {len(kept) + number + 1}", exact=True).fill(title)
     opened.get_by_label("Your name").fill(TITLES[7])
-    assert "a space was put after <" in opened.locator("#notes").inner_text()
     opened.get_by_role("button", name="Note here").click()
     stored = opened.evaluate("levkasViewer.state.notes.value.map(n => n.text)")[len(kept) :]
-    plain = [re.sub("<(?=[A-Za-z/!?])", "< ", title) for title in TITLES]
-    assert stored == [*plain, ""] and texts(opened)[len(kept) :] == [*plain, ""]
+    # Kept as typed; in the file an invisible joiner stands behind each < that would begin markup.
+    guarded = [re.sub("<(?=[A-Za-z/!?])", "<\u2060", title) for title in TITLES]
+    assert stored == [*TITLES, ""] and texts(opened)[len(kept) :] == [*TITLES, ""]
     assert opened.evaluate(EVIL) == {"evil": None, "tags": [], "attributes": []}
     # What was typed is taken by another browser, and published.
     with opened.expect_download() as download:
         opened.get_by_role("button", name="Export notes").click()
     path = Path(download.value.path())
     found = read_annotations([path], SIZES)["icon1"]
-    assert [one["body"]["value"] for one in found] == [*kept, *plain, ""]
+    assert [one["body"]["value"] for one in found] == [*kept, *guarded, ""]
     other = open_object(browser, address("file"))
     assert "notes imported" in take(other, tmp_path, path.read_text("utf-8"))
-    assert texts(other) == [*kept, *plain, ""]
+    assert texts(other) == [*kept, *TITLES, ""]
     assert other.evaluate(EVIL) == {"evil": None, "tags": [], "attributes": []}
 
 
