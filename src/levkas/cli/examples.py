@@ -44,5 +44,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "simulate": ("levkas simulate trial", "levkas simulate trial --preset small --objects 2"),
     "status": ("levkas status icons", "levkas status icons --graph"),
     "validate": ("levkas validate icons/database", "levkas validate https://example.org/icons"),
+    "watch": ("levkas watch session", "levkas watch session --once --json"),
 }  # fmt: skip
 """Command → command lines that parse; the first is what most people type."""
