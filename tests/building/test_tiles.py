@@ -173,3 +173,46 @@ def test_the_report_shows_the_tiles(built):
     assert "6 tiles of 6" in page
     assert "loops of tiles close to" in page
     assert 'aria-label="tiles of the layer"' in page
+
+
+def test_of_a_large_mosaic_some_bands_are_held_and_a_larger_one_is_refused(built, monkeypatch):
+    from levkas.building.plan import read_plan
+    from levkas.database.layout import Places
+    from levkas.registration import RegistrationRefused
+    from levkas.stages import tiles
+
+    folder, _ = built
+    plan = read_plan(folder)
+    native = tiles.TiledCapture(plan.captures[0], Places(folder / "database"), {})
+    width, height = native.placed.size
+    assert [image.label for image in native.images("grey")] == ["grey"]
+    monkeypatch.setattr(tiles, "MOST_SAMPLES", width * height - 1)
+    with pytest.raises(RegistrationRefused) as refused:
+        native.images("grey")
+    assert refused.value.problems[0].code == "E_SIZE"
+
+
+@pytest.mark.slow
+def test_tiles_in_wrong_order_one_twice_and_one_missing(tmp_path):
+    """Names say where tiles are, and they are wrong: what tiles show goes before."""
+    frames = make(tmp_path)
+    (tmp_path / "infrared/one.tif").unlink()
+    (tmp_path / "infrared").rmdir()
+    text = KEYS[: KEYS.index("[cameras.infrared]")]
+    (tmp_path / "campaign.toml").write_text(text)
+    photo = tmp_path / "photo"
+    (photo / "one_r1c1.tif").rename(photo / "aside.tif")
+    (photo / "one_r2c2.tif").rename(photo / "one_r1c1.tif")
+    (photo / "aside.tif").rename(photo / "one_r2c2.tif")
+    twin = tifffile.imread(photo / "one_r1c2.tif")
+    (photo / "one_r1c3.tif").unlink()
+    write(photo / "one_r3c1.tif", twin)
+    steps = steps_of(tmp_path)
+    assert {s.state for s in steps.values()} == {"done"}
+    record = record_of(tmp_path, "photo")
+    lost = [t for t, one in record["tiles"].items() if "bands" not in one]
+    assert len(lost) == 1
+    assert lost[0] in ("r1c2", "r3c1")
+    assert any("shows the same as" in reason for reason in record["verdict"]["reasons"])
+    frames["photo#r1c1"], frames["photo#r2c2"] = frames["photo#r2c2"], frames["photo#r1c1"]
+    assert error(tmp_path, frames, "photo#r1c1", "photo#r2c3").mean() < 0.06

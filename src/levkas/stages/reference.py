@@ -19,6 +19,7 @@ from levkas.geometry.transforms import Transform
 from levkas.registration import Matches, Registration, Verdict
 from levkas.registration.record import Sigma
 from levkas.stages.spectra import middle_band, reference_channel
+from levkas.stages.tiles import TiledCapture
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
@@ -71,7 +72,11 @@ class ReferenceFrame:
         """Its bands; those of tiles joined, once they are placed."""
         if self._images is None:
             assert self._native is not None
-            self._images, self._native = self._native.images(), None
+            native, self._native = self._native, None
+            if isinstance(native, TiledCapture):
+                self._images = native.images(self.band)
+            else:
+                self._images = native.images()
         return self._images
 
     @images.setter

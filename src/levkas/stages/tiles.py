@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import ceil, sqrt
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from levkas.core.cube import UNRELIABLE, Cube, CubeRows, is_flagged
+from levkas.core.problems import Problem
 from levkas.core.rounding import round_root, round_values
 from levkas.database.registrations import read_registration
 from levkas.database.tiff_pages import TiffPages, open_pages
@@ -20,6 +20,7 @@ from levkas.geometry.resample import source_rows, warp
 from levkas.geometry.transforms import Affine, Composed
 from levkas.quality.image_quality.glare import setup_gains
 from levkas.registration.bands import BandImage, share_of_most
+from levkas.registration.record import RegistrationRefused
 from levkas.stages.native_cubes import Native, part_name, read_native
 from levkas.stages.shared_noise import neighbour_correlation, shared_noise
 
@@ -37,7 +38,7 @@ BLOCK_SAMPLES = 6_000_000
 """Values of the grid that are joined at a time; with two tiles about each, and flags and sigma, 0.2 GB."""
 MOST_ROWS = 128
 MOST_SAMPLES = 100_000_000
-"""Of the picture of a mosaic as registration takes it, all bands; a larger one is reduced by a whole factor."""
+"""Of the pictures of a mosaic as registration takes them, half a gigabyte; of a larger one there are fewer bands."""
 THINNED_SAMPLES, THINNED = 100_000_000, 16
 """Of a layer of more values every sixteenth pixel a side makes its range and noise."""
 COMPARED_BLOCKS = 12
@@ -211,39 +212,54 @@ class TiledCapture:
 
     # --- joined
 
-    def images(self) -> list[BandImage]:
-        """Return every band of the mosaic as registration takes it, reduced by `reduction`."""
-        factor = self.reduction
-        width, height = (n // factor for n in self.placed.size)
-        bands = len(self.bands)
-        sums = np.zeros((bands, height, width), np.float32)
-        valid = np.zeros(sums.shape, bool)
-        identity = {band.label: Affine.identity() for band in self.bands}
-        row = 0
-        for cube in self.on_grid(identity, self.placed.size, rows_of=factor).blocks:
-            rows = len(cube.values) // factor
-            shape = (rows, factor, width, factor, bands)
-            part = np.s_[: rows * factor, : width * factor]
-            known = np.isfinite(cube.values[part]) & ~is_flagged(cube.flags[part], UNRELIABLE)
-            filled = np.where(known, cube.values[part], np.float32(0)).reshape(shape)
-            counts = known.reshape(shape).sum((1, 3))
-            mean = filled.sum((1, 3)) / np.maximum(counts, 1)
-            sums[:, row : row + rows] = np.moveaxis(mean, 2, 0)
-            valid[:, row : row + rows] = np.moveaxis(counts * 2 >= factor**2, 2, 0)
-            row += rows
-        for number, band in enumerate(self.bands):
-            valid[number] &= not band.bad
-        counts_only = self.quantity == "counts"
-        return [
-            BandImage(b.label, b.wavelength, share_of_most(v) if counts_only else v, ok)
-            for b, v, ok in zip(self.bands, sums, valid, strict=True)
-        ]
+    def images(self, anchor: str = "") -> list[BandImage]:
+        """Return the bands of the mosaic as registration takes them; of a large one some, `anchor` among them.
 
-    @property
-    def reduction(self) -> int:
-        """Side, px, of the blocks of the mosaic that make a pixel of `images`."""
+        Raises
+        ------
+        RegistrationRefused
+            ``E_SIZE`` where even one band is more than `MOST_SAMPLES`.
+        """
+        (width, height), labels = self.placed.size, [band.label for band in self.bands]
+        most = MOST_SAMPLES // (width * height)
+        if not most:
+            raise self._too_large()
+        chosen = {*np.linspace(0, len(labels) - 1, min(most, len(labels))).round().astype(int)}
+        if anchor and labels.index(anchor) not in chosen:
+            first = labels.index(anchor)
+            chosen = {*sorted(chosen, key=lambda n: abs(n - first))[1:], first}
+        numbers = sorted(chosen)
+        values = np.full((len(numbers), height, width), np.nan, np.float32)
+        valid = np.zeros(values.shape, bool)
+        identity = {label: Affine.identity() for label in labels}
+        row = 0
+        for cube in self.on_grid(identity, self.placed.size).blocks:
+            rows = slice(row, row + len(cube.values))
+            row = rows.stop
+            for place, number in enumerate(numbers):
+                plane, flags = cube.values[..., number], cube.flags[..., number]
+                values[place, rows] = plane
+                valid[place, rows] = np.isfinite(plane) & ~is_flagged(flags, UNRELIABLE)
+        images = []
+        for place, number in enumerate(numbers):
+            band, picture = self.bands[number], values[place]
+            picture = share_of_most(picture) if self.quantity == "counts" else picture
+            known = valid[place] & (not band.bad)
+            images.append(BandImage(band.label, band.wavelength, picture, known))
+        return images
+
+    def _too_large(self) -> RegistrationRefused:
         width, height = self.placed.size
-        return max(1, ceil(sqrt(width * height * len(self.bands) / MOST_SAMPLES)))
+        return RegistrationRefused(
+            Problem(
+                "E_SIZE",
+                "the mosaic of the reference camera is too large to register others to it",
+                field=f"cameras.{self.capture.camera}",
+                found=f"{width} x {height} px",
+                expected=f"at most {MOST_SAMPLES / 1e6:g} million px",
+                fix="Bin its frames, or take a camera of fewer pixels as the reference, and register these tiles to it.",
+            )
+        )
 
     def setup_gains(self, default: DefaultLayer, maps: Mapping[str, Transform]) -> np.ndarray:
         """Return the gains of this setup over the default one, by band, from some rows over the layer."""
@@ -283,10 +299,9 @@ class TiledCapture:
         size: tuple[int, int],
         *,
         spool: Path | None = None,
-        rows_of: int = 1,
     ) -> CubeRows:
-        """Return the layer, joined as its rows are taken; `rows_of` divides the rows of every block but the last."""
-        joiner = _Joiner(self, maps, size, rows_of)
+        """Return the layer, joined as its rows are taken."""
+        joiner = _Joiner(self, maps, size)
         self.seams = joiner.seams
         blocks = (joiner.rows(start, stop) for start, stop in joiner.blocks())
         shape = (size[1], size[0], len(self.bands))
@@ -335,9 +350,8 @@ class _Joiner:
         source: TiledCapture,
         maps: Mapping[str, Transform],
         size: tuple[int, int],
-        rows_of: int = 1,
     ) -> None:
-        self._source, self._size, self._rows_of = source, size, rows_of
+        self._source, self._size = source, size
         self.seams = Seams(tuple(band.label for band in source.bands))
         self.tiles: list[_LaidTile] = []
         tiles = source.placed.tiles
@@ -360,7 +374,6 @@ class _Joiner:
         """Return the first row of every block, and the one behind its last."""
         width, height = self._size
         rows = int(np.clip(BLOCK_SAMPLES // (width * len(self._source.bands)), 4, MOST_ROWS))
-        rows = max(1, rows // self._rows_of) * self._rows_of
         return [(top, min(top + rows, height)) for top in range(0, height, rows)]
 
     def rows(self, start: int, stop: int) -> Cube:

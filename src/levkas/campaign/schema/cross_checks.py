@@ -477,7 +477,7 @@ def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
         yield Problem("E_KEY", "files is required", field=f"{where}.files")
     for text in camera.files:
         yield from check_pattern(f"{where}.files", text, camera.kind)
-    if camera.positions and not any(f"{{{f}}}" in t for t in camera.patterns for f in TILE_FIELDS):
+    if camera.positions and not camera.has_tiles:
         yield value_problem(
             f"{where}.positions",
             "the camera has no tiles whose positions these could be",

@@ -294,6 +294,11 @@ class CameraKeys(Table):
         return self.white if isinstance(self.white, ChartWhite) else None
 
     @property
+    def has_tiles(self) -> bool:
+        """Whether its frames show parts of an object."""
+        return any(f"{{{f}}}" in text for text in self.patterns for f in ("tile", "row", "column"))
+
+    @property
     def patterns(self) -> tuple[str, ...]:
         """Every pattern of files, the sensors' own included."""
         return (*self.files, *(text for sensor in self.sensors for text in sensor.files))
