@@ -132,6 +132,41 @@ def test_order_and_positions_change_nothing_but_the_work(mosaic):
     assert errors(one, truth).mean() < 0.15
 
 
+def test_a_tile_without_detail_lies_where_its_position_says(mosaic):
+    tiles, truth, corners = mosaic
+    plain = BandImage.of(
+        "1", (0.5 + 0.005 * np.random.default_rng(3).normal(size=SIZE[::-1])).astype(np.float32)
+    )
+    placed = place_tiles({**tiles, "r0c2": plain}, starts=corners)
+    assert set(placed.by_position) == {"r0c2"}
+    others = {name: one for name, one in truth.items() if name != "r0c2"}
+    middle = np.array([[99.5, 79.5]])
+    ours = np.concatenate([placed.transforms[name](middle) for name in sorted(truth)])
+    theirs = np.concatenate([truth[name](middle) for name in sorted(truth)])
+    at = sorted(truth).index("r0c2")
+    fit = Homography.fit(
+        np.concatenate([placed.transforms[name](GRID) for name in sorted(others)]),
+        np.concatenate([others[name](GRID) for name in sorted(others)]),
+    )
+    off = np.hypot(*(fit(ours[at : at + 1]) - theirs[at])[0])
+    assert off < 4 * placed.sigma["r0c2"]
+    assert placed.sigma["r0c2"] > 10 * placed.sigma["r0c1"]
+
+
+def test_a_repeated_ornament_is_placed_by_positions_and_by_nothing_else():
+    cell = texture(5, (60, 60))
+    rng, lens = np.random.default_rng(1), Lens(np.zeros(2), 100.0)
+    cell[:30] = cell[:30, ::-1]
+    scene = np.tile(cell, (8, 11))
+    corners = {"a": (20, 20), "b": (150, 20)}
+    tiles = {name: cut(scene, np.array(corner), rng, lens)[0] for name, corner in corners.items()}
+    with pytest.raises(RegistrationRefused, match="no two tiles overlap"):
+        place_tiles(tiles)
+    placed = place_tiles(tiles, starts=corners)
+    apart = placed.transforms["b"](GRID[12:13]) - placed.transforms["a"](GRID[12:13])
+    assert np.abs(apart - (130, 0)).max() < 6  # tiles are turned a little; a period is 60
+
+
 def test_tiles_of_two_paintings_are_refused():
     rng, lens = np.random.default_rng(0), Lens(np.zeros(2), 100.0)
     tiles = {str(seed): cut(texture(seed), (50, 50), rng, lens)[0] for seed in (3, 4)}

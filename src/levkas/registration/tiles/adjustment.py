@@ -41,8 +41,10 @@ FIXED_SHARE = 1e-6
 SAME = 0.02
 #: One more tile that differs by this share; least deviation, px.
 STILL_SHARE, LEAST_PX = 0.0003, 1e-3
-#: Of Gauss-Newton, at most; change of a place, px, at which it ends; rounds of the components of variance.
-ROUNDS, CONVERGED_PX, VARIANCE_ROUNDS = 15, 2e-4, 6
+#: Of Gauss-Newton, at most; of these, rounds that weigh windows anew; change of an unknown, px, at which it ends.
+ROUNDS, WEIGHED_ROUNDS, CONVERGED_PX = 15, 5, 5e-4
+#: Rounds of the components of variance, at most, and of Gauss-Newton in each.
+VARIANCE_ROUNDS, ROUNDS_EACH = 6, 2
 #: Error in windows left out that a richer model has to reach, of that of a simpler one; tiles up to which it is measured.
 GAIN, MOST_JUDGED = 0.97, 400
 #: Windows that are linearised at once.
@@ -239,8 +241,8 @@ class Adjustment:
         As residuals scatter.
     deviations : ndarray, (3,), px at the rim
         What tiles differ by in scale, in shear and in tilt.
-    covariance : ndarray, (n, 30, 30), or None
-        Of every tile's own and the shared unknowns, in the frame of the whole mosaic: what moves, turns or tilts all of it as one plane is no error of a tile.
+    covariance : ndarray, (n, 12, 12), with a bend (n, 26, 26), or None
+        Of every tile's own unknowns, those of the lens and of the bend, in the frame of the whole mosaic: what moves, turns or tilts all of it as one plane is no error of a tile.
     """
 
     maps: TileMaps
@@ -260,7 +262,7 @@ class Adjustment:
         """Return the covariance of the places, (n, 2, 2), mosaic px², of `points`, (n, 2), px of a tile."""
         assert self.covariance is not None
         _, _, own, lens = self.maps.linearised(np.full(len(points), tile), points)
-        slopes = np.concatenate([own, lens, np.zeros((len(points), 2, 4))], 2)
+        slopes = np.concatenate([own, lens], 2)[:, :, : self.covariance.shape[1]]
         return np.asarray(slopes @ self.covariance[tile] @ slopes.transpose(0, 2, 1))
 
 
@@ -285,6 +287,11 @@ class AdjustmentTerms:
     projective: bool = True
     covariance: bool = True
     rounds: int = ROUNDS
+
+    @property
+    def common(self) -> int:
+        """How many unknowns of lens and bend there are."""
+        return LENS + 2 * BEND if self.bend else LENS
 
 
 def adjust(
@@ -311,15 +318,16 @@ def adjust(
     """
     terms = terms or AdjustmentTerms()
     work = _Work(windows, begin, terms, placed)
-    maps = work.converge(begin)
+    maps = work.converge(begin, terms.rounds)
     covariance = None
     if terms.covariance:
         for _ in range(VARIANCE_ROUNDS):
             before = work.deviations.copy()
             work.estimate_deviations(maps)
-            maps = work.converge(maps)
+            maps = work.converge(maps, ROUNDS_EACH)
             if np.abs(np.log(work.deviations / before)).max() < SAME:
                 break
+        maps = work.converge(maps, terms.rounds)
         covariance = work.covariances(maps)
     residual, weight, information = work.scattered(maps)
     return Adjustment(maps, residual, weight, information, work.deviations, covariance)
@@ -374,10 +382,10 @@ class _Work:
         if not self.terms.projective:
             self.deviations[1:] = FIXED_SHARE * spread
 
-    def converge(self, maps: TileMaps) -> TileMaps:
-        """Return the maps after Gauss-Newton."""
-        for _ in range(self.terms.rounds):
-            system, right, shared = self.equations(maps)
+    def converge(self, maps: TileMaps, rounds: int) -> TileMaps:
+        """Return the maps after Gauss-Newton; the last rounds keep the weights, so that they come to rest."""
+        for number in range(rounds):
+            system, right, shared = self.equations(maps, weigh=number < WEIGHED_ROUNDS)
             move, common = BlockFactor(system, self.order).solve(right, shared)
             maps = replace(maps, own=maps.own + move, shared=maps.shared + common)
             if max(float(np.abs(move).max()), float(np.abs(common).max())) < CONVERGED_PX:
@@ -419,7 +427,9 @@ class _Work:
             )
             start = stop
 
-    def equations(self, maps: TileMaps) -> tuple[BlockSystem, np.ndarray, np.ndarray]:
+    def equations(
+        self, maps: TileMaps, *, weigh: bool = False
+    ) -> tuple[BlockSystem, np.ndarray, np.ndarray]:
         """Return normal equations about the maps: the matrix, and both parts of the right side."""
         if self.trusted is None:
             self._weigh(self.scattered(maps)[0])
@@ -430,13 +440,12 @@ class _Work:
         diagonal, coupling = np.zeros((count, OWN, OWN)), np.zeros((len(pairs), OWN, OWN))
         border, corner = np.zeros((count, OWN, SHARED)), np.zeros((SHARED, SHARED))
         right, shared = np.zeros((count, OWN)), np.zeros(SHARED)
-        free = np.repeat([float(self.terms.lens), float(self.terms.bend)], [LENS, 2 * BEND])
-        common_px = slice(LENS + 2 * BEND)
+        common_px = slice(self.terms.common)
         for here, (one, by_px, own, lens), (other, _, theirs, bent) in self._linearised(maps):
             back = np.linalg.inv(by_px)
             residuals.append(np.einsum("nab,nb->na", back, other - one))
             weights = back.transpose(0, 2, 1) @ information[here] @ back
-            common = (lens - bent) * free
+            common = (lens - bent)[:, :, common_px] * float(self.terms.lens)
             rows = np.concatenate([own, -theirs, common, (other - one)[:, :, None]], 2)
             products = rows.transpose(0, 2, 1) @ (weights @ rows)
             overlap = self.windows.overlap[here]
@@ -452,7 +461,8 @@ class _Work:
             np.add.at(right, i, total[:, :k, -1])
             np.add.at(right, j, total[:, k : 2 * k, -1])
             shared[common_px] += total[:, s, -1].sum(0)
-        self._weigh(np.concatenate(residuals))
+        if weigh:
+            self._weigh(np.concatenate(residuals))
         system = BlockSystem(pairs, diagonal, coupling, border, corner)
         self._add_priors(maps, system, right, shared)
         return system, right, shared
@@ -509,27 +519,27 @@ class _Work:
         self.deviations[free] = np.maximum(found, LEAST_PX)[free]
 
     def covariances(self, maps: TileMaps) -> np.ndarray:
-        """Return covariances, (n, 30, 30), in the frame of the whole mosaic ([baarda1973]_): as if no tile had been held."""
+        """Return covariances of own and common unknowns, in the frame of the whole mosaic ([baarda1973]_): as if no tile had been held."""
         system, _, _ = self.equations(maps)
         factor = BlockFactor(system, self.order)
         blocks, border, corner = factor.covariances()
-        whole = np.empty((len(maps.own), OWN + SHARED, OWN + SHARED))
-        whole[:, :OWN, :OWN], whole[:, :OWN, OWN:] = blocks, border
-        whole[:, OWN:, :OWN], whole[:, OWN:, OWN:] = border.transpose(0, 2, 1), corner
-        if self.placed is not None:
-            return whole
-        motion, by_place, by_lens = _motions(maps)
-        moving, moving_shared = factor.solve(by_place, by_lens)
-        mixing = np.linalg.inv(np.einsum("nak,nal->kl", by_place, motion))
-        square = np.einsum("nak,nal->kl", by_place, moving) + by_lens.T @ moving_shared
-        square = mixing @ square @ mixing.T
-        count, free = len(motion), motion.shape[2]
-        moved = np.concatenate([motion, np.zeros((count, SHARED, free))], 1)
-        common = np.broadcast_to(moving_shared, (count, SHARED, free))
-        cross = moved @ mixing @ np.concatenate([moving, common], 1).transpose(0, 2, 1)
-        return np.asarray(
-            whole - cross - cross.transpose(0, 2, 1) + moved @ square @ moved.transpose(0, 2, 1)
-        )
+        width = self.terms.common
+        whole = np.empty((len(maps.own), OWN + width, OWN + width))
+        whole[:, :OWN, :OWN], whole[:, :OWN, OWN:] = blocks, border[:, :, :width]
+        whole[:, OWN:, OWN:] = corner[:width, :width]
+        if self.placed is None:
+            motion, by_place, by_lens = _motions(maps)
+            moving, common = factor.solve(by_place, by_lens)
+            mixing = np.linalg.inv(np.einsum("nak,nal->kl", by_place, motion))
+            square = np.einsum("nak,nal->kl", by_place, moving) + by_lens.T @ common
+            square = mixing @ square @ mixing.T
+            turned = motion @ mixing
+            cross = turned @ moving.transpose(0, 2, 1)
+            together = motion @ square @ motion.transpose(0, 2, 1)
+            whole[:, :OWN, :OWN] += together - cross - cross.transpose(0, 2, 1)
+            whole[:, :OWN, OWN:] -= turned @ common[:width].T
+        whole[:, OWN:, :OWN] = whole[:, :OWN, OWN:].transpose(0, 2, 1)
+        return whole
 
 
 def _motions(maps: TileMaps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -557,3 +567,19 @@ def _motions(maps: TileMaps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     lens = lens.reshape(count, 8, -1)
     by_lens[: lens.shape[2]] = np.einsum("nak,nal->kl", lens, fields)
     return np.linalg.solve(slopes, fields), slopes.transpose(0, 2, 1) @ fields, by_lens
+
+
+def similar(own: np.ndarray) -> np.ndarray:
+    """Return turn and scale of a tile, (2, 2), of its unknowns, (8,)."""
+    return np.array([[own[0], -own[1]], [own[1], own[0]]])
+
+
+def overlap_offsets(windows: Windows, adjusted: Adjustment) -> np.ndarray:
+    """Return by how much every overlap is off after the adjustment, (m, 2), px of its first tile: the mean of its windows by their information."""
+    count = len(windows.pairs)
+    total, goal = np.zeros((count, 2, 2)), np.zeros((count, 2))
+    np.add.at(total, windows.overlap, windows.information)
+    np.add.at(
+        goal, windows.overlap, np.einsum("nab,nb->na", windows.information, adjusted.residual)
+    )
+    return np.asarray(np.linalg.solve(total + 1e-12 * np.eye(2), goal[..., None])[..., 0])

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
-from typing import TypeVar
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from levkas.geometry.transforms import Affine
 
-Name = TypeVar("Name", bound=Hashable)
 Pair = tuple[str, str]
 
 
@@ -130,3 +129,38 @@ def _joined_to(laid: Affine, name: str, other: str, maps: Mapping[Pair, Affine])
     linear = laid.matrix[:, :2] @ linear
     whole = laid.matrix[:, :2] @ shift + laid.matrix[:, 2]
     return Affine(np.column_stack([linear, whole]))
+
+
+def loop_records(joined: Sequence[str], pairs: np.ndarray, off: np.ndarray) -> list[dict[str, Any]]:
+    """Return by how much every shortest loop of `pairs`, (m, 2), that are `off`, (m, 2), does not close, px."""
+    place = {(int(i), int(j)): off[k] for k, (i, j) in enumerate(pairs)}
+    records = []
+    for loop in short_loops([tuple(pair) for pair in pairs.tolist()]):
+        total = np.zeros(2)
+        for i, j in zip(loop, (*loop[1:], loop[0]), strict=True):
+            total += place[i, j] if (i, j) in place else -place[j, i]
+        records.append({"tiles": [joined[i] for i in loop], "closure": float(np.hypot(*total))})
+    return records
+
+
+def components(names: list[str], pairs: list[Pair]) -> list[list[str]]:
+    """Return the sets of tiles that pairs join, each in name order.
+
+    >>> components(["a", "b", "c"], [("a", "c")])
+    [['a', 'c'], ['b']]
+    """
+    root = {name: name for name in names}
+
+    def top(name: str) -> str:
+        while root[name] != name:
+            root[name] = root[root[name]]
+            name = root[name]
+        return name
+
+    for a, b in pairs:
+        low, high = sorted((top(a), top(b)))
+        root[high] = low
+    parts: dict[str, list[str]] = {}
+    for name in names:
+        parts.setdefault(top(name), []).append(name)
+    return list(parts.values())

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft
 
-from levkas.geometry.transforms import Affine, Transform
+from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration.bands import BandImage, sqrt_images
 from levkas.registration.features import KeyPoints, ScaledFeatures
 from levkas.registration.initial import fit_robustly
@@ -23,8 +24,10 @@ LONG_SIDE, KEY_POINTS = 1200, 1500
 STAGE_SHARE = 0.15
 #: Correlation of an overlap found by its detail alone, and of the second best place over it, up to which it is unique.
 LEAST_CORRELATION, MOST_SECOND = 0.2, 0.8
-#: Longer side of the pictures of which detail is correlated; least share of a tile that has to overlap; px apart of a second place.
-CORRELATED_SIDE, LEAST_COMMON, APART_PX = 512, 0.01, 6
+#: Of scatter by chance, up to which a correlation is none; px of detail that are alike.
+CHANCE, GRAIN_PX = 5.0, 12
+#: Longer side of the pictures of which detail is correlated, and of those in which repetition is looked for; least share of a tile that has to overlap; px apart of a second place.
+CORRELATED_SIDE, REPEATED_SIDE, LEAST_COMMON, APART_PX = 512, 320, 0.01, 6
 
 
 class TilePictures:
@@ -122,7 +125,7 @@ def near_pairs(
 
 def correlate_tiles(
     first: np.ndarray, second: np.ndarray, begin: Transform, reach: float
-) -> tuple[Affine, float] | None:
+) -> tuple[Transform, float] | None:
     """Return px of the first → px of the second tile by the detail of both, and how far it may be wrong, px; None where no shift stands out.
 
     Parameters
@@ -134,48 +137,72 @@ def correlate_tiles(
     reach : float, px
         Shifts that are tried.
     """
-    step = max(1, -(-max(first.shape) // CORRELATED_SIDE))
-    shape = first.shape[0] // step, first.shape[1] // step
-    pad = int(np.ceil(reach / step))
-    wide = shape[0] + 2 * pad, shape[1] + 2 * pad
-    corner = Affine(np.array([[1.0, 0, -pad * step], [0, 1, -pad * step]]))
-    from levkas.geometry.transforms import Composed
-
-    one = detail_on_grid(first, corner, wide, step=step)
-    two = detail_on_grid(second, Composed(corner, begin), wide, step=step)
-    found = _best_shift(one, two, pad)
-    if found is None:
+    found = _Correlation.of(first, second, begin, reach, CORRELATED_SIDE)
+    best = found.best
+    if best is None or found.repeats(best):
         return None
-    shift = np.array(found) * step
+    shift = np.array(best) * found.step
     moved = Composed(Affine(np.array([[1.0, 0, shift[0]], [0, 1, shift[1]]])), begin)
-    x, y = np.meshgrid(*(np.linspace(0, n - 1, 5) for n in first.shape[::-1]))
-    points = np.stack([x.ravel(), y.ravel()], 1)
-    return Affine.fit(points, moved(points)), 2.0 * step
+    return moved, 2.0 * found.step
 
 
-def _best_shift(one: np.ndarray, two: np.ndarray, reach: int) -> tuple[int, int] | None:
-    """Return (x, y), px, by which `two` has what `one` has here, or None where none is best by far."""
-    shape = [fft.next_fast_len(n + reach + 1, real=True) for n in one.shape]
-    a, b = (np.nan_to_num(image).astype(float) for image in (one, two))
-    known, other = (np.isfinite(image).astype(float) for image in (one, two))
+def repeats(first: np.ndarray, second: np.ndarray, found: Transform, reach: float) -> bool:
+    """Whether two tiles that match under `found` match about as well shifted by up to `reach` px, as a repeated ornament does."""
+    correlation = _Correlation.of(first, second, found, reach, REPEATED_SIDE)
+    return correlation.repeats((0, 0))
 
-    def against(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        product = np.conj(fft.rfft2(u, shape)) * fft.rfft2(v, shape)
-        return np.asarray(fft.irfft2(product, shape))
 
-    common = against(known, other)
-    energy = against(a * a, other) * against(known, b * b)
-    scores = against(a, b)
-    enough = common > LEAST_COMMON * one.size
-    floor = 1e-3 * float(energy[enough].max(initial=0.0))
-    scores = np.where(enough & (energy > floor), scores / np.sqrt(np.maximum(energy, 1e-30)), 0.0)
-    dy, dx = (np.fft.fftfreq(n, 1 / n).astype(int) for n in shape)
-    scores[(np.abs(dy)[:, None] > reach) | (np.abs(dx)[None, :] > reach)] = 0
-    row, column = np.unravel_index(int(scores.argmax()), scores.shape)
-    best = float(scores[row, column])
-    away = np.hypot(dy[:, None] - dy[row], dx[None, :] - dx[column]) > APART_PX
-    # The peak of that many places without anything in common: about four times their scatter.
-    chance = 5.0 / np.sqrt(max(common[row, column], 1.0) / 12)
-    if best < max(LEAST_CORRELATION, chance) or scores[away].max(initial=0) > MOST_SECOND * best:
-        return None
-    return int(dx[column]), int(dy[row])
+@dataclass(frozen=True)
+class _Correlation:
+    """Correlations of the detail of two tiles by shift, (rows, columns), 0 where they are not beyond chance, and px per px of these."""
+
+    scores: np.ndarray
+    down: np.ndarray
+    across: np.ndarray
+    step: int
+
+    @classmethod
+    def of(
+        cls, first: np.ndarray, second: np.ndarray, begin: Transform, reach: float, side: int
+    ) -> _Correlation:
+        step = max(1, -(-max(first.shape) // side))
+        pad = int(np.ceil(reach / step))
+        wide = first.shape[0] // step + 2 * pad, first.shape[1] // step + 2 * pad
+        corner = Affine(np.array([[1.0, 0, -pad * step], [0, 1, -pad * step]]))
+        one = detail_on_grid(first, corner, wide, step=step)
+        two = detail_on_grid(second, Composed(corner, begin), wide, step=step)
+        shape = [fft.next_fast_len(n + pad + 1, real=True) for n in wide]
+
+        def spectra(image: np.ndarray) -> list[np.ndarray]:
+            detail = np.nan_to_num(image).astype(float)
+            return [fft.rfft2(v, shape) for v in (detail, detail**2, np.isfinite(image) * 1.0)]
+
+        def against(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+            return np.asarray(fft.irfft2(np.conj(u) * v, shape))
+
+        (a, a2, known), (b, b2, other) = spectra(one), spectra(two)
+        common = np.maximum(against(known, other), 1.0)
+        energy = against(a2, other) * against(known, b2)
+        scores = against(a, b)
+        enough = common > LEAST_COMMON * first.size / step**2
+        floor = 1e-6 * float(energy[enough].max(initial=0.0))
+        enough &= energy > floor
+        scores = np.where(enough, scores / np.sqrt(np.where(enough, energy, 1.0)), 0.0)
+        scores = np.where(scores > CHANCE / np.sqrt(common / GRAIN_PX), scores, 0.0)
+        down, across = (np.fft.fftfreq(n, 1 / n).astype(int) for n in shape)
+        scores[(np.abs(down)[:, None] > pad) | (np.abs(across)[None, :] > pad)] = 0
+        return cls(scores, down, across, step)
+
+    @property
+    def best(self) -> tuple[int, int] | None:
+        """The shift (x, y) by which the second tile has what the first has, or None."""
+        row, column = np.unravel_index(int(self.scores.argmax()), self.scores.shape)
+        if self.scores[row, column] < LEAST_CORRELATION:
+            return None
+        return int(self.across[column]), int(self.down[row])
+
+    def repeats(self, shift: tuple[int, int]) -> bool:
+        """Whether another shift matches about as well as this one."""
+        apart = np.hypot(self.down[:, None] - shift[1], self.across[None, :] - shift[0])
+        here = float(self.scores[apart <= APART_PX / 2].max(initial=0))
+        return float(self.scores[apart > APART_PX].max(initial=0)) > MOST_SECOND * here

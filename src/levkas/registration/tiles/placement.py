@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from levkas.core.machine import steady_libraries
 from levkas.core.problems import Problem
@@ -15,6 +16,7 @@ from levkas.geometry.transforms import Affine, Composed, Inverse, Lens, Transfor
 from levkas.registration.bands import BandImage
 from levkas.registration.record import RegistrationRefused
 from levkas.registration.tiles.adjustment import (
+    OWN,
     SHARED,
     Adjustment,
     AdjustmentTerms,
@@ -23,14 +25,22 @@ from levkas.registration.tiles.adjustment import (
     Windows,
     adjust,
     choose_terms,
+    overlap_offsets,
+    similar,
 )
-from levkas.registration.tiles.loops import consistent_pairs, lay_along_tree, short_loops
+from levkas.registration.tiles.loops import (
+    components,
+    consistent_pairs,
+    lay_along_tree,
+    loop_records,
+)
 from levkas.registration.tiles.neighbours import (
     STAGE_SHARE,
     TilePictures,
     correlate_tiles,
     match_tiles,
     near_pairs,
+    repeats,
     similarity,
 )
 from levkas.registration.tiles.overlaps import NoOverlap, OverlapWindows, measure_overlap
@@ -43,6 +53,16 @@ MOST_OFF_PX, MOST_OFF = 1.0, 8.0
 ROUNDS = 10
 #: Px by which a tile's place may be wrong before its first adjustment is refined.
 PREDICTED_PX = 12.0
+#: Longer sides of a tile up to which middles of neighbours are apart; of 15 x 15 places, how many a corner has.
+NEAR, CORNER = 1.05, 3
+#: Of a tile's longer side: how well a stage's position is known at best.
+LEAST_STAGE = 0.002
+#: Of a tile's longer side: how far apart places are looked for that look alike, where no position is known.
+REPEAT_SHARE = 0.5
+REPEATS = "shows detail that repeats itself where it overlaps others"
+NO_DETAIL = "shows no detail where it overlaps others"
+#: Why overlaps are missing of a tile that is taken where its position says.
+DOUBTFUL = ({"no detail"}, {"repeats"}, {"no detail", "repeats"})
 Pair = tuple[str, str]
 
 
@@ -207,13 +227,29 @@ class _Mosaic:
         return [(a, b) for k, a in enumerate(self.names) for b in self.names[k + 1 :]]
 
     def _measure_from_key_points(self, pair: Pair) -> None:
-        begin = match_tiles(self.pictures, *pair)
+        """Measure an overlap from where key points put it, else from where positions do."""
+        begin, expected = match_tiles(self.pictures, *pair), self._expected(pair)
+        reach = STAGE_SHARE * max(self.size)
+        if begin is not None and expected is not None:
+            middle = np.array(self.size, float)[None] / 2
+            astray = float(np.hypot(*(begin(middle) - expected(middle))[0]))
+            begin = begin if astray <= 2 * reach else None
         if begin is not None and self._measure(pair, begin, 4.0):
-            return
-        if all(name in self.starts for name in pair):
-            shift = np.subtract(self.starts[pair[0]], self.starts[pair[1]])
-            begin = Affine(np.array([[1.0, 0, shift[0]], [0, 1, shift[1]]]))
-            self._measure_by_detail(pair, begin, STAGE_SHARE * max(self.size))
+            around = REPEAT_SHARE * max(self.size) if expected is None else reach
+            first, second = (self.pictures[name] for name in pair)
+            if not repeats(first, second, self.found[pair].transform, around):
+                return
+            del self.found[pair]
+            self.missed[pair] = "repeats"
+        elif expected is not None:
+            self._measure_by_detail(pair, expected, reach)
+
+    def _expected(self, pair: Pair) -> Affine | None:
+        """Return px of one tile → px of another by their positions, where these are known."""
+        if not all(name in self.starts for name in pair):
+            return None
+        shift = np.subtract(self.starts[pair[0]], self.starts[pair[1]])
+        return Affine(np.array([[1.0, 0, shift[0]], [0, 1, shift[1]]]))
 
     def _measure_by_detail(self, pair: Pair, begin: Transform, reach: float) -> bool:
         first, second = (self.pictures[name] for name in pair)
@@ -236,13 +272,9 @@ class _Mosaic:
 
     def _measure_predicted(self, joined: list[str], adjusted: Adjustment) -> bool:
         """Measure overlaps of placed tiles that were not found before, from where the adjustment puts them."""
-        corner = {
-            name: tuple(adjusted.maps(np.array([k]), np.zeros((1, 2)))[0])
-            for k, name in enumerate(joined)
-        }
         number = {name: k for k, name in enumerate(joined)}
         new = False
-        for pair in near_pairs(corner, None, self.size, 0.0):
+        for pair in self._predicted(joined, adjusted.maps):
             if pair in self.found or pair in self.refused:
                 continue
             onto = Composed(*(
@@ -251,6 +283,48 @@ class _Mosaic:
             ))  # fmt: skip
             new |= self._measure(pair, onto, PREDICTED_PX)
         return new
+
+    def _predicted(self, joined: list[str], maps: TileMaps) -> list[Pair]:
+        """Return the pairs of placed tiles that overlap by more than a corner, however they are turned."""
+        x, y = (np.linspace(0, n - 1, 15) for n in self.size)
+        points = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+        tree, near = cKDTree(maps.own[:, 2:4]), []
+        for i, j in sorted(map(tuple, map(sorted, tree.query_pairs(NEAR * max(self.size))))):
+            there = maps(np.full(len(points), i), points)
+            there = (there - maps.own[j, 2:4]) @ np.linalg.inv(similar(maps.own[j])).T
+            if (np.abs(there) * maps.frame.spread <= np.array(self.size) / 2).all(1).sum() > CORNER:
+                near.append((joined[i], joined[j]))
+        return near
+
+    def _by_position(
+        self, joined: list[str], maps: TileMaps
+    ) -> tuple[list[str], np.ndarray, float]:
+        """Return tiles that have no detail where they overlap, their unknowns where their positions put them, and how far these err, px."""
+        lone = [
+            name
+            for name in self.starts
+            if name not in joined
+            and name not in self.left_out
+            and not any(name in pair for pair in (*self.found, *self.refused))
+            and {r for p, r in self.missed.items() if name in p} - {"apart"} in DOUBTFUL
+        ]
+        known = [name for name in joined if name in self.starts]
+        if not lone or len(known) < 2:
+            return [], np.zeros((0, OWN)), 0.0
+        stage = np.array([self.starts[name] for name in known]) + maps.frame.centre
+        place = maps.own[[joined.index(name) for name in known], 2:4]
+        onto = similarity(stage, place)
+        freedom = 2 * len(known) - 4
+        scatter = float(np.sqrt(((onto(stage) - place) ** 2).sum() / max(freedom, 1)))
+        least = LEAST_STAGE if freedom else STAGE_SHARE / 2
+        own = np.tile(maps.own.mean(0), (len(lone), 1))
+        own[:, 2:4] = onto(np.array([self.starts[name] for name in lone]) + maps.frame.centre)
+        return lone, own, max(scatter, least * max(self.size))
+
+    def _why(self, name: str) -> str:
+        return (
+            REPEATS if "repeats" in {r for p, r in self.missed.items() if name in p} else NO_DETAIL
+        )
 
     def _leave_out_twins(self) -> None:
         """Leave out tiles that show the same as one before them."""
@@ -348,23 +422,26 @@ class _Mosaic:
         _, pairs = self._joined()
         windows = self._windows(joined, pairs)
         off = overlap_offsets(windows, adjusted)
-        gauge = self._gauge(joined, adjusted)
+        lone, own, stage_px = self._by_position(joined, adjusted.maps)
+        maps = replace(adjusted.maps, own=np.concatenate([adjusted.maps.own, own]))
+        gauge = self._gauge(maps)
         transforms, boxes, sigma = {}, [], {}
         scale = float(np.sqrt(np.linalg.det(gauge.matrix[:, :2])))
-        for k, name in enumerate(joined):
+        for k, name in enumerate(joined + lone):
             height, width = self.pictures.shapes[name]
-            whole = adjusted.maps.transform(k)
             x, y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 9))
             points = np.stack([x.ravel(), y.ravel()], 1)
-            transforms[name] = Composed(whole, gauge)
+            transforms[name] = Composed(maps.transform(k), gauge)
             boxes.append(transforms[name](points))
-            spread = adjusted.place_covariance(k, points)
-            sigma[name] = scale * float(np.sqrt(np.trace(spread, axis1=1, axis2=2).mean() / 2))
+            sigma[name] = scale * stage_px
+            if name in joined:
+                spread = adjusted.place_covariance(k, points)
+                sigma[name] = scale * float(np.sqrt(np.trace(spread, axis1=1, axis2=2).mean() / 2))
         low = np.floor(np.min([box.min(0) for box in boxes], axis=0) + 0.5)
         high = np.max([box.max(0) for box in boxes], axis=0)
         shift = Affine(np.array([[1.0, 0, -low[0]], [0, 1, -low[1]]]))
         width, height = (np.ceil(high - low - 1e-6) + 1).astype(int).tolist()
-        self._explain_missing(joined)
+        self._explain_missing(joined + lone)
         names = ("scale", "shear", "tilt")
         return TilePlacement(
             {name: Composed(one, shift) for name, one in transforms.items()},
@@ -372,18 +449,20 @@ class _Mosaic:
             sigma,
             dict(sorted(self.left_out.items())),
             self._overlap_records(pairs, off),
-            loop_records(joined, windows, off),
+            loop_records(joined, windows.pairs, off),
             adjusted.maps.lens if terms.lens else None,
             adjusted.maps.bend,
             adjusted.rms,
             errors,
-            {},
+            {
+                name: f"{self._why(name)}: its position is known to ± {sigma[name]:.1f} px"
+                for name in lone
+            },
             dict(zip(names, adjusted.deviations.tolist(), strict=True)),
         )
 
-    def _gauge(self, joined: list[str], adjusted: Adjustment) -> Affine:
+    def _gauge(self, maps: TileMaps) -> Affine:
         """Return the similarity after which the first tile is neither turned nor scaled about its middle."""
-        maps = adjusted.maps
         place, by_px, _, _ = maps.linearised(np.zeros(1, int), maps.frame.centre[None])
         (a, b), (c, d) = by_px[0]
         linear = np.array([[a + d, c - b], [b - c, a + d]]) / 2
@@ -408,7 +487,9 @@ class _Mosaic:
                     f"overlaps {listed} only, which no overlap joins to the others"
                 )
             elif missed == {"no detail"}:
-                self.left_out[name] = "shows no detail where it overlaps others"
+                self.left_out[name] = NO_DETAIL
+            elif "repeats" in missed:
+                self.left_out[name] = f"{REPEATS}: give the positions of the tiles"
             else:
                 self.left_out[name] = "shows nothing that any other tile shows"
 
@@ -435,49 +516,3 @@ class _Mosaic:
             if reason != "apart":
                 records.append({"tiles": list(pair), "windows": 0, "used": False, "reason": reason})
         return records
-
-
-def overlap_offsets(windows: Windows, adjusted: Adjustment) -> np.ndarray:
-    """Return by how much every overlap is off after the adjustment, (m, 2), px of its first tile: the mean of its windows by their information."""
-    count = len(windows.pairs)
-    total, goal = np.zeros((count, 2, 2)), np.zeros((count, 2))
-    np.add.at(total, windows.overlap, windows.information)
-    np.add.at(
-        goal, windows.overlap, np.einsum("nab,nb->na", windows.information, adjusted.residual)
-    )
-    return np.asarray(np.linalg.solve(total + 1e-12 * np.eye(2), goal[..., None])[..., 0])
-
-
-def loop_records(joined: list[str], windows: Windows, off: np.ndarray) -> list[dict[str, Any]]:
-    """Return by how much every shortest loop does not close, px."""
-    place = {(int(i), int(j)): off[k] for k, (i, j) in enumerate(windows.pairs)}
-    records = []
-    for loop in short_loops([tuple(pair) for pair in windows.pairs.tolist()]):
-        total = np.zeros(2)
-        for i, j in zip(loop, (*loop[1:], loop[0]), strict=True):
-            total += place[i, j] if (i, j) in place else -place[j, i]
-        records.append({"tiles": [joined[i] for i in loop], "closure": float(np.hypot(*total))})
-    return records
-
-
-def components(names: list[str], pairs: list[Pair]) -> list[list[str]]:
-    """Return the sets of tiles that pairs join, each in name order.
-
-    >>> components(["a", "b", "c"], [("a", "c")])
-    [['a', 'c'], ['b']]
-    """
-    root = {name: name for name in names}
-
-    def top(name: str) -> str:
-        while root[name] != name:
-            root[name] = root[root[name]]
-            name = root[name]
-        return name
-
-    for a, b in pairs:
-        low, high = sorted((top(a), top(b)))
-        root[high] = low
-    parts: dict[str, list[str]] = {}
-    for name in names:
-        parts.setdefault(top(name), []).append(name)
-    return list(parts.values())

@@ -1,0 +1,308 @@
+"""Tiles joined: real ones, tiles cut from paintings by known maps, and a mosaic of tens of thousands of simulated observations.
+
+    python benchmarks/tiles.py --data FOLDER [--seeds 2] [--results results.json]
+    python benchmarks/tiles.py --tiles 30000 [--results results.json]
+
+The first form takes the tiles of a polished section (`tiles-section`, grey JPEG files named by row and column) and paintings (`paintings`)
+in the folder. Of the real tiles there is no truth: how well windows agree after one adjustment, and how well loops close, with the lens and
+as plain homographies. The paintings are cut into tiles of 360 x 300 px, turned, tilted and scaled at random, seen through a lens of 1 %, with
+noise, and joined again; the error of all px, against the cut and after one homography of the whole, stands beside that of a chain of key
+points from tile to tile, of whole-tile correlation at given positions (as ashlar and MIST work) and of OpenCV's bundle adjustment.
+The second form adjusts observations alone: time, memory, and errors over the sigma that the adjustment promises.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import resource
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+from results import add_option, record
+from scipy.ndimage import map_coordinates, spline_filter
+
+from levkas.geometry.transforms import Composed, Homography, Inverse, Lens
+from levkas.registration import BandImage
+from levkas.registration.tiles import place_tiles
+from levkas.registration.tiles.adjustment import SHARED, TileFrame, TileMaps, Windows, adjust
+
+TABLE = "tiles"
+SIZE = (360, 300)
+PAINTINGS = ("starry_night_google.jpg", "the_scream.jpg", "shipwreck.jpg")
+
+
+# --- tiles cut from a painting
+
+
+def cut_tiles(image, overlap, rng, *, turn=0.01, rows=3, columns=3, snr=40):
+    """Return name → BandImage, name → map of tile px to px of the painting, and name → corner as a stage would have it."""
+    (w, h), middle = SIZE, (np.array(SIZE) - 1) / 2
+    lens = Lens(middle, max(SIZE) / 2, (0.01, -0.002), (0.0005, -0.0003))
+    smooth = spline_filter(image.astype(float))
+    x, y = np.meshgrid(np.arange(w), np.arange(h))
+    points = np.stack([x.ravel(), y.ravel()], 1).astype(float)
+    tiles, truth, starts = {}, {}, {}
+    for row in range(rows):
+        for column in range(columns):
+            corner = 25 + np.array([column * w, row * h]) * (1 - overlap)
+            angle, size = rng.normal() * turn, 1 + rng.normal() * 1e-3
+            matrix, away, tilt = np.eye(3), np.eye(3), np.eye(3)
+            matrix[:2, :2] = size * np.array(
+                [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+            )
+            matrix[:2, 2] = corner + middle + rng.normal(size=2) * 6
+            away[:2, 2] = -middle
+            tilt[2, :2] = rng.normal(size=2) * 1e-5
+            onto = Composed(Inverse(lens), Homography(matrix @ tilt @ away))
+            places = onto(points).T[::-1]
+            seen = map_coordinates(smooth, places, order=3, prefilter=False, mode="reflect")
+            seen = np.clip(seen.reshape(h, w), 1, None)
+            seen += rng.normal(size=seen.shape) * np.sqrt(seen / 255) * 255 / snr
+            name = f"r{row}c{column}"
+            tiles[name] = BandImage.of("1", seen.astype(np.float32))
+            truth[name], starts[name] = onto, tuple(corner)
+    return tiles, truth, starts
+
+
+def lattice():
+    return np.stack(
+        np.meshgrid(np.linspace(0, SIZE[0] - 1, 11), np.linspace(0, SIZE[1] - 1, 11)), -1
+    ).reshape(-1, 2)
+
+
+def errors_of(transforms, truth):
+    """Return errors of a lattice of px of every tile, px of the painting, after one homography of all."""
+    names, points = sorted(transforms), lattice()
+    ours = np.concatenate([transforms[name](points) for name in names])
+    theirs = np.concatenate([truth[name](points) for name in names])
+    return np.linalg.norm(Homography.fit(ours, theirs)(ours) - theirs, axis=1)
+
+
+# --- other ways
+
+
+def chain(tiles):
+    """Key points (SIFT, RANSAC homographies) from tile to tile along the rows, down the first column."""
+    sift = cv2.SIFT_create()
+    found = {}
+    for name, tile in tiles.items():
+        found[name] = sift.detectAndCompute(np.clip(tile.values, 0, 255).astype(np.uint8), None)
+    laid = {}
+    for name in sorted(tiles):
+        row, column = map(int, re.findall(r"\d+", name))
+        if row == column == 0:
+            laid[name] = np.eye(3)
+            continue
+        before = f"r{row}c{column - 1}" if column else f"r{row - 1}c0"
+        (a, ours), (b, theirs) = found[name], found[before]
+        pairs = [m for m, n in cv2.BFMatcher().knnMatch(ours, theirs, 2) if m.distance < 0.8 * n.distance]
+        if before not in laid or len(pairs) < 4:
+            continue
+        p, q = (np.array([k[i].pt for i in of]) for k, of in ((a, [m.queryIdx for m in pairs]), (b, [m.trainIdx for m in pairs])))
+        matrix, _ = cv2.findHomography(p, q, cv2.RANSAC, 2.0)
+        if matrix is not None:
+            laid[name] = laid[before] @ matrix
+    return {name: Homography(matrix) for name, matrix in laid.items()}
+
+
+def by_shifts(tiles, starts, overlap):
+    """Shifts of neighbours by phase correlation of the overlap that positions give, and the least squares of all shifts."""
+    names = sorted(tiles)
+    number, rows, goals = {name: k for k, name in enumerate(names)}, [], []
+    for name in names:
+        row, column = map(int, re.findall(r"\d+", name))
+        for other, axis in ((f"r{row}c{column + 1}", 0), (f"r{row + 1}c{column}", 1)):
+            if other not in tiles:
+                continue
+            step = round(SIZE[axis] * (1 - overlap))
+            a, b = tiles[name].values, tiles[other].values
+            a, b = (a[:, step:], b[:, : SIZE[0] - step]) if axis == 0 else (a[step:], b[: SIZE[1] - step])
+            window = cv2.createHanningWindow(a.shape[::-1], cv2.CV_32F)
+            (dx, dy), _ = cv2.phaseCorrelate(a, np.ascontiguousarray(b), window)
+            shift = np.array([-dx, -dy])
+            shift[axis] += step
+            line = np.zeros(len(names))
+            line[number[other]], line[number[name]] = 1, -1
+            rows.append(line)
+            goals.append(shift)
+    rows.append(np.eye(len(names))[0])
+    goals.append(np.zeros(2))
+    places = np.linalg.lstsq(np.array(rows), np.array(goals), rcond=None)[0]
+    return {name: Homography(np.array([[1.0, 0, x], [0, 1, y], [0, 0, 1]])) for name, (x, y) in zip(names, places, strict=True)}
+
+
+def opencv_bundle(tiles):
+    """OpenCV's stitching pipeline as its scans mode has it: SIFT, affine matches, affine bundle adjustment."""
+    names = sorted(tiles)
+    pictures = [cv2.cvtColor(np.clip(tiles[n].values, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR) for n in names]
+    finder = cv2.SIFT_create()
+    features = [cv2.detail.computeImageFeatures2(finder, picture) for picture in pictures]
+    matches = cv2.detail_AffineBestOf2NearestMatcher(True, False, 0.3).apply2(features)
+    ok, cameras = cv2.detail_AffineBasedEstimator().apply(features, matches, None)
+    if not ok:
+        return {}
+    for camera in cameras:
+        camera.R = camera.R.astype(np.float32)
+    adjuster = cv2.detail_BundleAdjusterAffine()
+    adjuster.setConfThresh(0.3)
+    ok, cameras = adjuster.apply(features, matches, cameras)
+    return {name: Homography(camera.R.astype(float)) for name, camera in zip(names, cameras, strict=True)} if ok else {}
+
+
+def attempt(work, *arguments):
+    try:
+        return work(*arguments)
+    except (cv2.error, AttributeError, np.linalg.LinAlgError) as error:
+        print("   ", work.__name__, "failed:", str(error).splitlines()[0][:100])
+        return {}
+
+
+def paintings(folder, seeds):
+    values = {}
+    for overlap in (0.25, 0.1):
+        gathered: dict[str, list] = {}
+        for name in PAINTINGS:
+            image = cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE)
+            image = cv2.resize(image, (1180, 1000), interpolation=cv2.INTER_AREA)
+            for seed in range(seeds):
+                tiles, truth, starts = cut_tiles(image, overlap, np.random.default_rng(seed))
+                placed = place_tiles(tiles, starts=starts)
+                ways = {
+                    "Levkas": placed.transforms,
+                    "Levkas, plain homographies": place_tiles(tiles, starts=starts, lens=False).transforms,
+                    "chain of key points": attempt(chain, tiles),
+                    "shifts by phase correlation": attempt(by_shifts, tiles, starts, overlap),
+                    "OpenCV's bundle adjustment": attempt(opencv_bundle, tiles),
+                }  # fmt: skip
+                for way, transforms in ways.items():
+                    errors = errors_of(transforms, truth) if len(transforms) > 2 else [np.nan]
+                    gathered.setdefault(way, []).append((np.mean(errors), np.max(errors), len(transforms)))
+                ratio = np.sqrt(np.mean(errors_of(placed.transforms, truth) ** 2) / 2) / np.sqrt(np.mean(np.square(list(placed.sigma.values()))))
+                gathered.setdefault("ratio", []).append(ratio)
+                print(f"{name} {overlap} seed {seed}:", {w: np.round(v[-1], 3).tolist() for w, v in gathered.items()}, f"rms {placed.rms:.3f}", placed.left_out, flush=True)
+        column = f"overlap {round(100 * overlap)} %"
+        ratio = gathered.pop("ratio")
+        for way, found in gathered.items():
+            mean, most, count = np.array(found).T
+            print(f"{column:>12} {way:28} mean {np.nanmean(mean):7.3f}  largest {np.nanmax(most):7.2f} px   tiles {count.mean():.1f} of 9")
+            values[way, column] = float(np.nanmean(mean)) if np.isfinite(mean).any() else None
+        values["error over sigma", column] = float(np.sqrt(np.mean(np.square(ratio))))
+        print(f"{column:>12} error over sigma {values['error over sigma', column]:.2f}")
+    return values
+
+
+def real(folder):
+    tiles = {}
+    for path in sorted(folder.glob("*.jpg")):
+        row, column = re.search(r"@(\d+) (\d+)", path.name).groups()
+        tiles[f"r{row}c{column}"] = BandImage.of("1", cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+    values = {}
+    for way, lens in (("Levkas", True), ("Levkas, plain homographies", False)):
+        placed = place_tiles(tiles, lens=lens)
+        loops = [loop["closure"] for loop in placed.loops]
+        print(f"{way:28} rms {placed.rms:.3f} px  loops {max(loops):.3f} px  left-out windows {placed.errors}")
+        values[way, "real tiles, rms"], values[way, "real tiles, loops"] = placed.rms, max(loops)
+    return values
+
+
+# --- very many tiles, observations alone
+
+
+def simulate(rows, columns, rng, *, noise=0.03):
+    """Return windows of a mosaic, where to begin, and the planted maps: tiles of 4000 x 3000 px that overlap by 12 %."""
+    size = (4000, 3000)
+    frame = TileFrame.of_size(size)
+    step = np.array(size) * 0.88
+    index = np.arange(rows * columns).reshape(rows, columns)
+    across = np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()], 1)
+    down = np.stack([index[:-1].ravel(), index[1:].ravel()], 1)
+    pairs = np.concatenate([across, down])
+    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    count = rows * columns
+    own = np.zeros((count, 8))
+    nominal = np.stack([index.ravel() % columns, index.ravel() // columns], 1) * step
+    angle, scale = rng.normal(size=count) * 2e-3, 1 + rng.normal(size=count) * 3e-5
+    own[:, 0], own[:, 1] = frame.spread * scale * np.cos(angle), frame.spread * scale * np.sin(angle)
+    own[:, 2:4] = nominal + rng.normal(size=(count, 2)) * 20
+    own[:, 6:] = rng.normal(size=(count, 2)) * 1e-4 * frame.spread
+    shared = np.zeros(SHARED)
+    shared[:4] = np.array([0.008, -0.001, 2e-4, -1e-4]) * frame.spread
+    truth = TileMaps(frame, own, shared)
+    first, second = [], []
+    u, v = np.meshgrid([-0.055, 0.0, 0.055], np.linspace(-0.42, 0.42, 4))
+    for side in (0, 1):
+        cross = np.stack([u.ravel(), v.ravel()], 1)[:, :: 1 if side == 0 else -1] * size
+        first.append(cross + frame.centre + 0.44 * step_along(side, size))
+    which = (pairs[:, 1] - pairs[:, 0] != 1).astype(int)
+    points = np.array(first)[which]
+    overlap = np.repeat(np.arange(len(pairs)), points.shape[1])
+    points = points.reshape(-1, 2)
+    tile = pairs[overlap]
+    place = truth(tile[:, 0], points)
+    partner = points - np.array([step_along(0, size), step_along(1, size)])[which[overlap]] * 0.88
+    for _ in range(6):
+        there, by_px, _, _ = truth.linearised(tile[:, 1], partner)
+        partner = partner + np.linalg.solve(by_px, (place - there)[..., None])[..., 0]
+    second = partner + rng.normal(size=points.shape) * noise
+    information = np.broadcast_to(np.eye(2) / noise**2, (len(points), 2, 2)).copy()
+    begin = np.zeros((count, 8))
+    begin[:, 0], begin[:, 2:4] = frame.spread, nominal
+    windows = Windows(pairs, overlap, points, second, information)
+    return windows, TileMaps(frame, begin, np.zeros(SHARED)), truth
+
+
+def step_along(side, size):
+    return np.array([size[0], 0.0]) if side == 0 else np.array([0.0, size[1]])
+
+
+def many(count):
+    rows = max(2, round(np.sqrt(count * 0.75)))
+    columns = max(2, round(count / rows))
+    windows, begin, truth = simulate(rows, columns, np.random.default_rng(0))
+    clock = time.perf_counter()
+    adjusted = adjust(windows, begin)
+    minutes = (time.perf_counter() - clock) / 60
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    tiles = np.arange(rows * columns)
+    middle = np.tile(begin.frame.centre, (len(tiles), 1))
+    ours, theirs = adjusted.maps(tiles, middle), truth(tiles, middle)
+    off = Homography.fit(ours, theirs)(ours) - theirs
+    variance = np.array([np.trace(adjusted.place_covariance(k, middle[:1])[0]) / 2 for k in tiles])
+    away = np.linalg.norm((theirs - theirs.mean(0)) / (np.ptp(theirs, axis=0) / 2), axis=1, ord=np.inf)
+    print(f"{rows} x {columns} tiles, {len(windows.pairs)} overlaps, {len(windows.overlap)} windows: {minutes:.1f} min, {memory:.2f} GB, rms {adjusted.rms:.4f} px")
+    for low, high in ((0, 0.25), (0.25, 0.5), (0.5, 0.75), (0.75, 0.95), (0.95, 1.1)):
+        here = (away >= low) & (away < high)
+        print(f"  {low:.2f}–{high:.2f} of the way out: error {np.sqrt((off[here] ** 2).mean()):.3f} px, promised {np.sqrt(variance[here].mean()):.3f}")
+    near = windows.pairs
+    relative = np.sqrt((((off[near[:, 0]] - off[near[:, 1]]) ** 2).mean()))
+    error, promised = np.sqrt((off**2).mean()), np.sqrt(variance.mean())
+    print(f"  all: error {error:.3f} px along an axis, promised {promised:.3f}; of neighbours to one another {relative:.3f}; deviations {adjusted.deviations}")
+    return {
+        "30,000 tiles, time": minutes,
+        "30,000 tiles, memory": memory,
+        "30,000 tiles, error": float(error),
+        "30,000 tiles, error of neighbours to one another": float(relative),
+        "30,000 tiles, error over sigma": float(error / promised),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path)
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--tiles", type=int)
+    add_option(parser)
+    given = parser.parse_args()
+    if given.tiles:
+        record(given.results, TABLE + "-many", many(given.tiles))
+    if given.data:
+        values = real(given.data / "tiles-section")
+        values |= paintings(given.data / "paintings", given.seeds)
+        record(given.results, TABLE, values)
+
+
+if __name__ == "__main__":
+    main()
