@@ -1,4 +1,5 @@
 import csv
+import io
 import json
 import sys
 from typing import get_args, get_type_hints
@@ -10,12 +11,14 @@ import rasterio
 import spectral
 import tifffile
 import xarray
+from PIL import Image
 from scipy.io import loadmat
 from typer.testing import CliRunner
 
 import levkas
 from levkas.cli import app
 from levkas.cli.publish import export as command
+from levkas.colour.gamut import lab_of
 from levkas.core.digests import hash_tree
 from levkas.database.spectral_tiff import read_tiff_pages
 from levkas.publish.export import export
@@ -123,6 +126,54 @@ def test_gdal_gets_bands_with_names_and_a_world_file_in_mm(database, tmp_path):
         same(np.moveaxis(image.read(), 0, 2), truth(database))
 
 
+def test_photoshop_gets_a_layer_a_camera_with_its_name_and_coverage(database, tmp_path):
+    psd = pytest.importorskip("psdtags")
+    exported(database, "photoshop", tmp_path)
+    path = tmp_path / "icon1_layers.tif"
+    layers = psd.TiffImageSourceData.fromtiff(path).layers.layers
+    assert [layer.name for layer in layers] == ["rgb", "rgb soft", "vis"]
+    published = np.asarray(Image.open(database / "objects/icon1/icon1_vis.png").convert("RGB"))
+    alpha, *colours = (channel.data for channel in layers[2].channels)
+    np.testing.assert_array_equal(np.dstack(colours), published)
+    assert (alpha[:2, :3] == 0).all() and (alpha[2:] == 255).all()
+    with tifffile.TiffFile(path) as tiff:
+        assert b"sRGB" in tiff.pages[0].iccprofile and tiff.pages[0].tags["XResolution"].value == (
+            40,
+            1,
+        )
+    assert sorted(p.name for p in tmp_path.glob("*.tif")) == ["icon1_layers.tif", "icon2_layers.tif"]
+
+
+@pytest.mark.parametrize("space", ["eciRGB v2", "ProPhoto RGB"])
+def test_a_master_has_the_colours_that_its_profile_states(database, tmp_path, space):
+    import colour
+    from PIL import ImageCms
+
+    form = space.split()[0].lower()
+    with pytest.raises(ExportRefused, match="no colours"):
+        exported(database, form, tmp_path)
+    list(export(database, form, output=tmp_path, objects=["icon2"]))
+    with tifffile.TiffFile(tmp_path / f"icon2_vis_{form}.tif") as tiff:
+        pixels, page = tiff.asarray(), tiff.pages[0]
+        assert pixels.dtype == np.uint16 and page.compression == 1
+        profile = ImageCms.ImageCmsProfile(io.BytesIO(page.iccprofile))
+    assert space in ImageCms.getProfileName(profile)
+    # What another program makes of the pixels by the profile, against colours from the spectra.
+    values = truth(database, "icon2_vis")[2:]
+    lab = lab_of(values, [420.0, 500.5, 610.0, 700.0], "D50")
+    linear = colour.XYZ_to_RGB(
+        colour.Lab_to_XYZ(lab, [0.34567, 0.35850]), space.replace("eciRGB", "ECI RGB"), [0.34567, 0.35850], apply_cctf_encoding=True
+    )  # fmt: skip
+    inside = ((linear > 0.02) & (linear < 0.98)).all(-1)
+    assert inside.mean() > 0.1
+    # The white of D50 is rounded to four digits here and there: dark values feel it most.
+    np.testing.assert_allclose(pixels[2:][inside] / 65535, linear[inside], atol=5e-3)
+    eight = Image.fromarray((pixels >> 8).astype(np.uint8))
+    to_lab = ImageCms.buildTransform(profile, ImageCms.createProfile("LAB"), "RGB", "LAB", 1)
+    found = np.asarray(ImageCms.applyTransform(eight, to_lab)).astype(float)[2:]
+    assert np.abs(found[..., 0][inside] * 100 / 255 - lab[..., 0][inside]).max() < 1.0
+
+
 def test_netcdf_opens_labelled_with_flags_and_sigma(database, tmp_path):
     exported(database, "netcdf", tmp_path)
     with xarray.open_dataset(tmp_path / "icon1_vis.nc", engine="h5netcdf") as dataset:
@@ -165,8 +216,8 @@ def test_the_command_offers_every_form():
 @pytest.mark.parametrize("form", FORMS)
 def test_an_export_is_the_same_at_any_time_and_leaves_the_database_alone(database, tmp_path, form):
     before = hash_tree(database)
-    exported(database, form, tmp_path / "one")
-    exported(database, form, tmp_path / "two")
+    for folder in ("one", "two"):  # icon2 alone has colours for a master in all its layers
+        list(export(database, form, output=tmp_path / folder, objects=["icon2"]))
     assert hash_tree(tmp_path / "one") == hash_tree(tmp_path / "two") != {}
     assert hash_tree(database) == before
 

@@ -102,7 +102,18 @@ def export(
         ),
     ],
     form: Annotated[
-        Literal["imagej", "envi", "matlab", "ntire", "qgis", "netcdf", "csv-spectra"],
+        Literal[
+            "imagej",
+            "envi",
+            "matlab",
+            "ntire",
+            "qgis",
+            "netcdf",
+            "photoshop",
+            "ecirgb",
+            "prophoto",
+            "csv-spectra",
+        ],
         typer.Option("--for", help="Program that will read the export."),
     ],
     output: Annotated[

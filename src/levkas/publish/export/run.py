@@ -17,6 +17,9 @@ FORMS = {
     "ntire": "levkas.publish.export.ntire:write_ntire",
     "qgis": "levkas.publish.export.qgis:write_qgis",
     "netcdf": "levkas.publish.export.netcdf:write_netcdf",
+    "photoshop": "levkas.publish.export.photoshop:write_photoshop",
+    "ecirgb": "levkas.publish.export.master:write_ecirgb",
+    "prophoto": "levkas.publish.export.master:write_prophoto",
     "csv-spectra": "levkas.publish.export.spectra:write_spectra",
 }
 """Name of a format → where the function is that writes one layer into a folder and returns its files."""
