@@ -135,6 +135,14 @@ def test_a_session_is_planned(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_session_is_watched(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    played, judged = follow("session_at_your_side.md", tmp_path)
+    assert "planted" not in played
+    assert "green" in judged and "stop" not in judged
+
+
+@pytest.mark.slow
 def test_five_cameras_are_built_with_few_kernels_and_compared_with_the_truth(tmp_path):
     printed = follow("five_cameras.md", tmp_path, PROGRAMS | {"levkas": run_counted})
     assert printed[1].count(" accepted ") == 5

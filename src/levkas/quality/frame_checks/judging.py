@@ -339,7 +339,7 @@ def _findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[Findi
         found += light.check_dark(
             frame.measures, black=beside.stated_black, scale=beside.scale, before=before
         )
-        found += light.check_noise(frame.measures, _measures(beside.like), beside.black)
+        found += light.check_noise(frame.measures, _measures(beside.like), np.inf)
     elif not (rules.plain or any(f.severity == "stop" for f in found)):
         found += _lit_findings(frame, beside, rules)
     return sorted(found, key=lambda f: f.severity != "stop")
@@ -354,7 +354,7 @@ def _lit_findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[F
         )
     found += light.check_dark_time(frame.exposure_s, beside.dark_times)
     if frame.role == "white":
-        return found + _white_findings(frame, beside)
+        return _white_findings(frame, beside) + found
     if frame.role == "object" and beside.white and (ratio := _times(frame, beside.white)):
         found += picture.check_glare(own, beside.white.measures, black=black, ratio_of_times=ratio)
     if rules.scanned:

@@ -26,8 +26,9 @@ sensels and cosmic rays are below 1e-4, glints of gold and varnish of a sound ic
 NEAR_FULL, DIM_WHITE, DIM_OBJECT = 0.97, 0.06, 0.03
 """Of the full scale above black: a white's brightest cell that leaves no head-room, and brightest parts that leave most of
 the scale unused."""
-LEAK, BLACK_OFF, NOISES = (0.005, 0.1), 0.002, 4.0
-"""Of the full scale: unevenness or level of a dark that is light, and its change that is no noise; and over its noise."""
+LEAK, LIFTED, BLACK_OFF, NOISES = (0.005, 0.1), 0.05, 0.002, 4.0
+"""Of the full scale: unevenness of a dark, or its level, to look at and to stop at; an even level that is light and not
+black; a change of black from the dark before; and that over the noise."""
 UNEVEN, ROUGH, RELIT = 0.3, 0.06, 0.04
 """A white's darkest cell over its median; rms about a smooth surface; change of its shading from the white before."""
 SHOWN = (LEAST, 0.25)
@@ -164,7 +165,12 @@ def check_dark(
     apart = dark.cells - np.median(dark.cells, (1, 2), keepdims=True)
     lit = float(np.quantile(apart, 0.95))
     above = level - black if black is not None else level - 0.25 * (scale or np.inf)
+    is_light = bool(scale) and (lit >= LEAK[0] * (scale or 0) or above >= LIFTED * (scale or 0))
     severity = graded(max(lit, above) / scale, LEAK) if scale else None
+    if severity is not None and not is_light:
+        text = f"the black level is {level:.0f} counts, and {black:.0f} is stated"
+        advice = "check ISO, gain and warm-up, or correct `black` in campaign.toml"
+        return [Finding("black", severity, text, advice)]
     if severity is not None:
         uneven = lit >= above
         text = f"the dark is not dark: {level:.0f} counts" + f", up to {level + lit:.0f}" * uneven
@@ -282,7 +288,8 @@ def check_stack(shot: FrameMeasures, first: FrameMeasures, *, black: float) -> l
 def noise_ratio(frame: FrameMeasures, others: Sequence[FrameMeasures], black: float) -> float:
     """Return the variance of a frame over what others of its role have at its level; 1 where that is not known.
 
-    Shot noise grows as the light: compared is the variance a count above black of whites, and of shots of one scene.
+    Shot noise grows as the light: compared is the variance a count above `black` of whites and of shots of one scene, of
+    darks, whose black is infinite here, the variance itself.
     """
     usual = [_per_light(one, black) for one in others if one.noise.shape == frame.noise.shape]
     own = _per_light(frame, black)

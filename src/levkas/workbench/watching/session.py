@@ -272,6 +272,10 @@ class WatchedSession:
             bool(known.refused) and now - known.tried >= RETRY_S and not self._is_broken(path, now)
         )
 
+    def _is_read(self, path: Path) -> bool:
+        """Whether what is known of a file is of the file as it is now."""
+        return path in self._known and self._known[path].stamp == self.listing.stamps.get(path)
+
     def _is_broken(self, path: Path, now: float) -> bool:
         return self.watch.rest_s(path, now) >= WHOLE_S + RETRY_S
 
@@ -298,7 +302,7 @@ class WatchedSession:
         groups: dict[tuple[str, str, str], dict[Path, WatchedFile]] = {}
         for path, file in listing.files.items():
             known = self._known.get(path)
-            if known is not None and known.measures is not None:
+            if known is not None and known.measures is not None and self._is_read(path):
                 groups.setdefault((file.camera, file.setup, file.sensor), {})[path] = file
         found: dict[Path, list[Finding]] = {}
         moments: dict[Path, float] = {}
@@ -351,7 +355,11 @@ class WatchedSession:
         moments: Mapping[Path, float],
     ) -> FrameState:
         known = self._known.get(file.path)
-        if known is None or (known.refused and not self._is_broken(file.path, self._now)):
+        if (
+            not self._is_read(file.path)
+            or known is None
+            or (known.refused and not self._is_broken(file.path, self._now))
+        ):
             return FrameState(file, "waiting", exposure_s=file.exposure_s)
         if known.measures is None or known.facts is None:
             advice = "capture it again, or copy it again from the camera's card"

@@ -1,0 +1,222 @@
+"""Does `levkas watch` find planted faults, name them, and in time; and how often does it raise a false alarm?
+
+    python benchmarks/watching.py faults FOLDER      each fault at two sizes, into each camera of a simulated session
+    python benchmarks/watching.py alarms FOLDER      ten sound simulated sessions of unlike cameras
+    python benchmarks/watching.py frames FOLDER      seconds from the last byte of a frame to its verdict, 1 to 100 Mpx
+    python benchmarks/watching.py many FOLDER        the same in a session of 10 to 10,000 frames, and the memory it takes
+
+Each takes `--results FILE`. FOLDER is a new one for what is simulated.
+"""
+
+import argparse
+import os
+import resource
+import time
+from pathlib import Path
+
+import numpy as np
+import tifffile
+from results import add_option, record
+
+from levkas.campaign.campaign import load_campaign
+from levkas.simulation import simulate_campaign
+from levkas.simulation.live import (
+    contents_of,
+    copy_declarations,
+    is_plantable,
+    play_session,
+    session_frames,
+)
+from levkas.simulation.session_faults import FAULTS
+from levkas.workbench.watching import WatchedSession
+from levkas.workbench.watching.cache import MeasureCache
+
+LOOKS_S = 0.3
+PRESETS = (("small", None), ("small", 0.14), ("hard", 0.15), ("default", 0.15), ("small", 0.18))
+MEGAPIXELS = (1, 4, 16, 50, 100)
+SIZES = (10, 100, 1000, 10_000)
+ONE_CAMERA = """
+[campaign]
+reference = { camera = "grey", band = "550 nm" }
+[cameras.grey]
+kind = "bands"
+files = "raw/{target}_{wavelength}nm_{shot}.tif"
+bits = 12
+[targets]
+dark = "dark"
+white = { names = "white", reflectance = 0.98 }
+"""
+
+
+def watched(folder):
+    """Return the session of a folder, with a cache beside it."""
+    return WatchedSession(folder, MeasureCache(folder.parent / f"{folder.name}-cache"))
+
+
+def play(source, folder):
+    """Write a sound session."""
+    folder.mkdir(parents=True)
+    copy_declarations(source, folder)
+    for _ in play_session(source, folder, interval_s=0, share=0, rng=np.random.default_rng(1)):
+        pass
+    return folder
+
+
+def wait_for(session, name, before, most_s=12.0):
+    """Look as `levkas watch` does until a frame has another verdict; return seconds, findings and verdict."""
+    start = time.monotonic()
+    while time.monotonic() - start < most_s:
+        for _ in session.poll():
+            pass
+        frame = next((f for f in session.state().frames if f.file.name == name), None)
+        if frame and frame.verdict != "waiting" and frame.findings != before:
+            break
+        time.sleep(LOOKS_S)
+    return time.monotonic() - start, frame.findings if frame else ()
+
+
+def faults(folder, results):
+    """Plant every fault at both sizes into one frame of every camera, one at a time."""
+    source = folder / "whole"
+    list(simulate_campaign(source, preset="small", seed=1))
+    home = play(source, folder / "session")
+    campaign, session = load_campaign(source), watched(home)
+    frames = session_frames(campaign)
+    session.settle()
+    cameras = [name for name, camera in campaign.cameras.items() if camera.kind != "cube"]
+    rng, found, slowest, tried = np.random.default_rng(5), 0, 0.0, 0
+    for fault in FAULTS:
+        for camera in cameras:
+            able = [k for k, f in enumerate(frames) if f.camera == camera and f.role == fault.role]
+            able = [k for k in able if is_plantable(frames[k])]
+            if fault.stack:
+                able = [k for k in able if _has_earlier_shot(frames, k)]
+            if fault.check in ("drift", "dust") and fault.role == "white":
+                able = able[-1:] if _has_earlier_shot(frames, able[-1]) else []
+            for size in fault.sizes if able else ():
+                k = able[len(able) // 2]
+                path = home / frames[k].path.relative_to(source)
+                sound = path.read_bytes()
+                data = contents_of(campaign, frames, k, rng, fault, size)[frames[k].path]
+                path.write_bytes(data)
+                seconds, findings = wait_for(session, path.relative_to(home).as_posix(), ())
+                named = fault.check in [finding.check for finding in findings]
+                tried, found = tried + 1, found + named
+                if fault.check != "file":  # which may be half written for six seconds
+                    slowest = max(slowest, seconds)
+                words = "; ".join(f"{f.check}: {f.text}" for f in findings) or "nothing"
+                print(
+                    f"{'ok  ' if named else 'MISS'} {seconds:4.1f} s {camera:9} {fault.kind} {size:g} → {words}"[
+                        :170
+                    ],
+                    flush=True,
+                )
+                path.write_bytes(sound)
+                time.sleep(0.7)
+                session.settle()
+    print(f"{found} of {tried} named, slowest {slowest:.1f} s")
+    record(
+        results,
+        "watching",
+        {"planted faults that are named": 100 * found / tried, "a fault's slowest": slowest},
+    )
+
+
+def _has_earlier_shot(frames, k):
+    return any(f.scene == frames[k].scene for f in frames[:k])
+
+
+def alarms(folder, results):
+    """Count findings in ten sound sessions."""
+    count = alarmed = 0
+    for seed in range(10):
+        preset, scale = PRESETS[seed % len(PRESETS)]
+        source = folder / f"whole{seed}"
+        list(simulate_campaign(source, preset=preset, scale=scale, seed=10 + seed))
+        session = watched(play(source, folder / f"session{seed}"))
+        state = session.settle(300)
+        some = [f for f in state.frames if f.findings]
+        count, alarmed = count + len(state.frames), alarmed + len(some)
+        print(f"seed {10 + seed} {preset} {scale}: {len(some)} of {len(state.frames)}", flush=True)
+        for frame in some[:4]:
+            print(f"    {frame.what}: {frame.findings[0].text}", flush=True)
+    print(f"{alarmed} of {count} sound frames")
+    record(results, "watching", {"false alarms": 100 * alarmed / count})
+
+
+def put(home, name, shape, seed, level=1500.0):
+    """Write a grey frame of 12 bits."""
+    rng = np.random.default_rng(seed)
+    tile = rng.normal(level, 20, (min(shape[0], 512), min(shape[1], 512)))
+    codes = np.resize(tile, (tile.shape[0], shape[1])).round().clip(0, 4095).astype(np.uint16)
+    codes = np.tile(codes, (-(-shape[0] // len(codes)), 1))[: shape[0]]
+    codes[seed % shape[0], seed % shape[1]] += 1
+    tifffile.imwrite(home / "raw" / name, codes, metadata=None)
+
+
+def home_of(folder):
+    """Return a campaign of one camera without a frame."""
+    (folder / "raw").mkdir(parents=True)
+    (folder / "campaign.toml").write_text(ONE_CAMERA)
+    return folder
+
+
+def frames(folder, results):
+    """Time the verdict of the third frame of an object by its size."""
+    slowest = {}
+    for megapixels in MEGAPIXELS:
+        shape = (round(np.sqrt(megapixels * 1e6 * 2 / 3)), round(np.sqrt(megapixels * 1e6 * 3 / 2)))
+        home = home_of(folder / f"frames{megapixels}")
+        session = watched(home)
+        for k, (target, level) in enumerate({"dark": 64, "white": 3000, "icon": 1500}.items()):
+            put(home, f"{target}_550nm_{k}.tif", shape, k, level)
+        session.settle()
+        put(home, "icon_550nm_9.tif", shape, 9)
+        seconds, _ = wait_for(session, "raw/icon_550nm_9.tif", None)
+        slowest[f"{megapixels} Mpx"] = seconds
+        print(f"{megapixels:4} Mpx {seconds:.2f} s", flush=True)
+    record(results, "watching", {f"a frame of {name}": s for name, s in slowest.items()})
+
+
+def many(folder, results):
+    """Time the verdict of one frame more in sessions of many, whose frames came in any order."""
+    found, home = {}, home_of(folder / "many")
+    session, rng, there = watched(home), np.random.default_rng(2), 0
+    names = [(f"icon{k % 20}", 400 + 10 * (k // 20 % 25), k // 500) for k in range(max(SIZES))]
+    order = rng.permutation(len(names))
+    for size in SIZES:
+        start = time.monotonic()
+        for k in order[there:size]:
+            target, band, shot = names[k]
+            put(home, f"{target}_{band}nm_{shot:02}.tif", (120, 160), int(k))
+        written = time.monotonic()
+        session.settle(3600)
+        there, settled = size, time.monotonic()
+        put(home, f"late{size}_550nm_99.tif", (120, 160), 7)
+        seconds, _ = wait_for(session, f"raw/late{size}_550nm_99.tif", None, 60)
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+        found[size] = seconds
+        print(
+            f"{size:6} frames: one more {seconds:.2f} s; written {written - start:.0f} s, judged "
+            f"{settled - written:.0f} s, {memory:.2f} GB, {os.times().user:.0f} s of processor",
+            flush=True,
+        )
+    again = watched(home)
+    assert again.settle(3600).to_dict() == session.state().to_dict(), "the order of coming shows"
+    record(results, "watching", {f"one of {n} frames": s for n, s in found.items()})
+    record(results, "watching", {"memory of 10,000 frames": memory})
+
+
+def main():
+    """Run one of the four."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=["faults", "alarms", "frames", "many"])
+    parser.add_argument("folder", type=Path)
+    add_option(parser)
+    options = parser.parse_args()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    globals()[options.what](options.folder, options.results)
+
+
+if __name__ == "__main__":
+    main()
