@@ -25,6 +25,7 @@ DATE = re.compile(r"\d{4}(-\d\d(-\d\d(T\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:?\d\
 NO_URI = re.compile(r"""[\s<>"{}|\\^`]""")
 REQUIRED = ("name", "description", "datePublished", "license")
 SECONDS = 120
+PROFILES = ("ro-crate-1.3", "process-run-crate")
 
 Entity = dict[str, Any]
 
@@ -231,7 +232,9 @@ def ask_validator(folder: str | Path) -> tuple[bool | None, str]:
         return None, "roc-validator is not installed; the rules were checked by Levkas alone"
     run = "from rocrate_validator.cli import cli; cli()"
     command = [sys.executable, "-c", run, "-y", "validate", "--no-paging"]
-    command += ["--profile-identifier", "ro-crate-1.1", str(folder)]
+    for profile in PROFILES:
+        command += ["--profile-identifier", profile]
+    command += [str(folder)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:

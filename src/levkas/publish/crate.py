@@ -1,4 +1,4 @@
-"""ro-crate-metadata.json: the folder described by RO-Crate 1.1, every file and every step of its making.
+"""ro-crate-metadata.json: the folder described by RO-Crate 1.3 as a Process Run Crate: every file and every step of its making.
 
 Entities are plain JSON-LD; the tests read them with the `rocrate` package. Dates are those of the captures and of
 the publication, never the clock's.
@@ -28,9 +28,11 @@ if TYPE_CHECKING:
 
 NAME = "ro-crate-metadata.json"
 PREVIEW = "ro-crate-preview.html"
-PROFILE = "https://w3id.org/ro/crate/1.1"
+PROFILE = "https://w3id.org/ro/crate/1.3"
+PROCESS = "https://w3id.org/ro/wfrun/process/0.5"
+"""Profile of crates that record what was run, on what, by which version (Leo et al. 2024, 10.1371/journal.pone.0309210)."""
 TERMS = {"sha256": "https://w3id.org/ro/terms/workflow-run#sha256"}
-"""Words that RO-Crate 1.1 has not, and where they are explained."""
+"""Words that RO-Crate has not, and where they are explained."""
 WHOLE = ("zarr", "iiif", "viewer")
 """Folders of many small files, described as one thing each."""
 FORMATS = {
@@ -70,7 +72,9 @@ def describe_crate(publication: Publication) -> dict[str, Any]:
         "conformsTo": {"@id": PROFILE},
         "about": {"@id": "./"},
     }
-    entities["./"] = {"@id": "./", "@type": "Dataset", **root}
+    entities["./"] = {"@id": "./", "@type": "Dataset", "conformsTo": {"@id": PROCESS}, **root}
+    profile = {"@type": "CreativeWork", "name": "Process Run Crate", "version": "0.5"}
+    entities[PROCESS] = {"@id": PROCESS, **profile}
     graph = [_singled(entity) for entity in sorted(entities.values(), key=_order)]
     return {"@context": [f"{PROFILE}/context", TERMS], "@graph": graph}
 

@@ -146,7 +146,7 @@ def _records(base: str) -> list[dict[str, Any]]:
         "type": "Dataset",
         "label": {LANGUAGE: ["RO-Crate: every file and how it came about"]},
         "format": "application/ld+json",
-        "profile": "https://w3id.org/ro/crate/1.1",
+        "profile": "https://w3id.org/ro/crate/1.3",
     }
     catalogue = {
         "id": address(base, "catalogue.csv"),

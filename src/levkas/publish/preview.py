@@ -1,6 +1,6 @@
 """ro-crate-preview.html: the RO-Crate of a publication as a page for people.
 
-The page needs no other file and no other host, and holds a copy of the record, as RO-Crate 1.1 has it.
+The page needs no other file and no other host, and holds a copy of the record, as RO-Crate 1.3 has it.
 """
 
 from __future__ import annotations
