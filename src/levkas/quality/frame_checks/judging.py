@@ -186,9 +186,11 @@ class _Companions:
         self.scale = stated_full if stated_full is not None else max(lit, default=None)
         self.sharpest: dict[tuple[object, ...], FrameOfSet] = {}
         for frame in by["role", "object"]:
-            if not np.isfinite(frame.measures.blur_px):
-                continue
-            for alike in _scenes(frame):
+            stack, *wider = _scenes(frame)
+            best = self.sharpest.setdefault(stack, frame)
+            if _fine(frame) > _fine(best):
+                self.sharpest[stack] = frame
+            for alike in wider if np.isfinite(frame.measures.blur_px) else ():
                 best = self.sharpest.setdefault(alike, frame)
                 if frame.measures.blur_px < best.measures.blur_px:
                     self.sharpest[alike] = frame
@@ -206,6 +208,9 @@ class _Companions:
         elif frame.role == "white":
             same = self.by["band", "white", frame.band]
             like = tuple(f for f in same[: MOST_COMPANIONS + 1] if f is not frame)
+            same_band = bool(like)
+            every = self.by["role", "white"]
+            like = like or tuple(f for f in every[: MOST_COMPANIONS + 1] if f is not frame)
             before = self._before(frame, same)
         else:
             like = tuple(f for f in stack[:2] if f is not frame)[:1]
@@ -277,6 +282,10 @@ class _Companions:
                 continue
             if fact.compare(expected[1], value) == "refused":
                 yield fact, value, expected[0].name, expected[1]
+
+
+def _fine(frame: FrameOfSet) -> float:
+    return float(np.nan_to_num(frame.measures.fine))
 
 
 def _scenes(frame: FrameOfSet) -> list[tuple[object, ...]]:
@@ -388,7 +397,9 @@ def _white_findings(frame: FrameOfSet, beside: _Beside) -> list[Finding]:
                 own, beside.before.measures, black=black, ratio_of_times=ratio
             )
         found += picture.check_dust(own, beside.before.measures, black=black)
-    return found + light.check_noise(own, _measures(beside.like), black)
+    return found + light.check_noise(
+        own, _measures(beside.like), black, same_light=beside.same_band
+    )
 
 
 def _settings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> Iterable[Finding]:

@@ -10,6 +10,9 @@ from levkas.quality.frame_checks.measures import FrameMeasures
 BLURRED, UNLIKE_BLURRED = (1.4, 2.2), (2.5, 5.0)
 """Blur over that of the sharpest shot of the same band and exposure, to look at and to stop at; of another object or band,
 whose edges are others and which the lens focuses otherwise."""
+DETAIL_LEFT = (0.75, 0.35)
+"""Share of the fine detail of the sharpest shot of a stack, below which to look at it and to stop: 0.75 is lost by a blur of
+0.5 px more."""
 LEAST_BLUR, UNLIKE_BLUR = 0.4, 1.5
 """Px more than the sharpest frame has: less is the scatter of the measure."""
 MOVED_PX = (0.75, 4.0)
@@ -41,6 +44,13 @@ def check_focus(
 
     `before` is the shot before it of these: it tells whether the focus runs away or comes back.
     """
+    if same_scene and np.isfinite(best.fine):
+        left = float(np.nan_to_num(frame.fine)) / float(best.fine)
+        severity = graded(1 - left, (1 - DETAIL_LEFT[0], 1 - DETAIL_LEFT[1]))
+        if severity is None:
+            return []
+        text = f"{percent(max(left, 0))} of the fine detail of the sharpest shot is left"
+        return [Finding("focus", severity, text, "focus again at this band, and repeat")]
     blur, least = float(frame.blur_px), float(best.blur_px)
     apart = LEAST_BLUR if same_scene else UNLIKE_BLUR
     if not (np.isfinite(blur) and np.isfinite(least)) or blur < least + apart:
