@@ -277,7 +277,7 @@ def many(count):
         here = (away >= low) & (away < high)
         print(f"  {low:.2f}–{high:.2f} of the way out: error {np.sqrt((off[here] ** 2).mean()):.3f} px, promised {np.sqrt(variance[here].mean()):.3f}")
     near = windows.pairs
-    relative = np.sqrt((((off[near[:, 0]] - off[near[:, 1]]) ** 2).mean()))
+    relative = np.sqrt(((off[near[:, 0]] - off[near[:, 1]]) ** 2).mean())
     error, promised = np.sqrt((off**2).mean()), np.sqrt(variance.mean())
     print(f"  all: error {error:.3f} px along an axis, promised {promised:.3f}; of neighbours to one another {relative:.3f}; deviations {adjusted.deviations}")
     return {

@@ -485,7 +485,7 @@ def _check_shots(
     by_target: dict[tuple[str, str], list[NamedFile]] = {}
     sensors = files.sensor_of()
     for frame in group.of_role("object"):
-        key = (frame.target, sensors.get(frame.path, ""))
+        key = (f"{frame.target} {frame.tile}".rstrip(), sensors.get(frame.path, ""))
         by_target.setdefault(key, []).append(frame)
     for (target, _), frames in by_target.items():
         if len(frames) > 1 and not frames[0].number("wavelength"):

@@ -401,6 +401,8 @@ class _Columns:
             return re.sub(r"[{}*]+", "*", first.text)
         if field == ANY:
             return "*"
+        if field == "tile":
+            return first.text
         if field in ("wavelength", "exposure"):
             after = first.after if len({t.after for t in tokens}) == 1 else "*"
             return f"{first.before}{{{field}}}{after}"
@@ -425,7 +427,7 @@ def _field(tokens: Sequence[Token], frames: Sequence[NamedFile]) -> tuple[str, s
     """Return the field of one part of the names, `LITERAL` or `COUNT`, and the reason."""
     kind, texts = tokens[0].kind, [t.text for t in tokens]
     varies = len(set(texts)) > 1
-    if kind in ("target", "object"):
+    if kind in ("target", "object", "tile"):
         return kind, ""
     if kind in ("band", "sensor"):
         return kind, tokens[0].why

@@ -51,6 +51,8 @@ class NamedFile:
         With ``{target}`` where a folder is the target.
     stem : tuple of Token
         With one token of kind ``"target"`` where the name has it.
+    tile : str
+        The part of the object that it shows, as the path has it.
     """
 
     file: CaptureFile
@@ -58,6 +60,7 @@ class NamedFile:
     role: str
     folders: tuple[str, ...]
     stem: tuple[Token, ...]
+    tile: str = ""
 
     @property
     def facts(self) -> Facts:
@@ -107,6 +110,8 @@ def _tokens_of_folder(name: str) -> tuple[Token, ...]:
             before, _, after = name.partition(mark)
             parts = (Token(before), Token(mark, "", kind), Token(after))
             return tuple(part for part in parts if part.text)
+    if "{row}" in name:
+        return (Token(name, "", "tile"),)
     tokens = tokens_of(name)
     typed = tokens[0].kind in ("time", "wavelength", "exposure") or tokens[0].names_channel
     return tokens if len(tokens) == 1 and typed else (Token(name),)

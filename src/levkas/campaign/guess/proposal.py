@@ -28,6 +28,7 @@ from levkas.campaign.guess.leftovers import leave_out_leftovers
 from levkas.campaign.guess.listing import CaptureFile, Listing
 from levkas.campaign.guess.names import name_targets
 from levkas.campaign.guess.pixels import Samples
+from levkas.campaign.guess.tiles import mark_tiles
 from levkas.campaign.guess.words import GENERIC, TARGET, chart_in
 from levkas.campaign.schema.cross_checks import find_contradictions
 from levkas.campaign.schema.names import is_safe_name
@@ -113,6 +114,9 @@ def propose(listing: Listing) -> Proposal:
     samples = Samples()
     captures, left_out = leave_out_leftovers(listing.captures)
     named, questions = name_targets(captures, samples)
+    named = mark_tiles(named)
+    tiles = {one.path for one in named if one.tile}
+    questions = [one for one in questions if tiles.isdisjoint(f.path for f in one.files)]
     groups, without_camera = group_cameras(named, listing.root.resolve().name)
     left_out += without_camera
     if not groups:
@@ -177,6 +181,7 @@ def _with_questions(
 ) -> list[CameraGuess]:
     """Leave both ways open for cameras of which nothing decides whether their files are bands or objects."""
     named, _ = name_targets(captures, samples, undecided_as_bands=True)
+    named = mark_tiles(named)
     others, _ = group_cameras(named, "")
     open_cameras = list(cameras)
     for question in questions:

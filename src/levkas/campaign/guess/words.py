@@ -96,7 +96,7 @@ class Token:
     """One part of a name: its text, the separators before it, and its kind.
 
     `kind` is ``"time"``, ``"wavelength"``, ``"exposure"``, ``"number"``, ``"numbered"`` (letters and
-    a number), ``"target"``, ``"object"`` or ``"word"``; ``"band"`` or ``"sensor"`` where `guess.band_names` found
+    a number), ``"target"``, ``"object"``, ``"tile"`` (the pattern of a place) or ``"word"``; ``"band"`` or ``"sensor"`` where `guess.band_names` found
     `why` it is one. `before`, `number` and `after` are the parts of one with a number.
     """
 
