@@ -27,7 +27,8 @@ from scipy.ndimage import map_coordinates, spline_filter
 from levkas.geometry.transforms import Composed, Homography, Inverse, Lens
 from levkas.registration import BandImage
 from levkas.registration.tiles import place_tiles
-from levkas.registration.tiles.adjustment import SHARED, TileFrame, TileMaps, Windows, adjust
+from levkas.registration.tiles.adjustment import Windows, adjust
+from levkas.registration.tiles.tile_maps import SHARED, TileFrame, TileMaps
 
 TABLE = "tiles"
 SIZE = (360, 300)
@@ -98,10 +99,15 @@ def chain(tiles):
             continue
         before = f"r{row}c{column - 1}" if column else f"r{row - 1}c0"
         (a, ours), (b, theirs) = found[name], found[before]
-        pairs = [m for m, n in cv2.BFMatcher().knnMatch(ours, theirs, 2) if m.distance < 0.8 * n.distance]
+        pairs = [
+            m for m, n in cv2.BFMatcher().knnMatch(ours, theirs, 2) if m.distance < 0.8 * n.distance
+        ]
         if before not in laid or len(pairs) < 4:
             continue
-        p, q = (np.array([k[i].pt for i in of]) for k, of in ((a, [m.queryIdx for m in pairs]), (b, [m.trainIdx for m in pairs])))
+        p, q = (
+            np.array([k[i].pt for i in of])
+            for k, of in ((a, [m.queryIdx for m in pairs]), (b, [m.trainIdx for m in pairs]))
+        )
         matrix, _ = cv2.findHomography(p, q, cv2.RANSAC, 2.0)
         if matrix is not None:
             laid[name] = laid[before] @ matrix
@@ -119,7 +125,11 @@ def by_shifts(tiles, starts, overlap):
                 continue
             step = round(SIZE[axis] * (1 - overlap))
             a, b = tiles[name].values, tiles[other].values
-            a, b = (a[:, step:], b[:, : SIZE[0] - step]) if axis == 0 else (a[step:], b[: SIZE[1] - step])
+            a, b = (
+                (a[:, step:], b[:, : SIZE[0] - step])
+                if axis == 0
+                else (a[step:], b[: SIZE[1] - step])
+            )
             window = cv2.createHanningWindow(a.shape[::-1], cv2.CV_32F)
             (dx, dy), _ = cv2.phaseCorrelate(a, np.ascontiguousarray(b), window)
             shift = np.array([-dx, -dy])
@@ -131,25 +141,38 @@ def by_shifts(tiles, starts, overlap):
     rows.append(np.eye(len(names))[0])
     goals.append(np.zeros(2))
     places = np.linalg.lstsq(np.array(rows), np.array(goals), rcond=None)[0]
-    return {name: Homography(np.array([[1.0, 0, x], [0, 1, y], [0, 0, 1]])) for name, (x, y) in zip(names, places, strict=True)}
+    return {
+        name: Homography(np.array([[1.0, 0, x], [0, 1, y], [0, 0, 1]]))
+        for name, (x, y) in zip(names, places, strict=True)
+    }
 
 
 def opencv_bundle(tiles):
-    """OpenCV's stitching pipeline as its scans mode has it: SIFT, affine matches, affine bundle adjustment."""
+    """OpenCV's stitching pipeline as its scans mode has it: SIFT, partial affine matches and bundle adjustment."""
     names = sorted(tiles)
-    pictures = [cv2.cvtColor(np.clip(tiles[n].values, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR) for n in names]
+    pictures = [
+        cv2.cvtColor(np.clip(tiles[n].values, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR)
+        for n in names
+    ]
     finder = cv2.SIFT_create()
     features = [cv2.detail.computeImageFeatures2(finder, picture) for picture in pictures]
-    matches = cv2.detail_AffineBestOf2NearestMatcher(True, False, 0.3).apply2(features)
+    matches = cv2.detail_AffineBestOf2NearestMatcher(False, False, 0.3).apply2(features)
     ok, cameras = cv2.detail_AffineBasedEstimator().apply(features, matches, None)
     if not ok:
         return {}
     for camera in cameras:
         camera.R = camera.R.astype(np.float32)
-    adjuster = cv2.detail_BundleAdjusterAffine()
-    adjuster.setConfThresh(0.3)
+    adjuster = cv2.detail_BundleAdjusterAffinePartial()
+    adjuster.setConfThresh(1.0)
     ok, cameras = adjuster.apply(features, matches, cameras)
-    return {name: Homography(camera.R.astype(float)) for name, camera in zip(names, cameras, strict=True)} if ok else {}
+    return (
+        {
+            n: Homography(np.linalg.inv(c.R.astype(float)))
+            for n, c in zip(names, cameras, strict=True)
+        }
+        if ok
+        else {}
+    )
 
 
 def attempt(work, *arguments):
@@ -179,15 +202,27 @@ def paintings(folder, seeds):
                 }  # fmt: skip
                 for way, transforms in ways.items():
                     errors = errors_of(transforms, truth) if len(transforms) > 2 else [np.nan]
-                    gathered.setdefault(way, []).append((np.mean(errors), np.max(errors), len(transforms)))
-                ratio = np.sqrt(np.mean(errors_of(placed.transforms, truth) ** 2) / 2) / np.sqrt(np.mean(np.square(list(placed.sigma.values()))))
+                    gathered.setdefault(way, []).append(
+                        (np.mean(errors), np.max(errors), len(transforms))
+                    )
+                ratio = np.sqrt(np.mean(errors_of(placed.transforms, truth) ** 2) / 2) / np.sqrt(
+                    np.mean(np.square(list(placed.sigma.values())))
+                )
                 gathered.setdefault("ratio", []).append(ratio)
-                print(f"{name} {overlap} seed {seed}:", {w: np.round(v[-1], 3).tolist() for w, v in gathered.items()}, f"rms {placed.rms:.3f}", placed.left_out, flush=True)
+                print(
+                    f"{name} {overlap} seed {seed}:",
+                    {w: np.round(v[-1], 3).tolist() for w, v in gathered.items()},
+                    f"rms {placed.rms:.3f}",
+                    placed.left_out,
+                    flush=True,
+                )
         column = f"overlap {round(100 * overlap)} %"
         ratio = gathered.pop("ratio")
         for way, found in gathered.items():
             mean, most, count = np.array(found).T
-            print(f"{column:>12} {way:28} mean {np.nanmean(mean):7.3f}  largest {np.nanmax(most):7.2f} px   tiles {count.mean():.1f} of 9")
+            print(
+                f"{column:>12} {way:28} mean {np.nanmean(mean):7.3f}  largest {np.nanmax(most):7.2f} px   tiles {count.mean():.1f} of 9"
+            )
             values[way, column] = float(np.nanmean(mean)) if np.isfinite(mean).any() else None
         values["error over sigma", column] = float(np.sqrt(np.mean(np.square(ratio))))
         print(f"{column:>12} error over sigma {values['error over sigma', column]:.2f}")
@@ -203,7 +238,9 @@ def real(folder):
     for way, lens in (("Levkas", True), ("Levkas, plain homographies", False)):
         placed = place_tiles(tiles, lens=lens)
         loops = [loop["closure"] for loop in placed.loops]
-        print(f"{way:28} rms {placed.rms:.3f} px  loops {max(loops):.3f} px  left-out windows {placed.errors}")
+        print(
+            f"{way:28} rms {placed.rms:.3f} px  loops {max(loops):.3f} px  left-out windows {placed.errors}"
+        )
         values[way, "real tiles, rms"], values[way, "real tiles, loops"] = placed.rms, max(loops)
     return values
 
@@ -225,7 +262,10 @@ def simulate(rows, columns, rng, *, noise=0.03):
     own = np.zeros((count, 8))
     nominal = np.stack([index.ravel() % columns, index.ravel() // columns], 1) * step
     angle, scale = rng.normal(size=count) * 2e-3, 1 + rng.normal(size=count) * 3e-5
-    own[:, 0], own[:, 1] = frame.spread * scale * np.cos(angle), frame.spread * scale * np.sin(angle)
+    own[:, 0], own[:, 1] = (
+        frame.spread * scale * np.cos(angle),
+        frame.spread * scale * np.sin(angle),
+    )
     own[:, 2:4] = nominal + rng.normal(size=(count, 2)) * 20
     own[:, 6:] = rng.normal(size=(count, 2)) * 1e-4 * frame.spread
     shared = np.zeros(SHARED)
@@ -271,15 +311,23 @@ def many(count):
     ours, theirs = adjusted.maps(tiles, middle), truth(tiles, middle)
     off = Homography.fit(ours, theirs)(ours) - theirs
     variance = np.array([np.trace(adjusted.place_covariance(k, middle[:1])[0]) / 2 for k in tiles])
-    away = np.linalg.norm((theirs - theirs.mean(0)) / (np.ptp(theirs, axis=0) / 2), axis=1, ord=np.inf)
-    print(f"{rows} x {columns} tiles, {len(windows.pairs)} overlaps, {len(windows.overlap)} windows: {minutes:.1f} min, {memory:.2f} GB, rms {adjusted.rms:.4f} px")
+    away = np.linalg.norm(
+        (theirs - theirs.mean(0)) / (np.ptp(theirs, axis=0) / 2), axis=1, ord=np.inf
+    )
+    print(
+        f"{rows} x {columns} tiles, {len(windows.pairs)} overlaps, {len(windows.overlap)} windows: {minutes:.1f} min, {memory:.2f} GB, rms {adjusted.rms:.4f} px"
+    )
     for low, high in ((0, 0.25), (0.25, 0.5), (0.5, 0.75), (0.75, 0.95), (0.95, 1.1)):
         here = (away >= low) & (away < high)
-        print(f"  {low:.2f}–{high:.2f} of the way out: error {np.sqrt((off[here] ** 2).mean()):.3f} px, promised {np.sqrt(variance[here].mean()):.3f}")
+        print(
+            f"  {low:.2f}–{high:.2f} of the way out: error {np.sqrt((off[here] ** 2).mean()):.3f} px, promised {np.sqrt(variance[here].mean()):.3f}"
+        )
     near = windows.pairs
     relative = np.sqrt(((off[near[:, 0]] - off[near[:, 1]]) ** 2).mean())
     error, promised = np.sqrt((off**2).mean()), np.sqrt(variance.mean())
-    print(f"  all: error {error:.3f} px along an axis, promised {promised:.3f}; of neighbours to one another {relative:.3f}; deviations {adjusted.deviations}")
+    print(
+        f"  all: error {error:.3f} px along an axis, promised {promised:.3f}; of neighbours to one another {relative:.3f}; deviations {adjusted.deviations}"
+    )
     return {
         "30,000 tiles, time": minutes,
         "30,000 tiles, memory": memory,

@@ -16,17 +16,12 @@ from levkas.geometry.transforms import Affine, Composed, Inverse, Lens, Transfor
 from levkas.registration.bands import BandImage
 from levkas.registration.record import RegistrationRefused
 from levkas.registration.tiles.adjustment import (
-    OWN,
-    SHARED,
     Adjustment,
     AdjustmentTerms,
-    TileFrame,
-    TileMaps,
     Windows,
     adjust,
     choose_terms,
     overlap_offsets,
-    similar,
 )
 from levkas.registration.tiles.loops import (
     components,
@@ -44,6 +39,7 @@ from levkas.registration.tiles.neighbours import (
     similarity,
 )
 from levkas.registration.tiles.overlaps import NoOverlap, OverlapWindows, measure_overlap
+from levkas.registration.tiles.tile_maps import OWN, SHARED, TileFrame, TileMaps, similar
 
 #: Share of a tile that another one shows too from which it is there twice.
 TWICE_SHARE = 0.95
