@@ -141,7 +141,10 @@ def test_photoshop_gets_a_layer_a_camera_with_its_name_and_coverage(database, tm
             40,
             1,
         )
-    assert sorted(p.name for p in tmp_path.glob("*.tif")) == ["icon1_layers.tif", "icon2_layers.tif"]
+    assert sorted(p.name for p in tmp_path.glob("*.tif")) == [
+        "icon1_layers.tif",
+        "icon2_layers.tif",
+    ]
 
 
 @pytest.mark.parametrize("space", ["eciRGB v2", "ProPhoto RGB"])

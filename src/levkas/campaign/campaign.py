@@ -85,6 +85,11 @@ class Campaign(Document):
             camera = re.split("[@:]", frame)[0]
             if camera not in self.cameras:
                 continue
+            if self.cameras[camera].has_tiles:
+                warnings.append(
+                    f"{FILE_NAME}: corrections of {name}/{frame} have no effect: tiles are placed by what they show"
+                )
+                continue
             ineffective = method_of(self.registration_of(camera)).ineffective
             if ineffective:
                 where = f'objects."{name}".cameras."{frame}"'
