@@ -143,6 +143,7 @@ def test_errors_are_those_that_sigma_promises():
     assert 0.4 < ratio < 2.2  # few long waves across the mosaic make most of it
 
 
+@pytest.mark.slow
 def test_windows_left_out_choose_the_lens_and_the_bend():
     rng = np.random.default_rng(4)
     none, _ = choose_terms(*planted(3, 3, rng, noise=0.02, k1=0.0)[:2])
