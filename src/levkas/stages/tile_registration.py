@@ -47,6 +47,7 @@ OUTLINE = 9
 """Places along each side of a tile by which its outline is known."""
 LATTICE = 25
 """Places a side at which the uncertainty of a mosaic is recorded."""
+AROUND_TILE = "the part of the reference about the tile"
 NO_KEY_POINTS = "too few key points match between this tile and the reference"
 RIGID = ("pattern", "sensors", "file")
 """Cameras whose bands are captured at once: they lie alike in all tiles."""
@@ -346,7 +347,10 @@ class TilesToReference:
         middle = self._middle(maps[self._label], size)
         sigma = found.sigma.get(self._label)
         sigma_px = float(sigma(middle[None])[0]) if sigma else 0.0
-        return FoundTile(found.verdict, size, maps, found.sigma, sigma_px, found.errors)
+        # What was judged is the part of the reference that was cut out, which is called a layer where it is one.
+        reasons = tuple(text.replace("the layer", AROUND_TILE) for text in found.verdict.reasons)
+        verdict = replace(found.verdict, reasons=reasons)
+        return FoundTile(verdict, size, maps, found.sigma, sigma_px, found.errors)
 
     def _begin(self, native: Native) -> Transform | None:
         """Return where key points put a tile in the whole reference, reference px → native px; None where they do not agree."""
@@ -526,7 +530,9 @@ def results_of(
         for sensor, numbers in ((one.errors or {}).get("sensors") or {}).items():
             before = (worst.get(sensor) or {}).get("held_out_px") or -1.0
             if numbers and (numbers.get("held_out_px") or 0.0) > before:
-                worst[sensor] = numbers | {"tile": name}
+                # A start that follows from other tiles is no pair of another program.
+                kept = {key: value for key, value in numbers.items() if key != "start_pairs"}
+                worst[sensor] = kept | {"tile": name}
     sigma = sigma_of_mosaic(found, size)
     bands = {
         band.label: {
