@@ -4,6 +4,7 @@ import "./watch.css";
 import { make, refill, saveFile } from "../shared/element";
 import { startTheme } from "../shared/theme";
 import { enter, messageOf } from "../workbench/api";
+import { Curtains } from "./curtains";
 import { asText, sentence, Session, type Frame, type News } from "./session";
 import { Speaker } from "./sound";
 
@@ -20,6 +21,7 @@ class Page {
   private readonly faults = make("section", { class: "faults" });
   private readonly missing = make("section", { class: "missing" });
   private readonly all = make("section", { class: "all" });
+  private readonly curtains = new Curtains();
   private chosen: string | null = null;
 
   constructor() {
@@ -37,7 +39,7 @@ class Page {
     document.body.append(
       make("header", {}, make("div", {}, this.title, this.counts), tools),
       this.notes,
-      make("main", {}, this.now, this.missing, this.faults, this.all),
+      make("main", {}, this.now, this.missing, this.faults, this.curtains.root, this.all),
     );
     document.addEventListener("keydown", (event) => {
       if (event.key === "l" && !event.ctrlKey && !event.metaKey && !event.altKey)
@@ -77,6 +79,7 @@ class Page {
     refill(this.now, ...nowOf(shown ?? null, this.chosen !== null));
     this.drawMissing(news);
     this.drawFaults();
+    this.curtains.show(news.layers ?? []);
     this.drawAll();
   }
 
@@ -192,7 +195,7 @@ class Page {
   }
 }
 
-function notesOf({ away, guessed, strays, problems }: News): string[] {
+function notesOf({ away, guessed, strays, problems, build_problems }: News): string[] {
   const few = strays.slice(0, 3).join(", ") + (strays.length > 3 ? " …" : "");
   return [
     away ? "The folder cannot be reached. What was known of it is shown." : "",
@@ -201,6 +204,7 @@ function notesOf({ away, guessed, strays, problems }: News): string[] {
       : "",
     strays.length ? `No pattern of campaign.toml fits ${few}.` : "",
     ...problems,
+    ...(build_problems ?? []),
   ].filter(Boolean);
 }
 

@@ -49,7 +49,7 @@ EXCLUDES: dict[str, Needs] = {
     "publish": {"--check": ("--edition", "--no-iiif")},
     "simulate": {"--setups": ("--setup",)},
     "status": {"--graph": ("--json",)},
-    "watch": {"--once": ("--bell", "--port", "--no-open")},
+    "watch": {"--once": ("--bell", "--build", "--port", "--no-open")},
 }
 """Command → option → others that would have no effect beside it."""
 
