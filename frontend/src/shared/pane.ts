@@ -25,6 +25,7 @@ const MARGIN = 0.03; // of the longer side, round a picture that is fitted
 const STILL_PX = 0.02;
 const SMOOTH_BELOW = 3; // screen pixels a pixel: beyond, single pixels are shown as squares
 const PATIENCE_COMPUTED_MS = 600_000; // for a tile that the page computes
+const UNSAID_MS = 400; // a picture that is there by then does not say that it loads
 const PATIENCE_MS = 1500; // for new tiles, before the old ones go all the same
 
 export class Pane {
@@ -40,6 +41,11 @@ export class Pane {
   private generation = 0;
   private showing = 0;
   private smooth: boolean | null = null;
+  private readonly loading = make(
+    "p",
+    { class: "loading", role: "status", hidden: true },
+    "Loading the picture …",
+  );
 
   constructor(
     parent: HTMLElement,
@@ -49,6 +55,7 @@ export class Pane {
     this.host = make("div", { class: "pane" });
     parent.append(this.host);
     this.viewer = openViewer(this.host, options);
+    this.host.append(this.loading);
     for (const name of ["animation", "animation-finish", "resize", "zoom", "pan"] as const)
       this.viewer.addHandler(name, () => {
         this.sharpen();
@@ -73,7 +80,9 @@ export class Pane {
   async show(layers: Layer[], patient: boolean): Promise<void> {
     this.size = layers[0]?.size ?? this.size;
     this.showing++;
+    setTimeout(() => this.sayLoading(), UNSAID_MS);
     await this.exchange(layers, patient).finally(() => this.showing--);
+    this.sayLoading();
   }
 
   /** Whether all that is in view is there, and nothing else is on its way. */
@@ -83,6 +92,12 @@ export class Pane {
       this.layers.length > 0 &&
       this.layers.every((image) => image.getFullyLoaded())
     );
+  }
+
+  /** Say over the picture that it is on its way, for as long as it is. */
+  private sayLoading(): void {
+    const late = this.showing > 0 || !this.layers.every((image) => image.getFullyLoaded());
+    if (this.loading.hidden === late) this.loading.hidden = !late;
   }
 
   private async exchange(layers: Layer[], patient: boolean): Promise<void> {
@@ -114,7 +129,11 @@ export class Pane {
         opacity: hidden ? 0 : 1,
         preload: true,
         tileSource: { width: size[0], height: size[1], ...source },
-        success: (event) => resolve((event as unknown as { item: OpenSeadragon.TiledImage }).item),
+        success: (event) => {
+          const { item } = event as unknown as { item: OpenSeadragon.TiledImage };
+          item.addHandler("fully-loaded-change", () => this.sayLoading());
+          resolve(item);
+        },
         error: () => reject(new Error("a picture could not be opened")),
       });
     });

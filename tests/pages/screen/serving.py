@@ -16,10 +16,10 @@ class Served:
     def __init__(self, folder):
         import uvicorn
 
-        from levkas.workbench.server.app import _listen, make_app
+        from levkas.workbench.server.app import listen_on, make_app
 
         self.folder, self.library = folder, Library(folder)
-        self.listening = _listen(0)
+        self.listening = listen_on(0)
         self.port = self.listening.getsockname()[1]
         app = make_app(self.library, port=self.port, token=TOKEN)
         config = uvicorn.Config(app, log_level="error", ws="none", lifespan="off")

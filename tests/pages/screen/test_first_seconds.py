@@ -93,3 +93,20 @@ def test_a_report_takes_three_screens_of_a_phone_and_links_unfold(browser, tmp_p
     wide = browser.open((tmp_path / "report.html").as_uri())
     figures = wide.locator("#layer-nir .recorded figcaption")
     assert figures.all_inner_texts() == ["nir, as it was recorded", "vis, the reference"]
+
+
+def test_a_picture_that_loads_says_so_and_no_longer(browser, address):
+    page, held, pattern = browser.page(), [], "**/layers/0/colour/**"
+    holding = [True]
+    page.route(pattern, lambda r: held.append(r) if holding[0] else r.continue_())
+    where = address("http", "viewer/objects/icon2/index.html")
+    browser.allow(where)
+    page.goto(where, wait_until="domcontentloaded")
+    said = page.locator(".cell-a .loading")
+    said.wait_for(state="visible")
+    assert said.inner_text() == "Loading the picture …" and held
+    holding[0] = False
+    for route in held:
+        route.continue_()
+    said.wait_for(state="hidden")
+    assert page.evaluate("levkasViewer.stage.left.settled")
