@@ -236,8 +236,8 @@ def _mean(shifts: LineShifts, parts: np.ndarray, axis: int) -> tuple[np.ndarray,
     weight = shifts.weight[:, parts, axis]
     total = weight.sum(1)
     mean = (weight * shifts.shift[:, parts, axis]).sum(1) / np.where(total > 0, total, 1.0)
-    sure = np.flatnonzero(total > LEAST_KNOWN * np.median(total[total > 0])) if total.any() else []
-    if len(sure):
+    if total.any():
+        sure = np.flatnonzero(total > LEAST_KNOWN * np.median(total[total > 0]))
         total[: sure[0]] = total[sure[-1] + 1 :] = 0.0
     return mean, total
 
