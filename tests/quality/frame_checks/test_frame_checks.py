@@ -221,14 +221,16 @@ def test_a_frame_that_came_twice_names_the_first():
     ].text
 
 
-def test_measures_survive_being_kept():
-    kept = GOOD["05 shot"].measures
+@pytest.mark.parametrize("times", [1, 16])  # codes of 12 bits, moved up to 16 or not
+def test_measures_survive_being_kept(times):
+    kept = measure_frame(np.uint16(times) * np.maximum(expose(PANEL, 5), 4095 * (PANEL > 0.8)))
     pictures = FramePictures.from_bytes(kept.pictures.to_bytes())
     again = FrameMeasures.from_bytes(kept.to_bytes(), pictures)
     assert again.key == kept.key
     assert np.array_equal(again.cells, kept.cells) and np.array_equal(
         pictures.patches, kept.pictures.patches
     )
+    assert kept.picture.max() > 4000 * times
     assert np.allclose(again.picture, kept.picture, rtol=1e-3)
 
 

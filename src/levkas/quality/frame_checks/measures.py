@@ -50,14 +50,16 @@ class FramePictures:
     patches: np.ndarray
 
     def to_bytes(self) -> bytes:
-        """Return the pictures as they are kept in a file, the picture in 16 bits."""
-        return _packed(picture=self.picture.astype(np.float16), patches=self.patches)
+        """Return the pictures as they are kept in a file, the picture in 16 bits: to 1 in 2,000 of each value."""
+        scale = np.float32(2.0 ** max(0, np.frexp(np.nanmax(self.picture, initial=0.0))[1] - 15))
+        picture = (self.picture / scale).astype(np.float16)
+        return _packed(picture=picture, scale=scale, patches=self.patches)
 
     @classmethod
     def from_bytes(cls, data: bytes) -> FramePictures:
         """Return pictures that were kept; raises as `FrameMeasures.from_bytes`."""
-        found = _unpacked(data, ("picture", "patches"))
-        return cls(found["picture"].astype(np.float32), found["patches"])
+        found = _unpacked(data, ("picture", "scale", "patches"))
+        return cls(found["picture"].astype(np.float32) * found["scale"], found["patches"])
 
 
 @dataclass(frozen=True, eq=False)
