@@ -53,7 +53,7 @@ class FramePictures:
         """Return the pictures as they are kept in a file, the picture in 16 bits: to 1 in 2,000 of each value."""
         scale = np.float32(2.0 ** max(0, np.frexp(np.nanmax(self.picture, initial=0.0))[1] - 15))
         picture = (self.picture / scale).astype(np.float16)
-        return _packed(picture=picture, scale=scale, patches=self.patches)
+        return _packed(picture=picture, scale=np.array(scale), patches=self.patches)
 
     @classmethod
     def from_bytes(cls, data: bytes) -> FramePictures:
