@@ -309,7 +309,8 @@ def many(count):
     tiles = np.arange(rows * columns)
     middle = np.tile(begin.frame.centre, (len(tiles), 1))
     ours, theirs = adjusted.maps(tiles, middle), truth(tiles, middle)
-    off = Homography.fit(ours, theirs)(ours) - theirs
+    some = slice(None, None, 1 + len(tiles) // 500)
+    off = Homography.fit(ours[some], theirs[some])(ours) - theirs
     variance = np.array([np.trace(adjusted.place_covariance(k, middle[:1])[0]) / 2 for k in tiles])
     away = np.linalg.norm(
         (theirs - theirs.mean(0)) / (np.ptp(theirs, axis=0) / 2), axis=1, ord=np.inf
