@@ -27,7 +27,13 @@ function curtainOf(layers: Layer[]): HTMLElement {
   const rows = layers.map((layer) => {
     const name = layer.setup ? `${layer.camera}@${layer.setup}` : layer.camera;
     const words = [layer.verdict || "unknown", ...layer.reasons.slice(0, 2), layer.next_step];
-    const item = make("li", { class: layer.verdict }, make("strong", {}, name), " ", words.filter(Boolean).join(". "));
+    const item = make(
+      "li",
+      { class: layer.verdict },
+      make("strong", {}, name),
+      " ",
+      words.filter(Boolean).join(". "),
+    );
     if (layer !== below && shown.includes(layer)) {
       const button = make("button", { type: "button", class: "link" }, "over the reference");
       button.addEventListener("click", () => top.setAttribute("src", address(layer)));
@@ -36,15 +42,30 @@ function curtainOf(layers: Layer[]): HTMLElement {
     return item;
   });
   const first = shown.find((layer) => layer !== below);
-  const top = make("img", { class: "top", alt: "The layer over the reference", src: first ? address(first) : null });
-  const slider = make("input", { type: "range", min: 0, max: 100, value: 50, "aria-label": "Curtain" });
+  const top = make("img", {
+    class: "top",
+    alt: "The layer over the reference",
+    src: first ? address(first) : null,
+  });
+  const slider = make("input", {
+    type: "range",
+    min: 0,
+    max: 100,
+    value: 50,
+    "aria-label": "Curtain",
+  });
   const draw = (): void => {
     top.style.clipPath = `inset(0 0 0 ${slider.value}%)`;
   };
   slider.addEventListener("input", draw);
   draw();
   const pictures = below
-    ? make("div", { class: "pictures" }, make("img", { alt: "The reference", src: address(below) }), first ? top : null)
+    ? make(
+        "div",
+        { class: "pictures" },
+        make("img", { alt: "The reference", src: address(below) }),
+        first ? top : null,
+      )
     : null;
   return make(
     "div",

@@ -56,7 +56,8 @@ class Page {
       this.draw();
     });
     source.addEventListener("error", () => {
-      const words = "levkas watch does not answer. Was it ended? Start it again and open its address.";
+      const words =
+        "levkas watch does not answer. Was it ended? Start it again and open its address.";
       refill(this.notes, make("p", { class: "stop" }, words));
     });
   }
@@ -101,18 +102,20 @@ class Page {
 
   private drawFaults(): void {
     const faults = this.session.faults();
-    const rows = faults.slice(0, MOST_FAULTS).map((frame) =>
-      make(
-        "li",
-        { class: frame.verdict },
-        make("span", { class: "badge" }, frame.verdict),
-        " ",
-        this.opener(frame, frame.what),
-        ...frame.findings.map(({ text, advice }) =>
-          make("p", {}, sentence(text), " ", make("em", {}, sentence(advice))),
+    const rows = faults
+      .slice(0, MOST_FAULTS)
+      .map((frame) =>
+        make(
+          "li",
+          { class: frame.verdict },
+          make("span", { class: "badge" }, frame.verdict),
+          " ",
+          this.opener(frame, frame.what),
+          ...frame.findings.map(({ text, advice }) =>
+            make("p", {}, sentence(text), " ", make("em", {}, sentence(advice))),
+          ),
         ),
-      ),
-    );
+      );
     const more = faults.length - rows.length;
     refill(
       this.faults,
@@ -243,7 +246,9 @@ async function start(): Promise<void> {
     if (answer.status === 401) throw new Error("This address holds no token, or an old one.");
   } catch (error) {
     const words = `${messageOf(error)} Open the address that levkas watch printed.`;
-    document.body.append(make("main", { class: "alone" }, make("h1", {}, "The page is locked"), make("p", {}, words)));
+    document.body.append(
+      make("main", { class: "alone" }, make("h1", {}, "The page is locked"), make("p", {}, words)),
+    );
     return;
   }
   new Page().follow();
