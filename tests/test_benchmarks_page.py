@@ -33,9 +33,9 @@ def test_the_page_and_the_readme_are_what_the_results_give(modules):
     assert "| Levkas |" in readme and "the paper's method" in readme
 
 
-def test_the_page_has_fewer_than_1500_words():
+def test_the_page_has_fewer_than_2000_words():
     words = (ROOT / "docs/benchmarks.md").read_text(encoding="utf-8").split()
-    assert sum(bool(re.search(r"\w", word)) for word in words) < 1500
+    assert sum(bool(re.search(r"\w", word)) for word in words) < 2000
 
 
 def test_every_figure_has_a_command_that_exists(modules):

@@ -96,7 +96,7 @@ def test_a_tiff_that_does_not_exist_is_called_so(read, tmp_path):
     ("line", "wanted"),
     [
         ("levkas ex", "export"),
-        ("levkas export --for e", "envi"),
+        ("levkas export --for en", "envi"),
         ("levkas export DATABASE --object o", "one"),
         ("levkas export DATABASE --camera inf", "infrared"),
     ],

@@ -163,7 +163,10 @@ def test_an_option_is_given_once_or_with_another_value(name, param):
 
 # --- names that are none ----------------------------------------------------------------------
 
-FREE = {("simulate", "--preset"), ("simulate", "--setup"), ("estimate apply", "--object")}
+FREE = {
+    *(("simulate", word) for word in ("--preset", "--setup", "--tiles", "--camera")),
+    ("estimate apply", "--object"),
+}
 """They need a new folder or a model: `tests/simulation` and `tests/estimation` have them."""
 
 

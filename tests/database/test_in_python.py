@@ -56,7 +56,7 @@ def test_a_campaign_s_folder_and_file_mean_its_database(campaign):
     for path in (campaign, str(campaign), campaign / "campaign.toml"):
         assert levkas.open(path).path == one.path.resolve()
         assert validate(path).checked == validate(campaign / "out").checked > 0
-    with pytest.raises(Refused, match="no database"):
+    with pytest.raises(Refused, match="does not exist"):
         levkas.open(campaign / "nothing")
 
 

@@ -194,9 +194,12 @@ export class PaintingStage extends Stage<Pane> {
     const { left, size } = this;
     const [a, b] = [left.placeOf(-0.5, -0.5), left.placeOf(size[0] - 0.5, size[1] - 0.5)];
     const { clientWidth, clientHeight } = left.host;
-    const first = (axis: 0 | 1): number => Math.max(0, Math.ceil(Math.min(a[axis], b[axis])));
+    const box = left.host.getBoundingClientRect(); // itself not always on whole pixels
+    const origin = [box.left, box.top] as const;
+    const first = (axis: 0 | 1): number =>
+      Math.max(0, Math.ceil(origin[axis] + Math.min(a[axis], b[axis])) - origin[axis]);
     const last = (axis: 0 | 1, all: number): number =>
-      Math.max(0, all - Math.floor(Math.max(a[axis], b[axis])));
+      Math.max(0, all + origin[axis] - Math.floor(origin[axis] + Math.max(a[axis], b[axis])));
     const sides = [first(1), last(0, clientWidth), last(1, clientHeight), first(0)];
     return `inset(${sides.map((side) => `${side}px`).join(" ")})`;
   }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -84,7 +85,8 @@ def test_a_browser_is_told_all_at_first_and_then_what_changes(board):
         await events.aclose()
         return first, second
 
-    first, second = asyncio.run(follow())
+    with ThreadPoolExecutor() as beside:  # browser tests leave a loop that runs in this thread
+        first, second = beside.submit(asyncio.run, follow()).result()
     assert [f["name"] for f in first["frames"]] == ["dark_550nm.tif", "white_550nm.tif"]
     assert [f["name"] for f in second["frames"]] == ["white_650nm.tif"]
     assert second["gone"] == ["white_550nm.tif"]
