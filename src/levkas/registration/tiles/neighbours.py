@@ -94,18 +94,17 @@ def similarity(points: np.ndarray, partners: np.ndarray) -> Affine:
 
 
 def near_pairs(
-    places: Mapping[str, tuple[float, float]], sizes: Mapping[str, tuple[int, int]] | None,
-    size: tuple[int, int], slack: float = STAGE_SHARE,
-) -> list[tuple[str, str]]:  # fmt: skip
-    """Return the pairs of tiles, in name order, whose boxes touch if each is wrong by up to `slack` of its size.
+    places: Mapping[str, tuple[float, float]], size: tuple[int, int], slack: float = STAGE_SHARE
+) -> list[tuple[str, str]]:
+    """Return the pairs of tiles of one size, in name order, whose boxes touch if each is wrong by up to `slack` of its size.
 
-    >>> near_pairs({"a": (0, 0), "b": (90, 0), "c": (180, 0)}, None, (100, 50))
+    >>> near_pairs({"a": (0, 0), "b": (90, 0), "c": (180, 0)}, (100, 50))
     [('a', 'b'), ('b', 'c')]
     """
     from scipy.spatial import cKDTree
 
     names = sorted(places)
-    box = np.array([(sizes or {}).get(name, size) for name in names], float)
+    box = np.tile(np.array(size, float), (len(names), 1))
     corner = np.array([places[name] for name in names], float)
     reach = float((box * (1 + slack)).max())
     pairs = cKDTree(corner).query_pairs(reach, p=np.inf, output_type="ndarray")

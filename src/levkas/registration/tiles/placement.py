@@ -147,7 +147,6 @@ def place_tiles(
     *,
     starts: Mapping[str, tuple[float, float]] | None = None,
     lens: bool = True,
-    seed: int = 0,
 ) -> TilePlacement:
     """Place the tiles of a painting beside one another.
 
@@ -159,8 +158,6 @@ def place_tiles(
         Where the first px of a tile lies, to about a tenth of its side.
     lens : bool
         Whether tiles share a lens that is not known.
-    seed : int
-        Nothing is drawn: the result is the same for every seed.
 
     Returns
     -------
@@ -219,7 +216,7 @@ class _Mosaic:
     def _candidates(self) -> list[Pair]:
         """Return the pairs that may overlap, in name order."""
         if len(self.starts) == len(self.names):
-            return near_pairs(self.starts, None, self.size)
+            return near_pairs(self.starts, self.size)
         return [(a, b) for k, a in enumerate(self.names) for b in self.names[k + 1 :]]
 
     def _measure_from_key_points(self, pair: Pair) -> None:
