@@ -175,7 +175,7 @@ def test_the_report_shows_the_tiles(built):
     assert 'aria-label="tiles of the layer"' in page
 
 
-def test_of_a_large_mosaic_some_bands_are_held_and_a_larger_one_is_refused(built, monkeypatch):
+def test_of_a_large_mosaic_some_bands_are_held_or_a_coarser_overview(built, monkeypatch):
     from levkas.building.plan import read_plan
     from levkas.database.layout import Places
     from levkas.registration import RegistrationRefused
@@ -185,11 +185,40 @@ def test_of_a_large_mosaic_some_bands_are_held_and_a_larger_one_is_refused(built
     plan = read_plan(folder)
     native = tiles.TiledCapture(plan.captures[0], Places(folder / "database"), {})
     width, height = native.placed.size
-    assert [image.label for image in native.images("grey")] == ["grey"]
+    (whole,) = native.images("grey")
+    assert whole.label == "grey"
     monkeypatch.setattr(tiles, "MOST_SAMPLES", width * height - 1)
     with pytest.raises(RegistrationRefused) as refused:
         native.images("grey")
     assert refused.value.problems[0].code == "E_SIZE"
+    (overview,) = native.images("grey", step=native.step)
+    assert overview.size == (width // 2, height // 2)
+    inside = np.s_[: height // 2 * 2, : width // 2 * 2]
+    means = whole.values[inside].reshape(height // 2, 2, width // 2, 2).mean((1, 3))
+    off = (overview.values - means)[20:-20, 20:-20]
+    assert np.nanstd(off) < 0.1 * np.nanstd(means)
+    (part,) = native.images("grey", (30, 40, 130, 90))
+    ratio = part.values / whole.values[40:90, 30:130]  # counts: each is a share of its own largest
+    np.testing.assert_allclose(ratio, ratio.mean(), rtol=1e-4)
+
+
+def test_other_tiles_are_registered_to_a_mosaic_too_large_to_be_held(tmp_path, monkeypatch):
+    from levkas.stages import tiles
+
+    frames = make(tmp_path, xray=True)
+    campaign = tmp_path / "campaign.toml"
+    campaign.write_text(
+        campaign.read_text().replace("infrared/{target}.tif", "infrared/{target}{tile}.tif")
+    )
+    infrared = tmp_path / "infrared/one.tif"
+    infrared.rename(infrared.with_name("one1.tif"))  # the only tile, of more px than are held
+    frames["infrared#1"] = frames.pop("infrared")
+    monkeypatch.setattr(tiles, "MOST_SAMPLES", 119_000)
+    assert [step.line for step in steps_of(tmp_path).values() if step.state != "done"] == []
+    for target in ("xray#left", "xray#right", "infrared#1"):
+        found = error(tmp_path, frames, "photo#r1c2", target)
+        assert found.mean() < 0.08, target
+        assert found.max() < 0.25, target
 
 
 @pytest.mark.slow

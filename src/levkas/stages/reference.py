@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -15,17 +15,18 @@ from levkas.core.cube import find_band
 from levkas.database.registrations import read_registration
 from levkas.geometry import from_dict
 from levkas.geometry.grid import Grid, GridRefused
-from levkas.geometry.transforms import Transform
+from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration import Matches, Registration, Verdict
 from levkas.registration.record import Sigma
 from levkas.stages.spectra import middle_band, reference_channel
-from levkas.stages.tiles import TiledCapture
+from levkas.stages.tiles import TiledCapture, coarseness, onto_box
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.campaign.schema.tables import GridKeys
     from levkas.database.layout import Places
+    from levkas.geometry.joining import Box
     from levkas.registration import BandImage
     from levkas.registration.predictors import PreparedReference
     from levkas.stages.native_cubes import CalibratedCapture
@@ -60,6 +61,7 @@ class ReferenceFrame:
         self.campaign, self.places, self.captures = campaign, places, captures
         self.capture = captures[0]
         self._native: CalibratedCapture | None = native
+        self._tiled = native if isinstance(native, TiledCapture) else None
         self._images: Sequence[BandImage] | None = None
         self._own: Registration | None = None
         self._prepared: PreparedReference | None = None
@@ -69,13 +71,13 @@ class ReferenceFrame:
 
     @property
     def images(self) -> Sequence[BandImage]:
-        """Its bands; those of tiles joined, once they are placed."""
+        """Its bands; those of tiles joined, once they are placed. Raises RegistrationRefused (``E_SIZE``) of a mosaic too large for that."""
         if self._images is None:
-            assert self._native is not None
-            native, self._native = self._native, None
-            if isinstance(native, TiledCapture):
-                self._images = native.images(self.band)
+            if self._tiled is not None:
+                self._images = self._tiled.images(self.band)
             else:
+                assert self._native is not None
+                native, self._native = self._native, None
                 self._images = native.images()
         return self._images
 
@@ -86,7 +88,32 @@ class ReferenceFrame:
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) of the reference band."""
-        return self._image().size
+        return self._tiled.placed.size if self._tiled is not None else self._image().size
+
+    @property
+    def step(self) -> int:
+        """Reference px in one of the overview, along a side."""
+        return self._tiled.step if self._tiled is not None else 1
+
+    @cached_property
+    def overview(self) -> Sequence[BandImage]:
+        """Its bands, or of a large mosaic those that show it whole with `step` px a side in one."""
+        if self._tiled is None or self.step == 1:
+            return self.images
+        return self._tiled.images(self.band, step=self.step)
+
+    def part(self, box: Box) -> tuple[Sequence[BandImage], dict[str, Transform], int]:
+        """Return the bands in a box, and the maps from px of the box to those of each band's picture.
+
+        The box is left, top, and behind the right and the bottom, reference px. Of a mosaic too large to be held, the box too may be: the
+        third value says how many reference px a side make one of it.
+        """
+        if self.step > 1:
+            assert self._tiled is not None
+            step = coarseness(box[2] - box[0], box[3] - box[1])
+            cut = self._tiled.images(self.band, box, step)
+            return cut, {image.label: Affine.identity() for image in cut}, step
+        return *cropped(self.images, self.registration().transforms, box), 1
 
     @cached_property
     def band(self) -> str:
@@ -150,8 +177,7 @@ class ReferenceFrame:
 
     def description(self) -> dict[str, Any]:
         """Return the reference of a registration's record."""
-        image = self._image()
-        return {"camera": self.capture.camera, "band": image.label, "size": list(image.size)}
+        return {"camera": self.capture.camera, "band": self.band, "size": list(self.size)}
 
     def layout(self) -> tuple[Grid, float | None, Region | None]:
         """Return the grid, its sampling in px per mm where known, and the object's region in reference px."""
@@ -159,14 +185,16 @@ class ReferenceFrame:
             facts = self.campaign.objects.get(self.capture.object)
             size_mm = facts.size_mm if facts else None
             try:
-                self._grid = frame_object(self._image(), self.campaign.grid, size_mm)
+                self._grid = frame_object(
+                    self._image(), self.campaign.grid, size_mm, self.size, self.step
+                )
             except GridRefused as refused:
                 file = str(self.campaign.path)
                 raise GridRefused(*(replace(p, file=file) for p in refused.problems)) from None
         return self._grid
 
     def _image(self) -> BandImage:
-        return next(image for image in self.images if image.label == self.band)
+        return next(image for image in self.overview if image.label == self.band)
 
     def channel(self, capture: Capture) -> str:
         wanted = next(b for b in self.capture.bands if b.label == self.band)
@@ -187,6 +215,19 @@ def sigmas_of(record: dict[str, Any]) -> dict[str, Sigma]:
 def maps_of(record: dict[str, Any]) -> dict[str, Transform]:
     """Return the maps of a record's bands, reference px to native px, by label."""
     return {label: from_dict(band["transform"]) for label, band in record["bands"].items()}
+
+
+def cropped(
+    images: Sequence[BandImage], transforms: Mapping[str, Transform], box: Box
+) -> tuple[list[BandImage], dict[str, Transform]]:
+    """Return a box of the bands, each cut out in its own px, and the maps from px of the box to those."""
+    x, y, right, bottom = box
+    corner, back = onto_box(x, y), onto_box(-x, -y)
+    part = np.s_[y:bottom, x:right]
+    # A mosaic's sites repeat from the corner: of a box that begins elsewhere they are not known.
+    cut = [replace(i, values=i.values[part], valid=i.valid[part], sites=None) for i in images]
+    labels = [image.label for image in images if image.label in transforms]
+    return cut, {label: Composed(corner, transforms[label], back) for label in labels}
 
 
 # --- the object in the reference's frame, and the grid that follows from it ---------------------
@@ -246,7 +287,11 @@ def bounding_box(grey: np.ndarray, valid: np.ndarray | None = None) -> tuple[int
 
 
 def frame_object(
-    image: BandImage, keys: GridKeys | None, size_mm: tuple[float, float] | None
+    image: BandImage,
+    keys: GridKeys | None,
+    size_mm: tuple[float, float] | None,
+    size: tuple[int, int] | None = None,
+    step: int = 1,
 ) -> tuple[Grid, float | None, tuple[float, float, float, float] | None]:
     """Return the grid, its sampling in px per mm where known, and the region to register by.
 
@@ -258,6 +303,10 @@ def frame_object(
         The table [grid]; None: the reference band's own frame, whole.
     size_mm : (width, height), optional
         Of the object, upright; with its bounding box it gives the sampling.
+    size : (width, height), px, optional
+        Of the reference band where `image` is an overview of it; default that of `image`.
+    step : int
+        Px of the reference band in one of `image`, along a side.
 
     Returns
     -------
@@ -267,13 +316,13 @@ def frame_object(
     region : (x, y, width, height), reference px, or None
         The declared region, turned back; None where none is declared.
     """
-    width, height = image.size
+    width, height = size or image.size
     mirror, rotate = (keys.mirror, keys.rotate) if keys else (False, 0.0)
     turned = Grid((width, height), mirror=mirror, rotate=rotate)
     region = keys.region if keys else None
     box = None
     if region == "auto" or size_mm is not None:
-        box = _box_in(turned, image)
+        box = _box_in(turned, image, step)
     chosen = box if region == "auto" else region
     grid = Grid(
         (width, height),
@@ -288,9 +337,9 @@ def frame_object(
     return grid, sampling, _turned_back(turned, region) if isinstance(region, tuple) else None
 
 
-def _box_in(turned: Grid, image: BandImage) -> tuple[float, float, float, float]:
+def _box_in(turned: Grid, image: BandImage, step: int) -> tuple[float, float, float, float]:
     """The object's bounding box in the turned frame at native scale."""
-    x, y, w, h = bounding_box(image.values, image.valid)
+    x, y, w, h = (step * side for side in bounding_box(image.values, image.valid))
     corners = np.array([[x, y], [x + w - 1, y], [x + w - 1, y + h - 1], [x, y + h - 1]], float)
     placed = turned.transform.inverse(corners)
     low, high = np.floor(placed.min(0)), np.ceil(placed.max(0))

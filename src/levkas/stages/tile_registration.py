@@ -25,10 +25,11 @@ from levkas.registration.measured_bands import measured_bands
 from levkas.registration.predictors import PreparedReference
 from levkas.registration.record import Sigma, Verdict
 from levkas.registration.tiles import TilePlacement, place_tiles
-from levkas.stages.tiles import Placement, TiledCapture, TilePlace
+from levkas.stages.tiles import Placement, TiledCapture, TilePlace, onto_box
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
+    from levkas.geometry.joining import Box
     from levkas.geometry.transforms import Transform
     from levkas.registration import BandImage
     from levkas.stages.native_cubes import Native
@@ -360,21 +361,20 @@ class TilesToReference:
         shown = sqrt_images([there[i] for i in measured_bands(there)])
         theirs = CameraFeatures(GreyImages(list(shown.values())))
         found = find_initial_transform(self._keys, theirs)
-        return None if found is None else found.transform
+        if found is None:
+            return None
+        return Composed(Inverse(onto_box(0, 0, self._frame.step)), found.transform)
 
     @cached_property
     def _keys(self) -> CameraFeatures:
-        return PreparedReference(self._frame.images, self._frame.band).keys
+        return PreparedReference(self._frame.overview, self._frame.band).keys
 
-    def _once(
-        self, native: Native, box: tuple[int, int, int, int], expected: Transform
-    ) -> Registration:
+    def _once(self, native: Native, box: Box, expected: Transform) -> Registration:
         """Register a tile to a box of the reference, where it is expected."""
-        corner = Affine(np.array([[1.0, 0, box[0]], [0, 1, box[1]]]))
-        images, transforms = _cropped(
-            self._frame.images, self._own.transforms, box, self._frame.band
-        )
-        sigma = {label: _moved(one, -box[0], -box[1]) for label, one in self._own.sigma.items()}
+        images, transforms, step = self._frame.part(box)
+        corner = onto_box(box[0], box[1], step)
+        back = Inverse(corner)
+        sigma = {label: _moved(one, back, 1 / step) for label, one in self._own.sigma.items()}
         height, width = images[0].values.shape
         places = np.array([[0.2, 0.2], [0.8, 0.2], [0.8, 0.8], [0.2, 0.8]]) * (width, height)
         starts = np.hstack([places, expected(corner(places))])
@@ -386,14 +386,14 @@ class TilesToReference:
             images, native.images(), reference_band=self._frame.band, given=given, align=align,
             reference_transforms=transforms, reference_sigma=sigma, **self._options,
         )  # fmt: skip
-        back = Affine(np.array([[1.0, 0, -box[0]], [0, 1, -box[1]]]))
         return replace(
             found,
             transforms={label: Composed(back, one) for label, one in found.transforms.items()},
-            sigma={label: _moved(one, box[0], box[1]) for label, one in found.sigma.items()},
+            sigma={label: _moved(one, corner, step) for label, one in found.sigma.items()},
+            errors=found.errors if step == 1 else _enlarged(found.errors, step),
         )
 
-    def _box(self, expected: Transform, size: tuple[int, int]) -> tuple[int, int, int, int] | None:
+    def _box(self, expected: Transform, size: tuple[int, int]) -> Box | None:
         """Return the part of the reference, x, y and behind the last, that a tile may show."""
         outline = expected.inverse(_outline(size))
         outline = outline[np.isfinite(outline).all(1)]
@@ -471,29 +471,22 @@ def _outline(size: tuple[int, int]) -> np.ndarray:
     return grid
 
 
-def _moved(sigma: Sigma, x: float, y: float) -> Sigma:
-    return Sigma(sigma.x + x, sigma.y + y, sigma.values)
+def _moved(sigma: Sigma, onto: Transform, step: float) -> Sigma:
+    x = onto(np.stack([sigma.x, np.zeros_like(sigma.x)], 1))[:, 0]
+    y = onto(np.stack([np.zeros_like(sigma.y), sigma.y], 1))[:, 1]
+    return Sigma(x, y, sigma.values * step)
 
 
-def _cropped(
-    images: Sequence[BandImage],
-    transforms: Mapping[str, Transform],
-    box: tuple[int, int, int, int],
-    band: str,
-) -> tuple[list[BandImage], dict[str, Transform]]:
-    """Return a box of the bands of the reference, each cut out in its own px, and the maps from px of the box to those."""
-    x, y, right, bottom = box
-    corner = Affine(np.array([[1.0, 0, x], [0, 1, y]]))
-    cut: list[BandImage] = []
-    maps: dict[str, Transform] = {}
-    for image in images:
-        back = Affine(np.array([[1.0, 0, -x], [0, 1, -y]]))
-        part = np.s_[y:bottom, x:right]
-        # A mosaic's sites repeat from the corner: of a box that begins elsewhere they are not known.
-        cut.append(replace(image, values=image.values[part], valid=image.valid[part], sites=None))
-        if image.label in transforms:
-            maps[image.label] = Composed(corner, transforms[image.label], back)
-    return cut, maps
+def _enlarged(errors: Mapping[str, Any], step: int) -> dict[str, Any]:
+    """Return errors in px of which `step` were one."""
+    return {
+        key: _enlarged(value, step)
+        if isinstance(value, Mapping)
+        else value * step
+        if key.endswith("_px") and value is not None
+        else value
+        for key, value in errors.items()
+    }
 
 
 # --- the record of a layer of tiles

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import ceil, sqrt
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -212,15 +213,30 @@ class TiledCapture:
 
     # --- joined
 
-    def images(self, anchor: str = "") -> list[BandImage]:
-        """Return the bands of the mosaic as registration takes them; of a large one some, `anchor` among them.
+    @property
+    def step(self) -> int:
+        """Px of the mosaic in one of its overview, along a side: 1 where a band of it can be held whole."""
+        return coarseness(*self.placed.size)
+
+    def images(self, anchor: str = "", box: Box | None = None, step: int = 1) -> list[BandImage]:
+        """Return the bands of the mosaic as registration takes them; of many px some of them, `anchor` among them.
+
+        Parameters
+        ----------
+        anchor : str
+        box : (left, top, behind the right, behind the bottom), px of the mosaic, optional
+            The part of it; default all.
+        step : int
+            Px of the mosaic in one of the picture's, along a side.
 
         Raises
         ------
         RegistrationRefused
             ``E_SIZE`` where even one band is more than `MOST_SAMPLES`.
         """
-        (width, height), labels = self.placed.size, [band.label for band in self.bands]
+        left, top, right, bottom = box or (0, 0, *self.placed.size)
+        width, height = (right - left) // step, (bottom - top) // step
+        labels = [band.label for band in self.bands]
         most = MOST_SAMPLES // (width * height)
         if not most:
             raise self._too_large()
@@ -231,9 +247,9 @@ class TiledCapture:
         numbers = sorted(chosen)
         values = np.full((len(numbers), height, width), np.nan, np.float32)
         valid = np.zeros(values.shape, bool)
-        identity = {label: Affine.identity() for label in labels}
+        onto = onto_box(left, top, step)
         row = 0
-        for cube in self.on_grid(identity, self.placed.size).blocks:
+        for cube in self.on_grid(dict.fromkeys(labels, onto), (width, height)).blocks:
             rows = slice(row, row + len(cube.values))
             row = rows.stop
             for place, number in enumerate(numbers):
@@ -253,11 +269,11 @@ class TiledCapture:
         return RegistrationRefused(
             Problem(
                 "E_SIZE",
-                "the mosaic of the reference camera is too large to register others to it",
+                "the mosaic of the reference camera is too large to register a single frame to it",
                 field=f"cameras.{self.capture.camera}",
                 found=f"{width} x {height} px",
                 expected=f"at most {MOST_SAMPLES / 1e6:g} million px",
-                fix="Bin its frames, or take a camera of fewer pixels as the reference, and register these tiles to it.",
+                fix="Declare the single frame as the only tile of its camera, by {tile} in its pattern, or bin the frames of the mosaic.",
             )
         )
 
@@ -306,6 +322,23 @@ class TiledCapture:
         blocks = (joiner.rows(start, stop) for start, stop in joiner.blocks())
         shape = (size[1], size[0], len(self.bands))
         return CubeRows(blocks, shape, self.bands, self.quantity, joiner.has_sigma)
+
+
+def coarseness(width: int, height: int) -> int:
+    """Return how many px a side make one of a picture that can be held whole."""
+    return ceil(sqrt(width * height / MOST_SAMPLES))
+
+
+def onto_box(left: float, top: float, step: int = 1) -> Affine:
+    """Return the map from px of a part of a picture to those of the whole, of which `step` a side make one.
+
+    Examples
+    --------
+    >>> onto_box(10, 20, 2)(np.zeros((1, 2)))
+    array([[10.5, 20.5]])
+    """
+    middle = (step - 1) / 2
+    return Affine(np.array([[step, 0, left + middle], [0, step, top + middle]], float))
 
 
 def _median_focus(found: Sequence[Sequence[Mapping[str, Any]]]) -> list[dict[str, Any]]:
