@@ -264,6 +264,18 @@ def test_a_header_says_the_bands_of_a_cube_and_strips_stay_in_natural_order(tmp_
     assert [f.page for f in capture.sensors[0].object] == [None, None]
 
 
+def test_passes_of_a_scanner_with_a_column_in_their_names_are_tiles(tmp_path):
+    for name in ("dark", "white", "icon1_10", "icon1_9"):
+        envi(tmp_path, f"raw/{name}")
+    files = CUBE.replace('"raw/{target}*.hdr"', '["raw/{target}_{column}.hdr", "raw/{target}.hdr"]')
+    (capture,) = found_in(tmp_path, files, 'dark = "dark"\nwhite = "white"\nobjects = ["icon1"]')
+    assert [part.tile for part in capture.tiles] == ["c9", "c10"]
+    for part in capture.tiles:
+        ((one,),) = [sensor.object for sensor in part.sensors]
+        assert one.path.stem == f"icon1_{part.tile[1:]}"
+        assert part.sensors[0].white and part.sensors[0].dark
+
+
 def test_what_a_header_says_is_checked_against_what_is_declared(tmp_path):
     envi(tmp_path, "raw/icon1")
     found_in(tmp_path, CUBE + "wavelengths = { start = 401, stop = 601, step = 100 }\n", "")

@@ -381,6 +381,7 @@ def _apart(
             "two strips of a scan cannot be joined",
             found=found,
             expected=expected,
-            fix="Check that the names order the strips from left to right and that each overlaps the next.",
+            fix="Check that the names order the strips from left to right and that each overlaps the next. "
+            "Where the stage wobbles, write {column} where their numbers stand in `files`: each is then registered by itself.",
         )
     )

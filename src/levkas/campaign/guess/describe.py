@@ -478,7 +478,7 @@ def _check_shots(
         names = ", ".join(frame.path.name for frame in several[0][:LISTED])
         notes.unknown.append(
             f"whether {names} are strips beside one another, from left to right: parts one after the other, as "
-            "Headwall's raw_0 and raw_2000 are, cannot be joined"
+            "Headwall's raw_0 and raw_2000 are, need {row} where their numbers stand in `files`, and a reference that shows all of them"
         )
     if not files.shots or scanned:
         return

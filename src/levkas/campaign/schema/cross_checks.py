@@ -571,9 +571,6 @@ def _sensor_alignment(where: str, sensors: tuple[SensorKeys, ...]) -> Iterator[P
         )
 
 
-TILE_FIELDS = {"tile", "row", "column"}
-
-
 def check_pattern(field: str, text: str, kind: str) -> Iterator[Problem]:
     """Yield what is wrong with a pattern of files for a camera of some kind."""
     try:
@@ -596,13 +593,6 @@ def check_pattern(field: str, text: str, kind: str) -> Iterator[Problem]:
             "a tile has one name: {tile}, or its {row} and {column}",
             text,
             fix="Write * in place of the other.",
-        )
-    if fields & TILE_FIELDS and KINDS[kind].is_scanned:
-        yield value_problem(
-            field,
-            "files of a line scan are its strips, which need no {tile}",
-            text,
-            fix="Write * instead.",
         )
     if "object" in fields and not KINDS[kind].is_calibrated:
         yield value_problem(
