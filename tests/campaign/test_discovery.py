@@ -264,16 +264,28 @@ def test_a_header_says_the_bands_of_a_cube_and_strips_stay_in_natural_order(tmp_
     assert [f.page for f in capture.sensors[0].object] == [None, None]
 
 
+PASSES = CUBE.replace('"raw/{target}*.hdr"', '["raw/{target}_{column}.hdr", "raw/{target}.hdr"]')
+
+
 def test_passes_of_a_scanner_with_a_column_in_their_names_are_tiles(tmp_path):
     for name in ("dark", "white", "icon1_10", "icon1_9"):
         envi(tmp_path, f"raw/{name}")
-    files = CUBE.replace('"raw/{target}*.hdr"', '["raw/{target}_{column}.hdr", "raw/{target}.hdr"]')
-    (capture,) = found_in(tmp_path, files, 'dark = "dark"\nwhite = "white"\nobjects = ["icon1"]')
-    assert [part.tile for part in capture.tiles] == ["c9", "c10"]
-    for part in capture.tiles:
+    touch(tmp_path, "photo/icon1.tif", samples=3)
+    targets = 'dark = "dark"\nwhite = "white"\nobjects = ["icon1"]'
+    captures = found_in(tmp_path, PASSES + PHOTO, targets, reference="photo")
+    (scan,) = [capture for capture in captures if capture.camera == "vis"]
+    assert [part.tile for part in scan.tiles] == ["c9", "c10"]
+    for part in scan.tiles:
         ((one,),) = [sensor.object for sensor in part.sensors]
         assert one.path.stem == f"icon1_{part.tile[1:]}"
         assert part.sensors[0].white and part.sensors[0].dark
+
+
+def test_passes_of_a_reference_cannot_be_tiles(tmp_path):
+    with pytest.raises(Refused) as refused:
+        campaign(tmp_path, PASSES)
+    (problem,) = refused.value.problems
+    assert problem.field == "cameras.vis.files" and "{tile}" in problem.expected
 
 
 def test_what_a_header_says_is_checked_against_what_is_declared(tmp_path):

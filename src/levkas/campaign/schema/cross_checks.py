@@ -130,6 +130,14 @@ def _names(document: Document) -> Iterator[Problem]:
             f"one of {listed(cameras)}",
             closest_match(reference, cameras),
         )
+    elif cameras[reference].traits.is_scanned and cameras[reference].has_tiles:
+        yield value_problem(
+            f"cameras.{reference}.files",
+            "passes of a line scanner that is the reference are strips: as tiles, no other camera shows how their lines lie",
+            ", ".join(cameras[reference].files),
+            "a pattern without {tile}, {row} and {column}",
+            "Write * instead, or take another camera as the reference.",
+        )
     own = [document.campaign.setup] if document.campaign.setup else []
     tables = {"cameras": list(cameras), "setups": [*document.setups, *own]}
     tables |= {
