@@ -9,7 +9,13 @@ import tifffile
 from scipy import ndimage
 
 from levkas.building import build
+from levkas.building.plan import read_plan
+from levkas.database.layout import Places
 from levkas.geometry import from_dict
+from levkas.geometry.transforms import Affine
+from levkas.stages import scans, tiles
+from levkas.stages.calibrate import load_calibrated
+from levkas.stages.streaming import ScanRefused
 
 pytestmark = pytest.mark.slow
 SIZE, MARGIN = (300, 230), 60
@@ -181,6 +187,44 @@ def test_passes_that_wobble_each_by_itself_are_followed(strips_built):
         for band in bands.values():
             errors = np.linalg.norm(from_dict(band["transform"])(shown) - pixels, axis=1)
             assert errors.mean() < 0.1, (name, errors.mean())
+
+
+def test_large_passes_are_streamed_to_the_same_bytes(strips_built, tmp_path, monkeypatch):
+    """Without whole passes in memory; where pictures would be too large, registration sees means of blocks."""
+    folder = strips_built.parent
+    monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
+    list(build(folder, output=tmp_path / "streamed"))
+    paths = sorted((strips_built / "objects/panel").rglob("panel_scan*.tif"))
+    assert len(paths) >= 6  # values and flags of the layer and of two passes
+    for path in paths:
+        streamed = tmp_path / "streamed" / path.relative_to(strips_built)
+        assert path.read_bytes() == streamed.read_bytes(), path.name
+    plan = read_plan(folder)
+    (capture,) = [one for one in plan.captures if one.camera == "scan"]
+    native = load_calibrated(capture, plan.campaign, Places(strips_built), {}, None)
+    whole, factor = native.pictures("c1")
+    assert factor == 1
+    monkeypatch.setattr(scans, "LOOKED_AT_PX", 170 * SIZE[1] / 4)
+    means, factor = native.pictures("c1")
+    assert factor == 2
+    blocks = native.pages("c1", "")[0].read(0, SIZE[1]).reshape(SIZE[1] // 2, 2, 85, 2, 2)
+    for band, one in enumerate(means):
+        assert one.label == whole[band].label
+        np.testing.assert_allclose(one.values, blocks[..., band].mean((1, 3)), rtol=1e-5)
+
+
+def test_large_passes_across_the_grid_are_refused(strips_built, monkeypatch):
+    monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
+    plan = read_plan(strips_built.parent)
+    (capture,) = [one for one in plan.captures if one.camera == "scan"]
+    native = load_calibrated(capture, plan.campaign, Places(strips_built), {}, None)
+    maps = {band.label: Affine.identity() for band in native.bands}
+    across = {b: Affine(np.array([[0.0, 1, 0], [1, 0, 0]])) for b in maps}
+    held = tiles.MOST_ROWS * 1.2 * 170 * 2 * 9  # bytes of the lines that rows of the grid need
+    monkeypatch.setattr(tiles, "ASKEW_BYTES", held)
+    native.on_grid(maps, SIZE)
+    with pytest.raises(ScanRefused, match="tile c1 is tilted relative to the grid"):
+        native.on_grid(across, SIZE[::-1])
 
 
 # --- sensors with a declared alignment

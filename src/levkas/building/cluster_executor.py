@@ -60,9 +60,12 @@ def memory_needed(task: Task, campaign: Campaign) -> float:
     captures = {id(c): c for c in captures_of(task)[: 1 if calibrates else 2]}
     least = 0.0 if calibrates else STREAMED
     return BASE + sum(
-        max(least, bytes_of_pass(c))
-        if is_streamed(c, campaign)
-        else CUBE_BYTES * count_values(c, campaign.cameras[c.camera].kind)
+        max(
+            max(least, bytes_of_pass(part))
+            if is_streamed(part, campaign)
+            else CUBE_BYTES * count_values(part, campaign.cameras[part.camera].kind)
+            for part in c.tiles or (c,)
+        )
         for c in captures.values()
     )
 

@@ -88,18 +88,30 @@ def calibrate(
         UnreadableCapture or CalibrationRefused, with the files in question; TooLarge.
     """
     if capture.tiles:
+        streamed = _streamed_tiles(capture, campaign)
         for tile in capture.tiles:
-            require_memory(tile, campaign.cameras[capture.camera].kind)
+            if tile.tile not in streamed:
+                require_memory(tile, campaign.cameras[capture.camera].kind)
         notes = {
             "warnings": tuple(_contradictions(capture, campaign, templates)),
             "captured": read_facts(capture.sensors[0].object[0].path).captured or "",
         }
-        tiles = (develop(tile, campaign, templates) for tile in capture.tiles)
-        return TiledCapture(capture, places, mosaics_of(capture, campaign), tiles, notes)
+        tiles = (
+            (open_scan if tile.tile in streamed else develop)(tile, campaign, templates)
+            for tile in capture.tiles
+        )
+        return TiledCapture(
+            capture, places, mosaics_of(capture, campaign), tiles, notes, streamed=streamed
+        )
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
     require_memory(capture, campaign.cameras[capture.camera].kind)
     return develop(capture, campaign, templates)
+
+
+def _streamed_tiles(capture: Capture, campaign: Campaign) -> frozenset[str]:
+    """Return the names of the tiles that are passes of a line scanner and too large to be held."""
+    return frozenset(one.tile for one in capture.tiles if is_streamed(one, campaign))
 
 
 def _contradictions(
@@ -146,7 +158,8 @@ def load_calibrated(
     """Read back what `write_calibrated` wrote; `notes` as it returned them."""
     if capture.tiles:
         mosaics = mosaics_of(capture, campaign)
-        return TiledCapture(capture, places, mosaics, notes=dict(notes))
+        streamed = _streamed_tiles(capture, campaign)
+        return TiledCapture(capture, places, mosaics, notes=dict(notes), streamed=streamed)
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
     return read_native(capture, places, notes, mosaics_of(capture, campaign))

@@ -31,7 +31,7 @@ from levkas.stages.streaming import gains_of_scan, resample_scan
 from levkas.stages.strips import JoinedStrips, lines_of_scan
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from levkas.campaign.campaign import Campaign
@@ -216,7 +216,7 @@ class Scan:
 
         Raises CalibrationRefused where a band has no finite value at all.
         """
-        calibration, pictures = ScanPass(self), Pictures(self)
+        calibration, pictures = ScanPass(self), Pictures(self.shape, self.bands, self.factor)
         middle = Middle(self.shape, self.bands)
         for cube in calibration.blocks():
             pictures.add(cube)
@@ -331,13 +331,15 @@ class ScanPass:
 
 
 class Pictures:
-    """Every band of a scan as registration takes it, gathered while its lines pass by."""
+    """Every band of a scan of some `shape`, (lines, samples, bands), as registration takes it, gathered while its lines pass by.
 
-    def __init__(self, scan: Scan) -> None:
-        self._bands, self._factor = scan.bands, scan.factor
-        lines, samples, bands = scan.shape
-        size = (lines // self._factor, samples // self._factor)
-        self._sums = np.zeros((bands, *size), np.float32)
+    A pixel is the mean of `factor` x `factor` px.
+    """
+
+    def __init__(self, shape: tuple[int, int, int], bands: Sequence[Band], factor: int) -> None:
+        self._bands, self._factor = bands, factor
+        size = (shape[0] // factor, shape[1] // factor)
+        self._sums = np.zeros((len(bands), *size), np.float32)
         self._counts: np.ndarray = np.zeros(self._sums.shape, np.uint16)
         self._line = 0
 

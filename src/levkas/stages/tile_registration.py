@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from levkas.geometry.joining import Box
     from levkas.geometry.transforms import Transform
     from levkas.registration import BandImage
-    from levkas.stages.native_cubes import Native
     from levkas.stages.reference import ReferenceFrame
 
 Point = tuple[float, float]
@@ -180,7 +179,7 @@ def _own_bands(
         return {name: {band: Affine.identity()} for name in tiles}
     found: dict[str, dict[str, Transform]] = {}
     best: tuple[float, str] = (np.inf, "")
-    detail = {name: _detail(native.tile(name), band) for name in tiles}
+    detail = {name: _detail(native.tile(name).images(), band) for name in tiles}
     for name in sorted(tiles, key=lambda n: (-detail[n], n)):
         one = _own(native, name, band)
         if one is None:
@@ -213,9 +212,9 @@ def _own(native: TiledCapture, name: str, band: str) -> Registration | None:
     return None if found.verdict.decision == "refuse" else found
 
 
-def _detail(native: Native, band: str) -> float:
-    """Return the spread of differences of neighbours, in the unit of the values."""
-    image = next(one for one in native.images() if one.label == band)
+def _detail(images: Sequence[BandImage], band: str) -> float:
+    """Return the spread of differences of neighbours in a band, in the unit of the values."""
+    image = next(one for one in images if one.label == band)
     known = image.valid[:, 1:] & image.valid[:, :-1]
     steps = np.diff(image.values, axis=1)[known]
     return float(np.std(steps, dtype=np.float64)) if steps.size else 0.0
@@ -317,7 +316,7 @@ class TilesToReference:
     def run(self) -> dict[str, FoundTile]:
         """Return every tile as it was found."""
         names = [part.tile for part in self._native.capture.tiles]
-        detail = {name: _detail(self._native.tile(name), self._label) for name in names}
+        detail = {name: _detail(self._native.pictures(name)[0], self._label) for name in names}
         waiting = sorted(names, key=lambda name: (-detail[name], name))
         again = []
         while waiting:
@@ -332,16 +331,16 @@ class TilesToReference:
         return {name: self.found[name] for name in names}
 
     def _register(self, name: str) -> FoundTile:
-        native = self._native.tile(name)
+        images, factor = self._native.pictures(name)
         size = self._native.size_of_tile(name, self._label)
-        expected = self._predicted(name) or self._begin(native)
+        expected = self._predicted(name) or self._begin(images, factor)
         if expected is None:
             return _left_out(NO_KEY_POINTS, size)
         box = self._box(expected, size)
         if box is None:
             return _left_out("it lies outside of what the reference shows", size)
         try:
-            found = self._once(native, box, expected)
+            found = self._once(images, factor, box, expected)
         except RegistrationRefused as refused:
             return _left_out(" ".join(str(p.message) for p in refused.problems), size)
         maps = found.transforms
@@ -353,42 +352,47 @@ class TilesToReference:
         verdict = replace(found.verdict, reasons=reasons)
         return FoundTile(verdict, size, maps, found.sigma, sigma_px, found.errors)
 
-    def _begin(self, native: Native) -> Transform | None:
+    def _begin(self, images: Sequence[BandImage], factor: int) -> Transform | None:
         """Return where key points put a tile in the whole reference, reference px → native px; None where they do not agree."""
         sensor = self._native.capture.sensors[0].name
-        bands = by_wavelength([one for one in native.images() if one.sensor == sensor])
+        bands = by_wavelength([one for one in images if one.sensor == sensor])
         there = present_bands(bands)
         shown = sqrt_images([there[i] for i in measured_bands(there)])
         theirs = CameraFeatures(GreyImages(list(shown.values())))
         found = find_initial_transform(self._keys, theirs)
         if found is None:
             return None
-        return Composed(Inverse(onto_box(0, 0, self._frame.step)), found.transform)
+        grow = onto_box(0, 0, factor)
+        return Composed(Inverse(onto_box(0, 0, self._frame.step)), found.transform, grow)
 
     @cached_property
     def _keys(self) -> CameraFeatures:
         return PreparedReference(self._frame.overview, self._frame.band).keys
 
-    def _once(self, native: Native, box: Box, expected: Transform) -> Registration:
-        """Register a tile to a box of the reference, where it is expected."""
+    def _once(
+        self, pictures: Sequence[BandImage], factor: int, box: Box, expected: Transform
+    ) -> Registration:
+        """Register the pictures of a tile to a box of the reference, where it is expected."""
         images, transforms, step = self._frame.part(box)
         corner = onto_box(box[0], box[1], step)
-        back = Inverse(corner)
+        back, grow = Inverse(corner), onto_box(0, 0, factor)
         sigma = {label: _moved(one, back, 1 / step) for label, one in self._own.sigma.items()}
         height, width = images[0].values.shape
         places = np.array([[0.2, 0.2], [0.8, 0.2], [0.8, 0.8], [0.2, 0.8]]) * (width, height)
-        starts = np.hstack([places, expected(corner(places))])
+        starts = np.hstack([places, grow.inverse(expected(corner(places)))])
         given = {self._native.capture.sensors[0].name: ManualPoints(starts=starts)}
         align = {
             s: Affine(np.array(a, float)) for s, a in self._native.aligns.items() if a != "measure"
         }
         found = register(
-            images, native.images(), reference_band=self._frame.band, given=given, align=align,
+            images, pictures, reference_band=self._frame.band, given=given, align=align,
             reference_transforms=transforms, reference_sigma=sigma, **self._options,
         )  # fmt: skip
         return replace(
             found,
-            transforms={label: Composed(back, one) for label, one in found.transforms.items()},
+            transforms={
+                label: Composed(back, one, grow) for label, one in found.transforms.items()
+            },
             sigma={label: _moved(one, corner, step) for label, one in found.sigma.items()},
             errors=found.errors if step == 1 else _enlarged(found.errors, step),
         )
