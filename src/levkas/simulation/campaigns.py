@@ -112,7 +112,7 @@ def simulate_campaign(
         Textures of the first objects, instead of painted icons.
     tiles : str or sequence of str, optional
         Rows and columns of frames that show an object together: ``"3x4"`` of every camera but the line scanner,
-        ``"d80=3x4"`` of one. A camera keeps its sampling and has a smaller sensor; a stage moves it, and its record is
+        ``"d80=3x4"`` of one, ``"v10=1x3"`` passes of the line scanner, each of which wobbles by itself. A camera keeps its sampling and has a smaller sensor; a stage moves it, and its record is
         beside campaign.toml. No chart is captured then.
 
     Yields
@@ -247,11 +247,15 @@ class SimulatedSession:
             rng = self._rng("stage", name, model.name, tile)
             lean = turn(*(float(v) for v in rng.normal(0, p.stage_deg, 3)))
             stop = axes @ (*place, 0.0) + rng.normal(0, p.stage_mm, 3) * (1.0, 1.0, 0.25)
+            size, period, phase = view.wobble
+            if model.scan:  # each pass by itself
+                phase = float(self._rng("wobble", name, model.name, tile).uniform(0, 2 * np.pi))
             rotation, moved = lean @ np.reshape(view.rotation, (3, 3)), view.translation - stop
             views[f"{model.name}#{tile}"] = replace(
                 view,
                 rotation=tuple(float(v) for v in rotation.ravel()),
                 translation=tuple(float(v) for v in moved),
+                wobble=(size, period, phase),
             )
         return views
 
@@ -532,7 +536,9 @@ def _camera_text(model: CameraModel) -> str:
     if bands_in == "files":
         return f"{head}{_files(model, raw, '{wavelength}nm_{shot}.tif')}{_steps(model)}{levels}"
     if bands_in == "file":
-        return f'{head}files = "{raw}/{{target}}.hdr"\n{_steps(model)}{levels}'
+        parts = f"{raw}/{{target}}/r{{row}}c{{column}}.hdr", f"{raw}/{{target}}.hdr"
+        files = f'["{parts[0]}", "{parts[1]}"]' if model.whole else f'"{parts[1]}"'
+        return f"{head}files = {files}\n{_steps(model)}{levels}"
     text = f'{head}sensitivity = "{model.name}_sensitivity.csv"\n{levels}'
     for i, sensor in enumerate(model.sensors):
         labels = ", ".join(f'"{model.bands[k].label}"' for k in sensor.bands)

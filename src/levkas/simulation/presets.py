@@ -39,6 +39,8 @@ class Preset:
         Electrons of all sensors; few for much noise.
     scanner_turn_deg : float
         The line scanner turned about its axis: 90 scans along the other side.
+    wobble : (float, float), optional
+        Amplitude and period, lines, of the unevenness of the line scanner's travel; else the camera's own.
     own_pigments : bool
         Every painting after the first has the pigments of another workshop.
     unevenness_deg : float, optional
@@ -66,6 +68,7 @@ class Preset:
     twist_mm: float = 0.6
     full_well: float | None = None
     scanner_turn_deg: float = 0.0
+    wobble: tuple[float, float] | None = None
     own_pigments: bool = False
     unevenness_deg: float | None = None
     overlap: float = 0.25
@@ -127,14 +130,14 @@ def choose_tiles(
     ----------
     models : dict of str to CameraModel
     tiles : str or sequence of str, optional
-        ``"3x4"``: rows and columns of every camera that takes frames; ``"d80=3x4"``: of one.
+        ``"3x4"``: rows and columns of every camera that takes frames; ``"d80=3x4"``: of one, ``"v10=1x3"``: passes of the line scanner.
     overlap : float
         Share of a tile that its neighbour sees too.
 
     Raises
     ------
     SimulationRefused
-        For a text that is no such number, an unknown camera, and a line scanner.
+        For a text that is no such number, and an unknown camera.
     """
     made = dict(models)
     if not 0.02 <= overlap <= 0.6:
@@ -146,11 +149,10 @@ def choose_tiles(
             raise refusal(
                 "these are no tiles", "tiles", text, "ROWSxCOLUMNS, or CAMERA=ROWSxCOLUMNS"
             )
-        frames = [n for n, model in models.items() if not model.scan]
-        if name and name not in frames:
-            raise refusal("no camera of frames has this name", "tiles", name, ", ".join(frames))
+        if name and name not in models:
+            raise refusal("no camera has this name", "tiles", name, ", ".join(models))
         rows, columns = map(int, found.groups())
-        for one in [name] if name else frames:
+        for one in [name] if name else [n for n, model in models.items() if not model.scan]:
             made[one] = models[one].tiled(rows, columns, overlap)
     return made
 
@@ -186,5 +188,9 @@ def choose_cameras(preset: Preset, cameras: Sequence[str] | None) -> dict[str, C
                 for s in model.sensors
             )  # fmt: skip
             model = replace(model, sensors=sensors)
-        result[name] = model.scaled(preset.scale)
+        model = model.scaled(preset.scale)
+        if model.scan and preset.wobble is not None:
+            size, period = preset.wobble
+            model = replace(model, wobble=(size, period / model.sampling, model.wobble[2]))
+        result[name] = model
     return result
