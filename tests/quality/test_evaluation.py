@@ -65,6 +65,24 @@ def test_ssim_falls_when_the_image_is_shifted_and_ignores_what_is_not_valid():
     assert score > 0.99 and np.isnan(full[:, 50:]).all()
 
 
+@pytest.mark.parametrize("rows", [7, 64, 90])
+def test_ssim_is_that_of_the_whole_picture_by_any_rows(monkeypatch, rows):
+    from skimage.metrics import structural_similarity as ssim
+
+    from levkas.quality.evaluation import similarity
+
+    image = textured(np.random.default_rng(3))[:95]
+    valid = np.ones(image.shape, bool)
+    other = image + 0.3 * np.roll(image, 2, axis=0)
+    alike = (other - other.mean()) * image.std() / other.std() + image.mean()
+    both = np.percentile(np.stack([image, alike]), (0.1, 99.9))
+    _, whole = ssim(image, alike, data_range=np.ptp(both), gaussian_weights=True, full=True)
+    monkeypatch.setattr(similarity, "SSIM_ROWS", rows)
+    score, full = structural_similarity(image, other, valid)
+    np.testing.assert_allclose(full, whole, rtol=1e-5)
+    assert score == pytest.approx(whole.mean(), abs=1e-6)
+
+
 def test_a_flat_image_has_no_ssim():
     flat = np.ones((32, 32))
     assert np.isnan(structural_similarity(flat, flat, np.ones((32, 32), bool))[0])
@@ -112,3 +130,15 @@ def test_the_table_has_expanded_uncertainties_and_says_so():
     text = Assessment([layer | {"ssim": 0.95, "ssim_u": 0.002}]).text
     assert "0.034 ± 0.006" in text and "0.950 ± 0.004" in text
     assert "expanded uncertainty of a mean, k = 2" in text
+
+
+def test_the_grey_picture_of_a_large_layer_is_every_other_pixel(tmp_path, monkeypatch):
+    from levkas.database import grey
+
+    values = np.random.default_rng(4).random((37, 50, 3), dtype=np.float32)
+    flags = np.zeros(values.shape, np.uint8)
+    monkeypatch.setattr(grey, "MOST_SAMPLES", 600)
+    assert grey.grey_step(37, 50) == 2
+    parts = [grey.grey_of(values[a:b], flags[a:b], a, 2) for a, b in ((0, 5), (5, 6), (6, 37))]
+    mean = np.concatenate([part[0] for part in parts])
+    np.testing.assert_allclose(mean, values[::2, ::2].mean(2), rtol=1e-6)

@@ -427,16 +427,18 @@ class LayerStatistics:
 
     def flagged(self, rows: Cube | CubeRows) -> CubeRows:
         """Return the rows as they are taken, with glare flagged and noted."""
-        blocks = self._flagged(rows.blocks)
+        blocks = self._flagged(rows.blocks, rows.shape[:2])
         return CubeRows(blocks, rows.shape, rows.bands, rows.quantity, rows.has_sigma)
 
-    def _flagged(self, blocks: Iterable[Cube]) -> Iterator[Cube]:
-        from levkas.database.grey import grey_of
+    def _flagged(self, blocks: Iterable[Cube], shape: tuple[int, int]) -> Iterator[Cube]:
+        from levkas.database.grey import grey_of, grey_step
+
+        step = grey_step(*shape)
 
         for cube in blocks:
             first, self._rows = self._rows, self._rows + len(cube.values)
             other = self.default.rows(first, self._rows) if self.default else None
-            mean, valid = grey_of(cube.values, cube.flags)
+            mean, valid = grey_of(cube.values, cube.flags, first, step)
             counts = flag_and_count(cube, other, self.gains)
             add_counts(self.glare, {"inside": int(np.count_nonzero(valid)), **counts})
             self.thin.append(self._thinned(cube, first))
@@ -457,7 +459,7 @@ class LayerStatistics:
 
     @property
     def grey(self) -> tuple[np.ndarray, np.ndarray]:
-        """As `database.grey.grey_of` gives it for all rows."""
+        """As `database.grey.read_grey` gives it of the layer's files."""
         return np.concatenate(self.mean), np.concatenate(self.valid)
 
     def ranges(self) -> list[dict[str, Any]]:

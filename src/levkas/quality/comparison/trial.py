@@ -204,7 +204,7 @@ def _similarity(
     trial: Trial, record: dict[str, Any], target: NativeLayer, maps: dict[str, Map]
 ) -> float | None:
     """SSIM of the mean of the registered bands against the reference's published layer."""
-    from levkas.database.grey import grey_of, read_grey
+    from levkas.database.grey import grey_of, grey_step, read_grey
     from levkas.database.layout import Places
     from levkas.geometry.resample import warp
     from levkas.quality.evaluation.similarity import structural_similarity
@@ -219,6 +219,7 @@ def _similarity(
     ours = grey_of(
         np.concatenate([p.values for p in parts], axis=2),
         np.concatenate([p.flags for p in parts], axis=2),
+        step=grey_step(*shape),
     )
     base = read_grey(
         Places(Path(trial.database)).layer(trial.object, record["reference"]["camera"])

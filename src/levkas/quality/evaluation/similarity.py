@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
 
 SSIM_SIGMA = 1.5
-SSIM_WINDOW = 11
+SSIM_WINDOW, SSIM_ROWS = 11, 512
+"""Side of the window, px; rows that are compared at a time."""
 RANGE_PERCENTILES = (0.1, 99.9)
 BLOCKS = 6
 """Parts a side of a picture, whose means scatter independently where what errs alike is smaller than they are. Intervals (k = 2) hold 94 %
@@ -259,23 +260,33 @@ def structural_similarity(
     if reference.ndim != 2 or not reference.shape == target.shape == valid.shape:
         shapes = ", ".join(str(a.shape) for a in (reference, target, valid))
         raise ValueError(f"pictures and mask of shapes {shapes}; all must be the same (h, w)")
-    nothing = np.full(reference.shape, np.nan, np.float32)
+    found = np.full(reference.shape, np.nan, np.float32)
     if valid.sum() < SSIM_WINDOW**2 or min(reference.shape) < SSIM_WINDOW:
-        return float("nan"), nothing
-    a, b = (np.asarray(image, np.float64) for image in (reference, target))
-    spread = b[valid].std()
-    if spread == 0 or a[valid].std() == 0:
-        return float("nan"), nothing
-    b = (b - b[valid].mean()) * (a[valid].std() / spread) + a[valid].mean()
-    a, b = (np.where(valid, image, a[valid].mean()) for image in (a, b))
-    low, high = np.percentile(np.concatenate([a[valid], b[valid]]), RANGE_PERCENTILES)
-    _, full = ssim(
-        a,
-        b,
-        data_range=high - low,
-        gaussian_weights=True,
-        sigma=SSIM_SIGMA,
-        win_size=SSIM_WINDOW,
-        full=True,
-    )
-    return float(full[valid].mean()), np.where(valid, full, np.nan).astype(np.float32)
+        return float("nan"), found
+    a, b = (image[valid] for image in (reference, target))
+    mean, spread = a.mean(dtype=float), b.std(dtype=float)
+    if spread == 0 or a.std(dtype=float) == 0:
+        return float("nan"), found
+    gain = float(a.std(dtype=float) / spread)
+    offset = float(mean - gain * b.mean(dtype=float))
+    low, high = np.percentile(np.concatenate([a, gain * b + offset]), RANGE_PERCENTILES)
+    del a, b
+    height, margin = len(reference), SSIM_WINDOW // 2  # beyond which no pixel of a window lies
+    for top in range(0, height, SSIM_ROWS):
+        bottom = min(top + SSIM_ROWS, height)
+        first, last = max(top - margin, 0), min(bottom + margin, height)
+        if last - first < SSIM_WINDOW:
+            first = height - SSIM_WINDOW
+        known = valid[first:last]
+        ours, theirs = (image[first:last].astype(float) for image in (reference, target))
+        _, part = ssim(
+            np.where(known, ours, mean),
+            np.where(known, gain * theirs + offset, mean),
+            data_range=high - low,
+            gaussian_weights=True,
+            sigma=SSIM_SIGMA,
+            win_size=SSIM_WINDOW,
+            full=True,
+        )
+        found[top:bottom] = np.where(known, part, np.nan)[top - first : bottom - first]
+    return float(np.mean(found, where=valid, dtype=float)), found
