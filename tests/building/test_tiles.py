@@ -144,6 +144,38 @@ def test_the_layer_is_the_picture_without_a_seam(built):
     assert {r["camera"]: len(r.get("tiles", ())) for r in whole.results}["photo"] == 6
 
 
+@pytest.mark.slow
+def test_macro_photographs_are_tiles_of_a_tenth_of_the_scale(tmp_path):
+    rng, picture = np.random.default_rng(3), painting(3)
+    frames = {"photo": laid(40, 40, 0.0), "macro#a": laid(90, 80, 2.0, 0.12)}
+    frames["macro#b"] = laid(280, 200, -1.0, 0.1)
+    write(tmp_path / "photo/one.tif", cut(picture, frames["photo"], (WIDTH, HEIGHT), rng))
+    for name in "ab":
+        tile = cut(picture, frames[f"macro#{name}"], (1500, 1200), rng)
+        write(tmp_path / f"macro/one_{name}.tif", tile)
+    (tmp_path / "campaign.toml").write_text(
+        """[campaign]
+reference = { camera = "photo" }
+[cameras.photo]
+kind = "image"
+files = "photo/{target}.tif"
+[cameras.macro]
+kind = "image"
+files = "macro/{target}_{tile}.tif"
+"""
+    )
+    assert [step.line for step in steps_of(tmp_path).values() if step.state != "done"] == []
+    for target in ("macro#a", "macro#b"):
+        record = record_of(tmp_path, "macro")
+        assert record["tiles"][target[-1]]["verdict"]["decision"] == "accept", record["tiles"]
+        points = np.stack(np.meshgrid(np.linspace(20, 1480, 9), np.linspace(20, 1180, 9)), -1)
+        points = points.reshape(-1, 2)
+        found = map_points(tmp_path / "database", "one", points, source=target, target="photo")
+        off = np.linalg.norm(found - frames["photo"].inverse(frames[target](points)), axis=1)
+        assert off.mean() < 0.05, target  # px of the overview: half a px of the macro
+        assert off.max() < 0.15, target
+
+
 def test_built_again_all_is_fresh(built):
     folder, _ = built
     assert {s.state for s in steps_of(folder).values()} == {"fresh"}

@@ -147,7 +147,7 @@ def register(
     pairs_given = max((len(pairs.fixed) for pairs in given.values()), default=0)
     try:
         with steady_libraries():
-            found = run(request, chosen)
+            found = _run(run, request, chosen)
     except RegistrationRefused as refused:
         if placed:
             raise
@@ -157,6 +157,23 @@ def register(
         step = advise(found.verdict.next_step, pairs_given, found.verdict.decision)
         found = replace(found, verdict=replace(found.verdict, next_step=step))
     return _with_checks(found, target, given)
+
+
+def _run(
+    run: Callable[[Request, Any], Registration], request: Request, chosen: Any
+) -> Registration:
+    """Run a method; once more with the target reduced where it is too fine, a macro photograph of a part."""
+    from levkas.registration.reduced import enlarged, reduce_target
+
+    try:
+        return run(request, chosen)
+    except RegistrationRefused as refused:
+        if request.is_own or "E_SCALE" not in {problem.code for problem in refused.problems}:
+            raise
+        try:
+            return enlarged(run(reduce_target(request), chosen))
+        except RegistrationRefused:
+            raise refused from None
 
 
 def _require_maps(found: Registration, request: Request, method: str) -> None:

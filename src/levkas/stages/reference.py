@@ -18,8 +18,9 @@ from levkas.geometry.grid import Grid, GridRefused
 from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration import Matches, Registration, Verdict
 from levkas.registration.record import Sigma
+from levkas.registration.reduced import onto_box
 from levkas.stages.spectra import middle_band, reference_channel
-from levkas.stages.tiles import TiledCapture, coarseness, onto_box
+from levkas.stages.tiles import TiledCapture, coarseness
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign

@@ -19,13 +19,14 @@ from levkas.campaign.methods import DEFAULT_METHOD
 from levkas.core.files import make_folder, remove, together, write_bytes, write_json, write_text
 from levkas.core.problems import Problem, Refused
 from levkas.database.registrations import describe_lying
-from levkas.geometry.transforms import Affine, Composed
+from levkas.geometry.transforms import Affine
 from levkas.pages.figures import draw_basis, draw_trace
 from levkas.readers.frames import read_headers
 from levkas.registration import Registration, RegistrationRefused, register
 from levkas.registration.joint import SensorObservations
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.record import COLUMNS, HandMark, Matches
+from levkas.registration.reduced import enlarged, onto_box
 from levkas.stages.control_points import declared_points, joined, placed_in, placed_pairs
 from levkas.stages.tile_registration import (
     FoundTile,
@@ -246,7 +247,10 @@ def register_capture(
         reference, native.images(), reference_band=reference_band, region=region, given=given,
         **request, **options,
     )  # fmt: skip
-    return found if native.factor == 1 else _enlarged(found, native.factor)
+    if native.factor == 1:
+        return found
+    errors = _with_enlarged_checks(found.errors, onto_box(0, 0, native.factor))
+    return replace(enlarged(found, native.factor), errors=errors)
 
 
 def corrections_of(
@@ -268,21 +272,6 @@ def corrections_of(
     for sensor, pairs in declared_points(campaign, capture, channel).items():
         given[sensor] = pairs if sensor not in given else joined(given[sensor], pairs)
     return given, options
-
-
-def _enlarged(found: Registration, factor: int) -> Registration:
-    """Turn a registration of reduced pictures into one of native pixels."""
-    middle = (factor - 1) / 2
-    grow = Affine(np.array([[factor, 0, middle], [0, factor, middle]], float))
-    return replace(
-        found,
-        transforms={label: Composed(one, grow) for label, one in found.transforms.items()},
-        matches=replace(found.matches, target=grow(found.matches.target)),
-        others={s: replace(m, target=grow(m.target)) for s, m in found.others.items()},
-        errors=_with_enlarged_checks(found.errors, grow),
-        trace=None,
-        observations=tuple(one.enlarged(grow) for one in found.observations),
-    )
 
 
 def _with_enlarged_checks(errors: dict[str, Any], grow: Affine) -> dict[str, Any]:

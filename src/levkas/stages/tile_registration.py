@@ -24,8 +24,9 @@ from levkas.registration.manual_points import ManualPoints
 from levkas.registration.measured_bands import measured_bands
 from levkas.registration.predictors import PreparedReference
 from levkas.registration.record import Sigma, Verdict
+from levkas.registration.reduced import FACTOR, LEAST_SIDE, onto_box, reduced
 from levkas.registration.tiles import TilePlacement, place_tiles
-from levkas.stages.tiles import Placement, TiledCapture, TilePlace, onto_box
+from levkas.stages.tiles import Placement, TiledCapture, TilePlace
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
@@ -334,6 +335,9 @@ class TilesToReference:
         images, factor = self._native.pictures(name)
         size = self._native.size_of_tile(name, self._label)
         expected = self._predicted(name) or self._begin(images, factor)
+        if expected is None and min(images[0].size) >= FACTOR * LEAST_SIDE:  # a macro photograph
+            images, factor = [reduced(one, FACTOR) for one in images], FACTOR * factor
+            expected = self._begin(images, factor)
         if expected is None:
             return _left_out(NO_KEY_POINTS, size)
         box = self._box(expected, size)
@@ -362,8 +366,8 @@ class TilesToReference:
         found = find_initial_transform(self._keys, theirs)
         if found is None:
             return None
-        grow = onto_box(0, 0, factor)
-        return Composed(Inverse(onto_box(0, 0, self._frame.step)), found.transform, grow)
+        whole = Inverse(onto_box(0, 0, self._frame.step))
+        return Composed(whole, found.transform, onto_box(0, 0, factor))
 
     @cached_property
     def _keys(self) -> CameraFeatures:

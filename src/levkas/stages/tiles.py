@@ -22,6 +22,7 @@ from levkas.geometry.transforms import Affine, Composed
 from levkas.quality.image_quality.glare import setup_gains
 from levkas.registration.bands import BandImage, share_of_most
 from levkas.registration.record import RegistrationRefused
+from levkas.registration.reduced import onto_box
 from levkas.stages.native_cubes import Native, part_name, read_native
 from levkas.stages.scan_templates import block_lines
 from levkas.stages.scans import Pictures, Scan, factor_of
@@ -357,18 +358,6 @@ class TiledCapture:
 def coarseness(width: int, height: int) -> int:
     """Return how many px a side make one of a picture that can be held whole."""
     return ceil(sqrt(width * height / MOST_SAMPLES))
-
-
-def onto_box(left: float, top: float, step: int = 1) -> Affine:
-    """Return the map from px of a part of a picture to those of the whole, of which `step` a side make one.
-
-    Examples
-    --------
-    >>> onto_box(10, 20, 2)(np.zeros((1, 2)))
-    array([[10.5, 20.5]])
-    """
-    middle = (step - 1) / 2
-    return Affine(np.array([[step, 0, left + middle], [0, step, top + middle]], float))
 
 
 def _median_focus(found: Sequence[Sequence[Mapping[str, Any]]]) -> list[dict[str, Any]]:
