@@ -140,7 +140,7 @@ def write(folder: Path, kind: str, black: str, options: argparse.Namespace) -> N
     if black == "dng":
         text = text.replace(".tif", ".dng").replace('pattern = [["A", "B"], ["C", "D"]]\n', "")
     keys = KEYS.replace("KIND", text).replace("DARK", 'dark = "dark"' if black == "darks" else "")
-    (folder / "campaign.toml").write_text(keys)
+    (folder / "campaign.toml").write_text(keys + "\n[database]\nnative = true\n")
 
 
 def bound(

@@ -182,6 +182,8 @@ def simulated(folder: Path, seed: int, scale: float) -> Path:
             pass
     finally:
         campaigns.SimulatedSession = plain
+    with (folder / "campaign.toml").open("a") as keys:
+        keys.write("\n[database]\nnative = true\n")
     for _ in build(folder):
         pass
     return folder / "database"

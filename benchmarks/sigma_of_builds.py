@@ -38,6 +38,8 @@ TILE = 20
 HEAD = """
 [campaign]
 reference = "cam"
+[database]
+native = true
 [targets]
 dark = "dark"
 white = { names = "white", reflectance = 1.0 }

@@ -120,7 +120,6 @@ def test_the_database_has_the_files_of_the_contract(finished):
         "panel_photo.png",
         "panel_irr.tif",
         "panel_irr.png",
-        "native/panel_irr.tif",
         "registration/irr.json",
         "registration/irr.matches.csv",
         "report.html",
@@ -181,7 +180,6 @@ def flip_a_bit(path, kept):
 @pytest.mark.parametrize(
     "damaged",
     [
-        *("native/panel_photo.tif", "native/panel_irr.tif", "native/panel_irr.flags.tif"),
         *("registration/photo.json", "registration/irr.json", "panel_photo.tif"),
     ],
 )

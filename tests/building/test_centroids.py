@@ -33,7 +33,7 @@ def campaign(make_plates, tmp_path):
     folder = make_plates(tmp_path / "campaign", ["one"])
     text = (folder / "campaign.toml").read_text()
     text = text.replace("[cameras.photo]\n", '[cameras.photo]\nsensitivity = "photo.csv"\n')
-    (folder / "campaign.toml").write_text(text)
+    (folder / "campaign.toml").write_text(text + "[database]\nnative = true\n")
     write_table(folder / "photo.csv", CENTRES)
     return folder
 

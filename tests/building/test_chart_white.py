@@ -38,6 +38,8 @@ title = "No white"
 reference = {{ camera = "vis", band = "540 nm" }}
 [grid]
 size = [175, 125]
+[database]
+native = true
 [cameras.vis]
 kind = "bands"
 files = "raw/{{target}}/{{wavelength}}nm_{{shot}}.tif"

@@ -62,6 +62,8 @@ KEYS = """
 title = "A plate"
 date = 2019-08-29
 reference = { camera = "photo", band = "G" }
+[database]
+native = true
 [cameras.photo]
 kind = "image"
 files = "photo/{target}.png"

@@ -14,6 +14,8 @@ CENTRES = {"R1": 620, "G1": 548, "B1": 482, "R2": 588, "G2": 512, "B2": 440}
 KEYS = """
 [campaign]
 reference = { camera = "split", band = "G1" }
+[database]
+native = true
 [cameras.split]
 kind = "sensors"
 files = "{target}_{sensor}_{shot}.tif"

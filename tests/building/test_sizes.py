@@ -39,7 +39,9 @@ def built(folder, kind, sizes=None, more=None):
             codes = rng.normal(level, 10, deep).astype(np.uint16)
             tifffile.imwrite(folder / name, codes, photometric="minisblack", metadata=None)
     text = TEXT.replace("KIND", "cube" if kind == "mirror" else kind).replace("FILES", files)
-    (folder / "campaign.toml").write_text(text.replace("MORE", more or keys))
+    (folder / "campaign.toml").write_text(
+        text.replace("MORE", more or keys) + "[database]\nnative = true\n"
+    )
     return summarise(build(folder, output=folder / "database"))
 
 

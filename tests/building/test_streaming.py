@@ -195,8 +195,9 @@ def test_a_streamed_scan_is_built_to_the_same_bytes_by_any_rows(
     monkeypatch.setattr(register, "register_capture", registers)
     campaign = tmp_path / "campaign"
     shutil.copytree(small_scan, campaign)
+    text = (campaign / "campaign.toml").read_text() + "[database]\nnative = true\n"
+    (campaign / "campaign.toml").write_text(text)
     if not white:
-        text = (campaign / "campaign.toml").read_text()
         lines = [line for line in text.splitlines() if not line.startswith("white")]
         (campaign / "campaign.toml").write_text("\n".join(lines))
     monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)

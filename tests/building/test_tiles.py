@@ -215,7 +215,8 @@ def test_of_a_large_mosaic_some_bands_are_held_or_a_coarser_overview(built, monk
 
     folder, _ = built
     plan = read_plan(folder)
-    native = tiles.TiledCapture(plan.captures[0], Places(folder / "database"), {})
+    places = Places(folder / "database")
+    native = tiles.TiledCapture(plan.captures[0], places, places.kept_native("one", "photo"), {})
     width, height = native.placed.size
     (whole,) = native.images("grey")
     assert whole.label == "grey"

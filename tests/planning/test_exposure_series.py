@@ -29,6 +29,8 @@ CAMPAIGN = f"""
 [campaign]
 title = "series"
 reference = {{ camera = "cam" }}
+[database]
+native = true
 [cameras.cam]
 kind = "bands"
 files = "raw/{{target}}_{{wavelength}}nm_{{exposure}}ms_{{shot}}.tif"

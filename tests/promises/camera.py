@@ -306,7 +306,7 @@ def write_campaign(
     if chart is not None:
         head = head.replace("[cameras", 'charts = { macbeth = "ColorChecker24" }\n[cameras')
     text = head + first + keys + series + "".join("[[" + s for s in sensors)
-    (folder / "campaign.toml").write_text(text)
+    (folder / "campaign.toml").write_text(text + "[database]\nnative = true\n")
     return folder
 
 

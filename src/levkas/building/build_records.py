@@ -224,6 +224,10 @@ class BuildRecords:
         """
         made, kept = self._hashed(products, self.output), self._hashed(aside, self.folder)
         left = self.put_away_left(key, made)
+        before = [self._states(key).get(state, {}).get("aside", {}) for state in (DONE, WAS)]
+        for name in {*before[0], *before[1]} - kept.keys():
+            if _is_file(self.folder / name):
+                remove(self.folder / name)
         record = {
             "fingerprint": fingerprint, "products": made, "left": left, "aside": kept, "notes": notes,
         }  # fmt: skip

@@ -34,12 +34,12 @@ NOT_THERE = "not registered"
 ROLES = ("object", "dark", "white", "chart")
 OF_A_FRAME = ("band", "wavelength", "exposure_s", "shot", "page", "tile")
 ONLY_WRITTEN = {
-    "calibrate": ("campaign.", "objects.", "tag 65000"),
+    "calibrate": ("campaign.", "objects.", "tag 65000", "database."),
     "measure": ("grid.", "objects.", "cameras.", "file "),
     "register": ("grid.", "objects.", "cameras.", "file "),
 }
-"""Beginnings of what a stage writes beside its numbers: credits, the published frame, a camera's own
-channel. What is made of the numbers alone does not depend on it."""
+"""Beginnings of what a stage writes beside its numbers: credits, native pixels, the published frame, a camera's
+own channel. What is made of the numbers alone does not depend on it."""
 
 
 def digest(prints: dict[str, Any], *, numbers_of: str = "") -> str:
@@ -135,6 +135,8 @@ def of_calibration(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict
         **made_with("calibrate"),
         **_credits(campaign, capture.object),
     }
+    if campaign.database.native:
+        prints["database.native"] = True
     for key in CALIBRATION_KEYS:
         prints[f"cameras.{camera.name}.{key}"] = getattr(camera, key)
     prints |= _centroids(campaign, capture, hashes)

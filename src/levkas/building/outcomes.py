@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from levkas.building.build_records import CATALOGUE, STAGES, BuildRecords, Key, key_of
-from levkas.building.fingerprints import Inputs
+from levkas.building.fingerprints import Inputs, digest
 from levkas.building.graph import Graph, Step, Task, captures_of, keys_of
 from levkas.building.tasks import Damaged
 from levkas.core.disk import DISK_CODES
@@ -111,7 +111,7 @@ class Outcomes:
         """Record the existing files before a task is done."""
         if task.key.stage == "resample":
             self.records.forget(CATALOGUE)  # a layer that is written drops the index of its store
-        self._before.setdefault(task.key, self.records.products(task.key))
+        self._before.setdefault(task.key, self._made(task.key))
 
     def fresh(self, key: Key) -> Step:
         """Return how a task ended that need not be done again."""
@@ -198,8 +198,13 @@ class Outcomes:
 
         A layer that is older than the registration or the reference beside it would be false.
         """
-        now = self.records.products(key)
+        now = self._made(key)
         return bool(now) and self._before.get(key, now) == now and not self.records.damaged(key)
+
+    def _made(self, key: Key) -> dict[str, str]:
+        """Return the hashes of what a task made; of a calibration that is not written, of what it is made of."""
+        products, prints = self.records.products(key), self.records.fingerprint(key)
+        return products or ({"numbers": digest(prints, numbers_of=key.stage)} if prints else {})
 
 
 def refusal_of(task: Task, error: Exception) -> Refused:

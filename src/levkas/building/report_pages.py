@@ -5,7 +5,6 @@ from __future__ import annotations
 from contextlib import suppress
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
-from math import ceil
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -281,35 +280,12 @@ def _layer(
         history=drawn if removal else [],
         maps=draw_maps(places.output, capture.object, record, tiff, quantity) if shown else [],
         links=_links_of_layer(campaign, places, capture),
-        recorded="" if verdict["decision"] != "refuse" else _recorded(places, capture),
+        recorded=registered.get("recorded", ""),
         ssim_map=f"data:image/png;base64,{ssim_map}" if ssim_map else "",
         columns=("shift at the centre, px", "x", "y"),
         rows=_band_rows(record),
         budget=_describe_budget(capture, budget, resampled) if shown else None,
     )
-
-
-RECORDED_PX = 480
-"""Longer side of the picture of a refused capture."""
-
-
-def _recorded(places: Places, capture: Capture) -> str:
-    """Return a small picture of a capture in native pixels, the mean of its bands, as data address; empty without files of it."""
-    from levkas.database.opening import open_pixels
-    from levkas.database.preview import encode_png
-
-    sensor = capture.sensors[0].name
-    path = places.native(capture.object, capture.camera, capture.setup, sensor, kind=".tif")
-    if not path.is_file():  # of a scan that is never held whole
-        return ""
-    pixels = open_pixels(path)
-    step = ceil(max(pixels.shape[:2]) / RECORDED_PX)
-    thin = pixels.isel(y=slice(None, None, step), x=slice(None, None, step)).values
-    with np.errstate(invalid="ignore"):
-        grey = np.nan_to_num(thin.astype(float)).mean(-1)
-    low, high = np.percentile(grey, (1, 99))
-    shown = np.clip((grey - low) / max(high - low, 1e-12) * 255, 0, 255).astype(np.uint8)
-    return embed_png(encode_png(shown))
 
 
 def _describe_budget(

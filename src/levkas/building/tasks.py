@@ -1,4 +1,4 @@
-"""The stages of a capture as tasks: what one reads is read back from files where it is not held already."""
+"""The stages of a capture as tasks: what one reads is calibrated again, or read back, where it is not held already."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Damaged(Refused):
 
 
 class CalibratedCache:
-    """Calibrated cubes of one capture and the reference of one object: in memory, else read back."""
+    """Calibrated cubes of one capture and the reference of one object: in memory, else calibrated again."""
 
     def __init__(
         self, campaign: Campaign, places: Places, records: BuildRecords, templates: TemplateCache
@@ -160,21 +160,30 @@ class Stages:
         return found
 
     def _register(self, task: Task) -> Write:
+        from levkas.stages.register import draw_recorded, publish_registration
+
+        capture, _ = captures_of(task)
+        joint = task.needs[0].stage == "measure"
+        found = self._adjusted(task) if joint else self._alone(task)
+        write = partial(publish_registration, found, capture, self.places)
+        if not found.problems or capture.tiles:
+            return write
+        picture = draw_recorded(self.held.native(capture))
+        return lambda before: _with_notes(write(before), recorded=picture)
+
+    def _adjusted(self, task: Task) -> Measured:
+        """Adjust a capture's own registration with those of others."""
         from levkas.stages.joint import adjust_capture
         from levkas.stages.reference import record_of, sigmas_of
-        from levkas.stages.register import publish_registration
 
         capture, lead = captures_of(task)
-        if task.needs[0].stage != "measure":
-            return partial(publish_registration, self._alone(task), capture, self.places)
         own = self._read_measured(task.needs[0])
         there = {
             f"{k.object}/{k.layer}": k for k in task.companions if is_measured(self.records, k)
         }
         others = {name: self._read_measured(key) for name, key in there.items()}
         reference = None if task.leads else sigmas_of(record_of(self.places, lead))
-        found = adjust_capture(capture, own, others, reference)
-        return partial(publish_registration, found, capture, self.places)
+        return adjust_capture(capture, own, others, reference)
 
     def _read_measured(self, key: Key) -> Measured:
         """Read a capture's own registration; raises Damaged where it cannot be."""

@@ -94,11 +94,22 @@ class Places:
         return self.folder(name) / (LayerId(name, camera, setup).stem + kind)
 
     def native(
-        self, name: str, camera: str, setup: str, sensor: str, *, kind: str = ".tif"
+        self,
+        name: str,
+        camera: str,
+        setup: str,
+        sensor: str,
+        *,
+        kind: str = ".tif",
+        folder: Path | None = None,
     ) -> Path:
-        """Calibrated, not resampled, one file a sensor."""
+        """Calibrated, not resampled, one file a sensor; in the database unless another `folder` is given."""
         stem = _stem(name, camera, setup, sensor)
-        return self.folder(name) / "native" / (stem + kind)
+        return (folder or self.folder(name) / "native") / (stem + kind)
+
+    def kept_native(self, name: str, layer: str, version: str = "") -> Path:
+        """Folder of such files beside the database; `version` names what the workbench shows."""
+        return self.kept / name / layer / "-".join(filter(None, ("native", version)))
 
     def registration(self, name: str, layer: str) -> Path:
         """Registration record of one layer."""

@@ -32,7 +32,7 @@ from levkas.calibration.white_area import WhiteArea, joined_area
 from levkas.calibration.whites import WhiteBoard
 from levkas.calibration.wiener_mosaic import correlate_channels, wiener_method
 from levkas.core.cube import Cube, Flag
-from levkas.core.files import together
+from levkas.core.files import remove, together
 from levkas.core.problems import Problem, Refused, gathered
 from levkas.core.threads import each
 from levkas.database.credits import credits_of
@@ -55,7 +55,7 @@ from levkas.stages.exposures import (
     white_of,
     whites_of,
 )
-from levkas.stages.native_cubes import Native, read_native, require_memory, write_native
+from levkas.stages.native_cubes import Native, require_memory, write_native
 from levkas.stages.scans import is_streamed, open_scan
 from levkas.stages.shared_noise import Mosaic
 from levkas.stages.spectra import board_of, broad_centroids, read_sensitivity
@@ -63,6 +63,8 @@ from levkas.stages.tiles import TiledCapture
 from levkas.stages.written import Written
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from levkas.calibration.chart_light import ChartLight
     from levkas.calibration.mosaic import Method
     from levkas.calibration.noise_fit import NoiseModel
@@ -100,9 +102,8 @@ def calibrate(
             (open_scan if tile.tile in streamed else develop)(tile, campaign, templates)
             for tile in capture.tiles
         )
-        return TiledCapture(
-            capture, places, mosaics_of(capture, campaign), tiles, notes, streamed=streamed
-        )
+        folder, mosaics = folder_of(capture, campaign, places), mosaics_of(capture, campaign)
+        return TiledCapture(capture, places, folder, mosaics, tiles, notes, streamed=streamed)
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
     require_memory(capture, campaign.cameras[capture.camera].kind)
@@ -133,11 +134,22 @@ def write_calibrated(
     places: Places,
     before: Callable[[], object],
 ) -> Written:
-    """Write a calibrated capture in native pixels; `before` as of `core.files.together`."""
+    """Write a calibrated capture in native pixels where these are asked for; `before` as of `core.files.together`.
+
+    Tiles are written in any case: beside the database, where it holds no native pixels.
+    """
     credits = credits_of(campaign, capture.object, made.captured or "")
     centroids = broad_centroids(campaign, capture.camera, capture.bands)
+    is_published = campaign.database.native
     with together(before):
-        files = write_native(made, capture, places, credits, centroids)
+        if is_published or capture.tiles:
+            folder = folder_of(capture, campaign, places)
+            files = write_native(made, capture, places, credits, centroids, folder)
+        else:
+            files = []
+            for _, rows in made.sensors():  # what a scan shows is known when all its lines passed
+                for block in rows.blocks:
+                    del block
     notes = {
         "quantity": made.quantity,
         "warnings": list(made.warnings),
@@ -145,7 +157,27 @@ def write_calibrated(
         "measured": dict(made.measured),
         "focus": made.focus,
     }
-    return Written(files, notes, warnings=made.warnings)
+    if is_published:
+        return Written(files, notes, warnings=made.warnings)
+    return Written([], notes, aside=tuple(files), warnings=made.warnings)
+
+
+def write_shown(
+    made: CalibratedCapture, capture: Capture, campaign: Campaign, places: Places, folder: Path
+) -> None:
+    """Write a calibrated capture in native pixels into a folder of its own, beside older ones, which go."""
+    for older in folder.parent.glob("native-*"):
+        remove(older)
+    credits = credits_of(campaign, capture.object, made.captured or "")
+    centroids = broad_centroids(campaign, capture.camera, capture.bands)
+    with together():
+        write_native(made, capture, places, credits, centroids, folder)
+
+
+def folder_of(capture: Capture, campaign: Campaign, places: Places) -> Path | None:
+    """Return where tiles are kept that the database does not hold; None where it does."""
+    native = campaign.database.native
+    return None if native else places.kept_native(capture.object, capture.layer)
 
 
 def load_calibrated(
@@ -155,14 +187,17 @@ def load_calibrated(
     notes: Mapping[str, Any],
     templates: TemplateCache,
 ) -> CalibratedCapture:
-    """Read back what `write_calibrated` wrote; `notes` as it returned them."""
+    """Return what `calibrate` returned: tiles from their files, others calibrated again, which takes a sixth of reading a file.
+
+    `notes` are those of the record.
+    """
     if capture.tiles:
-        mosaics = mosaics_of(capture, campaign)
+        folder, mosaics = folder_of(capture, campaign, places), mosaics_of(capture, campaign)
         streamed = _streamed_tiles(capture, campaign)
-        return TiledCapture(capture, places, mosaics, notes=dict(notes), streamed=streamed)
+        return TiledCapture(capture, places, folder, mosaics, notes=dict(notes), streamed=streamed)
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
-    return read_native(capture, places, notes, mosaics_of(capture, campaign))
+    return develop(capture, campaign, templates)
 
 
 def mosaics_of(capture: Capture, campaign: Campaign) -> dict[str, Mosaic]:

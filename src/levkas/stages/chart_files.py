@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from levkas.database.catalogue import Entry
     from levkas.readers.facts import Facts
 
+NO_NATIVE = (
+    "measured on the grid alone: the database holds no native pixels, which a build keeps "
+    "with native = true under [database] in campaign.toml"
+)
 NOTE = "one cube: the noise is the spread within each patch, including its texture"
 
 
@@ -31,7 +35,7 @@ class Subject(NamedTuple):
 
     A name for people, the chart (None where only its slanted edges are measured), cubes sensor by sensor,
     whether it must be there, the quantity of the cubes, the greatest code where they hold those of a finished
-    photograph, slanted edges by sensor, and whether the cube is a layer on the grid.
+    photograph, slanted edges by sensor, whether the cube is a layer on the grid, and what is to be known of it.
     """
 
     name: str
@@ -42,10 +46,12 @@ class Subject(NamedTuple):
     top: float | None = None
     edges: Mapping[str, tuple[EdgePlace, ...]] = MappingProxyType({})
     on_grid: bool = False
+    note: str = ""
 
     def read(self, path: Path) -> CubeFile:
         """Read one of its cubes."""
         cube, notes, top = read_cube_file(path)
+        notes = (*notes, self.note) if self.note else notes
         if self.quantity != "reflectance":
             cube = replace(cube, quantity=self.quantity)
         return CubeFile(cube, notes, self.top or top)
@@ -105,9 +111,11 @@ def subjects_of(
         check_inside(database, file, database / f"{entry.layer.path}.flags.tif")
         name = f"{entry.object}/{entry.layer.name}"
         chart, top = kind_of(kind), _code_of_layer(database, entry, file)
-        layer = Subject(name, chart, {"": file}, bool(objects), entry.quantity, top, on_grid=True)
-        yield layer
-        native = _native_files(database, entry) if objects and not corners else {}
+        both = bool(objects) and not corners
+        native = _native_files(database, entry) if both else {}
+        note = NO_NATIVE if both and not native else ""
+        facts = bool(objects), entry.quantity, top
+        yield Subject(name, chart, {"": file}, *facts, on_grid=True, note=note)
         if native:
             name = f"{name}, native pixels"
             yield Subject(name, chart, native, True, entry.quantity, top)

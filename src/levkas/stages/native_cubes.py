@@ -325,8 +325,12 @@ def write_native(
     places: Places,
     credits: Credits,
     centroids: Mapping[str, float],
+    folder: Path | None = None,
 ) -> list[Path]:
-    """Write the pixels of every sensor, their flags and, where known, their sigma; return the files."""
+    """Write the pixels of every sensor, their flags and, where known, their sigma; return the files.
+
+    They go into the database unless another `folder` is given.
+    """
     layer = Layer(
         capture.object, capture.camera, capture.setup, credits=credits, centroids=centroids
     )
@@ -334,7 +338,8 @@ def write_native(
     for sensor, rows in native.sensors():
         least = least_bytes(prod(rows.shape), rows.quantity, noisy=rows.has_sigma)
         require_space(places.output, least)
-        path = places.native(capture.object, capture.camera, capture.setup, sensor, kind="")
+        where = capture.object, capture.camera, capture.setup, sensor
+        path = places.native(*where, kind="", folder=folder)
         make_folder(path.parent)
         made += write_tiffs(path, layer, rows)
     return made
@@ -346,7 +351,11 @@ def part_name(capture: Capture, sensor: str) -> str:
 
 
 def read_native(
-    capture: Capture, places: Places, notes: Mapping[str, Any], mosaics: Mapping[str, Mosaic]
+    capture: Capture,
+    places: Places,
+    notes: Mapping[str, Any],
+    mosaics: Mapping[str, Mosaic],
+    folder: Path | None = None,
 ) -> Native:
     """Read back what `write_native` wrote, sigma when it is needed; `notes` are those of its record."""
     cubes, aligns, sigmas = {}, {}, {}
@@ -359,6 +368,7 @@ def read_native(
                 capture.setup,
                 part_name(capture, name),
                 kind=f"{kind}.tif",
+                folder=folder,
             )
             for kind in ("", ".flags", ".sigma")
         }

@@ -8,6 +8,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
+from math import ceil
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,9 +19,11 @@ from levkas.campaign.edits import BY_HAND
 from levkas.campaign.methods import DEFAULT_METHOD
 from levkas.core.files import make_folder, remove, together, write_bytes, write_json, write_text
 from levkas.core.problems import Problem, Refused
+from levkas.database.preview import encode_png
 from levkas.database.registrations import describe_lying
 from levkas.geometry.transforms import Affine
 from levkas.pages.figures import draw_basis, draw_trace
+from levkas.pages.page import embed_png
 from levkas.readers.frames import read_headers
 from levkas.registration import Registration, RegistrationRefused, register
 from levkas.registration.joint import SensorObservations
@@ -184,6 +187,22 @@ def publish_registration(
     doubtful = verdict["decision"] == "warn" and not measured.problems
     warnings = (*lasting, *([judged] if doubtful else []))
     return Written(files, notes, warnings=warnings, problems=measured.problems)
+
+
+RECORDED_PX = 480
+"""Longer side of the picture of a refused capture."""
+
+
+def draw_recorded(native: CalibratedCapture) -> str:
+    """Return a small picture of a capture as it was recorded, the mean of its first sensor's bands, as data address."""
+    images = native.images()
+    mine = [image for image in images if image.sensor == images[0].sensor]
+    step = ceil(max(images[0].values.shape) / RECORDED_PX)
+    thin = [np.nan_to_num(image.values[::step, ::step].astype(float)) for image in mine]
+    grey = np.mean(thin, axis=0)
+    low, high = np.percentile(grey, (1, 99))
+    shown = np.clip((grey - low) / max(high - low, 1e-12) * 255, 0, 255).astype(np.uint8)
+    return embed_png(encode_png(shown))
 
 
 def draw_figures(record: dict[str, Any]) -> list[list[str]]:

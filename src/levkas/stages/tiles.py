@@ -93,7 +93,8 @@ class TiledCapture:
     capture : Capture
         With its tiles.
     places : Places
-        Of the tiles' files.
+    folder : Path or None
+        Of the tiles' files; None where the database holds them.
     mosaics : dict of str to Mosaic
         By sensor.
     developed : iterator of Native or Scan
@@ -108,6 +109,7 @@ class TiledCapture:
 
     capture: Capture
     places: Places
+    folder: Path | None
     mosaics: Mapping[str, Mosaic]
     developed: Iterator[Native | Scan] = field(default_factory=lambda: iter(()))
     notes: dict[str, Any] = field(default_factory=dict)
@@ -199,7 +201,7 @@ class TiledCapture:
     def tile(self, name: str) -> Native:
         """Return a tile, held whole."""
         part = next(one for one in self.capture.tiles if one.tile == name)
-        return read_native(part, self.places, self.notes, self.mosaics)
+        return read_native(part, self.places, self.notes, self.mosaics, self.folder)
 
     def pictures(self, name: str) -> tuple[list[BandImage], int]:
         """Return the bands of a tile as registration takes them, and the side, px of the tile, of the blocks that make their pixels."""
@@ -226,10 +228,9 @@ class TiledCapture:
         """Return the files of a tile: values, flags and, where it is known, sigma."""
         capture = self.capture
         part = part_name(replace(capture, tile=tile), sensor)
+        where = capture.object, capture.camera, capture.setup, part
         paths = [
-            self.places.native(
-                capture.object, capture.camera, capture.setup, part, kind=f"{kind}.tif"
-            )
+            self.places.native(*where, kind=f"{kind}.tif", folder=self.folder)
             for kind in ("", ".flags", ".sigma")
         ]
         sigma = open_pages(paths[2]) if paths[2].is_file() else None

@@ -224,11 +224,30 @@ class Library:
         for sensor in capture.sensors:
             labels = [b.label for b in sensor.bands]
             if band in labels:
-                place = self.places.native(
-                    capture.object, capture.camera, capture.setup, sensor.name
-                )
+                where = capture.object, capture.camera, capture.setup, sensor.name
+                place = self.places.native(*where)
+                if not place.is_file() and not capture.tiles:
+                    place = self.places.native(*where, folder=self._calibrated(capture))
                 return place, labels.index(band)
         raise FrameMissing(Problem("E_BAND_MISSING", "unknown band", found=band))
+
+    def _calibrated(self, capture: Capture) -> Path:
+        """Return the folder of a capture's native pixels beside the database; calibrate it where they are not there yet."""
+        from levkas.building.build_records import BuildRecords, key_of
+        from levkas.building.fingerprints import digest
+        from levkas.stages.calibrate import calibrate, write_shown
+        from levkas.stages.template_cache import TemplateCache
+
+        records = BuildRecords(self.places.kept, self.places.output)
+        made_of = records.fingerprint(key_of(capture, "calibrate"))
+        version = digest(made_of, numbers_of="calibrate")
+        folder = self.places.kept_native(capture.object, capture.layer, version)
+        with self._lock:
+            if not folder.is_dir():
+                templates = TemplateCache(self.places.kept / "templates", records.hashes.of_frame)
+                made = calibrate(capture, self.campaign, templates, self.places)
+                write_shown(made, capture, self.campaign, self.places, folder)
+        return folder
 
     def _opened(self, view: SensorView) -> RegistrationView:
         capture = view.capture
@@ -245,7 +264,8 @@ class Library:
         if band not in view.labels:
             band = view.labels[len(view.labels) // 2]
         ours = record["reference"]
-        shape = self._shape(self._page(capture, band)[0])
+        size = record["bands"].get(band, {}).get("size")
+        shape = size[::-1] if size else self._shape(self._page(capture, band)[0])
         keys = self.campaign.registration_of(capture.camera)
         found = RecordedPairs.of(
             self._matches(view),

@@ -224,7 +224,7 @@ def test_numbered_captures_are_known_by_what_they_show(tmp_path):
         write(tmp_path / f"IMG_{number:04}.tif", shares, seed=number)
     targets = built(tmp_path).to_dict()["targets"]
     assert (targets["dark"], targets["white"]) == (["0001", "0002"], ["0003", "0004"])
-    flags = tifffile.imread(next((tmp_path / "database").rglob("native/0005*.flags.tif")))
+    flags = tifffile.imread(next((tmp_path / "database").rglob("0005*.flags.tif")))
     assert np.mean(np.asarray(flags) & int(Flag.SATURATED) > 0) < 0.01
 
 

@@ -37,6 +37,7 @@ def database(tmp_path_factory):
         '[campaign]\nreference = { camera = "vis", band = "G" }\n'
         '[cameras.vis]\nkind = "image"\nfiles = "vis/{target}.png"\n'
         '[cameras.photo]\nkind = "image"\nfiles = "photo/{target}.png"\n'
+        "[database]\nnative = true\n"
         '[targets]\nobjects = ["icon1"]\n'
     )
     list(build(folder))

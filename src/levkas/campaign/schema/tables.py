@@ -130,6 +130,12 @@ class GridKeys(Table):
     size: Size | None = None
 
 
+class DatabaseKeys(Table):
+    """What the database holds beside its layers on the grid: `native`, every layer in the pixels of its sensors."""
+
+    native: Switch = False
+
+
 def _usable(name: Any) -> Any:
     """Refuse the method of a package that cannot be loaded, or is not installed."""
     if isinstance(name, str) and name in UNUSABLE and name not in METHODS:
@@ -391,6 +397,7 @@ class Document(Table):
 
     campaign: Description
     grid: GridKeys | None = None
+    database: DatabaseKeys = DatabaseKeys()
     cameras: dict[str, CameraKeys] = Field(min_length=1)
     targets: TargetKeys = TargetKeys()
     setups: dict[str, Setup] = {}

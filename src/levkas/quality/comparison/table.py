@@ -26,7 +26,7 @@ from levkas.quality.evaluation.layer_report import (
     locate,
     read_check_points,
 )
-from levkas.quality.evaluation.native_layers import ComparisonRefused
+from levkas.quality.evaluation.native_layers import ComparisonRefused, no_native
 
 Checks = Mapping[tuple[str, str, str], np.ndarray]
 
@@ -119,6 +119,9 @@ def layers_of(database: Path) -> list[ComparedLayer]:
                 file=str(database),
             )
         )
+    first = database / "objects" / layers[0].object / "native"
+    if not any(first.glob("*.tif")):
+        raise no_native(layers[0].object, first)
     return layers
 
 

@@ -32,6 +32,11 @@ def close_database(database: Path) -> list[dict[str, Any]]:
     loops : list of dict
         ``object``, and the fields of `Loop.to_dict`; setups other than the
         default and layers that were refused take no part.
+
+    Raises
+    ------
+    ComparisonRefused
+        Where the database holds no native pixels.
     """
 
     found = []
@@ -60,14 +65,11 @@ def close_database(database: Path) -> list[dict[str, Any]]:
 
 
 def _view(database: Path, name: str, record: dict[str, Any]) -> LoopView | None:
-    """Read the sensor of a camera that holds its reference channel; None where it is not kept."""
-    from levkas.quality.evaluation.native_layers import ComparisonRefused, read_native_layer
+    """Read the sensor of a camera that holds its reference channel; None where there is none."""
+    from levkas.quality.evaluation.native_layers import read_native_layer
 
     camera, band = record["camera"], record["target"]["band"]
-    try:
-        images = read_native_layer(database, name, camera, "").images()
-    except ComparisonRefused:
-        return None
+    images = read_native_layer(database, name, camera, "").images()
     sensor = next((image.sensor for image in images if image.label == band), None)
     transform = from_dict(record["bands"][band]["transform"])
     of_sensor = [image for image in images if image.sensor == sensor]

@@ -54,7 +54,7 @@ def read_native_layer(database: Path, name: str, camera: str, setup: str) -> Nat
     Raises
     ------
     ComparisonRefused
-        Where the database has none: they are not kept for streamed scans.
+        Where the database has none: it has them with ``[database] native = true``.
     """
     from levkas.database.layout import Places
     from levkas.database.opening import open_pixels
@@ -80,12 +80,20 @@ def read_native_layer(database: Path, name: str, camera: str, setup: str) -> Nat
             [float(w) for w in array["wavelength"].values],
         )
     if not sensors:
-        raise ComparisonRefused(
-            Problem(
-                "E_UNREADABLE",
-                f"{name}/{camera} has no native files",
-                file=str(first),
-                fix="Build the campaign again; a scan that is streamed cannot be compared.",
-            )
-        )
+        raise no_native(f"{name}/{camera}", first)
     return NativeLayer(sensors)
+
+
+def no_native(what: str, path: Path) -> ComparisonRefused:
+    """Return the refusal of a layer, or of a database, that has no native pixels at `path`."""
+    return ComparisonRefused(
+        Problem(
+            "E_UNREADABLE",
+            f"{what} has no native pixels in the database",
+            file=str(path),
+            field="database.native",
+            found="false",
+            expected="true",
+            fix="Set `native = true` under `[database]` in campaign.toml, and build again.",
+        )
+    )
