@@ -5,13 +5,14 @@ BIN := $(VENV)/bin
 READY := $(VENV)/ready
 USABLE := $(VENV)/usable
 export PYTHONUTF8 := 1
+unexport PYTHONDONTWRITEBYTECODE  # a hundred processes of the tests would each compile all sources
 
 # Test processes: one more than two processors, for many wait for a browser, a worker or the disk. Three need about
 # 6 GB of memory; on a larger machine: make test WORKERS=8
 WORKERS ?= 3
 PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -rfEs
 
-.PHONY: env demo test test-slow exhaustive coverage test-all lint format hooks bench docs reference lock frontend peers compare fuzz clean
+.PHONY: env demo test test-slow exhaustive warm coverage test-all lint format hooks bench docs reference lock frontend peers compare fuzz clean
 
 env: $(READY)
 	@echo "The environment is $(VENV). Next: make demo | test | lint | docs; CONTRIBUTING.md says more."
@@ -27,10 +28,11 @@ test: pages
 test-slow: pages
 	$(PYTEST) -m slow --durations=25
 
-# What the tests take a few of: faults at every step, every change of a campaign, every hostile file through the
+# What the tests take a few of: tests marked `exhaustive`, faults at every step, every change of a campaign, every hostile file through the
 # commands, bytes under every circumstance, examples drawn anew. Hours.
 exhaustive: $(READY)
 	$(PYTEST) -m hypothesis --hypothesis-profile=explore
+	LEVKAS_EVERY_CASE=1 $(PYTEST) -m exhaustive
 	LEVKAS_EVERY_CASE=1 $(PYTEST) tests/building/test_faults.py tests/building/test_staleness.py \
 		tests/building/test_same_bytes.py tests/cli/test_hostile_commands.py
 
@@ -40,6 +42,12 @@ coverage: pages
 
 test-all: pages
 	$(PYTEST) --durations=50
+
+# Compiles once, while something else runs, what every process of the tests would compile for itself where nothing is kept
+# yet: the tests' sources and the kernels of a build.
+warm: pages
+	-@$(BIN)/python -m pytest --collect-only -qq >/dev/null
+	-@$(BIN)/python -m pytest -qq tests/building/test_building_on.py -k count_the_same_stages >/dev/null
 
 # Brings the pages up to date; the browser tests are skipped where that cannot be done here.
 .PHONY: pages

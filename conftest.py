@@ -38,8 +38,12 @@ DURATIONS = Path(__file__).parent / "tests" / "durations.json"
 """Seconds of each test file, as `tests/record_durations.py` wrote them."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the longest files first: what starts last ends last, and leaves the other processes idle."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what is `exhaustive`, and put the longest files first: what starts last ends last, and leaves the other processes idle."""
+    if not os.environ.get("LEVKAS_EVERY_CASE"):
+        left = {item for item in items if item.get_closest_marker("exhaustive")}
+        config.hook.pytest_deselected(items=[*left])
+        items[:] = [item for item in items if item not in left]
     seconds = json.loads(DURATIONS.read_text(encoding="utf-8"))
     items.sort(key=lambda item: -seconds.get(item.location[0], 0))
 

@@ -161,6 +161,18 @@ CHANGES = {
 }
 QUICK = ("frames cut short and lost, whites swapped",)
 """Those that the fast tests hold."""
+OF_A_KIND = (
+    *("licence, mirror, an object's size", "an object's title, the published size"),
+    *("date, region", "another reference band", "a camera and an object removed"),
+    "the campaign's title, a band, bits, exposures, the lamp's spectrum",
+    "pattern, the frames of a filter, no white under raking light",
+)
+"""Those that differ from others only in the keys; test_staleness.py says of every key what it makes stale."""
+
+
+def marks(what):
+    kind = pytest.mark.exhaustive if what in OF_A_KIND else pytest.mark.slow
+    return () if what in QUICK else kind
 
 
 def differences(one, other):
@@ -178,10 +190,7 @@ def lines_that_differ(one, other, name):
     return [line for line in difflib.unified_diff(*texts, n=0) if line[0] in "+-"][:12]
 
 
-@pytest.mark.parametrize(
-    "what",
-    [pytest.param(one, marks=[pytest.mark.slow] * (one not in QUICK)) for one in CHANGES],
-)
+@pytest.mark.parametrize("what", [pytest.param(one, marks=marks(one)) for one in CHANGES])
 def test_building_on_ends_in_the_bytes_of_building_anew(campaign, what):
     for change in CHANGES[what]:
         change(campaign)

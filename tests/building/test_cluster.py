@@ -91,7 +91,7 @@ def partial_files(folder):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [2, 3])
+@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.exhaustive)])
 def test_the_bytes_are_those_of_one_process_in_any_order(
     count, plates, messages, tmp_path, monkeypatch
 ):
@@ -122,11 +122,17 @@ def test_the_bytes_are_those_of_one_process_in_any_order(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("streamed", [False, True], ids=["held", "streamed"])
+@pytest.mark.parametrize(
+    "streamed",
+    [
+        pytest.param(False, marks=pytest.mark.exhaustive, id="held"),
+        pytest.param(True, id="streamed"),
+    ],
+)
 def test_setups_scans_and_captures_adjusted_together_are_those_of_one_process(
     make_every_kind, tmp_path, monkeypatch, streamed
 ):
-    folder = make_every_kind(tmp_path / "campaign")
+    folder = make_every_kind(tmp_path / "campaign", cameras=("photo", "filters", "scan"))
     keys = (folder / "campaign.toml").read_text()
     assert "[setups.raking]" in keys and "[cameras.scan]" in keys
     (folder / "campaign.toml").write_text(
@@ -151,7 +157,7 @@ def test_setups_scans_and_captures_adjusted_together_are_those_of_one_process(
     assert hash_tree(tmp_path / "workers") == hash_tree(tmp_path / "alone")
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_line_names_what_waits_for_memory_while_a_worker_is_idle(plates, tmp_path, monkeypatch):
     folder, expected, _, _ = plates
     monkeypatch.setattr(
@@ -332,6 +338,7 @@ def test_what_waits_for_a_worker_that_has_gone_is_refused_in_the_end_and_the_res
     assert all("1.0 GB" in p.found and "2.0 GB" in p.expected for p in problems.values())
     ended = {(s.key.layer, s.key.stage): s.state for s in steps if s.finished}
     assert ended["photo", "resample"] == "done"
+    assert any("/infrared waits for memory" in s.where for s in steps)
 
 
 @pytest.mark.slow

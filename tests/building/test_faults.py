@@ -53,7 +53,7 @@ KINDS = ("full", "failing", "kill")
 SCENES = ("new", "over", "withdrawn", "joint")
 QUICK = (("new", "full"), ("new", "kill"))
 """Those that the fast tests hold."""
-POINTS = 10_000 if os.environ.get("LEVKAS_EVERY_CASE") else 7
+POINTS = 10_000 if os.environ.get("LEVKAS_EVERY_CASE") else 4
 """Of every scene and kind in an ordinary run; `make exhaustive` takes all."""
 SIZE = (110, 96)
 MATRIX = np.array([[1.9, 0.06, 4.0], [-0.06, 1.9, 6.0]])
