@@ -176,6 +176,26 @@ files = "macro/{target}_{tile}.tif"
         assert off.max() < 0.15, target
 
 
+def test_tiles_are_levelled_by_recorded_gains_only_where_that_is_asked(tmp_path):
+    make(tmp_path)
+    (tmp_path / "infrared/one.tif").unlink()
+    (tmp_path / "infrared").rmdir()
+    keys = KEYS[: KEYS.index("[cameras.infrared]")]
+    bright = tmp_path / "photo/one_r1c2.tif"
+    counts = tifffile.imread(bright)
+    write(bright, np.clip(counts * 1.06, 0, 65535).astype(np.uint16))
+    found = {}
+    for name, more in (("as captured", ""), ("levelled", "equalise = true\n")):
+        (tmp_path / "campaign.toml").write_text(keys + more)
+        steps = steps_of(tmp_path)
+        assert steps["photo", "register"].state == ("fresh" if more else "done")
+        assert steps["photo", "resample"].state == "done"
+        found[name] = steps["photo", "resample"].warnings
+    assert any("differ by" in text and "r1c2" in text for text in found["as captured"])
+    assert not any("where they meet" in text for text in found["levelled"]), found["levelled"]
+    assert any("levelled by gains of -" in text for text in found["levelled"])
+
+
 def test_built_again_all_is_fresh(built):
     folder, _ = built
     assert {s.state for s in steps_of(folder).values()} == {"fresh"}

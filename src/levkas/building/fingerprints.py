@@ -248,6 +248,8 @@ def of_registration(
         prints["region in the reference"] = [grid[key] for key in edited]
     if keys.sensitivity and any(isnan(band.wavelength) for band in capture.bands):
         prints[f"file {keys.sensitivity}"] = hashes(campaign.root / keys.sensitivity)
+    if keys.positions:
+        prints[f"file {keys.positions}"] = hashes(campaign.root / keys.positions)
     options = campaign.registration_of(capture.camera)
     prints |= {f"registration.{key}": value for key, value in options.items()}
     if code := code_of(options.get("method") or DEFAULT_METHOD):
@@ -288,6 +290,9 @@ def of_resampling(
     }
     if default:
         prints["layer under the default setup"] = default
+    camera = campaign.cameras[capture.camera]
+    if camera.equalise:
+        prints[f"cameras.{camera.name}.equalise"] = True
     prints |= {**_grid(campaign), **_credits(campaign, capture.object)}
     prints |= _centroids(campaign, capture, hashes)
     size = _facts(campaign, capture.object).get("size_mm")

@@ -103,7 +103,10 @@ def calibrate(
             for tile in capture.tiles
         )
         folder, mosaics = folder_of(capture, campaign, places), mosaics_of(capture, campaign)
-        return TiledCapture(capture, places, folder, mosaics, tiles, notes, streamed=streamed)
+        equalise = campaign.cameras[capture.camera].equalise
+        return TiledCapture(
+            capture, places, folder, mosaics, tiles, notes, streamed=streamed, equalise=equalise
+        )
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
     require_memory(capture, campaign.cameras[capture.camera].kind)
@@ -194,7 +197,16 @@ def load_calibrated(
     if capture.tiles:
         folder, mosaics = folder_of(capture, campaign, places), mosaics_of(capture, campaign)
         streamed = _streamed_tiles(capture, campaign)
-        return TiledCapture(capture, places, folder, mosaics, notes=dict(notes), streamed=streamed)
+        equalise = campaign.cameras[capture.camera].equalise
+        return TiledCapture(
+            capture,
+            places,
+            folder,
+            mosaics,
+            notes=dict(notes),
+            streamed=streamed,
+            equalise=equalise,
+        )
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
     return develop(capture, campaign, templates)

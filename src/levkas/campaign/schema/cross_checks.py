@@ -485,13 +485,14 @@ def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
         yield Problem("E_KEY", "files is required", field=f"{where}.files")
     for text in camera.files:
         yield from check_pattern(f"{where}.files", text, camera.kind)
-    if camera.positions and not camera.has_tiles:
-        yield value_problem(
-            f"{where}.positions",
-            "the camera has no tiles whose positions these could be",
-            camera.positions,
-            "{tile}, or {row} and {column}, in `files`",
-        )
+    for key, stated in (("positions", camera.positions), ("equalise", camera.equalise)):
+        if stated and not camera.has_tiles:
+            yield value_problem(
+                f"{where}.{key}",
+                f"the camera has no tiles: {key} has no meaning",
+                stated,
+                "{tile}, or {row} and {column}, in `files`",
+            )
     yield from _wavelengths(where, camera)
     mosaic = camera.pattern if camera.traits.bands_in == "pattern" else None
     yield from _channels(where, mosaic, camera.bands)
