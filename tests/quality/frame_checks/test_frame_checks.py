@@ -241,3 +241,11 @@ def test_a_mosaic_is_judged_channel_by_channel(pattern):
     assert good.level.shape == (3,) and np.argmax(good.level) == 1
     bright = measure_frame(expose(0.98 * filters, 1, lamp=1.4), full=FULL, pattern=pattern)
     assert bright.full_share.max() > (0.9 if pattern else 0.4)
+
+
+@pytest.mark.parametrize(("hot", "found"), [(2, []), (12, ["exposure"])])
+def test_few_hot_sensels_of_a_small_white_do_not_clip_it(hot, found):
+    codes = np.random.default_rng(hot).normal(2400, 20, (60, 90)).round().astype(np.uint16)
+    codes[np.arange(hot) * 4 + 3, np.arange(hot) * 6 + 5] = FULL
+    frame = FrameOfSet("01 white", "white", "white", FACTS, measure_frame(codes, full=FULL), full=FULL, black=0)  # fmt: skip
+    assert [f.check for f in judge([frame])["01 white"]] == found

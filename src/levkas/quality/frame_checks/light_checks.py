@@ -15,7 +15,7 @@ from levkas.calibration.drift import measure_light
 from levkas.calibration.templates import CalibrationRefused, Template
 from levkas.calibration.white_area import LEAST, find_white_area
 from levkas.calibration.whites import check_white
-from levkas.quality.frame_checks.measures import FrameMeasures
+from levkas.quality.frame_checks.measures import SAMPLE, FrameMeasures
 
 Severity = Literal["look", "stop"]
 GOAL = 0.85
@@ -23,6 +23,8 @@ GOAL = 0.85
 CLIPPED = {"white": (2e-4, 2e-3), "object": (0.01, 0.05)}
 """Share of a channel at full scale to look at, and to stop at: a white divides every frame, an object has highlights. Hot
 sensels and cosmic rays are below 1e-4, glints of gold and varnish of a sound icon below 0.7 %."""
+HOT, SCATTERS = 1e-4, 4.0
+"""Share of sensels that are hot, and standard deviations that their number in a small frame may lie above it."""
 NEAR_FULL, DIM_WHITE, DIM_OBJECT = 0.97, 0.06, 0.03
 """Of the full scale above black: a white's brightest cell that leaves no head-room, and brightest parts that leave most of
 the scale unused."""
@@ -116,6 +118,7 @@ def check_exposure(
     worst_one = int(frame.full_share.argmax())
     share = float(frame.full_share[worst_one])
     limits = CLIPPED["white" if role == "white" else "object"]
+    limits = (max(limits[0], _hot_share(frame)), limits[1])
     where = f" in {names[worst_one]}" if len(names) > 1 else ""
     if (severity := graded(share, limits)) is not None:
         factor = 0.5 if share > 0.05 else 0.7
@@ -142,6 +145,15 @@ def check_exposure(
             advice = f"{times(factor, exposure_s)}, or check the lamp"
         return [Finding("exposure", "look", text, advice)]
     return []
+
+
+def _hot_share(frame: FrameMeasures) -> float:
+    """Return the share of a channel up to which sensels at full scale may be hot ones: of 5,000 sensels three.
+
+    Their number is Poisson's, so that in a small frame one or two are above the usual share; from 160,000 on it is below 2e-4.
+    """
+    sensels = min(float(np.prod(frame.shape / frame.period)), SAMPLE)
+    return float(HOT + SCATTERS * np.sqrt(HOT / sensels))
 
 
 def check_dark(
