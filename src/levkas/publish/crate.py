@@ -17,6 +17,7 @@ from levkas import __version__
 from levkas.core.json_safe import to_json
 from levkas.core.problems import Problem
 from levkas.core.text import read_json
+from levkas.publish.declarations import BUILT, CAMPAIGN, EDITS, FOLDER
 from levkas.publish.metadata import DOI, ORCID, Person, PublicationFacts
 from levkas.publish.publication import PROVENANCE, PublishRefused, describe_dataset
 
@@ -51,6 +52,9 @@ KINDS = {
     ".flags.tif": "flags of every pixel and band",
     ".sigma.tif": "one standard deviation of every value's random part",
     ".matches.csv": "matches of the registration",
+    f"{FOLDER}/{CAMPAIGN}": "what the campaign declares: put beside the raw frames, `levkas build` gives the database",
+    f"{FOLDER}/{EDITS}": "corrections by hand",
+    f"{FOLDER}/{BUILT}": "SHA-256 of every file of the database that was built from the declarations",
 }
 
 Entity = dict[str, Any]
@@ -364,13 +368,12 @@ def _step(
             {"@type": "SoftwareApplication", "name": library, "version": version},
         )
     inputs = [
-        _add(
-            entities,
-            f"#input-{sha[:16]}",
-            {"@type": "DigitalDocument", "name": file, "sha256": sha},
-        )
+        _input(entities, file, sha)
         for file, sha in step["inputs"].items()
+        if file not in (CAMPAIGN, EDITS)
     ]
+    declared = (f"{FOLDER}/{name}" for name in (CAMPAIGN, EDITS))
+    inputs += [{"@id": name} for name in declared if name in entities]
     parameters = {**step["parameters"], "code": step["code"]} | (
         {"instructions": step["instructions"]} if step.get("instructions") else {}
     )
@@ -385,6 +388,15 @@ def _step(
     if results := [{"@id": product} for product in products if product in entities]:
         entity["result"] = results
     return _add(entities, identifier, entity)
+
+
+def _input(entities: dict[str, Entity], file: str, sha: str) -> Entity:
+    """Return the published declaration that an input is, else a document by name and hash."""
+    declared = f"{FOLDER}/{quote(file)}"
+    if entities.get(declared, {}).get("sha256") == sha:
+        return {"@id": declared}
+    document = {"@type": "DigitalDocument", "name": file, "sha256": sha}
+    return _add(entities, f"#input-{sha[:16]}", document)
 
 
 def _parameter(entities: dict[str, Entity], name: str, value: Any) -> Entity:

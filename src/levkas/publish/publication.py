@@ -65,8 +65,10 @@ class Publication:
         That are wanted.
     hashes : dict
         SHA-256 of files that were hashed while they were written, by relative path.
+    campaign : Path, optional
+        campaign.toml of the database, where it is known: its declarations are published too.
     left_out : list of str
-        Analyses that could not be made, and why.
+        What could not be made, and why.
     """
 
     source: Path
@@ -80,6 +82,7 @@ class Publication:
     analyses: tuple[Analysis, ...] = ()
     hashes: dict[str, str] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
+    campaign: Path | None = None
 
     @property
     def folder(self) -> Path:

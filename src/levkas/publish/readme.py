@@ -30,6 +30,7 @@ PARTS = {
     "setups/": "spectra of the light",
     "charts/": "calibrated colour charts",
     "medium/": "the same database at no more than 640 x 480 pixels, and complete in itself",
+    "declarations/": "what the campaign declared; put beside the raw frames, `levkas build` builds the database again",
     "colour/": "the CIELAB gamut of the database",
     "iiif/": "tiles and manifests for IIIF viewers",
     "viewer/": "open [index.html](index.html) in a browser: no server is needed",

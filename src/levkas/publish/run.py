@@ -84,7 +84,7 @@ class PublishReport:
     deposit: tuple[Problem, ...] = ()
     """What a repository must know before it gives a DOI."""
     left_out: tuple[str, ...] = ()
-    """Analyses that could not be made, and why."""
+    """What could not be made, and why."""
 
     @property
     def text(self) -> str:
@@ -329,6 +329,7 @@ def publish(
         publication = Publication(
             *(source, manifest, folder, facts, editions, address, iiif),
             *(subject.notes, analyses),
+            campaign=subject.campaign,
         )
         yield from _run(publication)
         made = write_manifest(folder.path, publication.hashes)
@@ -524,6 +525,7 @@ PARTS = {
     "colour": "levkas.publish.swatches:write_gamut",
     "iiif": "levkas.publish.iiif:write_iiif",
     "splits": "levkas.publish.editions:write_splits",
+    "declarations": "levkas.publish.declarations:write_declarations",
     "citation": "levkas.publish.citation:write_citation",
     "datacite": "levkas.publish.citation:write_datacite",
     "viewer": "levkas.publish.viewer.run:write_part",
