@@ -50,6 +50,15 @@ class Served:
         self.listening.close()
 
 
+def pause(page, milliseconds):
+    """Wait by the clock of the page: its own timers that end sooner have ended, and are drawn, on a busy machine too."""
+    page.evaluate(
+        """(wait) => new Promise((done) => setTimeout(
+          () => requestAnimationFrame(() => requestAnimationFrame(done)), wait))""",
+        milliseconds,
+    )
+
+
 def opened(browser, server, **options):
     page = browser.open(server.address, **options)
     page.wait_for_function(READY)

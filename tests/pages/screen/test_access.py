@@ -6,7 +6,7 @@ import pytest
 from levkas.campaign.edits import read_edits
 
 from .database import write_database
-from .serving import READY, opened, told
+from .serving import READY, opened, pause, told
 from .walking import faint, nameless, walk
 
 pytestmark = pytest.mark.slow
@@ -67,7 +67,7 @@ def test_a_registration_is_corrected_with_the_keyboard_alone(bench):
     before = page.evaluate("levkasWorkbench.stage.left.centre")
     keys.press("+")
     keys.press("+")
-    page.wait_for_timeout(500)
+    pause(page, 500)
     keys.press("ArrowRight")
     keys.press("ArrowDown")
     after = page.evaluate("levkasWorkbench.stage.left.centre")
@@ -128,14 +128,14 @@ def test_all_text_of_the_workbench_can_be_read_in_light_and_dark(served, browser
 def test_tab_leads_to_everything_in_the_viewer_and_all_text_can_be_read(browser, address, name):
     for scheme in ("light", "dark"):
         page = browser.open(address("file", name), scheme=scheme)
-        page.wait_for_timeout(400)
+        pause(page, 400)
         assert faint(page) == [], scheme
     check_walk(page)
     if "objects" not in name:
         return
     for key in ("c", "k", "s", "d"):
         page.keyboard.press(key)
-        page.wait_for_timeout(200)
+        pause(page, 200)
         assert faint(page) == [], key
     check_walk(page)
     for fold in page.locator("details").all():

@@ -4,7 +4,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 
 from .kinds import KINDS, write_kinds
-from .serving import READY, opened
+from .serving import READY, opened, pause
 
 pytestmark = pytest.mark.slow
 SIZES = ((1440, "light"), (1024, "dark"), (390, "light"))
@@ -50,13 +50,13 @@ def test_a_rule_that_is_broken_is_seen(browser, kinds):
 def test_no_page_of_the_viewer_breaks_a_rule(browser, address, name):
     for width, scheme in SIZES:
         page = browser.open(address("file", name), width=width, scheme=scheme)
-        page.wait_for_timeout(500)
+        pause(page, 500)
         unfold(page)
         assert violations(page) == [], (width, scheme)
     page = browser.open(address("file", name), width=1440)
     for key in ("c", "s", "d", "?") if "objects" in name else ():
         page.keyboard.press(key)
-        page.wait_for_timeout(400)
+        pause(page, 400)
         assert violations(page) == [], key
 
 

@@ -9,6 +9,7 @@ from PIL import Image
 from levkas.database.tiff_pages import open_pages
 from levkas.publish.viewer.pictures import shown_band
 
+from .serving import pause
 from .test_viewer import SETTLED, click_pixel, open_object, rendered, shown_colour
 
 WIDTHS = [1440, 390]
@@ -16,7 +17,7 @@ WIDTHS = [1440, 390]
 
 def settle(page):
     page.wait_for_function(SETTLED)
-    page.wait_for_timeout(350)
+    pause(page, 350)
 
 
 def srgb(light):
@@ -47,11 +48,11 @@ def test_levels_show_the_values_of_the_file_as_they_say(browser, viewer, address
         assert np.abs(shown_colour(page, x, y) - expected).max() < 12, (x, y)
     page.keyboard.press("e")
     page.get_by_role("button", name="Invert").click()
-    page.wait_for_timeout(200)
+    pause(page, 200)
     assert np.abs(shown_colour(page, 95, 65) - (255 - 255 * srgb(
         (value_of(viewer, "vis", 3, 95, 65) - 0.1) / 0.35))).max() < 12  # fmt: skip
     page.get_by_role("button", name="Reset").click()
-    page.wait_for_timeout(200)
+    pause(page, 200)
     image, _ = shown_band(open_pages(viewer / "objects/icon1/icon1_vis.tif").read_page(3))
     assert np.abs(shown_colour(page, 95, 65) - int(image[65, 95])).max() < 8
     assert page.locator("#caption").inner_text() == "vis, 540 nm"
@@ -77,7 +78,7 @@ def test_handles_are_dragged_and_moved_with_the_keyboard(browser, address, width
     page.mouse.up()
     assert float(white.get_attribute("aria-valuetext")) < 0.6
     if before is not None:
-        page.wait_for_timeout(200)
+        pause(page, 200)
         assert (shown_colour(page, 75, 65) > before + 15).all()
     handle(page, "Gamma").focus()
     page.keyboard.press("ArrowLeft")
@@ -87,7 +88,7 @@ def test_handles_are_dragged_and_moved_with_the_keyboard(browser, address, width
     page.keyboard.press("Home")
     levels = page.evaluate("Object.values(levkasViewer.state.levels.value)[0]")
     assert levels["white"] > levels["black"] >= 0
-    page.wait_for_timeout(600)
+    pause(page, 600)
     again = open_object(browser, page.url)
     assert again.evaluate("Object.values(levkasViewer.state.levels.value)[0].gamma") == (
         pytest.approx(levels["gamma"], rel=1e-3)
@@ -109,7 +110,7 @@ def test_stretching_takes_one_to_ninety_nine_per_cent_of_view_or_whole(browser, 
     page.evaluate("levkasViewer.stage.look(45, 55, 60)")  # one dark or light square
     settle(page)
     page.get_by_role("button", name="Stretch view").click()
-    page.wait_for_timeout(300)
+    pause(page, 300)
     view = page.evaluate("levkasViewer.state.levels.value['vis/band-0']")
     assert view["white"] - view["black"] < 0.8 * (found["white"] - found["black"])
     assert page.locator("#levels svg[role=img]").get_attribute("aria-label") == (
@@ -139,7 +140,7 @@ def test_the_same_levels_take_mere_scaling_out_of_a_difference(browser, viewer, 
 
     assert np.abs(shown_colour(page, x, y) - expected(whites)).max() < 8
     page.keyboard.press("Shift+E")
-    page.wait_for_timeout(300)
+    pause(page, 300)
     top = max(whites)
     assert page.evaluate("levkasViewer.state.locked.value.white") == top
     assert np.abs(shown_colour(page, x, y) - expected([top, top])).max() < 8
@@ -176,7 +177,7 @@ def test_opacity_mixes_b_over_a(browser, viewer, address):
     a, b = (rendered(viewer, camera, 85, 55) for camera in ("vis", "rgb"))
     for share in (0, 0.25, 1):
         page.get_by_label("B over A").fill(str(share))
-        page.wait_for_timeout(150)
+        pause(page, 150)
         expected = share * b + (1 - share) * a
         assert np.abs(shown_colour(page, 85, 55) - expected).max() < 14, share
     assert "B: rgb, Colour, 100 % over A: vis, Colour" in page.locator("#caption").inner_text()
@@ -196,7 +197,7 @@ def test_a_level_curtain_shows_a_above_and_b_below(browser, viewer, address):
     line.focus()
     for _ in range(30):
         page.keyboard.press("ArrowDown")
-    page.wait_for_timeout(200)
+    pause(page, 200)
     assert shown_colour(page, 45, 95).max() > 60
     page.wait_for_function("() => location.hash.includes('line=level')")
     again = open_object(browser, page.url)
@@ -215,14 +216,14 @@ def test_four_pictures_are_linked_and_each_says_what_it_is(browser, address, wid
     boxes = [box.bounding_box() for box in page.locator(".cell:visible").all()]
     assert len({round(b["x"]) for b in boxes}) == len({round(b["y"]) for b in boxes}) == 2
     page.evaluate("levkasViewer.stage.look(100, 30, 5)")
-    page.wait_for_timeout(300)
+    pause(page, 300)
     read = "levkasViewer.stage.cells.map(({pane}) => [...pane.centre, pane.scale])"
     views = page.evaluate(read)
     np.testing.assert_allclose(views, [views[0]] * 4, atol=1e-2)
     # The wheel over the last one moves all.
     page.locator(".cell-d .pane").hover()
     page.mouse.wheel(0, -300)
-    page.wait_for_timeout(900)
+    pause(page, 900)
     views = page.evaluate(read)
     assert views[0][2] > 5.5
     np.testing.assert_allclose(views, [views[0]] * 4, rtol=1e-3, atol=0.1)
@@ -235,7 +236,7 @@ def test_four_pictures_are_linked_and_each_says_what_it_is(browser, address, wid
     )
     assert places[3] is None
     page.mouse.move(boxes[0]["x"] + 60, boxes[0]["y"] + 70)
-    page.wait_for_timeout(100)
+    pause(page, 100)
     pointed = page.evaluate(
         f"levkasViewer.stage.left.pixelAt({boxes[0]['x'] + 60}, {boxes[0]['y'] + 70})"
     )
@@ -266,7 +267,7 @@ def test_the_label_says_what_is_on_the_screen_also_while_space_is_held(browser, 
                   levkasViewer.stage.right.viewer.drawer.canvas.style.visibility].join('|')"""
             )
         )
-        page.wait_for_timeout(100)
+        pause(page, 100)
     page.keyboard.up(" ")
     assert seen >= {"Now A: vis, Colour|hidden", "Now B: nir, 550 nm|"}
     assert not {"Now B: nir, 550 nm|hidden", "Now A: vis, Colour|"} & seen
@@ -289,7 +290,7 @@ def test_where_less_motion_is_asked_for_nothing_turns_by_itself(browser, address
     seen = set()
     for _ in range(10):
         seen.add(page.evaluate(state))
-        page.wait_for_timeout(100)
+        pause(page, 100)
     assert len(seen) == 1
     (before,) = seen
     other = {"a": "b", "b": "a"}[before]
@@ -402,7 +403,7 @@ def test_the_overview_frames_what_is_in_view_and_leads_there(browser, address):
     assert overview.is_visible()
     box = overview.bounding_box()
     page.mouse.click(box["x"] + 0.8 * box["width"], box["y"] + 0.75 * box["height"])
-    page.wait_for_timeout(300)
+    pause(page, 300)
     x, y = page.evaluate("levkasViewer.stage.left.centre")
     assert x == pytest.approx(0.8 * 150, abs=3) and y == pytest.approx(0.75 * 130, abs=3)
     points = page.locator(".minimap-frame").get_attribute("points").split(" ")
@@ -422,7 +423,7 @@ def test_zoom_has_buttons_and_a_figure_and_the_wheel(browser, address):
     figure = page.locator(".percent")
 
     def percent():
-        page.wait_for_timeout(700)
+        pause(page, 700)
         return float(figure.inner_text().rstrip(" %"))
 
     assert percent() == pytest.approx(100 * page.evaluate("levkasViewer.stage.left.scale"), abs=1)
@@ -453,9 +454,9 @@ def swipe(page, start, end, fingers=1, apart=0):
     send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": points(0)})
     for i in range(1, 9):
         send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": points(i / 8)})
-        page.wait_for_timeout(30)
+        pause(page, 30)
     send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
-    page.wait_for_timeout(500)
+    pause(page, 500)
     session.detach()
 
 
@@ -471,7 +472,7 @@ def test_a_thumb_scrolls_past_the_painting_and_two_fingers_move_it(browser, addr
     assert page.evaluate("scrollY") > 60
     np.testing.assert_allclose(page.evaluate(view), before, rtol=1e-3)
     page.evaluate("scrollTo(0, 0)")
-    page.wait_for_timeout(200)
+    pause(page, 200)
     swipe(page, (middle[0] - 60, middle[1]), (middle[0] - 110, middle[1]), 2, apart=100)
     assert page.evaluate("scrollY") < 20
     assert page.evaluate(view)[2] > 1.3 * before[2]

@@ -9,7 +9,7 @@ from PIL import Image
 from levkas.workbench.history import HISTORY_NAME
 from levkas.workbench.library import id_of
 
-from .serving import READY, opened, told
+from .serving import READY, opened, pause, told
 
 
 def pixels(page, locator):
@@ -36,7 +36,7 @@ def test_a_loupe_shows_both_ends_of_the_pair_that_is_placed(bench, correctable):
     page.mouse.click(x, y)
     page.wait_for_selector("#pair-accept")
     page.wait_for_function("() => document.querySelectorAll('.loupe:not([hidden])').length === 2")
-    page.wait_for_timeout(600)
+    pause(page, 600)
     shown = page.evaluate(
         """() => [...document.querySelectorAll('.loupe')].map((c) =>
         [...c.getContext('2d').getImageData(0, 0, c.width, c.height).data].filter((_, i) => i % 4 === 0))"""
@@ -47,7 +47,7 @@ def test_a_loupe_shows_both_ends_of_the_pair_that_is_placed(bench, correctable):
     target = correctable.truth([250.0, 190.0])
     x, y = page.evaluate(f"levkasWorkbench.stage.right.pageOf({target[0]}, {target[1]})")
     page.mouse.move(x, y)
-    page.wait_for_timeout(500)
+    pause(page, 500)
     moved = page.evaluate(
         """() => { const c = document.querySelectorAll('.loupe')[1];
         return [...c.getContext('2d').getImageData(0, 0, c.width, c.height).data].filter((_, i) => i % 4 === 0); }"""
@@ -63,12 +63,12 @@ def test_marks_go_and_come_and_only_those_that_the_table_lists_are_there(bench):
     page, _ = bench
     with_marks = pixels(page, ".marks")
     page.keyboard.press("h")
-    page.wait_for_timeout(200)
+    pause(page, 200)
     without = pixels(page, ".marks")
     assert np.abs(with_marks - without).max() > 60
     assert page.locator("#marks").get_attribute("aria-pressed") == "false"
     page.keyboard.press("h")
-    page.wait_for_timeout(200)
+    pause(page, 200)
     assert np.abs(pixels(page, ".marks") - with_marks).max() < 20
     # A pair that was removed is no mark while the table lists those in use: a click there adds.
     choose_worst(page)
@@ -77,7 +77,7 @@ def test_marks_go_and_come_and_only_those_that_the_table_lists_are_there(bench):
     told(page, "session.value.version")
     page.keyboard.press("Escape")
     page.evaluate(f"levkasWorkbench.stage.look({pair[0]}, {pair[1]}, 6)")
-    page.wait_for_timeout(300)
+    pause(page, 300)
     x, y = page.evaluate(f"levkasWorkbench.stage.left.pageOf({pair[0]}, {pair[1]})")
     page.mouse.click(x, y)
     page.wait_for_selector("#pair-accept")
@@ -91,10 +91,10 @@ def test_residuals_are_drawn_as_arrows_as_long_as_is_said(bench):
     page, _ = bench
     page.keyboard.press("Shift+H")
     assert page.locator("#times").input_value() == "20"
-    page.wait_for_timeout(200)
+    pause(page, 200)
     long = pixels(page, ".marks")
     page.locator("#times").select_option("100")
-    page.wait_for_timeout(200)
+    pause(page, 200)
     assert np.abs(pixels(page, ".marks") - long).max() > 60
     page.evaluate("() => document.activeElement.blur()")
     page.keyboard.press("Shift+H")
@@ -165,13 +165,13 @@ def test_pictures_are_turned_by_quarters_and_stay_so(bench, browser, correctable
     centre = page.evaluate("levkasWorkbench.stage.left.centre")
     page.keyboard.press("+")
     page.keyboard.press("ArrowRight")
-    page.wait_for_timeout(400)
+    pause(page, 400)
     moved = page.evaluate("levkasWorkbench.stage.left.centre")
     assert abs(moved[0] - centre[0]) < 1 and moved[1] < centre[1] - 5, "right on screen is up in it"
     page.keyboard.press("f")
     page.keyboard.press("c")
     page.wait_for_function(READY)
-    page.wait_for_timeout(300)
+    pause(page, 300)
     clip = page.evaluate(
         "(() => { const c = levkasWorkbench.stage.left.layers[1].getClip(); return [c.x, c.y, c.width, c.height]; })()"
     )
@@ -212,10 +212,10 @@ def test_differences_are_amplified_and_choosing_a_mode_moves_no_picture(bench):
     page.wait_for_function(READY)
     gain = page.get_by_label("Amplify")
     gain.fill("1")
-    page.wait_for_timeout(300)
+    pause(page, 300)
     plain = pixels(page, ".pane .openseadragon-canvas").mean()
     gain.fill("8")
-    page.wait_for_timeout(300)
+    pause(page, 300)
     assert pixels(page, ".pane .openseadragon-canvas").mean() > 1.2 * plain
 
 

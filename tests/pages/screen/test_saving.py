@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from .serving import pause
 from .test_viewer import SETTLED, click_pixel, drag, open_object, region_numbers
 
 NAMESPACE = "{http://www.w3.org/2000/svg}"
@@ -23,7 +24,7 @@ def saved(page, button):
 def picture_of(page):
     """Return the saved picture, and the part of the screen that it should show."""
     page.wait_for_function(SETTLED)
-    page.wait_for_timeout(400)
+    pause(page, 400)
     page.evaluate("document.getElementById('said').textContent = ''")
     box = page.locator("#stage").bounding_box()
     screen = Image.open(io.BytesIO(page.screenshot(clip=box))).convert("RGB")

@@ -17,6 +17,7 @@ from levkas.publish.viewer.objects import LEFT_OUT
 from levkas.publish.viewer.pictures import shown_band
 
 from .database import CAMERAS
+from .serving import pause
 
 SETTLED = (
     "() => window.levkasViewer?.stage.left.viewer.world.getItemCount() > 0"
@@ -58,7 +59,7 @@ def test_three_chosen_bands_are_red_green_and_blue(browser, viewer, address, how
         page.get_by_label(f"Band shown as {ink} in A").select_option(str(band))
     page.wait_for_function("() => levkasViewer.state.a.value.picture.key === 'mix-6-3-0'")
     page.wait_for_function(SETTLED)
-    page.wait_for_timeout(400)
+    pause(page, 400)
     pages = open_pages(viewer / "objects/icon1/icon1_vis.tif")
     shown = [shown_band(pages.read_page(band))[0] for band in (6, 3, 0)]
     for x, y in ((25, 25), (95, 65), (105, 75)):
@@ -174,7 +175,7 @@ def test_a_veiled_pixel_is_told_coloured_and_not_trusted(browser, address):
     page = open_object(browser, address("file", fragment="#a=vis/flags"))
     page.evaluate("levkasViewer.stage.look(105, 103, 8)")
     page.wait_for_function(SETTLED)
-    page.wait_for_timeout(150)
+    pause(page, 150)
     colour = MARKS[Flag.VEILED].colour
     assert np.abs(shown_colour(page, 103, 103) - colour).max() < 12
     assert "veiled: brighter" in page.locator(".picker-a .legend").inner_text()
@@ -227,7 +228,7 @@ def test_the_picture_shows_the_render_at_any_zoom(browser, address, viewer, how)
     for scale in (3.5, 12):
         page.evaluate(f"levkasViewer.stage.look(75, 65, {scale})")
         page.wait_for_function(SETTLED)
-        page.wait_for_timeout(150)
+        pause(page, 150)
         for x, y in ((75, 65), (65, 75), (85, 55)):
             difference = np.abs(shown_colour(page, x, y) - rendered(viewer, "vis", x, y))
             assert difference.max() < 40, (scale, x, y)
@@ -247,7 +248,7 @@ def test_the_curtain_shows_a_left_and_b_right_of_a_visible_line(browser, address
     page.wait_for_function(SETTLED)
     line = page.locator(".curtain")
     assert line.is_visible()
-    page.wait_for_timeout(300)
+    pause(page, 300)
     left, right = (30, 90), (120, 90)
     assert np.abs(shown_colour(page, *left) - rendered(viewer, "vis", *left)).max() < 40
     assert shown_colour(page, *right).max() < 40  # no flag: nearly black
@@ -256,7 +257,7 @@ def test_the_curtain_shows_a_left_and_b_right_of_a_visible_line(browser, address
     page.mouse.down()
     page.mouse.move(box["x"] + 2000, box["y"] + 40, steps=3)
     page.mouse.up()
-    page.wait_for_timeout(300)
+    pause(page, 300)
     assert line.get_attribute("aria-valuenow") == "100"
     assert shown_colour(page, *right).max() > 60
 
@@ -265,7 +266,7 @@ def test_a_page_opened_by_a_link_to_a_comparison_shows_it(browser, address, view
     link = "#a=vis/colour&b=vis/flags&mode=curtain&at=75.0,65.0&scale=4.0&pin=90,70"
     page = open_object(browser, address("file", fragment=link))
     page.wait_for_selector('.place[data-pixel="90,70"]')
-    page.wait_for_timeout(300)
+    pause(page, 300)
     assert page.evaluate("levkasViewer.stage.left.scale") == pytest.approx(4.0, abs=1e-3)
     assert page.evaluate("levkasViewer.stage.left.centre[0]") == pytest.approx(75.0, abs=0.06)
     assert np.abs(shown_colour(page, 60, 60) - rendered(viewer, "vis", 60, 60)).max() < 40
@@ -283,7 +284,7 @@ def test_webgl_draws_the_same_picture_and_the_same_difference(browser, address, 
             page.keyboard.press(key)
             page.evaluate("levkasViewer.stage.gain.value = 1")
         page.wait_for_function(SETTLED)
-        page.wait_for_timeout(400)
+        pause(page, 400)
         expected = rendered(viewer, "vis", x, y)
         if key:
             expected = np.abs(expected - rendered(viewer, "rgb", x, y))
@@ -331,16 +332,16 @@ def test_space_held_flickers_between_two_preloaded_pictures(browser, address, ho
 def test_side_by_side_keeps_both_views_on_the_same_place(browser, address):
     page = open_object(browser, address("file"))
     page.keyboard.press("s")
-    page.wait_for_timeout(400)
+    pause(page, 400)
     page.evaluate("levkasViewer.stage.look(100, 30, 5)")
-    page.wait_for_timeout(300)
+    pause(page, 300)
     views = page.evaluate(
         "[levkasViewer.stage.left, levkasViewer.stage.right].map(p => [...p.centre, p.scale])"
     )
     np.testing.assert_allclose(*views, atol=1e-3)
     page.locator(".pane.beside").hover()
     page.mouse.wheel(0, -300)
-    page.wait_for_timeout(900)
+    pause(page, 900)
     views = page.evaluate(
         "[levkasViewer.stage.left, levkasViewer.stage.right].map(p => [...p.centre, p.scale])"
     )
@@ -351,11 +352,11 @@ def test_a_picture_has_no_difference_from_itself(browser, address):
     page = open_object(browser, address("file", fragment="#a=vis/colour&b=vis/colour"))
     page.keyboard.press("d")
     page.wait_for_function(SETTLED)
-    page.wait_for_timeout(300)
+    pause(page, 300)
     assert shown_colour(page, 75, 65).max() <= 2
     page.keyboard.press("Shift+Digit3")
     page.wait_for_function(SETTLED)
-    page.wait_for_timeout(300)
+    pause(page, 300)
     assert shown_colour(page, 75, 65).max() > 20
 
 
@@ -397,7 +398,7 @@ def test_everything_is_done_with_the_keyboard_alone(browser, address):
 @pytest.mark.parametrize("name", ["index.html", "viewer/objects/icon1/index.html"])
 def test_what_can_be_pressed_has_a_name_for_screen_readers(browser, address, name):
     page = browser.open(address("file", name))
-    page.wait_for_timeout(300)
+    pause(page, 300)
     nameless = page.evaluate(
         """() => [...document.querySelectorAll('button, a, input, select, [role=slider], [tabindex="0"]')]
           .filter(e => e.checkVisibility() && !e.closest('.openseadragon-container'))
@@ -415,7 +416,7 @@ def test_what_can_be_pressed_has_a_name_for_screen_readers(browser, address, nam
 def test_light_and_dark_have_text_that_can_be_read(browser, address, name):
     for scheme in ("light", "dark"):
         page = browser.open(address("file", name), scheme=scheme)
-        page.wait_for_timeout(200)
+        pause(page, 200)
         assert _least_contrast(page) >= 4.5, scheme
         page.locator("#theme").click()
         assert _least_contrast(page) >= 4.5, f"{scheme}, changed"
@@ -457,7 +458,7 @@ def test_every_page_says_licence_and_citation_and_links_stay_in_the_folder(
 def test_nothing_scrolls_sideways_on_a_narrow_screen(browser, address):
     for name in ("index.html", "viewer/objects/icon1/index.html"):
         page = browser.open(address("file", name), width=360, height=740)
-        page.wait_for_timeout(200)
+        pause(page, 200)
         assert page.evaluate("document.documentElement.scrollWidth") <= 360, name
 
 

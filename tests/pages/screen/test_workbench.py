@@ -10,7 +10,7 @@ from PIL import Image
 from levkas.campaign.edits import Edits, FrameEdits, read_edits, round_pair, write_edits
 from levkas.workbench.library import id_of
 
-from .serving import READY, TOKEN, opened, told
+from .serving import READY, TOKEN, opened, pause, told
 
 HOSTILE = [
     "<script>alert(1)</script>", "<img src=x onerror=alert(1)>", "\"><svg onload=alert(1)>",
@@ -114,7 +114,7 @@ def test_a_click_names_the_native_pixel_within_half_a_pixel(bench):
         seen = page.evaluate(f"levkasWorkbench.stage.left.pixelAt({x}, {y})")
         assert np.abs(np.array(seen) - spot).max() < 0.01
     page.wait_for_function(READY)
-    page.wait_for_timeout(200)
+    pause(page, 200)
     picture = page.evaluate("levkasWorkbench.store.path")
     assert picture.startswith("/api/cameras/")
 
@@ -135,7 +135,7 @@ def test_a_pixel_is_drawn_where_it_is_said_to_be(correctable, inspected, browser
     )
     page.evaluate("levkasWorkbench.stage.left.look(150, 90, 24)")
     page.wait_for_function(READY)
-    page.wait_for_timeout(300)
+    pause(page, 300)
     assert shown(page, *place(page, "left", 150, 90)) > 200
     for off in ([0.4, 0.4], [-0.4, -0.4]):
         assert shown(page, *place(page, "left", 150 + off[0], 90 + off[1])) > 150
@@ -165,7 +165,7 @@ def test_the_view_stays_in_its_place_while_panes_change_their_size(bench):
     page.keyboard.press("s")
     choose_worst(page)
     page.wait_for_function(READY)
-    page.wait_for_timeout(400)
+    pause(page, 400)
     scale, centre, pair, measured = page.evaluate(
         """[levkasWorkbench.stage.left.scale, levkasWorkbench.stage.left.centre,
             levkasWorkbench.store.selectedPair(), levkasWorkbench.store.measured.value]"""
@@ -192,7 +192,7 @@ def test_a_person_faster_than_the_pictures_stays_where_they_went(bench):
     page.keyboard.press("c")
     page.keyboard.press("+")
     page.wait_for_function(READY)
-    page.wait_for_timeout(500)
+    pause(page, 500)
     assert np.allclose(page.evaluate(seen), [*pair[:2], 4.5], atol=[1, 1, 0.1])
     page.keyboard.press("k")
     page.keyboard.press("f")
@@ -204,14 +204,14 @@ def test_a_person_faster_than_the_pictures_stays_where_they_went(bench):
 def test_a_page_that_nobody_touches_draws_nothing(bench):
     page, _ = bench
     page.evaluate("levkasWorkbench.stage.left.look(190, 140, 5)")
-    page.wait_for_timeout(1000)
+    pause(page, 1000)
     page.evaluate(
         """() => { window.drawn = 0;
         for (const pane of [levkasWorkbench.stage.left, levkasWorkbench.stage.right]) {
           const paint = pane.paint; pane.paint = (context) => { drawn++; paint(context); };
         } }"""
     )
-    page.wait_for_timeout(500)
+    pause(page, 500)
     assert page.evaluate("drawn") == 0
     page.keyboard.press("+")
     page.wait_for_function("() => window.drawn > 1")
@@ -350,7 +350,7 @@ def test_curtain_flicker_difference_checker_and_red_cyan_show_both_pictures(benc
         page.keyboard.press(key)
         page.wait_for_function(f"() => levkasWorkbench.stage.mode.value === '{mode}'")
         page.wait_for_function(READY)
-        page.wait_for_timeout(250)
+        pause(page, 250)
         pictures[mode] = page.locator(".pane").first.screenshot()
     assert len(set(pictures.values())) == 6
     page.keyboard.press("c")
