@@ -186,7 +186,7 @@ def registers():
 
 @pytest.mark.parametrize(
     ("white", "tiles"),
-    [(True, ("", "23")), pytest.param(False, ("", "23", "whole"), marks=pytest.mark.slow)],
+    [(True, ("", "23")), pytest.param(False, ("", "23", "whole"), marks=pytest.mark.exhaustive)],
     ids=["reflectance", "counts"],
 )
 def test_a_streamed_scan_is_built_to_the_same_bytes_by_any_rows(

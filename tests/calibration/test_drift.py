@@ -175,8 +175,8 @@ def flickering(rng):
     ("white_at", "shot_at", "known"),
     [
         ([0, 1, 2, 3, 4, 5], [8], False),
-        ([0, 1, 2, 3, 4, 5], [7, 8, 9], True),
-        ([0, 1, 2, 17, 18, 19], [6], True),
+        pytest.param([0, 1, 2, 3, 4, 5], [7, 8, 9], True, marks=pytest.mark.exhaustive),
+        pytest.param([0, 1, 2, 17, 18, 19], [6], True, marks=pytest.mark.exhaustive),
         ([0, 1, 2, 17, 18, 19], [10, 11], True),
     ],
 )

@@ -58,7 +58,10 @@ def turned(degrees, mirrored):
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
-@pytest.mark.parametrize("degrees", [0, 40, 90, 137, 180, 300])
+@pytest.mark.parametrize(
+    "degrees",
+    [0, 137, *(pytest.param(n, marks=pytest.mark.exhaustive) for n in (40, 90, 180, 300))],
+)
 def test_error_lines_are_as_long_as_the_residuals_whichever_way_the_camera_is_turned(
     degrees, mirrored
 ):

@@ -128,7 +128,7 @@ def test_an_alignment_that_contradicts_the_pictures_is_named_and_moves_nothing(c
     assert "sensor ccd2: The sensor lies 100.0 of its px" in found.verdict.reasons[0]
 
 
-@pytest.mark.parametrize("reference", ["a", "b"])
+@pytest.mark.parametrize("reference", ["a", pytest.param("b", marks=pytest.mark.exhaustive)])
 def test_other_sensors_of_the_reference_camera_are_checked_too(camera, reference):
     wrong = {"ccd2": moved(TURN, 30.0, 0.0)}
     for method, decision in (("levkas", "warn"), ("mirhashemi2019", "refuse")):

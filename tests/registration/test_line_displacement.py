@@ -214,7 +214,9 @@ def along_line(ends):
     return ends[:, None] * np.linspace(-1, 1, 310)
 
 
-@pytest.mark.parametrize(("size", "period"), [(2.0, 60), (0.5, 25), (1.5, 8)])
+@pytest.mark.parametrize(
+    ("size", "period"), [(2.0, 60), pytest.param(0.5, 25, marks=pytest.mark.exhaustive), (1.5, 8)]
+)
 @pytest.mark.parametrize("way", ["turn", "stretch"])
 def test_a_stage_that_turns_or_stretches_its_lines_is_found(painting, front, way, size, period):
     change = along_line(sine(size, period))
@@ -268,9 +270,11 @@ def noisy(picture, seed, noise=1.0):
     return (picture + sigma * chance).astype(np.float32)
 
 
-@pytest.mark.parametrize("noise", [1.0, 4.0])
+@pytest.mark.parametrize("noise", [1.0, pytest.param(4.0, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("blur", [0.0, 1.0])
-@pytest.mark.parametrize("side", [8, 12, 20, 32, 48])
+@pytest.mark.parametrize(
+    "side", [8, 20, 48, *(pytest.param(n, marks=pytest.mark.exhaustive) for n in (12, 32))]
+)
 def test_edges_of_tiles_displace_no_lines_beside_them(side, blur, noise):
     """Lines between edges hold noise alone, which seems to lie anywhere but beyond the edges, in all parts alike."""
     one, other = noisy(tiles(side), 1, noise), noisy(tiles(side, blur), 2, noise)
@@ -359,7 +363,11 @@ def beside_cubic(course):
 
 @pytest.mark.parametrize("way", [along, across])
 @pytest.mark.parametrize(
-    "course", [sine(1.5, 20), sine(1.5, 60), sine(1.5, 200), walk(1.0), 1.0 * (LINE > 120)]
+    "course",
+    [
+        *(sine(1.5, 20), walk(1.0), 1.0 * (LINE > 120)),
+        *(pytest.param(sine(1.5, n), marks=pytest.mark.exhaustive) for n in (60, 200)),
+    ],
 )
 def test_lines_are_found_where_the_stage_put_them(painting, front, way, course):
     planted = way(course)
@@ -445,7 +453,14 @@ def test_a_map_follows_a_wobbling_scan_and_its_reason_names_size_and_period(wobb
 
 
 @pytest.mark.parametrize(
-    "planted", [across(sine(1.5, 20)), across(walk(1.0)), along(1.0 * (LINE % 2 - 0.5))]
+    "planted",
+    [
+        across(walk(1.0)),
+        *(
+            pytest.param(one, marks=pytest.mark.exhaustive)
+            for one in (across(sine(1.5, 20)), along(1.0 * (LINE % 2 - 0.5)))
+        ),
+    ],
 )
 def test_a_map_follows_what_lines_do(painting, front, planted):
     errors, _ = errors_of(register(front, scan(painting, planted)), planted)
