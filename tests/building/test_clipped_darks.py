@@ -94,7 +94,7 @@ def own_sensels(cube):
     return np.take_along_axis(cube, ((y % 2) * 2 + x % 2)[..., None], 2)[..., 0]
 
 
-@pytest.mark.parametrize("black", [0.0, 3.0])
+@pytest.mark.parametrize("black", [pytest.param(0.0, marks=pytest.mark.exhaustive), 3.0])
 @pytest.mark.parametrize("kind", KINDS)
 def test_dark_paint_is_as_bright_as_it_is_where_darks_are_clipped(tmp_path, kind, black):
     made = developed(write(tmp_path, kind, black))

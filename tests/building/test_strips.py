@@ -115,7 +115,13 @@ def shift_of(left, truth):
     return np.linalg.lstsq(slopes, -left[inner].ravel(), rcond=None)[0]
 
 
-@pytest.mark.parametrize("x, y", [(120.37, 0.0), (111.5, 2.5), (129.8, -3.21), (118.0, 4.0)])
+@pytest.mark.parametrize(
+    "x, y",
+    [
+        *((120.37, 0.0), (129.8, -3.21)),
+        *(pytest.param(*one, marks=pytest.mark.exhaustive) for one in ((111.5, 2.5), (118.0, 4.0))),
+    ],
+)
 def test_strips_are_joined_to_a_twentieth_of_a_pixel(tmp_path, x, y):
     scene = paint()
     folder = write_campaign(tmp_path / "c", [strip(scene, 0, 4), strip(scene, x, 4 + y)])
