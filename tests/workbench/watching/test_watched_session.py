@@ -12,7 +12,7 @@ import pytest
 import tifffile
 
 from levkas.core.progress import FRAMES
-from levkas.workbench.watching import WatchedSession
+from levkas.workbench.watching import WatchedSession, files
 from levkas.workbench.watching.cache import MeasureCache
 
 CAMPAIGN = """
@@ -172,6 +172,43 @@ def test_a_share_that_goes_away_keeps_what_was_known(session, folder, tmp_path):
     (tmp_path / "elsewhere").rename(folder)
     back = after(session, 30.0)
     assert not back.away and verdicts(back) == verdicts(before)
+
+
+def test_a_share_that_goes_away_while_it_is_looked_at_keeps_what_was_known(
+    session, folder, tmp_path, monkeypatch
+):
+    for name, values in GOOD.items():
+        put(folder, name, values)
+    before = after(session, 0.0)
+    look_at = files.stamps_of
+
+    def going(path):
+        if folder.exists():
+            folder.rename(tmp_path / "elsewhere")
+        return look_at(path)
+
+    monkeypatch.setattr(files, "stamps_of", going)
+    away = after(session, 10.0)
+    assert away.away and away.frames == before.frames
+    assert away.missing == before.missing
+
+
+def test_a_frame_that_is_written_while_the_clock_of_its_share_is_behind_is_not_broken(
+    session, folder, monkeypatch
+):
+    path = put(folder, "raw/icon/100ms_1.tif", GOOD["raw/icon/100ms_1.tif"])
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    hour, clock = 3600 * 10**9, files.time.time_ns
+    monkeypatch.setattr(files.time, "time_ns", lambda: clock() + hour)
+    for now in (0.0, 1.0, 3.0):
+        for _ in session.poll(now):
+            pass
+        assert verdicts(session.state()) == {"raw/icon/100ms_1.tif": "waiting"}
+    for now in (8.0, 10.0):
+        for _ in session.poll(now):
+            pass
+    assert verdicts(session.state()) == {"raw/icon/100ms_1.tif": "stop"}
 
 
 def test_a_restart_reads_no_frame_again(session, folder, tmp_path):

@@ -225,7 +225,8 @@ class FolderWatch:
             s of a clock that never jumps.
         """
         now = time.monotonic() if now is None else now
-        if not _is_reachable(self.root) or (self.listing.files and _is_bare(self.root)):
+        before = self.listing
+        if self._is_away(before):
             self.away_since = self.away_since or time.time()
             return self.listing
         if self.away_since is not None:
@@ -234,6 +235,9 @@ class FolderWatch:
         if now - self._scanned >= RESCAN_S or self._signature != self._folders():
             self._scan(now)
         stamps = {path: stamp for path in self.listing.files if (stamp := stamps_of(path))}
+        if stamps.keys() < before.files.keys() and self._is_away(before):  # it went meanwhile
+            self.listing, self.away_since = before, time.time()
+            return before
         self.listing = FolderListing(
             self.listing.campaign, self.listing.guessed,
             {path: file for path, file in self.listing.files.items() if path in stamps},
@@ -241,6 +245,9 @@ class FolderWatch:
         )  # fmt: skip
         self._note_rest(stamps, now)
         return self.listing
+
+    def _is_away(self, known: FolderListing) -> bool:
+        return not _is_reachable(self.root) or bool(known.files and _is_bare(self.root))
 
     def is_at_rest(self, path: Path, now: float) -> bool:
         """Whether a file has not changed for half a second, as seen here: no clock but this one counts."""
@@ -254,9 +261,10 @@ class FolderWatch:
         clock = time.time_ns()
         for path, stamp in stamps.items():
             if (known := self._rest.get(path)) is None:
-                # What was there long before need not be waited for; a clock that is wrong only costs the wait.
+                # What was there long before is read at once. The clock of a share may be behind, so that a frame which
+                # is being written looks old: it counts as broken only after it was seen to rest.
                 old = clock - max(stamp[1], stamp[2]) > OLD_S * 1e9
-                self._rest[path] = stamp, now - (OLD_S if old else 0.0)
+                self._rest[path] = stamp, now - (2 * REST_S if old else 0.0)
             elif known[0] != stamp:
                 self._rest[path] = stamp, now
         for gone in self._rest.keys() - stamps.keys():
