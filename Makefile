@@ -20,9 +20,9 @@ env: $(READY)
 demo: $(USABLE)
 	$(BIN)/levkas demo demo
 
-# The tests to run before every commit; what was skipped, and why, stands at the end.
+# The tests to run before every commit; what was skipped, and why, stands at the end. `make test SLOW=1`: the slow ones too.
 test: pages
-	$(PYTEST) -m "not slow"
+	$(PYTEST) $(if $(SLOW),--durations=25,-m "not slow")
 
 # Faults at every step of a build, fuzzing, same bytes on any number of threads, long browser walks.
 test-slow: pages
@@ -40,8 +40,8 @@ exhaustive: $(READY)
 coverage: pages
 	$(PYTEST) -m "not slow" --cov=levkas --cov-branch --cov-report=json
 
-test-all: pages
-	$(PYTEST) --durations=50
+test-all:
+	$(MAKE) test SLOW=1
 
 # Compiles once, while something else runs, what every process of the tests would compile for itself where nothing is kept
 # yet: the tests' sources and the kernels of a build.
