@@ -7,6 +7,7 @@ from levkas.core.flags import MARKS
 from levkas.database.tiff_pages import open_pages
 
 from .database import SIZE
+from .serving import pause
 from .test_viewer import SETTLED, click_pixel, open_object, shown_colour
 from .walking import faint, nameless
 
@@ -63,7 +64,7 @@ def test_alike_is_light_and_what_is_not_to_be_trusted_is_grey(browser, viewer, a
     page.wait_for_function("() => levkasViewer.state.a.value.picture.key.endsWith('-5')")
     page.wait_for_function(SETTLED)
     page.keyboard.press("Escape")  # the pin lies over its pixel
-    page.wait_for_timeout(300)
+    pause(page, 300)
     assert np.abs(shown_colour(page, 103, 103) - GREY).max() < 6  # veiled
     assert np.abs(shown_colour(page, 62, 42) - GREY).max() < 6  # saturated
     rows, columns = np.nonzero((angles > 0.3) & (angles < 1))
@@ -109,7 +110,7 @@ def test_a_place_of_which_nothing_is_to_be_trusted_gives_no_map_and_that_is_said
 
 def test_one_picture_has_one_pin(browser, address):
     page = open_object(browser, address("file", fragment="#a=vis/colour&pin=25,25"))
-    page.wait_for_timeout(300)
+    pause(page, 300)
     seen = "[...document.querySelectorAll('.pin')].filter(e => e.checkVisibility()).length"
     assert page.evaluate(seen) == 1
     page.keyboard.press("s")

@@ -4,6 +4,7 @@ import pytest
 
 from levkas.pages.page import LayerReport
 
+from .serving import pause
 from .test_report import png, written
 
 PHONE = {"width": 390, "height": 844, "has_touch": True, "is_mobile": True}
@@ -21,10 +22,10 @@ def test_the_pointer_of_another_pane_shows_where_there_is_another_pane_only(brow
     for mode, count in (("", 0), ("c", 0), ("s", 1)):
         if mode:
             page.keyboard.press(mode)
-            page.wait_for_timeout(300)
+            pause(page, 300)
         page.mouse.move(300, 400)
         page.mouse.move(310, 410)
-        page.wait_for_timeout(60)
+        pause(page, 60)
         assert page.evaluate(shown) == count, mode
 
 
@@ -44,7 +45,7 @@ def test_a_pinned_spectrum_lies_over_the_picture_of_a_phone_and_two_fingers_zoom
             "Input.dispatchTouchEvent",
             {"type": kind, "touchPoints": points if kind != "touchEnd" else []},
         )
-        page.wait_for_timeout(15)
+        pause(page, 15)
     page.wait_for_function(f"levkasViewer.stage.left.scale > 1.5 * {before}")
     page.evaluate("levkasViewer.state.pin.value = [20, 20]")
     page.wait_for_selector(".spectrum-part svg")

@@ -5,7 +5,7 @@ import pytest
 
 from levkas.campaign.edits import read_edits
 
-from .serving import told
+from .serving import pause, told
 
 SHAPE = [[60.0, 50.0], [360.0, 60.0], [350.0, 290.0], [70.0, 280.0]]
 
@@ -101,7 +101,7 @@ def test_clicks_are_of_the_outline_while_it_is_open_and_of_pairs_again_afterward
     page, server = bench
     draw(page)
     click(page, 200, 170)
-    page.wait_for_timeout(100)
+    pause(page, 100)
     assert told(page, "proposal.value") is None and len(drawn(server)) == 4
     page.locator("#outline-done").click()
     page.keyboard.press("w")

@@ -14,6 +14,8 @@ from levkas.pages.page import Figure, LayerReport, ObjectReport, render_page
 from levkas.pages.radiometry import RadiometryRow
 from levkas.pages.summary import summarise_layers
 
+from .serving import pause
+
 REFERENCE = LayerReport("vis", ["550 nm"], "reflectance", "reference", "levkas", preview="vis.png")
 COLOUR = LayerReport(
     "rgb", ["R", "G", "B"], "reflectance", "accept", "levkas", error="0.060 px = 0.073 mm over 96 %",
@@ -148,7 +150,7 @@ def test_nothing_flickers_by_itself_and_reduced_motion_stops_all_of_it(browser, 
         page.locator("[data-mode=flicker]").click()
         for _ in range(12):
             seen.append(page.evaluate(state))
-            page.wait_for_timeout(100)
+            pause(page, 100)
         assert (len(set(seen)) > 1) is moves
         if not moves:
             page.locator("[data-mode=flicker]").click()
