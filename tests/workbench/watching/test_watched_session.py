@@ -211,6 +211,42 @@ def test_a_frame_that_is_written_while_the_clock_of_its_share_is_behind_is_not_b
     assert verdicts(session.state()) == {"raw/icon/100ms_1.tif": "stop"}
 
 
+def dated(folder: Path, name: str, values: np.ndarray, moment: str, age: int) -> None:
+    path = put(folder, name, values)
+    tifffile.imwrite(path, values, photometric="minisblack", metadata=None, datetime=moment)
+    os.utime(path, (1_700_000_000 + age,) * 2)
+
+
+@pytest.mark.parametrize("hour", [10, 13, 9], ids=["steady", "forward", "back"])
+def test_a_clock_of_the_camera_that_is_set_is_a_line_and_no_other_verdict(session, folder, hour):
+    """The lamp sinks by 6 % at the third white: the finding is that white's, whatever the clock says."""
+    for k, light in enumerate((0.98, 0.98, 0.92, 0.92)):
+        shown = f"2026:03:01 {hour if k > 1 else 10:02}:{10 * k:02}:00"
+        dated(folder, f"raw/white/100ms_{k}.tif", codes(light, k), shown, 600 * k)
+    state = after(session, 0.0)
+    assert {f.file.name: [g.text for g in f.findings if g.check == "drift"] for f in state.frames} == {
+        "raw/white/100ms_0.tif": [],
+        "raw/white/100ms_1.tif": [],
+        "raw/white/100ms_2.tif": ["the lamp gives 6 % less than at the white before"],
+        "raw/white/100ms_3.tif": [],
+    }  # fmt: skip
+    assert len(state.problems) == (hour == 9)
+    for text in state.problems:
+        assert "raw/white/100ms_2.tif" in text and "clock" in text
+
+
+def test_a_shot_that_is_captured_again_is_no_clock_that_was_set(session, folder):
+    for k, minute in ((0, 1), (1, 9), (2, 3)):
+        dated(
+            folder,
+            f"raw/icon/100ms_{k}.tif",
+            codes(PAINT, k),
+            f"2026:03:01 10:0{minute}:00",
+            60 * minute,
+        )
+    assert after(session, 0.0).problems == ()
+
+
 def test_a_restart_reads_no_frame_again(session, folder, tmp_path):
     for name, values in GOOD.items():
         put(folder, name, values)

@@ -8,6 +8,7 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from levkas.campaign.discovery.file_index import (
     scan_folders,
     walk_folders,
 )
+from levkas.campaign.discovery.patterns import natural
 from levkas.campaign.guess import LookRefused, look
 from levkas.campaign.schema.tables import Document
 from levkas.core.digests import Stamp, stamp_of
@@ -34,6 +36,8 @@ RESCAN_S = 5.0
 """After which folders are listed again though none changed: some shares do not tell."""
 GUESS_S, GUESS_SHARE = 2.0, 4.0
 """How long names must rest before a folder is guessed again; and times what the guess took."""
+BACK_S = 60.0
+"""By how much a shot has an earlier time than the one before it where a clock was set: less is how headers are rounded."""
 FILE = "campaign.toml"
 
 
@@ -385,12 +389,43 @@ def moments_of(
     files: Mapping[Path, WatchedFile],
     captured: Mapping[Path, float | None],
     stamps: Mapping[Path, Stamp],
-) -> dict[Path, float]:
-    """Return when the frames of one sensor were captured, s: by their headers where all state it, by their names, else by the files."""
-    stated = {path: captured.get(path) for path in files}
-    if files and all(moment is not None for moment in stated.values()):
-        return {path: moment for path, moment in stated.items() if moment is not None}
-    named = times_in_names(files)
-    if files and len(named) == len(files):
-        return named
-    return {path: stamps[path][1] / 1e9 for path in files if path in stamps}
+) -> tuple[dict[Path, float], str]:
+    """Return when the frames of one sensor were captured, s, and what is doubtful of it, else "".
+
+    By their headers where all state it, by their names, else by the files: also where shots show that a clock went back.
+    """
+    written = {path: stamps[path][1] / 1e9 for path in files if path in stamps}
+    stated = {path: moment for path in files if (moment := captured.get(path)) is not None}
+    if not files or len(stated) < len(files):
+        stated = times_in_names(files)
+    if not files or len(stated) < len(files):
+        return written, ""
+    if (back := _went_back(files, stated, written)) is None:
+        return stated, ""
+    earlier, later = (files[path].name for path in back)
+    doubt = (
+        f"{later} has an earlier time than {earlier}, though it was written after it: was the camera's clock set? "
+        f"Frames of {files[back[0]].camera} are ordered by the times of their files. A build chooses darks and whites by "
+        "their own times: check which it takes."
+    )
+    return written, doubt
+
+
+def _went_back(
+    files: Mapping[Path, WatchedFile], stated: Mapping[Path, float], written: Mapping[Path, float]
+) -> tuple[Path, Path] | None:
+    """Return two following shots of a stack, of which the second was written later and states an earlier time.
+
+    A shot that was captured again is later by both clocks.
+    """
+    stacks: dict[tuple[object, ...], list[Path]] = {}
+    for path in sorted(files, key=lambda p: (natural(files[p].shot), files[p].name)):
+        file = files[path]
+        if file.shot and path in written:
+            stack = (file.role, file.target, file.band, file.exposure_s)
+            stacks.setdefault(stack, []).append(path)
+    for shots in stacks.values():
+        for one, other in pairwise(shots):
+            if stated[other] < stated[one] - BACK_S and written[other] > written[one]:
+                return one, other
+    return None

@@ -186,14 +186,15 @@ class WatchedSession:
         listing, campaign = self.listing, self.listing.campaign
         if campaign is None:
             return SessionState(problems=listing.problems, away=self.watch.away_since is not None)
-        findings, moments = self._findings(campaign, listing)
+        findings, moments, doubts = self._findings(campaign, listing)
         frames = [self._shown(file, findings, moments) for file in listing.files.values()]
         frames.sort(key=lambda f: (natural(f.file.name), f.file.name))
         planned = [name for name in self._planned() if name not in campaign.cameras]
         missing = find_missing(campaign, frames, planned) if frames else ()
         away = self.watch.away_since is not None
+        problems = (*listing.problems, *doubts)
         return SessionState(
-            tuple(frames), tuple(missing), listing.guessed, listing.strays, listing.problems, away
+            tuple(frames), tuple(missing), listing.guessed, listing.strays, problems, away
         )
 
     def picture_of(self, name: str) -> bytes | None:
@@ -298,7 +299,7 @@ class WatchedSession:
 
     def _findings(
         self, campaign: Campaign, listing: FolderListing
-    ) -> tuple[dict[Path, list[Finding]], dict[Path, float]]:
+    ) -> tuple[dict[Path, list[Finding]], dict[Path, float], list[str]]:
         groups: dict[tuple[str, str, str], dict[Path, WatchedFile]] = {}
         for path, file in listing.files.items():
             known = self._known.get(path)
@@ -306,12 +307,15 @@ class WatchedSession:
                 groups.setdefault((file.camera, file.setup, file.sensor), {})[path] = file
         found: dict[Path, list[Finding]] = {}
         moments: dict[Path, float] = {}
+        doubts: list[str] = []
         for key, files in groups.items():
             camera = campaign.cameras[key[0]]
             if key[1] and not _darks(files):  # a setup without darks of its own takes the camera's
                 files = {**files, **_darks(groups.get((key[0], "", key[2]), {}))}
             captured = {path: _moment(self._facts(path)) for path in files}
-            at = moments_of(files, captured, listing.stamps)
+            at, doubt = moments_of(files, captured, listing.stamps)
+            if doubt:
+                doubts.append(doubt)
             content = (
                 tuple((path, self._known[path].stamp, at.get(path)) for path in files),
                 _rules(camera), camera.black, camera.saturation, camera.bits,
@@ -328,7 +332,7 @@ class WatchedSession:
                     found[path], moments[path] = self._judged[key][1][file.name], at.get(path, 0.0)
         for gone in self._judged.keys() - groups.keys():
             del self._judged[gone]
-        return found, moments
+        return found, moments, sorted(set(doubts))
 
     def _facts(self, path: Path) -> Facts:
         facts = self._known[path].facts
