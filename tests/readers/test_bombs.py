@@ -90,6 +90,36 @@ def one_page(folder, *args, **keys):
     return put(folder / "frame.tif", tiff(page(*args, **keys), data))
 
 
+def codestream(**sizes):
+    """Return a JPEG 2000 codestream of 16 x 16 px with other sizes in its header."""
+    import imagecodecs
+    import numpy as np
+
+    flat = np.zeros((16, 16), np.uint8)
+    content = bytearray(imagecodecs.jpeg2k_encode(flat, level=0, codecformat="j2k"))
+    for name, value in sizes.items():
+        struct.pack_into(">I", content, {"width": 8, "height": 12, "tile": 24}[name], value)
+        if name == "tile":
+            struct.pack_into(">I", content, 28, value)
+    return bytes(content)
+
+
+@bomb("E_SIZE")
+def codestream_of_three_thousand_million_px(folder):
+    return put(folder / "a.j2k", codestream(width=60_000, height=60_000, tile=60_000))
+
+
+@bomb("E_SIZE")
+def codestream_of_a_hundred_million_tiles(folder):
+    return put(folder / "a.j2k", codestream(width=10_000, height=10_000, tile=1))
+
+
+@bomb(None)
+def jp2_of_boxes_without_end(folder):
+    start = b"\0\0\0\x0cjP  \r\n\x87\n"
+    return put(folder / "a.jp2", start + struct.pack(">I4s", 8, b"free") * 400_000)
+
+
 @bomb("E_SIZE", field="width, height")
 def tiff_of_four_thousand_million_columns(folder):
     return one_page(folder, 0xFFFFFFFF, 0xFFFFFFFF, bytes(64))

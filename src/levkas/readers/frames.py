@@ -48,7 +48,7 @@ LARGEST_SAMPLE, BLOCKS, BLOCK = 16 << 20, 8, 60
 """Samples of a glimpse of a frame; blocks they are taken from, and what their sides are multiples of."""
 MOST_FACTS = 1 << 15
 """Files whose facts are kept in memory, about 1 kB each."""
-EXPECTED = "TIFF, PNG, JPEG, camera raw or ENVI with its header"
+EXPECTED = "TIFF, PNG, JPEG, JPEG 2000, camera raw or ENVI with its header"
 
 
 class Reader(NamedTuple):
@@ -79,6 +79,12 @@ READERS = {
     "jpeg": Reader(
         "levkas.readers.images", "read_jpeg_facts", "read_jpeg", (images.JPEG,), (".jpg", ".jpeg")
     ),
+    "jpeg2000": Reader(
+        "levkas.readers.jpeg2000",
+        *("read_jpeg2000_facts", "read_jpeg2000"),
+        (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51"),
+        (".jp2", ".j2k", ".jpf", ".jpx"),
+    ),
     "raw": Reader("levkas.readers.raw", "read_raw_facts", "read_raw_mosaic"),
     "envi": Reader("levkas.readers.envi", "read_envi_facts", "read_envi"),
     "ripple": Reader("levkas.readers.map_stacks", "read_ripple_facts", "read_ripple"),
@@ -95,7 +101,7 @@ ALONE = (RENDERED | {*RAW_SUFFIXES}) - {*DATA_SUFFIXES}
 
 
 def kind_of(path: str | Path) -> str:
-    """Return ``"tiff"``, ``"png"``, ``"jpeg"``, ``"raw"``, ``"envi"``, ``"ripple"``, ``"dms"``, ``"hdf5"`` or ``"table"`` from name and first bytes.
+    """Return ``"tiff"``, ``"png"``, ``"jpeg"``, ``"jpeg2000"``, ``"raw"``, ``"envi"``, ``"ripple"``, ``"dms"``, ``"hdf5"`` or ``"table"`` from name and first bytes.
 
     A header beside decides that ``.raw``, ``.dat``, ``.img``, … are ENVI; without one ``.raw`` is
     taken for a camera raw.

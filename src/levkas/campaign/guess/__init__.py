@@ -51,7 +51,7 @@ def look(folder: str | Path) -> Proposal:
                 "no readable capture was found here",
                 file=str(folder),
                 found="; ".join([*([others] if others else []), *unreadable]) or "no files",
-                expected="TIFF, PNG, JPEG, camera raw, or ENVI with its header",
+                expected="TIFF, PNG, JPEG, JPEG 2000, camera raw, or ENVI with its header",
                 fix="Give the folder that holds the raw frames.",
             )
         )
