@@ -218,8 +218,10 @@ def test_sensors_and_setups_in_another_order_end_in_the_bytes_of_building_anew(
     lower = SETUP.replace("[setups.raking]", "[setups.lower]").replace("Raking", "Lower")
     says(SETUP, SETUP + lower)(folder)
     assert summarise(build(folder)).ok
-    for change in (says(NEAR + FAR, FAR + NEAR), says(SETUP + lower, lower + SETUP)):
-        change(folder)
+    sensors, setups = says(NEAR + FAR, FAR + NEAR), says(SETUP + lower, lower + SETUP)
+    for changes in ((sensors, setups), (says(lower + SETUP, SETUP + lower),)):
+        for change in changes:
+            change(folder)
         assert not all(step.state == "fresh" for step in status(folder).stages)
         list(build(folder))
         list(build(folder, output=folder / "anew"))

@@ -159,6 +159,7 @@ def prints_of_page(
         prints[f"cameras.{page.camera}.{key}"] = getattr(keys, key)
     prints |= fingerprints.uncertainties(campaign)
     prints["bands"] = [[b.label, str(b.wavelength), str(b.fwhm)] for b in first.bands]
+    prints["order of captures"] = [f"{c.object}/{c.layer}" for c in page.captures]
     prints["sensors"] = [[s.name, s.pattern, len(s.bands)] for s in first.sensors]
     if declared := keys.sensitivity:
         prints[f"file {declared}"] = records.hashes(campaign.root / declared)
