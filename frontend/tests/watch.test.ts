@@ -2,12 +2,7 @@ import { expect, test } from "vitest";
 import { asText, gravest, sentence, Session } from "../src/watch/session";
 import type { Frame, News, Verdict } from "../src/watch/session";
 
-function frame(
-  name: string,
-  verdict: Verdict,
-  at: number,
-  more: Partial<Frame> = {},
-): Frame {
+function frame(name: string, verdict: Verdict, at: number, more: Partial<Frame> = {}): Frame {
   const bad = verdict === "look" || verdict === "stop";
   const findings = bad
     ? [
@@ -57,11 +52,7 @@ const names = (frames: Frame[]) => frames.map(({ name }) => name);
 test("of what was there when the page was opened the last frame is shown, and nothing is announced", () => {
   const session = new Session();
   const fresh = session.take(
-    news([
-      frame("a", "stop", 1),
-      frame("b", "green", 3),
-      frame("c", "waiting", 9),
-    ]),
+    news([frame("a", "stop", 1), frame("b", "green", 3), frame("c", "waiting", 9)]),
   );
   expect(fresh).toEqual([]);
   expect(session.newest?.name).toBe("b");
@@ -71,11 +62,7 @@ test("of frames that come together the gravest is shown, a frame still being wri
   const session = new Session();
   session.take(news([]));
   const fresh = session.take(
-    news([
-      frame("a", "look", 1),
-      frame("b", "green", 2),
-      frame("c", "waiting", 3),
-    ]),
+    news([frame("a", "look", 1), frame("b", "green", 2), frame("c", "waiting", 3)]),
   );
   expect(names(fresh)).toEqual(["a", "b"]);
   expect(session.newest?.name).toBe("a");
@@ -128,10 +115,7 @@ test("frames are grouped by camera, lighting and what they show, in natural orde
       }),
     ]),
   );
-  const groups = [...session.groups()].map(([key, frames]) => [
-    key,
-    names(frames),
-  ]);
+  const groups = [...session.groups()].map(([key, frames]) => [key, names(frames)]);
   expect(groups).toEqual([
     ["d80 · icon2", ["two"]],
     ["d80 · icon10", ["early", "late"]],

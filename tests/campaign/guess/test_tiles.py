@@ -15,6 +15,8 @@ from levkas.campaign.guess import look
         ("photo/icon/r{0:02}c{1}.tif", "photo/{target}/r{row}c{column}.tif"),
         ("photo/icon_row{0}_col{1}.tif", "photo/{target}_row{row}_col{column}.tif"),
         ("photo/icon Grid@{0} {1}.tif", "photo/{target} Grid@{row} {column}.tif"),
+        ("photo/icon[Grid@{0} {1}].tif", "photo/{target}[Grid@{row} {column}].tif"),
+        ("photo/icon (r{0}_c{1}).tif", "photo/{target} (r{row}_c{column}).tif"),
         ("photo/icon/r{0}c{1}/shot_001.tif", "photo/{target}/r{row}c{column}/shot_*.tif"),
     ],
 )

@@ -15,7 +15,9 @@ PLACE = re.compile(
     r"|(?P<c>(?:grid|tile)[@_ -]?)(?P<down>\d+)(?P<d>[_ ,x-]+)(?P<across>\d+))"
 )
 """A row and a column, with the text around their numbers."""
-AT_END = re.compile(rf"(?P<name>.*[^-_\s])(?P<gap>[-_\s]+)(?P<place>{PLACE.pattern})")
+AT_END = re.compile(
+    rf"(?P<name>.*[^-_\s\[(])(?P<gap>[-_\s]*[\[(]|[-_\s]+)(?P<place>{PLACE.pattern})(?P<end>[\])]?)"
+)
 FEWEST = 2
 """Tiles of one object; of one it may be a part of its name."""
 
@@ -75,7 +77,7 @@ def _marked(one: NamedFile) -> tuple[NamedFile, str]:
     found = AT_END.fullmatch(one.target)
     if found is None:
         return one, ""
-    tile = Token(pattern_of(found["place"]), found["gap"], "tile")
+    tile = Token(pattern_of(found["place"]) + found["end"], found["gap"], "tile")
     places = [n for n, token in enumerate(one.stem) if token.kind == "target"]
     if not places:
         return one, ""
