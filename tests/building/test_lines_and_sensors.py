@@ -169,6 +169,7 @@ def strips_built(tmp_path_factory):
         write_scan(folder / f"scan/{name}/panel.hdr", counts)
     text = CAMPAIGN.partition("[cameras.still]")[0] + '[targets]\nobjects = ["panel"]\n'
     text += '[cameras.scan]\nkind = "cube"\nfiles = "scan/c{column}/{target}.hdr"\n'
+    text += "[database]\nnative = true\n"
     (folder / "campaign.toml").write_text(text)
     list(build(folder, output=folder / "database"))
     return folder / "database"

@@ -92,6 +92,7 @@ def write_campaign(folder, strips, *, more="", reference="scan", light=1.0, seed
     write_cube(folder / "white_1", coded(np.full((150, SAMPLES, BANDS), 0.9)))
     write_cube(folder / "dark_1", coded(np.zeros((150, SAMPLES, BANDS))))
     text = KEYS.replace("MORE", more).replace("REFERENCE", reference)
+    text += "[database]\nnative = true\n"
     (folder / "campaign.toml").write_text(text)
     return folder
 

@@ -119,10 +119,14 @@ def layers_of(database: Path) -> list[ComparedLayer]:
                 file=str(database),
             )
         )
+    return layers
+
+
+def require_native(database: Path, layers: Sequence[ComparedLayer]) -> None:
+    """Raise ComparisonRefused where the database has no native pixels, by which layers are registered again."""
     first = database / "objects" / layers[0].object / "native"
     if not any(first.glob("*.tif")):
         raise no_native(layers[0].object, first)
-    return layers
 
 
 def chosen_methods(names: Sequence[str]) -> tuple[list[str], list[Problem]]:
@@ -359,7 +363,8 @@ def compare(
 
     found, beside = (path.resolve() for path in locate(Path(database)))
     wanted, problems = chosen_methods(methods)
-    there = sorted({layer.object for layer in layers_of(found)})
+    layers = layers_of(found)
+    there = sorted({layer.object for layer in layers})
     if unknown := [name for name in objects if name not in there]:
         what, file = "no object of this name has a registered layer", str(found)
         raise ComparisonRefused(
@@ -369,6 +374,7 @@ def compare(
     checks, unmatched = (
         read_check_points(known.points, found, known.frame) if known.points else ({}, [])
     )
+    require_native(found, layers)
     where = OwnFiles(Path(output).resolve(), overwrite=overwrite) if output else None
     rows = run_rows(
         found,
