@@ -1,7 +1,7 @@
 """Figures of paper.md: python paper/figures.py [DATABASE]
 
 comparison.png is drawn from benchmarks/results.json. panel.png needs the database of the first tutorial
-(docs/tutorials/first_database.md), panel/database.
+(docs/tutorials/first_database.md), panel/database, built with `native = true` under `[database]` in its campaign.toml.
 """
 
 import hashlib

@@ -54,6 +54,20 @@ def chromium_path() -> str:
     return found
 
 
+FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+
+
+@pytest.fixture(scope="session")
+def chromium(chromium_path):
+    """Headless Chromium, one for all tests of a process: Playwright does not start twice in one."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium_path, args=FLAGS, headless=True)
+        yield browser
+        browser.close()
+
+
 CORRECTABLE = """
 [campaign]
 title = TITLE

@@ -10,6 +10,8 @@ import pytest
 import yaml
 from PIL import Image
 
+from levkas.building import build, summarise
+
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = ROOT / "paper"
 TEXT = (PAPER / "paper.md").read_text(encoding="utf-8")
@@ -154,8 +156,11 @@ def test_pictures_are_there_small_and_drawn_from_the_results(scripts):
     assert drawn == {key: value for key, value in measured.items() if value is not None}
 
 
-def test_the_panel_is_drawn_from_a_database(scripts, plates, monkeypatch):
-    figures = scripts[2]
+def test_the_panel_is_drawn_from_a_database(scripts, make_plates, tmp_path, monkeypatch):
+    figures, plates = scripts[2], make_plates(tmp_path / "plates", ["one"])
+    with (plates / "campaign.toml").open("a") as keys:
+        keys.write("\n[database]\nnative = true\n")
+    assert summarise(build(plates)).ok
     monkeypatch.setattr(figures, "OBJECT", "one")
     monkeypatch.setattr(figures, "CAMERAS_SHOWN", ("photo", "infrared"))
     before, after, right, *_ = figures.draw_panel(plates / "database").axes

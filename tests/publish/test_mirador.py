@@ -28,20 +28,12 @@ def mirador() -> Path:
     return script
 
 
-@pytest.fixture
-def browser(chromium_path):
-    from playwright import sync_api as playwright
-
-    with playwright.sync_playwright() as started:
-        yield started.chromium.launch(executable_path=chromium_path, args=["--no-sandbox"])
-
-
 class Quiet(http.server.SimpleHTTPRequestHandler):
     def log_message(self, *_):
         pass
 
 
-def test_mirador_shows_the_manifest_and_its_layers(database, publish, mirador, browser, tmp_path):
+def test_mirador_shows_the_manifest_and_its_layers(database, publish, mirador, chromium, tmp_path):
     made = functools.partial(Quiet, directory=str(tmp_path / "site"))
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), made) as server:
         base = f"http://127.0.0.1:{server.server_port}/"
@@ -51,7 +43,7 @@ def test_mirador_shows_the_manifest_and_its_layers(database, publish, mirador, b
         shutil.copy(mirador, tmp_path / "site/mirador.min.js")
         (tmp_path / "site/index.html").write_text(PAGE)
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        page, requested = browser.new_page(viewport={"width": 1200, "height": 800}), []
+        page, requested = chromium.new_page(viewport={"width": 1200, "height": 800}), []
         page.on("response", lambda answer: requested.append((answer.url, answer.status)))
         page.goto(base + "index.html")
         page.wait_for_selector("text=The icon1", timeout=180_000)

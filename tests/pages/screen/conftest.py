@@ -1,7 +1,6 @@
 """A real headless Chromium for the pages, in which no request to another host passes unnoticed."""
 
 import functools
-import importlib
 import threading
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import urlsplit
@@ -12,8 +11,6 @@ from levkas.workbench.history import HISTORY_NAME
 
 from .database import write_database
 from .serving import Served, opened
-
-FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
 
 
 class Browsing:
@@ -66,16 +63,6 @@ class Browsing:
 def _host(address):
     parts = urlsplit(address)
     return "" if parts.scheme in ("file", "data", "blob", "about") else parts.netloc
-
-
-@pytest.fixture(scope="session")
-def chromium(chromium_path):
-    """Headless Chromium."""
-    playwright = importlib.import_module("playwright.sync_api")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=chromium_path, args=FLAGS, headless=True)
-        yield browser
-        browser.close()
 
 
 @pytest.fixture

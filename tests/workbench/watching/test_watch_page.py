@@ -95,28 +95,24 @@ def test_a_browser_is_told_all_at_first_and_then_what_changes(board):
 
 
 @pytest.mark.slow
-def test_the_page_shows_a_clipped_white_in_large_letters(board, chromium_path):
+def test_the_page_shows_a_clipped_white_in_large_letters(board, chromium):
     try:
         read_built("watch.js")
     except ScreenMissing:
         pytest.skip("the pages were not built")
-    from playwright.sync_api import sync_playwright
-
     server = WatchServer(board)
     try:
-        with sync_playwright() as player:
-            browser = player.chromium.launch(executable_path=chromium_path, args=["--no-sandbox"])
-            page = browser.new_page(viewport={"width": 1440, "height": 900})
-            told = []
-            page.on("console", lambda message: told.append(message.text))
-            page.goto(server.address.url)
-            page.get_by_text("full scale").first.wait_for()
-            verdict = page.locator(".card.stop .verdict")
-            assert verdict.inner_text().lower() == "stop"
-            page.keyboard.press("l")
-            assert verdict.evaluate("e => parseFloat(getComputedStyle(e).fontSize)") > 100
-            assert page.evaluate("document.documentElement.scrollWidth") <= 1440
-            assert told == []
-            browser.close()
+        page = chromium.new_page(viewport={"width": 1440, "height": 900})
+        told = []
+        page.on("console", lambda message: told.append(message.text))
+        page.goto(server.address.url)
+        page.get_by_text("full scale").first.wait_for()
+        verdict = page.locator(".card.stop .verdict")
+        assert verdict.inner_text().lower() == "stop"
+        page.keyboard.press("l")
+        assert verdict.evaluate("e => parseFloat(getComputedStyle(e).fontSize)") > 100
+        assert page.evaluate("document.documentElement.scrollWidth") <= 1440
+        assert told == []
+        page.close()
     finally:
         server.stop()
