@@ -25,6 +25,9 @@ files = "photo/{target}_r{row}c{column}.tif"
 kind = "image"
 files = "infrared/{target}.tif"
 """
+POSITIONS = "tile,x,y\n" + "".join(
+    f"r{i + 1}c{j + 1},{130 * j},{140 * i}\n" for i in range(2) for j in range(3)
+)
 XRAY = """[cameras.xray]
 kind = "image"
 files = "xray/{target}_{tile}.tif"
@@ -191,6 +194,12 @@ def test_tiles_are_levelled_by_recorded_gains_only_where_that_is_asked(tmp_path)
         assert steps["photo", "register"].state == ("fresh" if more else "done")
         assert steps["photo", "resample"].state == "done"
         found[name] = steps["photo", "resample"].warnings
+    (tmp_path / "stage.csv").write_text(POSITIONS)
+    (tmp_path / "campaign.toml").write_text(keys + 'positions = "stage.csv"\n')
+    assert steps_of(tmp_path)["photo", "resample"].state == "done"
+    (tmp_path / "stage.csv").write_text(POSITIONS.replace("130", "131"))
+    steps = steps_of(tmp_path)
+    assert [steps["photo", stage].state for stage in ("register", "resample")] == ["done", "done"]
     assert any("differ by" in text and "r1c2" in text for text in found["as captured"])
     assert not any("where they meet" in text for text in found["levelled"]), found["levelled"]
     assert any("levelled by gains of -" in text for text in found["levelled"])

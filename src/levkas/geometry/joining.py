@@ -294,7 +294,7 @@ class Seams:
         from scipy.sparse.linalg import spsolve
 
         place = {name: i for i, name in enumerate(names)}
-        pairs = [pair for pair in sorted(self.sums) if pair[0] in place and pair[1] in place]
+        pairs = sorted(self.sums)
         first, second = (np.array([place[pair[k]] for pair in pairs], int) for k in (0, 1))
         logs = np.zeros((len(names), len(self.labels)))
         for band in range(len(self.labels)):

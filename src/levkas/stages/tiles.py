@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from levkas.stages.shared_noise import Mosaic
 
 LEVELLED_STEP = 4
+"""Grid px between the pixels that gains are found from: a seam 16 px wide has four."""
 BLOCK_SAMPLES = 6_000_000
 """Values of the grid that are joined at a time; with two tiles about each, and flags and sigma, 0.2 GB."""
 MOST_ROWS = 128
@@ -313,9 +314,11 @@ class TiledCapture:
 
     def level(self, maps: Mapping[str, Transform], size: tuple[int, int]) -> None:
         """Find the gains of tiles from every `LEVELLED_STEP`-th pixel a side where they meet; they are joined with them from now on."""
+        self.gains = {}
         step = LEVELLED_STEP
         coarse = {label: Composed(onto_box(0, 0, step), one) for label, one in maps.items()}
         joiner = _Joiner(self, coarse, (max(size[0] // step, 1), max(size[1] // step, 1)))
+        joiner.require_memory()
         for start, stop in joiner.blocks():
             joiner.rows(start, stop)
         self.gains = joiner.seams.levelling_gains([tile.name for tile in joiner.tiles])
