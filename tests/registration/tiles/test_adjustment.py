@@ -58,7 +58,7 @@ def test_dissection_solves_and_inverts_as_a_dense_matrix_does():
     np.testing.assert_allclose(last, inverse[-s:, -s:], atol=1e-12)
 
 
-def planted(rows, columns, rng, *, noise, k1=0.01, bend=0.0):
+def planted(rows, columns, rng, *, noise, k1=0.01, bend=0.0, many=20):
     """Windows of tiles seen through one lens: plane → tile by a homography, then radial distortion about the middle."""
     middle, reach = (np.array(SIZE) - 1) / 2, SIZE[0] / 2
     count, views = rows * columns, []
@@ -89,7 +89,7 @@ def planted(rows, columns, rng, *, noise, k1=0.01, bend=0.0):
         inside = ((a >= 0) & (b >= 0) & (a <= np.array(SIZE) - 1) & (b <= np.array(SIZE) - 1)).all(
             1
         )
-        here = np.flatnonzero(inside)[:20]
+        here = np.flatnonzero(inside)[:many]
         first.append(a[here] + rng.normal(size=(len(here), 2)) * noise)
         second.append(b[here])
         overlap.append(np.full(len(here), k))
@@ -141,6 +141,16 @@ def test_errors_are_those_that_sigma_promises():
     middle = off[4::9]
     ratio = np.sqrt((middle**2).mean() / np.mean(sigma))
     assert 0.4 < ratio < 2.2  # few long waves across the mosaic make most of it
+
+
+def test_tiles_differ_in_scale_by_what_was_planted_however_many_windows_there_are():
+    """Residuals of a smaller mosaic are smaller: without a fixed scale it shrinks, and tiles seem to differ by that."""
+    rng = np.random.default_rng(6)
+    windows, begin, *_ = planted(3, 4, rng, noise=0.3, many=120)
+    adjusted = adjust(windows, begin, AdjustmentTerms(bend=True))
+    assert 0.06 < adjusted.deviations[0] < 0.6  # 0.2 px: a thousandth at the rim
+    size = np.hypot(*adjusted.maps.own[:, :2].T)
+    assert size.mean() == pytest.approx(200, abs=1e-6)
 
 
 @pytest.mark.slow

@@ -246,8 +246,11 @@ class _Work:
         for number in range(rounds):
             system, right, shared = self.equations(maps, weigh=number < WEIGHED_ROUNDS)
             move, common = BlockFactor(system, self.order).solve(right, shared)
-            maps = replace(maps, own=maps.own + move, shared=maps.shared + common)
-            if max(float(np.abs(move).max()), float(np.abs(common).max())) < CONVERGED_PX:
+            before, maps = maps, replace(maps, own=maps.own + move, shared=maps.shared + common)
+            if self.placed is None:
+                maps = _at_mean_scale(maps)
+            moved = np.abs(maps.own - before.own).max(), np.abs(common).max()
+            if max(map(float, moved)) < CONVERGED_PX:
                 break
         return maps
 
@@ -399,6 +402,14 @@ class _Work:
             whole[:, :OWN, OWN:] -= turned @ common[:width].T
         whole[:, OWN:, :OWN] = whole[:, :OWN, OWN:].transpose(0, 2, 1)
         return whole
+
+
+def _at_mean_scale(maps: TileMaps) -> TileMaps:
+    """Return the mosaic at the scale at which tiles are as large as their px on average: a smaller one has smaller residuals, and would shrink."""
+    size = np.hypot(maps.own[:, 0], maps.own[:, 1])
+    own = maps.own.copy()
+    own[:, :4] *= maps.frame.spread / size.mean()
+    return replace(maps, own=own)
 
 
 def _motions(maps: TileMaps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
