@@ -85,6 +85,7 @@ def test_a_changed_file_changes_the_code_of_the_stages_that_may_rest_on_it(tmp_p
     with (package / name).open("a") as file:
         file.write("\n")
     sources._hash.cache_clear()
+    sources._hash_folder.cache_clear()
     now = {stage: sources._hash(folders, package) for stage, folders in STAGES.items()}
     assert {stage for stage in STAGES if now[stage] != before[stage]} == stages
 

@@ -6,7 +6,6 @@ import platform
 import re
 import traceback
 from functools import partial
-from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any
 
@@ -124,6 +123,8 @@ def _report(error: BaseException, what: str, file: str | Path | None) -> str:
 
 def _libraries() -> list[tuple[str, str]]:
     """Return names and versions of the libraries that Levkas needs."""
+    from importlib.metadata import PackageNotFoundError, requires, version
+
     found = []
     try:
         needed = [one for one in requires("levkas") or () if "extra ==" not in one]

@@ -67,13 +67,22 @@ def files_of(folders: tuple[str, ...], package: Path = HERE) -> Iterator[Path]:
 @cache
 def _hash(folders: tuple[str, ...], package: Path = HERE) -> str:
     digest = hashlib.sha256()
-    for path in files_of(folders, package):
-        digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
+    for folder in folders:
+        digest.update(_hash_folder(folder, package))
     names = LIBRARIES + (LIBRARIES_OF_PAGES if "pages" in folders else ())
     digest.update(repr([(name, _version(name)) for name in names]).encode())
     return digest.hexdigest()[:16]
 
 
+@cache  # stages share folders
+def _hash_folder(folder: str, package: Path) -> bytes:
+    digest = hashlib.sha256()
+    for path in files_of((folder,), package):
+        digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
+    return digest.digest()
+
+
+@cache  # each has to be read and parsed
 def _version(distribution: str) -> str:
     try:
         return version(distribution)
