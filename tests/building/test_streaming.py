@@ -85,7 +85,7 @@ def test_rows_are_resampled_as_the_whole_is(scan_and_cube, monkeypatch, tmp_path
     flags = np.concatenate([b.flags for b in blocks])
     sigma = np.concatenate([b.sigma for b in blocks])
     assert np.array_equal(flags & Flag.OUTSIDE, whole.flags & Flag.OUTSIDE)
-    assert np.nanmax(np.abs(values - whole.values)) < 1e-4
+    assert_rounded_alike(values, sigma, whole.values)
     assert np.nanmax(np.abs(sigma / np.sqrt(whole.variance) - 1)) < 0.005
     for tile in ("11", "whole"):  # neither a part of a strip nor a multiple of it
         monkeypatch.setenv("LEVKAS_TILE", tile)
@@ -95,6 +95,13 @@ def test_rows_are_resampled_as_the_whole_is(scan_and_cube, monkeypatch, tmp_path
         assert np.array_equal(np.concatenate([b.flags for b in others]), flags)
         assert np.array_equal(np.concatenate([b.sigma for b in others]), sigma, equal_nan=True)
     assert not list(tmp_path.iterdir())
+
+
+def assert_rounded_alike(values, sigma, whole):
+    """Half a step of at most a tenth of sigma lies between what is stored and what was computed."""
+    np.testing.assert_array_equal(np.isnan(values), np.isnan(whole))
+    known = np.isfinite(whole)
+    assert (np.abs(values - whole) <= 0.05 * sigma + 1e-4)[known].all()
 
 
 def test_lines_that_two_strips_share_are_calibrated_once(scan_and_cube, monkeypatch):
@@ -127,7 +134,7 @@ def test_of_a_scan_that_lies_askew_many_lines_are_held_and_a_very_large_one_is_r
     whole = warp(cube.values, maps, (40, 40), flags=cube.flags)
     values = np.concatenate([block.values for block in blocks])
     assert np.isfinite(values).any()
-    np.testing.assert_allclose(values, whole.values, atol=1e-4)
+    assert_rounded_alike(values, np.concatenate([b.sigma for b in blocks]), whole.values)
     monkeypatch.setattr(streaming, "ASKEW_BYTES", streaming.BUFFER_BYTES)
     with pytest.raises(streaming.ScanRefused, match="tilted relative to the grid"):
         next(streaming.resample_scan(scan, maps, (40, 40), spool=tmp_path).blocks)

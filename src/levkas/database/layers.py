@@ -20,7 +20,7 @@ from levkas.core.rounding import SIGMA_DROP, is_rounded, round_sigma
 from levkas.core.threads import made_ahead
 from levkas.database.catalogue import ESTIMATED, MEASURED, Entry
 from levkas.database.credits import Credits
-from levkas.database.layout import SIGMA, LayerId, layer_name
+from levkas.database.layout import SIGMA, STEP, LayerId, layer_name
 from levkas.database.preview import write_preview
 from levkas.database.spectral_tiff import (
     THREADS,
@@ -55,6 +55,8 @@ class Layer:
         Of the sensitivities of channels without a centre wavelength, for tag 65000.
     estimate : mapping, optional
         Of a layer that was estimated from others: its method, layers and training objects.
+    step_per_sigma : float
+        Largest step of the values that `core.rounding.round_values` left, a share of their sigma; NaN where it took none.
     """
 
     object: str
@@ -64,6 +66,7 @@ class Layer:
     credits: Credits = field(default_factory=Credits)
     centroids: Mapping[str, float] = field(default_factory=dict)
     estimate: Mapping[str, Any] | None = None
+    step_per_sigma: float = nan
 
     @property
     def name(self) -> str:
@@ -154,7 +157,10 @@ def write_layer(
             layer.name,
             shape=rows.shape,
             bands=rows.bands,
-            attributes={"quantity": rows.quantity, **layer.attributes(rows.quantity, rows.bands)},
+            attributes={
+                **layer.attributes(rows.quantity, rows.bands),
+                **facts_of_values(layer, sigma=rows.has_sigma),
+            },
             sigma=rows.has_sigma,
         ) as store,
         ThreadPoolExecutor(1, thread_name_prefix="store") as beside,
@@ -251,7 +257,11 @@ class _SpooledTiffs:
         bands, quantity = self._rows.bands, self._rows.quantity
         facts = layer.attributes(quantity, bands)
         more = {
-            "values": facts_of_values(facts, rendering, sigma=self._rows.has_sigma),
+            "values": {
+                **facts,
+                **({"rendering": rendering} if rendering else {}),
+                **facts_of_values(layer, sigma=self._rows.has_sigma),
+            },
             "flags": {**facts, "quantity": "flags"},
             "sigma": {**facts, "quantity": f"sigma of {quantity}"},
         }
@@ -275,10 +285,10 @@ class _SpooledTiffs:
         return written
 
 
-def facts_of_values(facts: dict[str, Any], rendering: str, *, sigma: bool) -> dict[str, Any]:
+def facts_of_values(layer: Layer, *, sigma: bool) -> dict[str, Any]:
     """Return what the values say of themselves beyond what flags and sigma say too."""
-    more: dict[str, Any] = {"rendering": rendering} if rendering else {}
-    return {**facts, **more, **({SIGMA: True} if sigma else {})}
+    step = layer.step_per_sigma
+    return {**({SIGMA: True} if sigma else {}), **({} if isnan(step) else {STEP: step})}
 
 
 def centres_of(bands: Sequence[Band], centroids: Mapping[str, float] | None = None) -> list[float]:

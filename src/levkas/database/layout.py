@@ -10,6 +10,8 @@ KINDS = {"values": ".tif", "flags": ".flags.tif", "sigma": ".sigma.tif"}
 
 SIGMA = "sigma"
 """Among the facts of values: true where a sigma belongs to them, so that a missing one is noticed."""
+STEP = "step_per_sigma"
+"""Among the facts of values: the largest step that they are rounded to, a share of their sigma."""
 ESTIMATE = ".estimate.json"
 """Ending of the record of what an estimated layer was made of."""
 

@@ -236,7 +236,7 @@ class Native:
         found = warped.variance
         if found is not None:
             found = round_root(found, out=found)
-        values = round_values(warped.values, out=warped.values)
+        values = round_values(warped.values, found, out=warped.values)
         return Cube(values, warped.flags, found, cube.bands, cube.quantity)
 
     def _take_variance(self, sensor: str) -> np.ndarray | None:

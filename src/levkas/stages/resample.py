@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import base64
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import nan, prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from levkas.core.disk import require_space
+from levkas.core.rounding import STEP_PER_SIGMA
 from levkas.database.credits import credits_of
 from levkas.database.grey import read_grey
 from levkas.database.layers import Layer, write_layer
@@ -144,9 +145,10 @@ def write_resampled(
     rows, statistics = made.rows, made.statistics
     least = least_bytes(prod(rows.shape), rows.quantity, noisy=rows.has_sigma)
     require_space(frame.places.output, 2 * least)  # as TIFF and as Zarr
+    layer = replace(target.layer, step_per_sigma=STEP_PER_SIGMA) if rows.has_sigma else target.layer
     entry, files = write_layer(
         frame.places.output,
-        target.layer,
+        layer,
         statistics.flagged(rows),
         verdict=target.verdict,
         encoded=target.encoded,

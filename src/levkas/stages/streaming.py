@@ -310,7 +310,7 @@ def _resampled(scan: CalibratedLines, lines: Cube, tile: _Tile, width: int) -> C
         )
     if sigma is not None:
         sigma = round_root(sigma, out=sigma)
-    return Cube(round_values(values, out=values), flags, sigma, scan.bands, scan.quantity)
+    return Cube(round_values(values, sigma, out=values), flags, sigma, scan.bands, scan.quantity)
 
 
 def _rows_at_once(

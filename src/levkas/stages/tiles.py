@@ -476,7 +476,7 @@ class _Joiner:
         if self.has_sigma:
             noise = joined.variance
             sigma = round_root(np.full(shape, np.nan, np.float32) if noise is None else noise)
-        values = round_values(joined.values, out=joined.values)
+        values = round_values(joined.values, sigma, out=joined.values)
         return Cube(values, joined.flags, sigma, self._source.bands, self._source.quantity)
 
     def _part(self, tile: _LaidTile, start: int, stop: int) -> TilePart:
