@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from levkas.registration import register
+from levkas.registration import marks, register
 from levkas.registration.marks import compare_marks, describe_want_of_marks
 
 SHAPE = (360, 460)
@@ -93,3 +93,16 @@ def test_marks_that_a_much_coarser_picture_cannot_show_do_not_contradict_a_right
     fine += 30 * grain
     coarse = cv2.resize(fine, (240, 240), interpolation=cv2.INTER_AREA)
     assert register(fine, coarse).verdict.decision == "accept"
+
+
+def test_marks_are_the_same_however_many_rows_are_separated_at_once(monkeypatch):
+    rng = np.random.default_rng(5)
+    one = rng.normal(size=(300, 260)).astype(np.float32).cumsum(1)
+    one[90:130, 40:200] = np.nan
+    other = one + rng.normal(size=one.shape).astype(np.float32)
+    everywhere = np.ones(one.shape, bool)
+    found = []
+    for rows in (1000, 64, 47):
+        monkeypatch.setattr(marks, "ROWS", rows)
+        found.append(marks.compare_marks(one, other, everywhere))
+    assert found[0] == found[1] == found[2] is not None

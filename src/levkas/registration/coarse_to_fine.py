@@ -42,7 +42,13 @@ from levkas.registration.line_correction import LineCorrection, find_correction
 from levkas.registration.line_displacement import LineDisplacement, measure_line_displacement
 from levkas.registration.local_shifts import WindowShifts, highpass
 from levkas.registration.manual_points import ManualPoints
-from levkas.registration.marks import Marks, compare_marks, confirmed_places, white_noise
+from levkas.registration.marks import (
+    Marks,
+    compare_marks,
+    confirmed_places,
+    white_noise,
+    whiteness,
+)
 from levkas.registration.measured_bands import chromatic_of_all, is_smooth_in_wavelength
 from levkas.registration.model_selection import SelectedModel, SelectionTerms, select_model
 from levkas.registration.models import Observations
@@ -307,14 +313,14 @@ class SensorTask:
         whole = Composed(found.chromatic.transform(best), found.base)
         band, reference = self.bands[best], self.reference.principal_image(step)
         own = self.images[band.label]
-        target = self.resample(band, whole, step, own)
-        noise = (
-            self.reference.white_noise(step),
-            self.resample(band, whole, step, white_noise(own.shape)),
+        white = (
+            whiteness(self.reference.white_noise(step)),
+            whiteness(self.resample(band, whole, step, white_noise(own.shape))),
         )
+        target = self.resample(band, whole, step, own)
         coarser = own if self.scale * step < 1 else None
         where = confirmed_places(found.checks, reference.shape, step)
-        return compare_marks(reference, target, where, white=noise, own=coarser)
+        return compare_marks(reference, target, where, white=white, own=coarser)
 
 
 @dataclass(frozen=True)

@@ -288,7 +288,8 @@ def highpass_rows(image: np.ndarray) -> np.ndarray:
     image = np.ascontiguousarray(image, np.float32)
     across, share = (np.zeros(image.shape, np.float32) for _ in range(2))
     in_threads(_average_rows, image.shape[0], image, _TAPS, across, share)
-    return image - across / np.maximum(share, np.float32(1e-6))
+    across /= np.maximum(share, np.float32(1e-6), out=share)
+    return np.asarray(np.subtract(image, across, out=across))
 
 
 _TAPS = np.exp(-0.5 * (np.arange(-8, 9) / HIGHPASS_PX) ** 2)

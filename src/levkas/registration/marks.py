@@ -81,6 +81,8 @@ SETTINGS = MarkSettings()
 DISTINCTIVE = 0.25
 #: Of one degree of freedom.
 MEDIAN_OF_CHI_SQUARE = 0.455
+#: Rows that are separated at once, and rows beyond them that the widest Gaussian and what follows it reach.
+ROWS, REACH = 512, 40
 LAPLACIAN = np.outer((1, -2, 1), (1, -2, 1)).astype(np.float32) / 6
 
 
@@ -153,24 +155,18 @@ class _Detail:
 
     @classmethod
     def of(cls, image: np.ndarray) -> _Detail:
-        """Separate the scales of a picture, (h, w), NaN where invalid."""
-        import cv2
-
-        known = np.isfinite(image)
-        weight = known.astype(np.float32)
-        values = np.where(known, image, 0).astype(np.float32)
-        sharp, soft = (_smooth(values, weight, sigma) for sigma in SETTINGS.fine)
-        coarse = _smooth(values, weight, SETTINGS.drawing)
-        slope = np.hypot(*(cv2.Sobel(coarse, cv2.CV_32F, *axis) / 8 for axis in ((1, 0), (0, 1))))
-        ridge = np.abs(coarse - _smooth(values, weight, 2.5 * SETTINGS.drawing)) / SETTINGS.drawing
+        """Separate the scales of a picture, (h, w), NaN where invalid, some rows at a time."""
+        height, known = len(image), np.isfinite(image)
         spread = float(image[known].std()) if known.any() else 0.0
-        return cls(
-            (sharp - soft) * weight,
-            cv2.filter2D(values, -1, LAPLACIAN),
-            cv2.dilate(np.maximum(slope, ridge), np.ones((3, 3))),
-            cv2.erode(weight, np.ones((5, 5)), borderValue=1) > 0,
-            spread,
-        )
+        fine, laplacian, drawing = (np.empty(image.shape, np.float32) for _ in range(3))
+        valid = np.empty(image.shape, bool)
+        for start in range(0, height, ROWS):
+            stop, above = min(start + ROWS, height), max(start - REACH, 0)
+            parts = _separate(image[above : stop + REACH])
+            inner = slice(start - above, stop - above)
+            for whole, part in zip((fine, laplacian, drawing, valid), parts, strict=True):
+                whole[start:stop] = part[inner]
+        return cls(fine, laplacian, drawing, valid, spread)
 
     def contrast_in(self, where: np.ndarray) -> float:
         """Return fine detail at the places of a mask, (h, w), over the contrast of the whole picture; both robust to outlines."""
@@ -193,7 +189,7 @@ def compare_marks(
     target: np.ndarray,
     where: np.ndarray,
     *,
-    white: tuple[np.ndarray | None, np.ndarray | None] = (None, None),
+    white: tuple[float | None, float | None] = (None, None),
     own: np.ndarray | None = None,
 ) -> Marks | None:
     """Compare the marks of two pictures that lie on one another.
@@ -204,8 +200,8 @@ def compare_marks(
         The target through its map; NaN where invalid.
     where : ndarray of bool, (h, w)
         Places that confirm the map by their outlines.
-    white : (ndarray or None, ndarray or None), (h, w)
-        White noise that came to the grid as each picture did; None of a picture in its own px.
+    white : (float or None, float or None)
+        `whiteness` of noise that came to the grid as each picture did; None of a picture in its own px.
     own : ndarray, (h, w), optional
         The target in its own px, in which its noise is white, where it is coarser than the grid.
 
@@ -224,6 +220,7 @@ def compare_marks(
     (1.0, True, (False, False))
     """
     height, width = (min(n) for n in zip(reference.shape, target.shape, strict=True))
+    alone = None if own is None else _noise_of(own)
     first, second = (_Detail.of(image[:height, :width]) for image in (reference, target))
     both = first.valid & second.valid & where[:height, :width]
     if both.sum() < SETTINGS.window**2:
@@ -238,15 +235,21 @@ def compare_marks(
     if found is None:
         return None
     excess, sigma, windows = found
+    del a, b
     noise = [
-        one.noise_in(ground, whiteness(None if w is None else w[:height, :width]))
+        one.noise_in(ground, whiteness() if w is None else w)
         for one, w in zip((first, second), white, strict=True)
     ]
-    if own is not None:
-        alone = _Detail.of(own)
-        noise[1] = alone.noise_in(alone.valid, whiteness())
+    if alone is not None:
+        noise[1] = alone
     contrast = first.contrast_in(ground), second.contrast_in(ground)
     return Marks(float(np.sqrt(excess)), sigma, windows, contrast, (noise[0], noise[1]))
+
+
+def _noise_of(own: np.ndarray) -> float:
+    """Return the share of noise in the power of fine detail of a picture in its own px."""
+    detail = _Detail.of(own)
+    return detail.noise_in(detail.valid, whiteness())
 
 
 def confirmed_places(checks: CheckWindows, shape: tuple[int, ...], step: int) -> np.ndarray:
@@ -299,6 +302,24 @@ def describe_want_of_marks(record: Mapping[str, Any] | None) -> str:
     return (
         "Another panel by the same pattern would have the same outlines. Marks beside the outlines would show it, but "
         f"{why}."
+    )
+
+
+def _separate(image: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return fine detail, Laplacian, drawing and what is valid; of `REACH` rows at the edges only where the picture ends there."""
+    import cv2
+
+    weight = np.isfinite(image).astype(np.float32)
+    values = np.where(weight > 0, image, 0).astype(np.float32)
+    sharp, soft = (_smooth(values, weight, sigma) for sigma in SETTINGS.fine)
+    coarse = _smooth(values, weight, SETTINGS.drawing)
+    slope = np.hypot(*(cv2.Sobel(coarse, cv2.CV_32F, *axis) / 8 for axis in ((1, 0), (0, 1))))
+    ridge = np.abs(coarse - _smooth(values, weight, 2.5 * SETTINGS.drawing)) / SETTINGS.drawing
+    return (
+        (sharp - soft) * weight,
+        cv2.filter2D(values, -1, LAPLACIAN),
+        cv2.dilate(np.maximum(slope, ridge), np.ones((3, 3))),
+        cv2.erode(weight, np.ones((5, 5)), borderValue=1) > 0,
     )
 
 

@@ -75,12 +75,17 @@ class PredictorBasis:
 
         A combination of an image and its blurred copy is as sharp or as soft as the target is.
         """
-        sharp = np.stack([highpass(image) for image in self.images])
-        soft = blur(blur(sharp[:BLURRED]))
+        count = len(self.images)
+        soft = min(BLURRED, count)
+        images = np.empty((count + soft, *self.images.shape[1:]), np.float32)
+        for i, image in enumerate(self.images):
+            images[i] = highpass(image)
+        for i in range(soft):
+            images[count + i] = blur(blur(images[i]))
         return PredictorBasis(
-            np.concatenate([sharp, soft]),
+            images,
             np.concatenate([self.loadings, self.loadings[:BLURRED]]),
-            np.concatenate([self.groups, np.full(len(soft), self.groups.max() + 1)]),
+            np.concatenate([self.groups, np.full(soft, self.groups.max() + 1)]),
         )
 
     def position_sensitivity(self, shifts: WindowShifts) -> np.ndarray:
@@ -190,24 +195,22 @@ def measure_shifts(
     return predictor.compare(highpass(image), ridge=ridge)
 
 
-def blur(images: np.ndarray) -> np.ndarray:
-    """Blur (k, h, w) images by (1 4 6 4 1)/16 on both axes: one pixel of sigma; NaN spreads."""
-    return _convolved(images, (1, 4, 6, 4, 1))
+def blur(image: np.ndarray) -> np.ndarray:
+    """Blur an image, (h, w), by (1 4 6 4 1)/16 on both axes: one pixel of sigma; NaN spreads."""
+    return _convolved(image, (1, 4, 6, 4, 1))
 
 
-def _convolved(images: np.ndarray, taps: Sequence[int]) -> np.ndarray:
+def _convolved(image: np.ndarray, taps: Sequence[int]) -> np.ndarray:
     reach = len(taps) // 2
-    for axis in (1, 2):
-        padding = [(reach, reach) if a == axis else (0, 0) for a in range(3)]
-        padded, n = np.pad(images, padding, mode="edge"), images.shape[axis]
-        cuts = [
-            padded[:, k : k + n] if axis == 1 else padded[:, :, k : k + n] for k in range(len(taps))
-        ]
-        total = np.zeros_like(images)
-        for tap, cut in zip(taps, cuts, strict=True):
+    for axis in (0, 1):
+        padding = [(reach, reach) if a == axis else (0, 0) for a in range(2)]
+        padded, n = np.pad(image, padding, mode="edge"), image.shape[axis]
+        total = np.zeros_like(image)
+        for k, tap in enumerate(taps):
+            cut = padded[k : k + n] if axis == 0 else padded[:, k : k + n]
             total += np.float32(tap / sum(taps)) * cut
-        images = total
-    return images
+        image = total
+    return image
 
 
 def cell_px(shape: Sequence[int]) -> int:
@@ -289,8 +292,9 @@ class ReferenceStack:
         palette = self.palette
         if step > 1:
             # The target's samples are averages taken through the spline; so are these.
-            small = np.stack([reduce(image, step) for image in palette.images])
-            small = _convolved(small, (1, 4, 1))
+            small = np.stack(
+                [_convolved(reduce(image, step), (1, 4, 1)) for image in palette.images]
+            )
             palette = PredictorBasis(small, palette.loadings, palette.groups)
         images = palette.high_passed().images
         return Predictor(images, step=step, cell=cell_px(images.shape[1:]))
