@@ -1,5 +1,6 @@
 """What holds for every test and doctest."""
 
+import importlib
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -8,6 +9,16 @@ from pathlib import Path
 from levkas.core.instructions import hold_instructions
 
 hold_instructions()  # before NumPy is loaded: what tests build in this process is what commands build
+
+# One thread of linear algebra in this process, as a build has: threads of small problems wait for one another with the processor
+# busy, half of the time of a registration. The libraries ask once, when they are loaded; what tests start chooses for itself.
+THREADS = "OPENBLAS_NUM_THREADS"
+chosen = os.environ.get(THREADS)
+os.environ[THREADS] = chosen or "1"
+for library in ("numpy", "scipy.linalg"):  # each has an OpenBLAS of its own
+    importlib.import_module(library)
+if chosen is None:
+    del os.environ[THREADS]
 
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
