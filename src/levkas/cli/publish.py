@@ -112,6 +112,7 @@ def export(
             "photoshop",
             "ecirgb",
             "prophoto",
+            "ngff",
             "csv-spectra",
         ],
         typer.Option("--for", help="Program that will read the export."),
@@ -134,4 +135,4 @@ def export(
     files = [str(path) for step in steps for path in step.files]
     print_report("export", as_json, True, [], files=files)
     if not as_json:
-        typer.echo(f"{len(files)} files of {len(steps)} layers for {form}")
+        typer.echo(f"{len(files)} files of {steps[-1].total if steps else 0} layers for {form}")

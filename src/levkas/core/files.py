@@ -160,7 +160,7 @@ _path_check: ContextVar[Callable[[Path], object] | None] = ContextVar("path_chec
 
 @contextlib.contextmanager
 def before_writing(check: Callable[[Path], object]) -> Iterator[None]:
-    """Call `check` with the final path of every file that this thread writes in the block, before it is.
+    """Call `check` with the final path of every file, and of every whole folder, that this thread writes in the block, before it is.
 
     What it raises ends the writing; nothing has been touched then.
     """
@@ -296,6 +296,8 @@ def publishing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator
         As `replacing` does. The old folder is kept until the new one is whole.
     """
     path = Path(path)
+    if (check := _path_check.get()) is not None:
+        check(path)
     make_folder(path.parent)
     if bytes_needed is not None:
         require_space(path.parent, bytes_needed, path=path)

@@ -8,13 +8,15 @@ that are written into a folder of somebody else's, such as an export, a record b
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import json
 import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
-from levkas.core.digests import hash_file
+from levkas.core.digests import hash_file, hash_tree
 from levkas.core.disk import WriteRefused
 from levkas.core.files import DROPPINGS, OURS
 from levkas.core.problems import SCHEMES, Problem, Refused
@@ -168,14 +170,16 @@ class OwnFiles:
         """Record files whose names were claimed as they are now; those that were not written go."""
         for path in paths:
             self._files.pop(name := self._name(path), None)
-            if path.is_file():
-                self._files[name] = hash_file(path)
+            if digest := _hash(path):
+                self._files[name] = digest
         if paths:
             self._save()
 
     def _require(self, path: Path, name: str) -> None:
         if name.startswith("../") or Path(name).is_absolute():
             raise refusal("a name points outside the folder", self.folder, "file in it", name, "")
+        if self.overwrite and name in self._files and path.is_dir():
+            return
         if self.overwrite or not os.path.lexists(path):
             require_free(path, overwrite=True)
         elif name not in self._files or self._files[name] not in (None, _hash(path)):
@@ -215,6 +219,9 @@ def _record(path: Path) -> dict[str, str | None]:
 
 
 def _hash(path: Path) -> str:
+    """Digest of a file, or of all that a folder holds; empty where nothing stands there."""
+    if path.is_dir():
+        return hashlib.sha256(json.dumps(hash_tree(path)).encode()).hexdigest()
     return hash_file(path) if path.is_file() else ""
 
 

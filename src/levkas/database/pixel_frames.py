@@ -474,6 +474,11 @@ class Records:
         bands = self._tile(record, frame)["bands"] if frame.tile else record["bands"]
         return dict(bands[label])
 
+    def tiles(self, frame: Frame) -> list[str]:
+        """Return the names of the tiles of a layer that were placed; none where it has no tiles."""
+        tiles = self._record(frame).get("tiles", {})
+        return [name for name, one in tiles.items() if one.get("bands")]
+
     def _tile(self, record: dict[str, Any], frame: Frame) -> dict[str, Any]:
         """Return what a record says of one tile."""
         tiles = record.get("tiles", {})

@@ -156,7 +156,7 @@ def writing_layer(
     write_root(root)
     chunks, shards = chunks_of(shape)
     with publishing(root / name) as folder:
-        group = zarr.create_group(_store(folder), zarr_format=3)
+        group = zarr.create_group(folder_store(folder), zarr_format=3)
         facts = {k: v for k, v in attributes.items() if v is not None}
         kinds: dict[str, tuple[Any, Any, Mapping[str, Any]]] = {
             "values": (np.float32, nan, {**facts, **({SIGMA: True} if sigma else {})}),
@@ -171,7 +171,7 @@ def writing_layer(
                 chunks=chunks,
                 shards=shards,
                 filters=[],
-                compressors=_codecs(dtype),
+                compressors=codecs_of(dtype),
                 fill_value=fill,
                 attributes={**more, "coordinates": "wavelength fwhm"},
                 dimension_names=DIMENSIONS,
@@ -230,7 +230,7 @@ def _write_coordinates(group: Any, bands: Sequence[Band]) -> None:
             dtype=dtype,
             chunks=numbers.shape,
             filters="auto" if dtype is str else [],
-            compressors=_codecs(dtype),
+            compressors=codecs_of(dtype),
             fill_value=fill,
             attributes={} if name == "band" else {"units": "nm"},
             dimension_names=("band",),
@@ -239,14 +239,16 @@ def _write_coordinates(group: Any, bands: Sequence[Band]) -> None:
         array[...] = numbers
 
 
-def _codecs(kind: Any) -> list[Any]:
+def codecs_of(kind: Any) -> list[Any]:
+    """Return the codecs of an array's chunks, a checksum among them; `kind` is its dtype, or str."""
     from zarr.codecs import BloscCodec, Crc32cCodec
 
     size = 1 if kind is str else np.dtype(kind).itemsize
     return [BloscCodec(typesize=size, **SQUEEZE), Crc32cCodec()]
 
 
-def _store(folder: Folder) -> Any:
+def folder_store(folder: Folder) -> Any:
+    """Return a Zarr store that writes into a folder being built."""
     from zarr.storage import LocalStore
 
     class FolderStore(LocalStore):

@@ -20,6 +20,7 @@ FORMS = {
     "photoshop": "levkas.publish.export.photoshop:write_photoshop",
     "ecirgb": "levkas.publish.export.master:write_ecirgb",
     "prophoto": "levkas.publish.export.master:write_prophoto",
+    "ngff": "levkas.publish.export.ngff:write_ngff",
     "csv-spectra": "levkas.publish.export.spectra:write_spectra",
 }
 """Name of a format → where the function is that writes one layer into a folder and returns its files."""

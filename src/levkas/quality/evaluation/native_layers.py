@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
+from levkas.database.containment import check_inside
+from levkas.database.layout import layer_name
 
 if TYPE_CHECKING:
     from levkas.registration import BandImage
@@ -56,22 +59,14 @@ def read_native_layer(database: Path, name: str, camera: str, setup: str) -> Nat
     ComparisonRefused
         Where the database has none: it has them with ``[database] native = true``.
     """
-    from levkas.database.layout import Places
     from levkas.database.opening import open_pixels
 
-    places = Places(database)
-    first = places.native(name, camera, setup, "")
     sensors: dict[str, Any] = {}
-    for path in sorted(first.parent.glob(first.stem + "*.tif")):
-        if path.name.endswith((".flags.tif", ".sigma.tif")):
-            continue
+    for part, path in native_files(database, name, camera, setup).items():
         array = open_pixels(path)
-        labelled = (array.attrs.get("camera", camera), array.attrs.get("setup", setup) or "")
-        if labelled != (camera, setup):
-            continue
         flags = path.with_name(path.stem + ".flags.tif")
         values = np.asarray(array.values, np.float32)
-        sensors[path.stem.removeprefix(first.stem).removeprefix("_")] = (
+        sensors[part] = (
             values,
             np.asarray(open_pixels(flags).values, np.uint8)
             if flags.is_file()
@@ -79,9 +74,32 @@ def read_native_layer(database: Path, name: str, camera: str, setup: str) -> Nat
             [str(label) for label in array["band"].values],
             [float(w) for w in array["wavelength"].values],
         )
-    if not sensors:
-        raise no_native(f"{name}/{camera}", first)
     return NativeLayer(sensors)
+
+
+def native_files(database: Path, name: str, camera: str, setup: str) -> dict[str, Path]:
+    """Return the files with the native pixels of a layer, by the names of its sensors and tiles.
+
+    Raises
+    ------
+    ComparisonRefused
+        Where the database has none.
+    """
+    from levkas.database.described import open_tiff
+    from levkas.database.layout import Places
+
+    first = Places(database).native(name, camera, setup, "")
+    found = {}
+    for path in sorted(first.parent.glob(escape(first.stem) + "*.tif")):
+        if path.name.endswith((".flags.tif", ".sigma.tif")):
+            continue
+        check_inside(database, path)
+        facts = open_tiff(path).facts
+        if (facts.get("camera", camera), facts.get("setup", setup) or "") == (camera, setup):
+            found[path.stem.removeprefix(first.stem).removeprefix("_")] = path
+    if not found:
+        raise no_native(f"{name}/{layer_name(camera, setup)}", first)
+    return found
 
 
 def no_native(what: str, path: Path) -> ComparisonRefused:

@@ -1,0 +1,235 @@
+"""OME-Zarr scenes: where they say that native pixels lie, by code that knows numpy, JSON and Zarr alone."""
+
+import json
+import shutil
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+import zarr
+
+from levkas.core.cube import Band, Cube
+from levkas.core.digests import hash_tree
+from levkas.core.disk import WriteRefused
+from levkas.core.problems import Refused
+from levkas.database.catalogue import write_catalogue
+from levkas.database.layers import Layer, write_layer, write_tiffs
+from levkas.database.pixel_frames import map_points
+from levkas.geometry.grid import Grid
+from levkas.geometry.transforms import Affine, Composed, Homography, Lens
+from levkas.publish.export import export
+
+SIZES = {"photo": (420, 340), "ir": (700, 530)}
+TOLERANCE_PX = 0.011
+"""0.01 px of the grid is what a field may be off by in the middle of a cell; the rest is float32."""
+TILTED = Homography(np.array([[1.61, 0.05, 12.0], [-0.04, 1.53, 6.0], [2e-5, -3e-5, 1.0]]))
+
+
+def lens(k):
+    return Lens(np.array([350.0, 265.0]), 350.0, radial=(k, 0.004))
+
+
+MAPS = {
+    "photo": dict.fromkeys("RGB", Affine.identity()),
+    "ir": {
+        "850 nm": Composed(TILTED, lens(-0.02)),
+        "900 nm": Composed(TILTED, lens(-0.02)),
+        "940 nm": Composed(TILTED, lens(-0.021)),
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def database(tmp_path_factory):
+    """Two cameras with native pixels, registered by maps that are written down; the grid is turned and finer than the reference."""
+    root = tmp_path_factory.mktemp("scene") / "database"
+    grid = Grid(SIZES["photo"], rotate=90, output=(510, 630))
+    rng, entries = np.random.default_rng(8), []
+    for camera, maps in MAPS.items():
+        waves = [float(b.split()[0]) if b[0].isdigit() else np.nan for b in maps]
+        bands = tuple(Band(label, wave) for label, wave in zip(maps, waves, strict=True))
+        quantity = "counts" if camera == "photo" else "reflectance"
+        for size, write in ((grid.size, "layer"), (SIZES[camera], "native")):
+            values = rng.random((size[1], size[0], 3), np.float32)
+            cube = Cube(values, np.zeros(values.shape, np.uint8), None, bands, quantity)
+            layer = Layer("icon1", camera, "", px_per_mm=5.0)
+            if write == "layer":
+                entries.append(write_layer(root, layer, cube)[0])
+            else:
+                folder = root / "objects/icon1/native"
+                folder.mkdir(parents=True, exist_ok=True)
+                write_tiffs(folder / f"icon1_{camera}", layer, cube)
+        target = {"camera": camera, "setup": "", "band": next(iter(maps))}
+        record = {
+            "object": "icon1", "camera": camera, "setup": "", "method": "levkas",
+            "reference": {"camera": "photo", "setup": "", "band": "G"}, "target": target,
+            "grid": {"transform": grid.transform.to_dict(), "size": list(grid.size), "px_per_mm": 5.0},
+            "verdict": {"decision": "accept", "reasons": [], "next_step": "", "numbers": {}},
+            "bands": {band: {"transform": one.to_dict(), "size": list(SIZES[camera])}
+                      for band, one in maps.items()},
+        }  # fmt: skip
+        folder = root / "objects/icon1/registration"
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"{camera}.json").write_text(json.dumps(record))
+    write_catalogue(root, entries)
+    return root
+
+
+@pytest.fixture(scope="module")
+def scene(database, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("out")
+    (step,) = (s for s in export(database, "ngff", output=folder) if s.files)
+    assert [path.name for path in step.files] == ["icon1.ome.zarr"]
+    return step.files[0]
+
+
+def follow(root, transformation, points, *, back=False):
+    """Evaluate a transformation of RFC-5 on (n, axes) points, in the axes' order."""
+    kind = transformation["type"]
+    if kind == "identity":
+        return points
+    if kind == "scale":
+        return points / transformation["scale"] if back else points * transformation["scale"]
+    if kind == "affine":
+        matrix = np.array(transformation["affine"])
+        if back:
+            return np.linalg.solve(matrix[:, :-1], (points - matrix[:, -1]).T).T
+        return points @ matrix[:, :-1].T + matrix[:, -1]
+    if kind == "bijection":
+        return follow(root, transformation["inverse" if back else "forward"], points)
+    if kind == "sequence":
+        steps = transformation["transformations"]
+        for step in steps[::-1] if back else steps:
+            points = follow(root, step, points, back=back)
+        return points
+    if kind == "byDimension":
+        result = points.copy()
+        for part in transformation["transformations"]:
+            ends = part["inputAxes"], part["outputAxes"]
+            take, put = ends[::-1] if back else ends
+            result[:, put] = follow(root, part["transformation"], points[:, take], back=back)
+        return result
+    assert kind == "displacements" and not back and transformation["interpolation"] == "linear"
+    group = root[transformation["path"]]
+    (one,) = group.attrs["ome"]["multiscales"]
+    (dataset,) = one["datasets"]
+    scale, shift = (
+        np.array(list(t.values())[1])
+        for t in dataset["coordinateTransformations"][0]["transformations"]
+    )
+    assert [axis["type"] for axis in one["coordinateSystems"][0]["axes"]] == ["displacement", "space", "space"]  # fmt: skip
+    field = group[dataset["path"]][:]
+    at = (points - shift[1:]) / scale[1:]
+    low = np.clip(np.floor(at).astype(int), 0, np.array(field.shape[1:]) - 2)
+    part = at - low
+    moved = points.copy()
+    for component in range(2):
+        values = field[component]
+        for y in (0, 1):
+            for x in (0, 1):
+                weight = np.where([y, x], part, 1 - part).prod(1)
+                moved[:, component] += weight * values[low[:, 0] + y, low[:, 1] + x]
+    return moved
+
+
+def steps_of(scene):
+    root = zarr.open_group(scene, mode="r")
+    ome = root.attrs["ome"]
+    assert ome["version"] == "0.6"
+    return root, ome["scene"]["coordinateTransformations"]
+
+
+def images_of(root):
+    """Where each band lies: its frame as `levkas map` calls it, its image and its channel."""
+    return [
+        (f"{root[path].attrs['ome']['multiscales'][0]['name'].partition(':')[0]}:{c['label']}", path, i)
+        for path in root.group_keys()
+        if "ome" in root[path].attrs
+        for i, c in enumerate(root[path].attrs["ome"]["omero"]["channels"])
+    ]  # fmt: skip
+
+
+def test_transformations_as_written_lead_where_levkas_map_leads_there_and_back(database, scene):
+    root, steps = steps_of(scene)
+    bands = images_of(root)
+    assert sorted(frame for frame, _, _ in bands) == sorted(
+        f"{camera}:{band}" for camera, maps in MAPS.items() for band in maps
+    )
+    rng = np.random.default_rng(2)
+    for frame, path, channel in bands:
+        size = np.array(SIZES[frame.partition(":")[0]])
+        native = rng.uniform(-0.4, size - 0.6, (3000, 2))
+        truth = map_points(database, "icon1", native, source=frame, target="grid")
+        seen = np.isfinite(truth).all(1)
+        assert seen.sum() > 1000
+        points = np.column_stack([np.full(len(native), float(channel)), native[:, ::-1]])[seen]
+        (step,) = (s for s in steps if s["input"] == {"path": path, "name": "native"})
+        assert step["output"] == {"name": "grid"}
+        there = follow(root, step, points)
+        assert np.array_equal(there[:, 0], points[:, 0])
+        assert np.abs(there[:, :0:-1] - truth[seen]).max() < TOLERANCE_PX
+        back = follow(root, step, there, back=True)
+        # 1.8 px of the infrared frame lie on a pixel of the grid, and both ways have their error.
+        assert np.abs(back - points).max() < 4 * TOLERANCE_PX
+
+
+def test_pixels_are_the_native_ones_and_halves_lie_in_the_middle_of_theirs(database, scene):
+    from levkas.database.spectral_tiff import read_tiff_pages
+
+    root, _ = steps_of(scene)
+    for frame, path, channel in images_of(root):
+        camera, _, label = frame.partition(":")
+        labels = list(MAPS[camera])
+        cube = read_tiff_pages(database / f"objects/icon1/native/icon1_{camera}.tif")
+        plane = root[path]["0"][channel]
+        assert np.array_equal(plane, cube[..., labels.index(label)])
+        (one,) = root[path].attrs["ome"]["multiscales"]
+        for dataset in one["datasets"][1:]:
+            scale, shift = (
+                list(t.values())[1]
+                for t in dataset["coordinateTransformations"][0]["transformations"]
+            )
+            level = root[path][dataset["path"]]
+            n = round(scale[2])
+            assert np.allclose(level[channel][0, 0], plane[:n, :n].mean(), rtol=1e-5)
+            assert shift == [0.0, (n - 1) / 2, (n - 1) / 2]  # the mean of 0 … n - 1
+
+
+def test_bands_that_share_a_map_are_one_image_and_the_grid_is_known_in_millimetres(scene):
+    root, steps = steps_of(scene)
+    assert {path for _, path, _ in images_of(root)} == {"photo", "ir_band-001", "ir_band-003"}
+    assert root["ir_band-001/0"].shape[0] == 2 and root["photo/0"].shape == (3, 340, 420)
+    (last,) = (s for s in steps if s["output"] == {"name": "object"})
+    assert last["input"] == {"name": "grid"} and last["scale"] == [1.0, 0.2, 0.2]
+
+
+def test_a_scene_is_replaced_as_a_whole_unless_somebody_changed_it(database, tmp_path):
+    def write(**options):
+        return [p for s in export(database, "ngff", output=tmp_path, **options) for p in s.files]
+
+    (path,) = write(cameras=["ir"])
+    assert hash_tree(write()[0]) == hash_tree(write()[0])
+    (path / "notes.txt").write_text("three years")
+    with pytest.raises(WriteRefused, match="was changed since"):
+        write()
+    write(overwrite=True)
+    assert not (path / "notes.txt").exists()
+
+
+def test_a_database_without_native_pixels_is_refused_with_the_key_that_keeps_them(
+    database, tmp_path
+):
+    bare = shutil.copytree(database, tmp_path / "bare")
+    shutil.rmtree(bare / "objects/icon1/native")
+    with pytest.raises(Refused) as refused:
+        list(export(bare, "ngff", output=tmp_path / "out"))
+    assert "native = true" in refused.value.problems[0].fix
+    assert not list((tmp_path / "out").glob("*.ome.zarr"))
+
+
+@pytest.mark.skipif(find_spec("ngff_zarr") is None, reason="ngff-zarr is not installed")
+def test_another_library_finds_the_scene_valid(scene):
+    import ngff_zarr
+
+    read = ngff_zarr.from_ome_zarr(str(scene), kind="scene", validate=True)
+    assert sorted(read.images) == ["ir_band-001", "ir_band-003", "photo"]
