@@ -3,7 +3,7 @@
     python benchmarks/watching.py faults FOLDER      each fault at two sizes, into each camera of a simulated session
     python benchmarks/watching.py alarms FOLDER      ten sound simulated sessions of unlike cameras
     python benchmarks/watching.py frames FOLDER      seconds from the last byte of a frame to its verdict, 1 to 100 Mpx
-    python benchmarks/watching.py many FOLDER        the same in a session of 10 to 1,000 frames, and the memory it takes
+    python benchmarks/watching.py many FOLDER        the same in a session of 10 to 10,000 frames, and the memory it takes
 
 Each takes `--results FILE`. FOLDER is a new one for what is simulated.
 """
@@ -34,7 +34,7 @@ from levkas.workbench.watching.cache import MeasureCache
 LOOKS_S = 0.3
 PRESETS = (("small", None), ("small", 0.14), ("hard", 0.15), ("default", 0.15), ("small", 0.18))
 MEGAPIXELS = (1, 4, 16, 50, 100)
-SIZES = (10, 100, 1000)
+SIZES = (10, 100, 1000, 10000)
 ONE_CAMERA = """
 [campaign]
 reference = { camera = "grey", band = "550 nm" }
@@ -179,32 +179,53 @@ def frames(folder, results):
 
 
 def many(folder, results):
-    """Time the verdict of one frame more in sessions of many, whose frames came in any order."""
+    """Time the verdict of one frame more in sessions of many, whose frames came in any order and state."""
     found, home = {}, home_of(folder / "many")
     session, rng, there = watched(home), np.random.default_rng(2), 0
     names = [(f"icon{k % 20}", 400 + 10 * (k // 20 % 25), k // 500) for k in range(max(SIZES))]
     order = rng.permutation(len(names))
     for size in SIZES:
-        start = time.monotonic()
+        start, before = time.monotonic(), os.times()
+        late = []
         for k in order[there:size]:
-            target, band, shot = names[k]
-            put(home, f"{target}_{band}nm_{shot:02}.tif", (120, 160), int(k))
-        written = time.monotonic()
+            late += _come(home, names[k], int(k))
+            if k % 100 == 0:
+                list(session.poll(most_s=1))
+        for path, data in late:
+            path.write_bytes(data)
         session.settle(3600)
-        there, settled = size, time.monotonic()
+        spent, frames = os.times().user - before.user, len(session.listing.files)
+        there, took = size, time.monotonic() - start
         put(home, f"late{size}_550nm_99.tif", (120, 160), 7)
         seconds, _ = wait_for(session, f"raw/late{size}_550nm_99.tif", None, 60)
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
         found[size] = seconds
         print(
-            f"{size:6} frames: one more {seconds:.2f} s; written {written - start:.0f} s, judged "
-            f"{settled - written:.0f} s, {memory:.2f} GB, {os.times().user:.0f} s of processor",
+            f"{size:6} ({frames} files): one more {seconds:.2f} s; written and judged {took:.0f} s, "
+            f"{spent:.0f} s of processor, {memory:.2f} GB",
             flush=True,
         )
-    again = watched(home)
-    assert again.settle(3600).to_dict() == session.state().to_dict(), "the order of coming shows"
-    record(results, "watching", {f"one of {n} frames": s for n, s in found.items()})
-    record(results, "watching", {"memory of 1,000 frames": memory})
+    again = WatchedSession(home, MeasureCache(folder / "other-cache"))
+    assert again.settle(3600).to_dict() == session.state().to_dict(), "the way of coming shows"
+    record(results, "watching", {f"one of {n:,} frames": s for n, s in found.items()})
+    record(results, "watching", {"memory of 10,000 frames": memory})
+
+
+def _come(home, name, k):
+    """Write a frame: one in fifty half at first, in 50 late, in 50 replaced by another, in 50 twice; return what comes later."""
+    target, band, shot = name
+    path = home / "raw" / f"{target}_{band}nm_{shot:02}.tif"
+    put(home, path.name, (120, 160), k)
+    data, fate = path.read_bytes(), k % 50
+    if fate == 0:
+        path.write_bytes(data[: len(data) // 2])
+    elif fate == 1:
+        path.unlink()
+    elif fate == 2:
+        put(home, path.name, (120, 160), k + len(home.name))
+    elif fate == 3:
+        put(home, f"{target}_{band}nm_{50 + shot}.tif", (120, 160), k)
+    return [(path, data)] if fate < 3 else []
 
 
 def main():

@@ -92,14 +92,22 @@ class BuildRecords:
         Leave what the campaign no longer has where it is.
     verify : bool
         Read every file anew, whatever is kept of its hash.
+    session : Path, optional
+        Hashes of frames that were read while a session was watched.
     """
 
     def __init__(
-        self, folder: Path, output: Path, *, keep_removed: bool = False, verify: bool = False
+        self,
+        folder: Path,
+        output: Path,
+        *,
+        keep_removed: bool = False,
+        verify: bool = False,
+        session: Path | None = None,
     ) -> None:
         self.folder, self.output, self.keep_removed = folder, output, keep_removed
         self._file = folder / NAME
-        self.hashes = Hashes(self._file, verify=verify)
+        self.hashes = Hashes(self._file, verify=verify, session=session)
         self._known: dict[Key, dict[str, dict[str, Any]]] = {}
         self._put_away: Path | None = None
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import threading
 import time
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.building.records_file import read_rows, write_rows
@@ -15,7 +17,6 @@ from levkas.core.disk import WriteRefused
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
-    from pathlib import Path
 
     from levkas.building.records_file import Change
 
@@ -27,6 +28,22 @@ KNOWN = "SELECT name, size, modified, changed, inode, sha256 FROM files"
 LEARN = "INSERT OR REPLACE INTO files VALUES (?, ?, ?, ?, ?, ?)"
 Entry = tuple[int, int, int, int, str]
 """Stamp of a file, as `stamp_of` gives it, and its SHA-256."""
+
+
+HASHES = "hashes.sqlite"
+"""Among what is kept of a session."""
+
+
+def session_folder(root: Path) -> Path:
+    """Return where is kept what was found out of a folder while it was watched: $XDG_CACHE_HOME, or .cache of the home folder."""
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    name = hashlib.blake2b(str(root).encode(errors="surrogatepass"), digest_size=8).hexdigest()
+    return Path(home) / "levkas" / "watch" / name
+
+
+def hashes_of_session(root: Path) -> Path:
+    """Return the file of the hashes of frames that were read while their folder was watched."""
+    return session_folder(root) / HASHES
 
 
 class Hashes:
@@ -41,10 +58,13 @@ class Hashes:
         The file that they are recorded in.
     verify : bool
         Read every file anew, whatever is recorded of it.
+    session : Path, optional
+        A file of hashes by others, which count where a file has their stamp still.
     """
 
-    def __init__(self, path: Path, *, verify: bool = False) -> None:
-        self.path = path
+    def __init__(self, path: Path, *, verify: bool = False, session: Path | None = None) -> None:
+        self.path, self._session = path, None if verify else session
+        self._others: dict[bytes, Entry] | None = None
         self._entries: dict[bytes, Entry] | None = {} if verify else None
         self._unsaved: dict[bytes, Entry] = {}
         self._recent: set[bytes] = set()
@@ -56,6 +76,10 @@ class Hashes:
         stamp = stamp_of(path)
         entry = self.known(path)
         if entry is None or entry[:-1] != stamp:
+            entry = self._of_others(path)
+            if entry is not None and entry[:-1] == stamp:
+                self._learn(path, entry, old_enough=True)
+                return entry[-1]
             old_enough = own or is_old_enough(stamp, time.time_ns())
             entry = (*stamp, hash_file(path))
             self._learn(path, entry, old_enough=old_enough)
@@ -78,6 +102,13 @@ class Hashes:
             if self._entries is None:
                 self._entries = dict(_sound_entries(read_rows(self.path, KNOWN)))
             return self._entries
+
+    def _of_others(self, path: str | Path) -> Entry | None:
+        with self._lock:
+            if self._others is None:
+                rows = read_rows(self._session, KNOWN) if self._session is not None else []
+                self._others = dict(_sound_entries(rows))
+            return self._others.get(os.fsencode(path))
 
     def take(self, path: str | Path, entry: Sequence[Any]) -> None:
         """Take stamp and hash of a file that another process has read, where the file has that stamp still."""

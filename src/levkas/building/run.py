@@ -27,6 +27,7 @@ from levkas.building.claiming import building, check_apart, claim, places_of
 from levkas.building.executor import DryRun, Executor
 from levkas.building.fingerprints import Inputs
 from levkas.building.graph import BuildReport, Graph, Step, Task, draw, page_key, summarise
+from levkas.building.hashes import hashes_of_session
 from levkas.building.outcomes import (
     REMOVED,
     Due,
@@ -122,7 +123,10 @@ def build(
             sweep(folder)
         sweep_older_records(places.kept)
         sweep_corrections(campaign.root)
-        records = BuildRecords(places.kept, places.output, keep_removed=keep_removed, verify=verify)
+        records = BuildRecords(
+            places.kept, places.output, keep_removed=keep_removed, verify=verify,
+            session=hashes_of_session(campaign.root),
+        )  # fmt: skip
         removed = no_longer_there(
             campaign, records, plan.captures, plan.refusals, plan.pages, objects
         )

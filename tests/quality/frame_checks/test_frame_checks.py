@@ -184,6 +184,29 @@ def test_findings_hang_on_the_set_and_not_on_the_order_of_coming():
     assert growing.judge(frames[:-1]) == judge(frames[:-1])  # one was deleted
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_frames_judged_as_they_come_and_go_are_judged_as_all_at_once(seed):
+    """Objects and bands that a frame does not touch keep their findings: they must be those of a judge who sees all anew."""
+    rng, whole = np.random.default_rng(seed), dict(session())
+    measures = [one.measures for one in whole.values() if one.role == "object"]
+    measures.append(measure_frame(expose(PANEL, 30, noise=2.0), full=FULL))
+    for k in range(24):
+        role = "dark" if k == 23 else "white" if k == 22 else "object"
+        made = FrameOfSet(
+            f"{k + 10} more", role, f"panel {k % 3}", FACTS, measures[k % 4], band=f"{k % 4}",
+            at=float(k), exposure_s=(0.1, 0.1, 0.2)[k % 3], full=FULL,
+        )  # fmt: skip
+        whole[made.name] = made
+    follower, there = FrameJudge(), {}
+    for k, name in enumerate(rng.permutation([*whole, *whole])):
+        if name in there and rng.random() < 0.5:
+            del there[name]
+        else:
+            there[name] = whole[name]
+        found = follower.judge(there.values())
+        assert k % 9 or found == judge(there.values())
+
+
 def test_what_a_campaign_allows_is_no_finding():
     _, name, codes, more = CASES["another ISO"]
     frames = {**GOOD, name: frame(name, "object", codes, **more)}.values()

@@ -5,12 +5,16 @@ from __future__ import annotations
 import os
 import random
 import shutil
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 import tifffile
 
+from levkas.building.hashes import HASHES, Hashes
+from levkas.core.digests import hash_file
 from levkas.core.progress import FRAMES
 from levkas.workbench.watching import WatchedSession, files
 from levkas.workbench.watching.cache import MeasureCache
@@ -174,6 +178,24 @@ def test_a_share_that_goes_away_keeps_what_was_known(session, folder, tmp_path):
     assert not back.away and verdicts(back) == verdicts(before)
 
 
+def test_a_share_below_the_campaign_that_is_unmounted_has_lost_no_frame(session, folder):
+    for name, values in GOOD.items():
+        put(folder, name, values)
+    before = after(session, 0.0)
+    (folder / "raw").rename(folder / "share")
+    (folder / "raw").mkdir()
+    gone = after(session, 10.0)
+    assert gone.frames == before.frames and gone.missing == before.missing
+    assert gone.problems and "raw" in gone.problems[0]
+    (folder / "raw").rmdir()
+    (folder / "share").rename(folder / "raw")
+    assert after(session, 20.0).to_dict() == before.to_dict()
+    for path in (folder / "raw" / "white").iterdir():
+        path.unlink()  # its folder is bare too, and the frames are deleted
+    found = after(session, 30.0)
+    assert not found.problems and not any(f.file.role == "white" for f in found.frames)
+
+
 def test_a_share_that_goes_away_while_it_is_looked_at_keeps_what_was_known(
     session, folder, tmp_path, monkeypatch
 ):
@@ -292,3 +314,24 @@ def test_a_campaign_that_is_edited_is_read_again(session, folder):
     (folder / "campaign.toml").write_text("[campaign")
     broken = after(session, 20.0)
     assert broken.problems and verdicts(broken)["raw/white/100ms_1.tif"] == "stop"
+
+
+def test_a_build_takes_the_hashes_of_a_session_of_frames_that_are_as_they_were(
+    session, folder, tmp_path
+):
+    """What the session noted is planted: a wrong hash shows that it was taken, and it must not be of a file that changed."""
+    names = ["raw/icon/100ms_1.tif", "raw/white/100ms_1.tif"]
+    for name in names:
+        put(folder, name, GOOD[name])
+    after(session, 0.0)
+    assert session.hash_frames() == 2 and session.hash_frames() == 0
+    first, second = (folder / name for name in names)
+    noted = tmp_path / "cache" / HASHES
+    assert Hashes(tmp_path / "none", session=noted)(first) == hash_file(first)
+    with closing(sqlite3.connect(noted)) as file, file:
+        assert file.execute("UPDATE files SET sha256 = ?", ("0" * 64,)).rowcount == 2
+    put(folder, names[1], GOOD[names[1]] + 1)
+    of_build = Hashes(tmp_path / "records.sqlite", session=noted)
+    assert of_build(first) == "0" * 64
+    assert of_build(second) == hash_file(second)
+    assert Hashes(tmp_path / "others.sqlite", session=noted, verify=True)(first) == hash_file(first)

@@ -396,8 +396,8 @@ def label_templates(
     return result
 
 
-def _order(key: Key) -> tuple[int, float, list[tuple[int, int, str]]]:
-    return (0, key, []) if isinstance(key, float) else (1, 0.0, natural(key))
+def _order(key: Key) -> tuple[int, float, tuple[tuple[int, int, str], ...]]:
+    return (0, key, ()) if isinstance(key, float) else (1, 0.0, natural(key))
 
 
 def _sure(frame: FrameRef) -> Key:

@@ -337,7 +337,7 @@ def _walk(
 
 def _without_data_of_headers(found: list[FoundFile]) -> list[FoundFile]:
     """Leave out the data file of an ENVI header that was found too: it is one capture."""
-    headers = {f.path for f in found if f.path.suffix.lower() == ".hdr"}
+    headers = {f.path for f in found if str(f.path).lower().endswith(".hdr")}
     if not headers:
         return found
     stems = {path.with_suffix("") for path in headers}
@@ -472,7 +472,7 @@ def _find_frames(
             if own:  # whose darks and whites these are is read by the objects' names
                 known["object"] = tuple({f.target for f in find(plain, known=known)} - templates)
             found = find([*own, *plain], known=known)
-            frames += [replace(f, sensor=sensor) for f in found]
+            frames += [replace(f, sensor=sensor) for f in found] if sensor else found
         if camera.manifest:
             exposures = read_exposures(index.campaign.root / camera.manifest)
             frames = with_exposures(frames, exposures, index.campaign.root)

@@ -414,14 +414,15 @@ def exposure_unit(pattern: str) -> str:
     return unit if unit in SECONDS else "s"
 
 
-def natural(text: str) -> list[tuple[int, int, str]]:
+@lru_cache(maxsize=1 << 16)
+def natural(text: str) -> tuple[tuple[int, int, str], ...]:
     """Return a sort key that puts 9 before 10.
 
     >>> sorted(["b10", "b9", "a"], key=natural)
     ['a', 'b9', 'b10']
     """
     parts = re.split(r"([0-9]+)", text)
-    return [(0, int(p), p) if i % 2 else (1, 0, p) for i, p in enumerate(parts) if p]
+    return tuple((0, int(p), p) if i % 2 else (1, 0, p) for i, p in enumerate(parts) if p)
 
 
 def ways_to_read(known: Mapping[str, Collection[str]]) -> tuple[Known, ...]:

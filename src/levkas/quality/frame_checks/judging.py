@@ -64,6 +64,45 @@ class FrameOfSet:
     full: float | None = None
     black: float | None = None
 
+    @cached_property
+    def order(self) -> tuple[object, ...]:
+        """What frames of a set are sorted by."""
+        return self.at, natural(self.name), self.name
+
+    @cached_property
+    def stated(self) -> dict[str, tuple[object, str]]:
+        """The facts that its file states, by name, and their text."""
+        read = {
+            f.name: read_fact(f, self.facts) for f in FACTS if f.fields and self.role in f.roles
+        }
+        return {k: (v, repr(v)) for k, v in read.items() if v is not None}
+
+    @cached_property
+    def fine(self) -> float:
+        """Its detail, 0 where noise hides it."""
+        return float(np.nan_to_num(self.measures.fine))
+
+    @cached_property
+    def blur_px(self) -> float:
+        """The blur of its edges, infinite where it has none."""
+        return float(np.nan_to_num(self.measures.blur_px, nan=np.inf))
+
+    @cached_property
+    def brightest(self) -> float:
+        """Its brightest channel, counts."""
+        return float(self.measures.high.max())
+
+    @cached_property
+    def size(self) -> tuple[int, int]:
+        """Width and height, px."""
+        height, width = map(int, self.measures.shape)
+        return width, height
+
+    @cached_property
+    def version(self) -> str:
+        """Its name and what its picture is: another one where it was replaced."""
+        return f"{self.name}/{self.measures.key}"
+
 
 @dataclass(frozen=True)
 class SetRules:
@@ -93,22 +132,34 @@ class FrameJudge:
 
     rules: SetRules = SetRules()
     _kept: dict[tuple[object, ...], list[Finding]] = field(default_factory=dict)
+    _last: _Judged | None = None
 
     def judge(self, frames: Iterable[FrameOfSet]) -> dict[str, list[Finding]]:
         """Return the findings of every frame by its name, in the order of time."""
-        companions = _Companions(
-            sorted(frames, key=lambda f: (f.at, natural(f.name), f.name)), self.rules
-        )
-        fresh: dict[tuple[object, ...], list[Finding]] = {}
-        found = {}
+        companions = _Companions(sorted(frames, key=lambda f: f.order), self.rules)
+        untouched = companions.untouched(self._last)
+        judged = _Judged(companions.shared, {f.name: f for f in companions.frames}, {})
+        kept = {key: found for key, found in self._kept.items() if key[0] in untouched}
         for frame in companions.frames:
+            if frame.version in untouched and self._last is not None:
+                judged.found[frame.name] = self._last.found[frame.name]
+                continue
             beside = companions.of(frame)
-            key = (frame.name, frame.measures.key, *beside.key)
-            kept = self._kept.get(key)
-            fresh[key] = _findings(frame, beside, self.rules) if kept is None else kept
-            found[frame.name] = fresh[key]
-        self._kept = fresh
-        return found
+            key = (frame.version, *beside.key)
+            if (found := self._kept.get(key)) is None:
+                found = _findings(frame, beside, self.rules)
+            kept[key] = judged.found[frame.name] = found
+        self._kept, self._last = kept, judged
+        return judged.found
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """A set as it was judged: what all its frames are compared with, the frames and their findings, by name."""
+
+    shared: tuple[object, ...]
+    frames: Mapping[str, FrameOfSet]
+    found: dict[str, list[Finding]]
 
 
 def judge(
@@ -155,7 +206,7 @@ class _Beside:
     @cached_property
     def key(self) -> tuple[object, ...]:
         single = (self.white, self.scene, self.before, self.best, self.twin, *self.like)
-        names = tuple(None if f is None else f"{f.name}/{f.measures.key}" for f in single)
+        names = tuple(None if f is None else f.version for f in single)
         differing = tuple(fact.name for fact, *_ in self.settings)
         return (names, self.black, self.scale, self.dark_times, differing, self.size)
 
@@ -182,21 +233,51 @@ class _Companions:
         stated = next((f.black for f in frames if f.black is not None), None)
         self.black = float(np.median(darks)) if darks else stated if stated is not None else 0.0
         stated_full = next((f.full for f in frames if f.full is not None), None)
-        lit = [float(f.measures.high.max()) for role in LIT_ROLES for f in by["role", role]]
+        lit = [f.brightest for role in LIT_ROLES for f in by["role", role]]
         self.scale = stated_full if stated_full is not None else max(lit, default=None)
         self.sharpest: dict[tuple[object, ...], FrameOfSet] = {}
         for frame in by["role", "object"]:
             stack, *wider = _scenes(frame)
             best = self.sharpest.setdefault(stack, frame)
-            if _fine(frame) > _fine(best):
+            if frame.fine > best.fine:
                 self.sharpest[stack] = frame
-            for alike in wider if np.isfinite(frame.measures.blur_px) else ():
+            for alike in wider if frame.blur_px < np.inf else ():
                 best = self.sharpest.setdefault(alike, frame)
-                if frame.measures.blur_px < best.measures.blur_px:
+                if frame.blur_px < best.blur_px:
                     self.sharpest[alike] = frame
         self.usual = _usual_settings(frames)
         sizes = Counter(_size(f, rules) for f in frames)
         self.size = sizes.most_common(1)[0][0] if sizes else None
+
+    @property
+    def shared(self) -> tuple[object, ...]:
+        """What every frame is compared with."""
+        usual = {
+            fact.name: {band: (first.version, text) for band, (first, _, text) in found.items()}
+            for fact, found in self.usual.items()
+        }
+        return self.black, self.scale, self.dark_times, self.size, usual
+
+    def untouched(self, last: _Judged | None) -> set[str]:
+        """Return the versions of the frames that have the companions that they had: those of other objects and bands.
+
+        Companions share object, band or picture; whites of other bands, and frames that serve all bands, are any frame's.
+        """
+        if last is None or last.shared != self.shared:
+            return set()
+        now = {frame.name: frame for frame in self.frames}
+        gone = [frame for name, frame in last.frames.items() if now.get(name) is not frame]
+        fresh = [frame for name, frame in now.items() if last.frames.get(name) is not frame]
+        changed = [*gone, *fresh]
+        if any(f.role == "white" or not f.band for f in changed):
+            return set()
+        targets, bands = {f.target for f in changed}, {f.band for f in changed}
+        pictures = {f.measures.key for f in changed}
+        return {
+            f.version
+            for f in self.frames
+            if f.target not in targets and f.band not in bands and f.measures.key not in pictures
+        }
 
     def of(self, frame: FrameOfSet) -> _Beside:
         stack = self.by["stack", frame.role, frame.target, frame.band, frame.exposure_s]
@@ -277,15 +358,11 @@ class _Companions:
             if fact.name in self.rules.overrule or frame.role not in fact.roles or not usual:
                 continue
             expected = usual.get(frame.band if fact.per_band else "")
-            value = read_fact(fact, frame.facts)
-            if expected is None or value is None or expected[0] is frame:
+            value, text = frame.stated.get(fact.name, (None, ""))
+            if expected is None or value is None or text == expected[2]:
                 continue
             if fact.compare(expected[1], value) == "refused":
                 yield fact, value, expected[0].name, expected[1]
-
-
-def _fine(frame: FrameOfSet) -> float:
-    return float(np.nan_to_num(frame.measures.fine))
 
 
 def _scenes(frame: FrameOfSet) -> list[tuple[object, ...]]:
@@ -316,20 +393,19 @@ def _at(frames: Sequence[FrameOfSet], moment: float) -> int:
 
 def _usual_settings(
     frames: Sequence[FrameOfSet],
-) -> Mapping[ComparedFact, dict[str, tuple[FrameOfSet, object]]]:
+) -> Mapping[ComparedFact, dict[str, tuple[FrameOfSet, object, str]]]:
     """Return of every fact the value that most frames state, and the first frame that does, by band where bands may differ."""
-    usual: dict[ComparedFact, dict[str, tuple[FrameOfSet, object]]] = {}
+    usual: dict[ComparedFact, dict[str, tuple[FrameOfSet, object, str]]] = {}
     for fact in FACTS:
         counts: dict[str, Counter[str]] = defaultdict(Counter)
-        firsts: dict[tuple[str, str], tuple[FrameOfSet, object]] = {}
+        firsts: dict[tuple[str, str], tuple[FrameOfSet, object, str]] = {}
         for frame in frames:
-            if not fact.fields or frame.role not in fact.roles:
+            value, text = frame.stated.get(fact.name, ((), ""))
+            if value == ():
                 continue
-            if (value := read_fact(fact, frame.facts)) is None or value == ():
-                continue
-            band, text = frame.band if fact.per_band else "", repr(value)
+            band = frame.band if fact.per_band else ""
             counts[band][text] += 1
-            firsts.setdefault((band, text), (frame, value))
+            firsts.setdefault((band, text), (frame, value, text))
         # Counter keeps the order of coming, so that of equals the first in time counts.
         usual[fact] = {b: firsts[b, c.most_common(1)[0][0]] for b, c in counts.items()}
     return usual
@@ -417,8 +493,7 @@ def _settings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> Iterable[F
 
 def _size(frame: FrameOfSet, rules: SetRules) -> tuple[int, ...]:
     """Return width and height; of a scan, whose lines may be any number, the width alone."""
-    height, width = map(int, frame.measures.shape)
-    return (width,) if rules.scanned else (width, height)
+    return frame.size[:1] if rules.scanned else frame.size
 
 
 def _measures(frames: Iterable[FrameOfSet]) -> list[FrameMeasures]:

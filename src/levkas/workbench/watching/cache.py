@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
 import sqlite3
 import threading
-import zipfile
+import zlib
 from collections import OrderedDict
 from contextlib import suppress
 from dataclasses import dataclass
@@ -22,14 +20,7 @@ from levkas.quality.frame_checks import FrameMeasures, FramePictures
 TABLE = "CREATE TABLE IF NOT EXISTS frames (key TEXT PRIMARY KEY, numbers BLOB, pictures BLOB) WITHOUT ROWID"
 IN_MEMORY = 64
 """Frames whose pictures are kept at hand, some 500 kB each."""
-DAMAGED = (ValueError, KeyError, EOFError, OSError, zipfile.BadZipFile)
-
-
-def cache_folder(root: Path) -> Path:
-    """Return where the cache of a watched folder lies: $XDG_CACHE_HOME, or .cache of the home folder."""
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    name = hashlib.blake2b(str(root).encode(errors="surrogatepass"), digest_size=8).hexdigest()
-    return Path(home) / "levkas" / "watch" / name
+DAMAGED = (ValueError, KeyError, TypeError, zlib.error)
 
 
 class KeptPictures(FramePictures):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import time
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,7 @@ GUESS_S, GUESS_SHARE = 2.0, 4.0
 BACK_S = 60.0
 """By how much a shot has an earlier time than the one before it where a clock was set: less is how headers are rounded."""
 FILE = "campaign.toml"
+UNMOUNTED = " cannot be reached, is its share mounted? Its frames are shown as they were."
 
 
 @dataclass(frozen=True)
@@ -121,6 +122,12 @@ class FrameState:
         }
 
 
+def fresh_of(frames: Iterable[FrameState], shown: Mapping[str, FrameState]) -> list[FrameState]:
+    """Return the frames that differ from those that were shown by their names."""
+    pairs = ((frame, shown.get(frame.file.name)) for frame in frames)
+    return [frame for frame, before in pairs if frame is not before and frame != before]
+
+
 @dataclass(frozen=True)
 class FolderListing:
     """What of a folder is known without reading a pixel.
@@ -174,8 +181,9 @@ def _watched(root: Path, camera: str, setup: str, role: str, found: FoundFile) -
 
 
 def _shown(path: Path, root: Path) -> str:
-    with suppress(ValueError):
-        return path.relative_to(root).as_posix()
+    inside, name = f"{root.as_posix().rstrip('/')}/", path.as_posix()
+    if name.startswith(inside):
+        return name[len(inside) :]
     return Path(os.path.relpath(path, root)).as_posix()
 
 
@@ -215,6 +223,7 @@ class FolderWatch:
         self._signature: object = None
         self._scanned = -RESCAN_S
         self._rest: dict[Path, tuple[Stamp, float]] = {}
+        self._places: dict[Path, tuple[int, int]] = {}
         self._guess: tuple[object, float, float] = (None, 0.0, 0.0)
         self._campaign_stamp: Stamp | None = None
         self._invalid: tuple[str, ...] = ()
@@ -242,13 +251,29 @@ class FolderWatch:
         if stamps.keys() < before.files.keys() and self._is_away(before):  # it went meanwhile
             self.listing, self.away_since = before, time.time()
             return before
+        files = {path: file for path, file in self.listing.files.items() if path in stamps}
+        lost, unmounted = self._unmounted(before, stamps)
+        problems = tuple(p for p in self.listing.problems if not p.endswith(UNMOUNTED)) + unmounted
         self.listing = FolderListing(
-            self.listing.campaign, self.listing.guessed,
-            {path: file for path, file in self.listing.files.items() if path in stamps},
-            stamps, self.listing.strays, self.listing.problems,
+            self.listing.campaign, self.listing.guessed, files | lost,
+            stamps | {path: before.stamps[path] for path in lost}, self.listing.strays, problems,
         )  # fmt: skip
         self._note_rest(stamps, now)
         return self.listing
+
+    def _unmounted(
+        self, before: FolderListing, stamps: Mapping[Path, Stamp]
+    ) -> tuple[dict[Path, WatchedFile], tuple[str, ...]]:
+        """Return the frames that are gone because another, empty folder stands where theirs was, and a line a folder."""
+        lost: dict[Path, WatchedFile] = {}
+        folders = set()
+        for path in before.stamps.keys() - stamps.keys():
+            for folder in takewhile(lambda one: one != self.root, path.parents):
+                if folder in self._places and _is_replaced(folder, self._places[folder]):
+                    lost[path] = before.files[path]
+                    folders.add(folder)
+        shown = sorted(_shown(folder, self.root) for folder in folders)
+        return lost, tuple(f"{name}{UNMOUNTED}" for name in shown)
 
     def _is_away(self, known: FolderListing) -> bool:
         return not _is_reachable(self.root) or bool(known.files and _is_bare(self.root))
@@ -317,10 +342,17 @@ class FolderWatch:
         problems = self._invalid + tuple(
             str(p) for refused in index.broken.values() for p in refused.problems
         )
-        files = watched_files(campaign, index)
+        files = _kept(watched_files(campaign, index), self.listing.files)
         strays = () if self.listing.guessed else tuple(_strays(campaign, index, files))
         self._signature = self._folders()
         self.listing = FolderListing(campaign, self.listing.guessed, files, {}, strays, problems)
+        for folder in {
+            above
+            for parent in {path.parent for path in files}
+            for above in (parent, *parent.parents)
+        }:
+            with suppress(OSError):
+                self._places[folder] = place_of(folder)
 
     def _guess_again(self, now: float) -> None:
         """Guess the campaign from names, headers and pixels, when names have come to rest and it is worth its time."""
@@ -344,6 +376,15 @@ class FolderWatch:
         self._guess = names, -1.0, time.monotonic() - start
 
 
+def _kept(
+    files: Mapping[Path, WatchedFile], before: Mapping[Path, WatchedFile]
+) -> dict[Path, WatchedFile]:
+    """Return files with the objects that stood for them before: paths are compared by identity first, a tenth of the time."""
+    kept = ((file, before.get(path)) for path, file in files.items())
+    every = [file if was is None or was != file else was for file, was in kept]
+    return {file.path: file for file in every}
+
+
 def _names_and_sizes(root: Path) -> Iterator[tuple[str, int]]:
     for above, names in walk_folders(root, FolderListings()):
         for name in names or ():
@@ -360,6 +401,22 @@ def _is_reachable(folder: Path) -> bool:
         return False
 
 
+def place_of(folder: Path) -> tuple[int, int]:
+    """Return device and inode of a folder: another one where a share is mounted over it, or no longer is."""
+    found = folder.stat()
+    return found.st_dev, found.st_ino
+
+
+def _is_replaced(folder: Path, place: tuple[int, int]) -> bool:
+    """Whether a folder cannot be listed, or another and empty one stands in its place."""
+    try:
+        return place_of(folder) != place and _is_bare(folder)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True
+
+
 def _is_bare(folder: Path) -> bool:
     """Whether a folder is empty: where there were frames, a share that is not mounted."""
     with os.scandir(folder) as entries:
@@ -369,12 +426,15 @@ def _is_bare(folder: Path) -> bool:
 def _strays(campaign: Campaign, index: FileIndex, files: Mapping[Path, WatchedFile]) -> list[str]:
     """Return pictures below the campaign that no pattern fits."""
     found = []
-    data = {file for path in files if path.suffix.lower() == ".hdr" for file in _beside(path)}
+    known = {str(path) for path in files}
+    headers = [path for path in known if path.lower().endswith(".hdr")]
+    known |= {str(file) for path in headers for file in _beside(Path(path))}
     for above, names in walk_folders(campaign.root, index.folders):
+        folder = str(campaign.root.joinpath(*above))
         for name in names or ():
-            path = campaign.root.joinpath(*above, name)
-            if path.suffix.lower() in ALONE and path not in files and path not in data:
-                found.append(_shown(path, campaign.root))
+            path = os.path.join(folder, name)  # noqa: PTH118 -- ten thousand at every new frame
+            if os.path.splitext(name)[1].lower() in ALONE and path not in known:  # noqa: PTH122
+                found.append(_shown(Path(path), campaign.root))
     return found
 
 

@@ -23,6 +23,7 @@ from levkas.workbench.server.app import (
     server_of,
 )
 from levkas.workbench.server.guard import App, Guard, cookie_of
+from levkas.workbench.watching.files import fresh_of
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -66,7 +67,7 @@ class SessionBoard:
             state = self.state
         if state is None:
             return None
-        fresh = {f.file.name: f for f in state.frames if shown.get(f.file.name) != f}
+        fresh = {frame.file.name: frame for frame in fresh_of(state.frames, shown)}
         gone = sorted(shown.keys() - {f.file.name for f in state.frames})
         shown.update(fresh)
         for name in gone:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -18,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from levkas.building.hashes import HASHES, Hashes, session_folder
 from levkas.calibration.full_scale import stated_full_scale
 from levkas.campaign.campaign import Camera, Campaign
 from levkas.campaign.discovery.patterns import natural
@@ -37,12 +39,13 @@ from levkas.quality.frame_checks import (
 from levkas.readers.envi import open_envi
 from levkas.readers.facts import Facts
 from levkas.readers.frames import read_facts, read_frame
-from levkas.workbench.watching.cache import MeasureCache, cache_folder
+from levkas.workbench.watching.cache import MeasureCache
 from levkas.workbench.watching.files import (
     FolderListing,
     FolderWatch,
     FrameState,
     WatchedFile,
+    fresh_of,
     moments_of,
 )
 from levkas.workbench.watching.missing import Missing, find_missing
@@ -52,6 +55,8 @@ PLAN = "bench.toml"
 WHOLE_S = 5.0
 """How long a file rests before one that cannot be read counts as broken: until then it may be half written."""
 RETRY_S = 1.0
+READ_S = 0.5
+"""How long frames are read before they are judged, and shown; longer where judging takes more than half of it."""
 MOST_LINES, SIDE_BY_SIDE = 256, 128
 """Lines of a scan that are read, spread over it; and those in its middle, for the focus."""
 MOST_SAMPLES = 1 << 28
@@ -100,7 +105,7 @@ class SessionState:
         }
 
 
-@dataclass
+@dataclass(eq=False)
 class _Known:
     """A frame that was read: its stamp, facts and measures; or why it could not be."""
 
@@ -110,6 +115,14 @@ class _Known:
     measures: FrameMeasures | None = None
     refused: str = ""
     tried: float = 0.0
+    hashed: bool = False
+    judged: tuple[object, FrameOfSet] | None = None
+    shown: tuple[object, FrameState] | None = None
+    """What was made of them, and what of: made again where that changes."""
+
+
+_Found = tuple[dict[Path, list[Finding]], dict[Path, float], list[str]]
+"""Findings and moments of frames, and what is doubtful of their times."""
 
 
 @dataclass
@@ -127,31 +140,34 @@ class WatchedSession:
     folder: Path
     cache: MeasureCache | None = None
     _known: dict[Path, _Known] = field(default_factory=dict)
-    _judges: dict[tuple[str, str, str], FrameJudge] = field(default_factory=dict)
+    _judges: dict[tuple[str, str, str], tuple[Camera, FrameJudge]] = field(default_factory=dict)
     _judged: dict[tuple[str, str, str], tuple[object, dict[str, list[Finding]]]] = field(
         default_factory=dict
     )
 
     def __post_init__(self) -> None:
         self.watch = FolderWatch(Path(self.folder))
-        self.cache = self.cache or MeasureCache(cache_folder(self.watch.root))
+        self.cache = self.cache or MeasureCache(session_folder(self.watch.root))
+        self.hashes = Hashes(self.cache.folder / HASHES)
         self.listing = FolderListing()
         self._now = 0.0
         self._plan: tuple[Stamp | None, tuple[str, ...]] = (None, ())
+        self._found: tuple[object, _Found] | None = None
 
     @property
     def campaign(self) -> Campaign | None:
         """The campaign, or what was guessed of it."""
         return self.listing.campaign
 
-    def poll(self, now: float | None = None, most: int = 64) -> Iterator[WatchedFile]:
-        """Look at the folder and read up to `most` frames that came to rest, yielding each as it is read.
+    def poll(self, now: float | None = None, most_s: float = np.inf) -> Iterator[WatchedFile]:
+        """Look at the folder and read the frames that came to rest, yielding each as it is read.
 
         Parameters
         ----------
         now : float, optional
             s, of a clock that does not jump.
-        most : int
+        most_s : float
+            After which no other frame is begun.
         """
         now = time.monotonic() if now is None else now
         before, self._now = self.listing.campaign, now
@@ -162,18 +178,35 @@ class WatchedSession:
             return
         for gone in self._known.keys() - listing.files.keys():
             del self._known[gone]
-        left = most
+        end = time.monotonic() + most_s
         for path, file in listing.files.items():
-            if left and self._is_due(path, now):
-                left -= 1
+            if self._is_due(path, now):
                 self._read(file, now)
                 yield file
+                if time.monotonic() > end:
+                    return
+
+    def hash_frames(self, most_s: float = np.inf) -> int:
+        """Hash frames that were read, and keep that for a build, which reads none of them again for it; return how many."""
+        end, done = time.monotonic() + most_s, 0
+        for path in self.listing.files:
+            known = self._known.get(path)
+            if known is None or known.hashed or known.measures is None or not self._is_read(path):
+                continue
+            with suppress(OSError, Refused):
+                self.hashes.of_frame(path)
+            known.hashed, done = True, done + 1
+            if time.monotonic() > end:
+                break
+        if done:
+            self.hashes.save()
+        return done
 
     def settle(self, patience_s: float = 60.0) -> SessionState:
         """Poll until every file was read, or is broken, and return the state."""
         end = time.monotonic() + patience_s
         while True:
-            for _ in self.poll():
+            while any([True for _ in self.poll()]):
                 pass
             state = self.state()
             waiting = any(frame.verdict == "waiting" for frame in state.frames)
@@ -186,7 +219,12 @@ class WatchedSession:
         listing, campaign = self.listing, self.listing.campaign
         if campaign is None:
             return SessionState(problems=listing.problems, away=self.watch.away_since is not None)
-        findings, moments, doubts = self._findings(campaign, listing)
+        ready = [
+            (file, self._known[path]) for path, file in listing.files.items() if self._is_read(path)
+        ]
+        if self._found is None or self._found[0] != (campaign, ready):
+            self._found = (campaign, ready), self._findings(campaign, listing)
+        findings, moments, doubts = self._found[1]
         frames = [self._shown(file, findings, moments) for file in listing.files.values()]
         frames.sort(key=lambda f: (natural(f.file.name), f.file.name))
         planned = [name for name in self._planned() if name not in campaign.cameras]
@@ -221,16 +259,21 @@ class WatchedSession:
         """
         known: dict[str, FrameState] = {}
         last: object = None
+        took = 0.0
         while True:
             start = time.monotonic()
-            read = sum(1 for _ in self.poll(most=8))
+            read = sum(1 for _ in self.poll(most_s=max(READ_S, 2 * took)))
             waiting = any(frame.verdict == "waiting" for frame in known.values())
             now = (self.listing.stamps, self.listing.problems, self.watch.away_since, self.campaign)
             if read or waiting or now != last:
+                judged = time.monotonic()
                 last, state = now, self.state()
-                fresh = [f for f in state.frames if known.get(f.file.name) != f]
+                fresh = fresh_of(state.frames, known)
                 known = {frame.file.name: frame for frame in state.frames}
+                took = time.monotonic() - judged
                 yield state, fresh
+            if not read and not self.listing.guessed:
+                self.hash_frames(READ_S)
             if not read:
                 time.sleep(max(interval_s, 2 * (time.monotonic() - start)))
 
@@ -297,9 +340,7 @@ class WatchedSession:
             known.refused = _why(refused)
         self._known[file.path] = known
 
-    def _findings(
-        self, campaign: Campaign, listing: FolderListing
-    ) -> tuple[dict[Path, list[Finding]], dict[Path, float], list[str]]:
+    def _findings(self, campaign: Campaign, listing: FolderListing) -> _Found:
         groups: dict[tuple[str, str, str], dict[Path, WatchedFile]] = {}
         for path, file in listing.files.items():
             known = self._known.get(path)
@@ -316,17 +357,11 @@ class WatchedSession:
             at, doubt = moments_of(files, captured, listing.stamps)
             if doubt:
                 doubts.append(doubt)
-            content = (
-                tuple((path, self._known[path].stamp, at.get(path)) for path in files),
-                _rules(camera), camera.black, camera.saturation, camera.bits,
-            )  # fmt: skip
-            if key not in self._judged or self._judged[key][0] != content:
-                judge = self._judges.setdefault(key, FrameJudge())
-                judge.rules = _rules(camera)
-                frames = [
-                    self._of_set(file, camera, at.get(path, 0.0)) for path, file in files.items()
-                ]
-                self._judged[key] = content, judge.judge(frames)
+            frames = [self._of_set(file, camera, at.get(path, 0.0)) for path, file in files.items()]
+            if key not in self._judged or self._judged[key][0] != (camera, frames):
+                if key not in self._judges or self._judges[key][0] != camera:
+                    self._judges[key] = camera, FrameJudge(_rules(camera))
+                self._judged[key] = (camera, frames), self._judges[key][1].judge(frames)
             for path, file in files.items():
                 if (file.camera, file.setup, file.sensor) == key:
                     found[path], moments[path] = self._judged[key][1][file.name], at.get(path, 0.0)
@@ -342,15 +377,20 @@ class WatchedSession:
     def _of_set(self, file: WatchedFile, camera: Camera, at: float) -> FrameOfSet:
         known, facts = self._known[file.path], self._facts(file.path)
         assert known.measures is not None
+        made_of = file, at, camera, facts, known.measures
+        if known.judged is not None and known.judged[0] == made_of:
+            return known.judged[1]
         pattern = _pattern_of(camera, file, facts)
         black = camera.black if camera.black is not None else facts.black
-        return FrameOfSet(
+        frame = FrameOfSet(
             file.name, file.role, file.target, facts, known.measures,
             band=file.band, shot=file.shot, at=at,
             exposure_s=file.exposure_s or facts.exposure_s,
             names=_names_of(pattern, facts, len(known.measures.level)),
             full=_full_of(camera, facts), black=black,
         )  # fmt: skip
+        known.judged = made_of, frame
+        return frame
 
     def _shown(
         self,
@@ -369,10 +409,15 @@ class WatchedSession:
             advice = "capture it again, or copy it again from the camera's card"
             broken = Finding("file", "stop", f"the file is not whole: {known.refused}", advice)
             return FrameState(file, "stop", (broken,), exposure_s=file.exposure_s)
-        own = tuple(findings.get(file.path, ()))
+        own, at = findings.get(file.path, []), moments.get(file.path, 0.0)
+        made_of = file, own, at, known.facts
+        if known.shown is not None and known.shown[0] == made_of:
+            return known.shown[1]
         exposure_s = file.exposure_s or known.facts.exposure_s
         size = tuple(map(int, known.measures.shape))
-        return FrameState(file, worst(own), own, moments.get(file.path, 0.0), exposure_s, size)
+        frame = FrameState(file, worst(own), tuple(own), at, exposure_s, size)
+        known.shown = made_of, frame
+        return frame
 
 
 def _darks(files: Mapping[Path, WatchedFile]) -> dict[Path, WatchedFile]:
