@@ -4,7 +4,7 @@ import "../shared/base.css";
 import { BasisView } from "./basis";
 import "./workbench.css";
 import { GAIN, radioGroup, slider, type Option } from "../shared/controls";
-import { make } from "../shared/element";
+import { make, refill } from "../shared/element";
 import { RATES } from "../shared/flicker";
 import { helpDialog, listenToKeys } from "../shared/keys";
 import { startTheme } from "../shared/theme";
@@ -103,7 +103,8 @@ function build(store: Store): void {
   };
   const step = (by: number): void => {
     const cameras = store.cameras.value;
-    const at = cameras.findIndex(({ id }) => id === store.frame.value?.id);
+    const own = (id = ""): string | undefined => id.split("-")[0];
+    const at = cameras.findIndex(({ id }) => own(id) === own(store.frame.value?.id));
     const next = cameras[(at + by + cameras.length) % cameras.length];
     if (next) open(next.id);
   };
@@ -205,7 +206,7 @@ function fillBar(bar: HTMLElement, store: Store, stage: PairStage): void {
   stage.left.host.append(colours.legend);
   const settings = [map, colours.choice, times, loupe, settingsOf(stage)];
   bar.append(
-    make("div", { class: "line" }, modes, marks, turn, outline),
+    make("div", { class: "line" }, modes, marks, turn, outline, besideOf(store)),
     make("div", { class: "line" }, ...settings),
   );
   effect(() => {
@@ -215,7 +216,31 @@ function fillBar(bar: HTMLElement, store: Store, stage: PairStage): void {
     loupe.value = stage.loupe.value;
     marks.setAttribute("aria-pressed", String(stage.marks.value));
     outline.setAttribute("aria-pressed", String(stage.outline.open.value));
+    outline.hidden = (store.frame.value?.beside.length ?? 0) > 0;
   });
+}
+
+/** The neighbour beside which a tile of the reference is placed. */
+function besideOf(store: Store): HTMLElement {
+  const select = make("select", {
+    id: "beside",
+    title: "The tile beside which this one is placed",
+  });
+  const label = make("label", { class: "beside" }, "Beside ", select);
+  select.addEventListener("change", () => {
+    store.open(select.value).catch((error: unknown) => store.refuse(error));
+  });
+  effect(() => {
+    const { id = "", beside = [] } = store.frame.value ?? {};
+    label.hidden = beside.length === 0;
+    const options = beside.map((one) => {
+      const words = one.placed ? one.tile : `${one.tile}, left out`;
+      return make("option", { value: one.id }, words);
+    });
+    refill(select, ...options);
+    select.value = id;
+  });
+  return label;
 }
 
 /** Sliders of the mode that is chosen; their place is kept free, so that nothing moves. */

@@ -20,6 +20,8 @@ export interface CameraRow {
   title: string;
   camera: string;
   setup: string;
+  /** The part of the object that it shows; empty of a camera that shows all of it. */
+  tile: string;
   sensor: string;
   bands: string;
   reference: boolean;
@@ -68,6 +70,8 @@ export interface FrameInfo {
   band: string;
   bands: BandInfo[];
   reference: { camera: string; band: string; bands: BandInfo[] };
+  /** Tiles beside which a tile of the reference can be placed, the best first; none of what is placed on the whole reference. */
+  beside: { id: string; tile: string; placed: boolean }[];
   is_reference: boolean;
   size: Point;
   target_size: Point;

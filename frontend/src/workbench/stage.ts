@@ -171,7 +171,8 @@ export class PairStage extends Stage<MarkedPane> {
     const { bands, band, reference, camera, sensor } = this.store.frame.peek()!;
     this.bands.left.offer(reference.bands, reference.band);
     this.bands.right.offer(bands, band);
-    this.left.label.textContent = `${reference.camera}, the reference`;
+    const role = this.store.frame.peek()!.beside.length ? "its neighbour" : "the reference";
+    this.left.label.textContent = `${reference.camera}, ${role}`;
     this.right.label.textContent = [camera, sensor].filter(Boolean).join(" · ");
   }
 
@@ -210,7 +211,9 @@ export class PairStage extends Stage<MarkedPane> {
       ({ query }) => `bands=${query}&page=${page}`,
     );
     const tiles = `${this.store.path}/tiles`;
-    const left = [layerOf(`${tiles}/reference?${ours}${tint("red")}`, frame.size)];
+    // A reference of tiles is another picture once they are placed anew.
+    const reference = `${tiles}/reference?${ours}&build=${frame.builds}${tint("red")}`;
+    const left = [layerOf(reference, frame.size)];
     if (this.isOverlay)
       left.push(layerOf(`${tiles}/warped?map=${warped}&${theirs}${tint("cyan")}`, frame.size));
     const right = [layerOf(`${tiles}/target?${theirs}`, frame.target_size)];

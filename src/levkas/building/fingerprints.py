@@ -260,10 +260,13 @@ def of_registration(
         prints["code of the matcher"] = code
     for sensor in capture.sensors:
         prints[f"sensors.{sensor.name}.align"] = sensor.align
-    for band, edits in campaign.edits.of_layer(capture.object, capture.layer).items():
-        if edited := edits.describe():
-            frame = f"{capture.layer}:{band}" if band else capture.layer
-            prints[f"edits.toml: correction of {frame}"] = edited
+    mine = {capture.layer: campaign.edits.of_layer(capture.object, capture.layer)}
+    for tile, corrected in campaign.edits.of_tiles(capture.object, capture.layer).items():
+        mine[f"{capture.layer}#{tile}"] = corrected
+    for frame, bands in mine.items():
+        for band, edits in bands.items():
+            if edited := edits.describe():
+                prints[f"edits.toml: correction of {frame}{f':{band}' if band else ''}"] = edited
     prints |= fingerprint_points(campaign, capture)
     return plain(prints)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -119,12 +120,17 @@ def _check_edits(campaign: Campaign, captures: list[Capture], refusals: Refusals
     frames = {
         (name, frame): edits
         for (name, frame), edits in campaign.edits.frames.items()
-        if (name, frame.partition(":")[0]) not in lost_frames
+        if (name, re.split("[:#]", frame)[0]) not in lost_frames
     }
     lost_objects = {capture.object for capture in lost}
     outlines = {n: o for n, o in campaign.edits.outlines.items() if n not in lost_objects}
     if frames or outlines:
-        check_edits(Edits(frames, outlines), captures, campaign.root / FILE_NAME)
+        check_edits(
+            Edits(frames, outlines),
+            captures,
+            campaign.root / FILE_NAME,
+            campaign.reference.camera,
+        )
 
 
 def _without_reference(plan: Plan, capture: Capture) -> Step:

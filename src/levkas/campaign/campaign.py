@@ -82,12 +82,12 @@ class Campaign(Document):
         """Keys of campaign.toml and edits.toml that no build heeds, one sentence each."""
         warnings = list(find_ineffective(self))
         for (name, frame), edits in sorted(self.edits.frames.items()):
-            camera = re.split("[@:]", frame)[0]
+            camera = re.split("[@:#]", frame)[0]
             if camera not in self.cameras:
                 continue
-            if self.cameras[camera].has_tiles:
+            if self.cameras[camera].has_tiles and "#" not in frame:
                 warnings.append(
-                    f"{FILE_NAME}: corrections of {name}/{frame} have no effect: tiles are placed by what they show"
+                    f"{FILE_NAME}: corrections of {name}/{frame} have no effect: name one of its tiles, as in {camera}#r1c2"
                 )
                 continue
             ineffective = method_of(self.registration_of(camera)).ineffective

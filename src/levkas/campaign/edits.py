@@ -151,7 +151,8 @@ class Edits:
     Parameters
     ----------
     frames : mapping
-        Frames as the contract names them: ``"d80"``, ``"d80@45-degree"``, ``"msbs:IR"``.
+        Frames as the contract names them: ``"d80"``, ``"d80@45-degree"``, ``"msbs:IR"``, ``"xray#left"``; ``"d80#r2c3#r2c2"`` is
+        a tile of the reference beside its neighbour.
     outlines : mapping
         Object → the corners of its outline, reference px, in place of campaign.toml's.
     """
@@ -167,6 +168,13 @@ class Edits:
             if object_ == name and here == layer and edits:
                 found[band] = edits
         return found
+
+    def of_tiles(self, name: str, layer: str) -> dict[str, dict[str, FrameEdits]]:
+        """Return the corrections of the tiles of a layer: tile, or tile#neighbour → band → what was corrected."""
+        frames = {frame.partition(":")[0] for object_, frame in self.frames if object_ == name}
+        tiles = sorted(f.partition("#")[2] for f in frames if f.partition("#")[:2] == (layer, "#"))
+        found = {tile: self.of_layer(name, f"{layer}#{tile}") for tile in tiles}
+        return {tile: bands for tile, bands in found.items() if bands}
 
     def with_frame(self, name: str, frame: str, edits: FrameEdits) -> Edits:
         """Return these corrections with those of one frame replaced; without it where there are none."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,11 @@ from levkas.geometry.transforms import solve_2x2
 from levkas.registration.record import HandMark, Matches, MatchState
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from levkas.geometry.transforms import Transform
+
+    Mapper = Callable[[np.ndarray], np.ndarray]
 
 #: Of coordinates by which a pair is known; how far two coordinates of one pair may differ, px.
 DECIMALS, NEAR_PX = 2, 0.011
@@ -94,6 +98,15 @@ class ManualPoints:
         parts = {name: getattr(self, name).copy() for name in names}
         for pairs in parts.values():
             pairs[:, 2:] = (pairs[:, 2:] - middle) / factor
+        return replace(self, **parts)
+
+    def moved(self, reference: Mapper, target: Mapper) -> ManualPoints:
+        """Return the pairs with their places in either picture moved, px → px."""
+        names = ("added", "pinned", "restored", "deleted", "checks", "starts")
+        pairs = {name: getattr(self, name) for name in names}
+        parts: dict[str, Any] = {
+            name: np.hstack([reference(p[:, :2]), target(p[:, 2:])]) for name, p in pairs.items()
+        }
         return replace(self, **parts)
 
     def mark(self, reference: np.ndarray, target: np.ndarray) -> MarkedMatches:

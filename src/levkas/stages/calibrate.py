@@ -147,7 +147,7 @@ def write_calibrated(
     with together(before):
         if is_published or capture.tiles:
             folder = folder_of(capture, campaign, places)
-            files = write_native(made, capture, places, credits, centroids, folder)
+            files = write_native(made.sensors(), capture, places, credits, centroids, folder)
         else:
             files = []
             for _, rows in made.sensors():  # what a scan shows is known when all its lines passed
@@ -168,13 +168,14 @@ def write_calibrated(
 def write_shown(
     made: CalibratedCapture, capture: Capture, campaign: Campaign, places: Places, folder: Path
 ) -> None:
-    """Write a calibrated capture in native pixels into a folder of its own, beside older ones, which go."""
+    """Write a calibrated capture in native pixels into a folder of its own, beside older ones, which go; tiles joined in px of the reference."""
     for older in folder.parent.glob("native-*"):
         remove(older)
     credits = credits_of(campaign, capture.object, made.captured or "")
     centroids = broad_centroids(campaign, capture.camera, capture.bands)
     with together():
-        write_native(made, capture, places, credits, centroids, folder)
+        parts = made.joined() if isinstance(made, TiledCapture) else made.sensors()
+        write_native(parts, capture, places, credits, centroids, folder)
 
 
 def folder_of(capture: Capture, campaign: Campaign, places: Places) -> Path | None:

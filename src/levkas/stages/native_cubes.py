@@ -26,7 +26,7 @@ from levkas.stages.capture_statistics import focus_of
 from levkas.stages.shared_noise import neighbour_correlation, shared_by_strips, shared_noise
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from levkas.campaign.discovery.captures import Capture
@@ -320,14 +320,14 @@ def least_bytes(samples: int, quantity: str, *, noisy: bool) -> int:
 
 
 def write_native(
-    native: CalibratedCapture,
+    parts: Iterable[tuple[str, Cube | CubeRows]],
     capture: Capture,
     places: Places,
     credits: Credits,
     centroids: Mapping[str, float],
     folder: Path | None = None,
 ) -> list[Path]:
-    """Write the pixels of every sensor, their flags and, where known, their sigma; return the files.
+    """Write the pixels of every part, named by its sensor, their flags and, where known, their sigma; return the files.
 
     They go into the database unless another `folder` is given.
     """
@@ -335,7 +335,7 @@ def write_native(
         capture.object, capture.camera, capture.setup, credits=credits, centroids=centroids
     )
     made = []
-    for sensor, rows in native.sensors():
+    for sensor, rows in parts:
         least = least_bytes(prod(rows.shape), rows.quantity, noisy=rows.has_sigma)
         require_space(places.output, least)
         where = capture.object, capture.camera, capture.setup, sensor
@@ -345,9 +345,12 @@ def write_native(
     return made
 
 
+TILE = "tile-"
+
+
 def part_name(capture: Capture, sensor: str) -> str:
     """Return how a part of a layer is called in the names of its native files: ``ccd1``, ``tile-r2c3_ccd1``, or nothing."""
-    return "_".join(filter(None, (capture.tile and f"tile-{capture.tile}", sensor)))
+    return "_".join(filter(None, (capture.tile and f"{TILE}{capture.tile}", sensor)))
 
 
 def read_native(

@@ -31,6 +31,7 @@ from levkas.registration.manual_points import ManualPoints
 from levkas.registration.record import COLUMNS, HandMark, Matches
 from levkas.registration.reduced import enlarged, onto_box
 from levkas.stages.control_points import declared_points, joined, placed_in, placed_pairs
+from levkas.stages.native_cubes import TILE, part_name
 from levkas.stages.tile_registration import (
     FoundTile,
     TilesToReference,
@@ -115,13 +116,16 @@ def _measure_tiles(
     found: dict[str, FoundTile] = {}
     try:
         if capture is frame.capture:
-            found, placement = place_reference(native, frame.band, campaign)
+            by_hand = corrections_beside(campaign, capture)
+            found, placement = place_reference(native, frame.band, campaign, by_hand)
             size = placement.size
             extra = {"placement": placement.to_dict()}
             del extra["placement"]["transforms"]
         else:
             size = frame.size
-            found = TilesToReference(native, frame, campaign, options).run()
+            channel = frame.channel(capture)
+            given = {part.tile: corrections_of(campaign, part, channel) for part in capture.tiles}
+            found = TilesToReference(native, frame, campaign, options, given).run()
     except RegistrationRefused as error:
         refused = error
     if any(one.is_placed for one in found.values()):
@@ -138,7 +142,22 @@ def _measure_tiles(
     channel = frame.channel(capture)
     record = _heading(capture, frame, grid, sampling, channel) | results | extra
     problems = verdict_problems(record, capture, refused)
-    return Measured(record, problems=problems, figures=draw_figures(record))
+    tables = {
+        part_name(part, sensor): pairs
+        for part in capture.tiles
+        for sensor, pairs in (found[part.tile].matches if part.tile in found else {}).items()
+    }
+    return Measured(record, tables, problems=problems, figures=draw_figures(record))
+
+
+def corrections_beside(campaign: Campaign, capture: Capture) -> dict[tuple[str, str], ManualPoints]:
+    """Return the pairs by hand of the tiles of the reference: (neighbour, tile) → px of either."""
+    found = {}
+    for names, bands in campaign.edits.of_tiles(capture.object, capture.layer).items():
+        tile, _, neighbour = names.partition("#")
+        given = [ManualPoints(**e.pairs(), accepted=e.accept == BY_HAND) for e in bands.values()]
+        found[neighbour, tile] = given[0]
+    return found
 
 
 def corners_of_grid(grid: Grid) -> np.ndarray:
@@ -275,20 +294,21 @@ def register_capture(
 def corrections_of(
     campaign: Campaign, capture: Capture, channel: str = ""
 ) -> tuple[dict[str, ManualPoints], dict[str, float]]:
-    """Return the pairs by hand of a capture, by sensor, and `reject` and `stop` where set by hand.
+    """Return the pairs by hand of a capture, or of a tile, by sensor, and `reject` and `stop` where set by hand.
 
     Pairs come from edits.toml and from the file of points that campaign.toml names; `channel` is the
     capture's reference channel.
     """
     given, options = {}, {}
-    for band, edits in campaign.edits.of_layer(capture.object, capture.layer).items():
+    for band, edits in campaign.edits.of_layer(capture.object, capture.frame).items():
         sensor, placed = placed_in(capture, band, channel)
         pairs = ManualPoints(**edits.pairs(), accepted=edits.accept == BY_HAND)
         given[sensor] = placed_pairs(pairs, placed)
         for key in ("reject", "stop"):
             if getattr(edits, key) is not None:
                 options[key] = getattr(edits, key)
-    for sensor, pairs in declared_points(campaign, capture, channel).items():
+    declared = {} if capture.tile else declared_points(campaign, capture, channel)
+    for sensor, pairs in declared.items():
         given[sensor] = pairs if sensor not in given else joined(given[sensor], pairs)
     return given, options
 
@@ -382,7 +402,9 @@ def write_registration(
     tables = {places.matches(name, layer, sensor): pairs for sensor, pairs in matches.items()}
     for place, pairs in tables.items():
         write_text(place, table_of(pairs))
-    names = [places.matches(name, layer, sensor.name) for sensor in capture.sensors]
+    names = {places.matches(name, layer, sensor.name) for sensor in capture.sensors}
+    if capture.tiles:
+        names |= {p for p in path.parent.iterdir() if p.name.startswith(f"{layer}.{TILE}")}
     for place in sorted({places.matches(name, layer), *names} - tables.keys()):
         if place.is_file():
             remove(place)

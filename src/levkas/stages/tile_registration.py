@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 from math import hypot
@@ -16,14 +16,14 @@ from levkas.campaign.methods import DEFAULT_METHOD
 from levkas.core.problems import Problem
 from levkas.geometry.transforms import Affine, Composed, Inverse
 from levkas.registration import Registration, RegistrationRefused, register
-from levkas.registration.advice import LOOK
+from levkas.registration.advice import LEAST_PAIRS, LOOK
 from levkas.registration.bands import by_wavelength, present_bands, sqrt_images
 from levkas.registration.features import CameraFeatures, GreyImages
 from levkas.registration.initial import find_initial_transform
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.measured_bands import measured_bands
 from levkas.registration.predictors import PreparedReference
-from levkas.registration.record import Sigma, Verdict
+from levkas.registration.record import HandMark, Matches, Sigma, Verdict
 from levkas.registration.reduced import FACTOR, LEAST_SIDE, onto_box, reduced
 from levkas.registration.tiles import TilePlacement, place_tiles
 from levkas.stages.tiles import Placement, TiledCapture, TilePlace
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from levkas.stages.reference import ReferenceFrame
 
 Point = tuple[float, float]
+Corrections = tuple[Mapping[str, ManualPoints], Mapping[str, float]]
 SCALE_PAIRS, LEAST_SCALE_PAIRS = 8, 3
 """Pairs of neighbours that are tried, and that suffice, to learn how far the stage's unit is in pixels."""
 FEW_TILES = 6
@@ -48,6 +49,7 @@ OUTLINE = 9
 """Places along each side of a tile by which its outline is known."""
 LATTICE = 25
 """Places a side at which the uncertainty of a mosaic is recorded."""
+HELD_BY_HAND = "placed by hand; the pictures do not confirm it"
 AROUND_TILE = "the part of the reference about the tile"
 NO_KEY_POINTS = "too few key points match between this tile and the reference"
 RIGID = ("pattern", "sensors", "file")
@@ -64,6 +66,8 @@ class FoundTile:
     sigma: Mapping[str, Sigma]
     sigma_px: float = 0.0
     errors: Mapping[str, Any] | None = None
+    matches: Mapping[str, Matches] = field(default_factory=dict)
+    pairs_by_hand: int = 0
 
     @property
     def is_placed(self) -> bool:
@@ -82,6 +86,8 @@ class FoundTile:
             }
         if self.errors:
             record["errors"] = dict(self.errors)
+        if self.pairs_by_hand:
+            record["pairs_by_hand"] = self.pairs_by_hand
         return record
 
 
@@ -89,9 +95,12 @@ class FoundTile:
 
 
 def place_reference(
-    native: TiledCapture, band: str, campaign: Campaign
+    native: TiledCapture,
+    band: str,
+    campaign: Campaign,
+    by_hand: Mapping[tuple[str, str], ManualPoints],
 ) -> tuple[dict[str, FoundTile], TilePlacement]:
-    """Place the tiles of the reference camera beside one another.
+    """Place the tiles of the reference camera beside one another; `by_hand` are pairs of a neighbour and a tile.
 
     Returns
     -------
@@ -106,9 +115,9 @@ def place_reference(
     tiles = _Pictures(native, band)
     stage = _stage(native, campaign)
     starts = _starts(tiles, stage) if len(tiles) > FEW_TILES else None
-    placement = place_tiles(tiles, starts=starts)
+    placement = place_tiles(tiles, starts=starts, by_hand=by_hand)
     if starts and placement.left_out:  # names or positions may be wrong
-        other = place_tiles(tiles)
+        other = place_tiles(tiles, by_hand=by_hand)
         placement = other if len(other.left_out) < len(placement.left_out) else placement
     rigid = campaign.cameras[native.capture.camera].traits.bands_in in RIGID
     own = _own_bands(native, band, list(placement.transforms), rigid=rigid)
@@ -119,9 +128,18 @@ def place_reference(
             found[name] = _left_out(placement.left_out.get(name, "not placed"), size)
             continue
         onto, sigma = Inverse(placement.transforms[name]), _sigma_beside(placement, name)
+        verdict, count = (
+            Verdict("accept"),
+            sum(len(g.fixed) for p, g in by_hand.items() if p[1] == name),
+        )
+        if name in placement.by_hand:
+            verdict, count = Verdict("by hand", (HELD_BY_HAND,)), placement.by_hand[name]
+            sigma = max(sigma, placement.sigma[name])
         maps = {label: Composed(onto, one) for label, one in own[name].items()}
         flat = _even(sigma, placement.size)
-        found[name] = FoundTile(Verdict("accept"), size, maps, dict.fromkeys(maps, flat), sigma)
+        found[name] = FoundTile(
+            verdict, size, maps, dict.fromkeys(maps, flat), sigma, pairs_by_hand=count
+        )
     return found, placement
 
 
@@ -298,6 +316,8 @@ class TilesToReference:
     campaign : Campaign
     options : dict
         Of the registration method.
+    given : dict of tile to (pairs by hand by sensor, options set by hand)
+        Px of the reference and of the tile.
     """
 
     def __init__(
@@ -306,8 +326,9 @@ class TilesToReference:
         frame: ReferenceFrame,
         campaign: Campaign,
         options: Mapping[str, Any],
+        given: Mapping[str, Corrections],
     ) -> None:
-        self._native, self._frame = native, frame
+        self._native, self._frame, self._given = native, frame, given
         self._options = {k: v for k, v in options.items() if k not in ("outline", "layer")}
         self._stage = _stage(native, campaign)
         self._own = frame.registration()
@@ -323,6 +344,8 @@ class TilesToReference:
         while waiting:
             name = waiting.pop(0)
             self.found[name] = self._register(name)
+            if self._begun_by_hand(name) is not None:
+                continue
             if not self.found[name].is_placed and self._predicted(name) is None:
                 again.append(name)
         for name in again:  # once others are placed, they say where it is expected
@@ -334,7 +357,8 @@ class TilesToReference:
     def _register(self, name: str) -> FoundTile:
         images, factor = self._native.pictures(name)
         size = self._native.size_of_tile(name, self._label)
-        expected = self._predicted(name) or self._begin(images, factor)
+        expected = self._begun_by_hand(name) or self._predicted(name)
+        expected = expected or self._begin(images, factor)
         if expected is None and min(images[0].size) >= FACTOR * LEAST_SIDE:  # a macro photograph
             images, factor = [reduced(one, FACTOR) for one in images], FACTOR * factor
             expected = self._begin(images, factor)
@@ -344,7 +368,7 @@ class TilesToReference:
         if box is None:
             return _left_out("it lies outside of what the reference shows", size)
         try:
-            found = self._once(images, factor, box, expected)
+            found = self._once(images, factor, box, expected, self._given.get(name, ({}, {})))
         except RegistrationRefused as refused:
             return _left_out(" ".join(str(p.message) for p in refused.problems), size)
         maps = found.transforms
@@ -354,7 +378,18 @@ class TilesToReference:
         # What was judged is the part of the reference that was cut out, which is called a layer where it is one.
         reasons = tuple(text.replace("the layer", AROUND_TILE) for text in found.verdict.reasons)
         verdict = replace(found.verdict, reasons=reasons)
-        return FoundTile(verdict, size, maps, found.sigma, sigma_px, found.errors)
+        matches = {"": found.matches, **found.others}
+        by_hand = sum(int((m.kept & (m.reason == HandMark.ADDED)).sum()) for m in matches.values())
+        return FoundTile(verdict, size, maps, found.sigma, sigma_px, found.errors, matches, by_hand)
+
+    def _begun_by_hand(self, name: str) -> Transform | None:
+        """Return where a person's pairs put a tile, reference px → native px; None where there are too few."""
+        given = self._given.get(name, ({}, {}))[0].get(self._native.capture.sensors[0].name)
+        pairs = given.fixed if given else np.zeros((0, 4))
+        enough = (
+            len(pairs) >= LEAST_PAIRS and np.linalg.matrix_rank(pairs[:, :2] - pairs[0, :2]) > 1
+        )
+        return Affine.fit(pairs[:, :2], pairs[:, 2:]) if enough else None
 
     def _begin(self, images: Sequence[BandImage], factor: int) -> Transform | None:
         """Return where key points put a tile in the whole reference, reference px → native px; None where they do not agree."""
@@ -374,9 +409,14 @@ class TilesToReference:
         return PreparedReference(self._frame.overview, self._frame.band).keys
 
     def _once(
-        self, pictures: Sequence[BandImage], factor: int, box: Box, expected: Transform
+        self,
+        pictures: Sequence[BandImage],
+        factor: int,
+        box: Box,
+        expected: Transform,
+        corrections: Corrections,
     ) -> Registration:
-        """Register the pictures of a tile to a box of the reference, where it is expected."""
+        """Register the pictures of a tile to a box of the reference, where it is expected, with what a person corrected of it."""
         images, transforms, step = self._frame.part(box)
         corner = onto_box(box[0], box[1], step)
         back, grow = Inverse(corner), onto_box(0, 0, factor)
@@ -384,21 +424,33 @@ class TilesToReference:
         height, width = images[0].values.shape
         places = np.array([[0.2, 0.2], [0.8, 0.2], [0.8, 0.8], [0.2, 0.8]]) * (width, height)
         starts = np.hstack([places, grow.inverse(expected(corner(places)))])
-        given = {self._native.capture.sensors[0].name: ManualPoints(starts=starts)}
+        first = self._native.capture.sensors[0].name
+        given = {
+            sensor: pairs.moved(back, grow.inverse) for sensor, pairs in corrections[0].items()
+        }
+        given[first] = replace(given.get(first, ManualPoints()), starts=starts)
+        options: dict[str, Any] = {**self._options, **corrections[1]}
         align = {
             s: Affine(np.array(a, float)) for s, a in self._native.aligns.items() if a != "measure"
         }
         found = register(
             images, pictures, reference_band=self._frame.band, given=given, align=align,
-            reference_transforms=transforms, reference_sigma=sigma, **self._options,
+            reference_transforms=transforms, reference_sigma=sigma, **options,
         )  # fmt: skip
+        errors = found.errors if step == 1 else _enlarged(found.errors, step)
+        if "check_points" in errors:
+            errors = errors | {
+                "check_points": [_moved_check(c, corner, grow) for c in errors["check_points"]]
+            }
         return replace(
             found,
             transforms={
                 label: Composed(back, one, grow) for label, one in found.transforms.items()
             },
             sigma={label: _moved(one, corner, step) for label, one in found.sigma.items()},
-            errors=found.errors if step == 1 else _enlarged(found.errors, step),
+            errors=errors,
+            matches=_moved_matches(found.matches, corner, grow, step),
+            others={s: _moved_matches(m, corner, grow, step) for s, m in found.others.items()},
         )
 
     def _box(self, expected: Transform, size: tuple[int, int]) -> Box | None:
@@ -448,7 +500,7 @@ class TilesToReference:
         for name in sorted(self.found):
             one = self.found[name]
             expected = self._predicted(name) if one.is_placed else None
-            if expected is None:
+            if expected is None or self._begun_by_hand(name) is not None:
                 continue
             side = min(one.size)
             places = one.maps[self._label].inverse(np.array([one.size]) / 2 - 0.5)
@@ -485,6 +537,22 @@ def _moved(sigma: Sigma, onto: Transform, step: float) -> Sigma:
     return Sigma(x, y, sigma.values * step)
 
 
+def _moved_matches(matches: Matches, corner: Transform, grow: Transform, step: float) -> Matches:
+    """Return pairs in px of the reference and native px, of a box that `corner` puts into the reference and a picture that `grow` makes native."""
+    return replace(
+        matches,
+        reference=corner(matches.reference),
+        target=grow(matches.target),
+        residual=matches.residual * step,
+        leave_one_out=matches.leave_one_out * step,
+    )
+
+
+def _moved_check(point: Mapping[str, Any], corner: Transform, grow: Transform) -> dict[str, Any]:
+    sides = {"reference": corner, "target": grow}
+    return {**point, **{k: onto(np.array([point[k]]))[0].tolist() for k, onto in sides.items()}}
+
+
 def _enlarged(errors: Mapping[str, Any], step: int) -> dict[str, Any]:
     """Return errors in px of which `step` were one."""
     return {
@@ -505,7 +573,9 @@ def verdict_of(found: Mapping[str, FoundTile]) -> Verdict:
     placed = [name for name, one in found.items() if one.is_placed]
     lost = {name: one for name, one in found.items() if not one.is_placed}
     doubtful = {
-        n: one for n, one in found.items() if one.is_placed and one.verdict.decision == "warn"
+        n: one
+        for n, one in found.items()
+        if one.is_placed and one.verdict.decision in ("warn", "by hand")
     }
     reasons = [
         f"Tile {name} is left out, and is a hole in the layer: {' '.join(one.verdict.reasons)}"
@@ -543,6 +613,7 @@ def results_of(
         }
         for band in native.bands
     }
+    by_hand = sum(one.pairs_by_hand for one in found.values() if one.is_placed)
     return {
         "method": DEFAULT_METHOD,
         "verdict": verdict.to_dict(),
@@ -551,6 +622,7 @@ def results_of(
         "trace": {},
         "bands": bands if verdict.decision != "refuse" else {},
         "tiles": {name: one.to_dict() for name, one in found.items()},
+        **({"pairs_by_hand": by_hand} if by_hand else {}),
     }
 
 

@@ -312,6 +312,11 @@ class TiledCapture:
             )
         )
 
+    def joined(self) -> Iterator[tuple[str, CubeRows]]:
+        """Yield the mosaic, all bands, in px of the reference; the name of its part is empty."""
+        maps = dict.fromkeys([band.label for band in self.bands], Affine.identity())
+        yield "", self.on_grid(maps, self.placed.size)
+
     def level(self, maps: Mapping[str, Transform], size: tuple[int, int]) -> None:
         """Find the gains of tiles from every `LEVELLED_STEP`-th pixel a side where they meet; they are joined with them from now on."""
         self.gains = {}

@@ -351,7 +351,7 @@ class RegistrationView:
 
         points = self._points(self.session.view.matches)
         data = format_points(points, dialect)
-        parts = [self.capture.object, self.capture.layer]
+        parts = [self.capture.object, self.view.frame]
         stem = "_".join(parts if self.view.is_first else [*parts, self.view.sensor.name])
         names = [stem + suffix for suffix in DIALECTS[dialect].suffixes]
         return list(zip(names, data, strict=True)), losses(points, dialect)
@@ -386,8 +386,8 @@ class RegistrationView:
             names=tuple(map(str, self.session.number().tolist())),
             enabled=matches.state != "removed",
             check=matches.state == "check",
-            reference_frame=f"{self.reference.layer}:{self.reference_band}",
-            target_frame=f"{self.capture.layer}:{self.band}",
+            reference_frame=f"{self.reference.frame}:{self.reference_band}",
+            target_frame=f"{self.capture.frame}:{self.band}",
             reference_size=found.size,
             target_size=found.target_size,
         )
@@ -416,17 +416,35 @@ def _transforms(record: dict[str, Any], labels: list[str]) -> dict[str, Transfor
 
 @dataclass(frozen=True)
 class SensorView:
-    """One sensor of a capture; most cameras have one."""
+    """One sensor of a capture; most cameras have one. Or of a tile; one of the reference's is seen beside a neighbour.
+
+    Parameters
+    ----------
+    capture : Capture
+    sensor : SensorFrames
+    beside : Capture or None
+        The neighbour.
+    number : int
+        Of the neighbour among the tiles, from 0.
+    """
 
     capture: Capture
     sensor: SensorFrames
+    beside: Capture | None = None
+    number: int = 0
 
     @property
     def key(self) -> str:
         """Id."""
-        return id_of(
-            self.capture.object, self.capture.layer, "" if self.is_first else self.sensor.name
+        own = id_of(
+            self.capture.object, self.capture.frame, "" if self.is_first else self.sensor.name
         )
+        return f"{own}-{self.number}" if self.beside else own
+
+    @property
+    def frame(self) -> str:
+        """How edits.toml names it, but for the band: ``d80``, ``xray#left``, ``d80#r2c3#r2c2``."""
+        return self.capture.frame + (f"#{self.beside.tile}" if self.beside else "")
 
     @property
     def is_first(self) -> bool:

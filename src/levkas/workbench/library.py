@@ -6,7 +6,7 @@ import csv
 import io
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,10 +32,18 @@ from levkas.database.layout import Places
 from levkas.database.registrations import unchecked_share
 from levkas.pages.page import describe_decision
 from levkas.registration.record import COLUMNS, Matches
+from levkas.stages.native_cubes import part_name
 from levkas.workbench.frame import RegistrationView, SensorView, id_of, sensor_of
 from levkas.workbench.history import History, HistoryFile
 from levkas.workbench.pictures import ShownPicture, read_picture
-from levkas.workbench.session import CorrectionSession, RecordedPairs
+from levkas.workbench.session import CorrectionSession, OperationRefused, RecordedPairs
+from levkas.workbench.tiles import (
+    is_placed,
+    joined,
+    neighbours,
+    record_of_neighbour,
+    record_of_tile,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -76,17 +84,80 @@ class Library:
         return load_campaign(self.path)
 
     @cached_property
+    def captures(self) -> list[Capture]:
+        """Every camera of every object."""
+        return find_captures(self.campaign)[0]
+
+    @cached_property
     def views(self) -> dict[str, SensorView]:
-        """Id → a sensor of a camera of an object: the first of every camera, then those that have a map of their own."""
-        captures = find_captures(self.campaign)[0]
-        return {view.key: view for capture in captures for view in self._views_of(capture)}
+        """Id → a sensor of a camera of an object: the first of every camera, then those that have a map of their own.
+
+        Of a camera of tiles, a sensor of every tile; before those of the reference, all of them joined.
+        """
+        views: dict[str, SensorView] = {}
+        for capture in self.captures:
+            leads = self._leads(capture)
+            for one in [capture] * (leads or not capture.tiles) + list(capture.tiles):
+                of_one = self._views_of(one)
+                views |= {v.key: v for v in (of_one[:1] if leads and capture.tiles else of_one)}
+        return views
+
+    def view_of(self, key: str) -> SensorView:
+        """Return what an id names; of a tile of the reference it says beside which neighbour.
+
+        Raises
+        ------
+        FrameMissing
+            Where there is no such id.
+        """
+        own, _, number = key.partition("-")
+        view = self.views.get(own)
+        if view is None:
+            raise FrameMissing(Problem("E_NO_FRAME", "unknown camera", found=key[:40]))
+        if not (view.capture.tile and self._leads(view.capture)):
+            return view
+        tiles = self._whole(view.capture).tiles
+        at = int(number) if number.isascii() and number.isdigit() else -1
+        if not 0 <= at < len(tiles) or tiles[at].tile == view.capture.tile:
+            at = self._beside(view, self._record(view.capture))
+        return replace(view, beside=tiles[at], number=at)
+
+    def neighbours(self, view: SensorView) -> list[dict[str, Any]]:
+        """Return the tiles beside which a tile of the reference can be placed, the best first: id, name, and whether it is placed itself."""
+        if view.beside is None:
+            return []
+        whole, record = self._whole(view.capture), self._record(view.capture)
+        found = []
+        for number in neighbours(whole, view.capture.tile, record):
+            other = whole.tiles[number]
+            key = replace(view, beside=other, number=number).key
+            placed = is_placed(record, other.tile)
+            found.append({"id": key, "tile": other.tile, "placed": placed})
+        return found
+
+    def _beside(self, view: SensorView, record: Mapping[str, Any]) -> int:
+        """Return the number of the neighbour of a tile: the one beside which a person set pairs, else the best."""
+        whole, capture = self._whole(view.capture), view.capture
+        corrected = read_edits(self.edits_path).of_tiles(capture.object, capture.layer)
+        ranked = neighbours(whole, capture.tile, record)
+        chosen = (n for n in ranked if f"{capture.tile}#{whole.tiles[n].tile}" in corrected)
+        return next(chosen, ranked[0])
+
+    def _whole(self, capture: Capture) -> Capture:
+        """The capture that a tile is part of."""
+        same = (c for c in self.captures if (c.object, c.layer) == (capture.object, capture.layer))
+        return next(same)
+
+    def _leads(self, capture: Capture) -> bool:
+        """Whether a capture, or that of a tile, is the reference's."""
+        return capture.camera == self.campaign.reference.camera and not capture.setup
 
     def _views_of(self, capture: Capture) -> list[SensorView]:
         # A method that fits one map for all sensors of a camera has pairs of the first one alone.
         method = method_of(self.campaign.registration_of(capture.camera))
         sensors = capture.sensors if method.per_sensor else capture.sensors[:1]
         views = [SensorView(capture, sensor) for sensor in sensors]
-        if capture.camera != self.campaign.reference.camera or capture.setup:
+        if not self._leads(capture):
             return views
         band = self.campaign.reference.band
         own = [v for v in views if band in v.labels] or views[:1]
@@ -127,37 +198,49 @@ class Library:
         view, capture = frame.view, frame.capture
         records = BuildRecords(self.places.kept, self.places.output)
         stages = [records.fingerprint(key_of(capture, stage)) for stage in ("measure", "register")]
-        edits = read_edits(self.edits_path).of_layer(capture.object, capture.layer)
+        edits = read_edits(self.edits_path).of_layer(capture.object, view.frame)
         band = self._band_of(view, edits)
-        name = f"edits.toml: correction of {capture.layer}{f':{band}' if band else ''}"
+        name = f"edits.toml: correction of {view.frame}{f':{band}' if band else ''}"
         prints = stages[0] | stages[1]
+        outline = [] if view.beside else prints.get("outline of the object", [])
         return {
             "registered": str(prints.get(name, "")) if any(stages) else None,
-            "registered_outline": prints.get("outline of the object", []) if any(stages) else None,
+            "registered_outline": outline if any(stages) else None,
         }
 
     def declared_outline(self, frame: RegistrationView) -> Outline:
-        """Return the outline that campaign.toml declares of an object, reference px; none where it does not."""
+        """Return the outline that campaign.toml declares of an object, reference px; none where it does not, nor beside a neighbour."""
+        if frame.view.beside:
+            return ()
         facts = self.campaign.objects.get(frame.capture.object)
         return (facts.outline if facts else None) or ()
 
     def list(self) -> list[dict[str, Any]]:
-        """Return every camera with the verdict of its last build, JSON-ready."""
+        """Return every camera, or tile of one, with the verdict of its last build, JSON-ready."""
         listed = []
-        for key, view in self.views.items():
+        edits = read_edits(self.edits_path)
+        records: dict[tuple[str, str], dict[str, Any]] = {}
+        for view in self.views.values():
             capture = view.capture
-            record = self._record(capture)
+            where = capture.object, capture.layer
+            whole = records[where] = records.get(where) or self._record(capture)
+            if capture.tile and self._leads(capture):
+                number = self._beside(view, whole)
+                view = replace(view, beside=self._whole(capture).tiles[number], number=number)
+            record = whole.get("tiles", {}).get(capture.tile) if capture.tile else whole
+            record = record or whole
             decision = record.get("verdict", {}).get("decision", "not built")
             reasons = record.get("verdict", {}).get("reasons", [])
             is_reference = self._is_reference(view)
             facts = self.campaign.objects.get(capture.object)
             listed.append(
                 {
-                    "id": key,
+                    "id": view.key,
                     "object": capture.object,
                     "title": (facts.title if facts else "") or capture.object,
                     "camera": capture.camera,
                     "setup": capture.setup,
+                    "tile": capture.tile,
                     "sensor": view.sensor.name if len(capture.sensors) > 1 else "",
                     "bands": _name_bands(view.labels),
                     "reference": is_reference,
@@ -166,7 +249,7 @@ class Library:
                         "reference" if is_reference else decision, unchecked_share(record)
                     ),
                     "reason": next(iter(reasons), ""),
-                    "corrections": self._edits(view, read_edits(self.edits_path)).describe(),
+                    "corrections": self._edits(view, edits).describe(),
                 }
             )
         return listed
@@ -181,9 +264,10 @@ class Library:
         """
         with self._lock:
             if key not in self._frames:
-                if key not in self.views:
-                    raise FrameMissing(Problem("E_NO_FRAME", "unknown camera", found=key))
-                self._frames[key] = self._opened(self.views[key])
+                view = self.view_of(key)
+                key = view.key
+            if key not in self._frames:
+                self._frames[key] = self._opened(view)
             return self._frames[key]
 
     def catch_up(self, frame: RegistrationView) -> None:
@@ -195,15 +279,22 @@ class Library:
     def reopen(self, key: str) -> None:
         """Read the records of an object anew after a build; corrections and undo stay."""
         with self._lock:
-            name = self.views[key].capture.object
-            for each in [k for k in self._frames if self.views[k].capture.object == name]:
+            name = self.view_of(key).capture.object
+            for (
+                capture
+            ) in self.captures:  # where tiles lie may have changed, and with it the mosaic
+                if capture.object == name and capture.tiles:
+                    own = id_of(capture.object, capture.frame)
+                    for one in [k for k in self._pictures if k[0] == own]:
+                        del self._pictures[one]
+            for each in [k for k in self._frames if self.view_of(k).capture.object == name]:
                 old = self._frames.pop(each)
                 old.renew(self.open(each))
                 self._frames[each] = old
 
     def picture(self, capture: Capture, band: str) -> ShownPicture:
         """Return one band as a picture; the last few are kept."""
-        key = (id_of(capture.object, capture.layer), band)
+        key = (id_of(capture.object, capture.frame), band)
         with self._lock:
             if key not in self._pictures:
                 path, page = self._page(capture, band)
@@ -222,14 +313,24 @@ class Library:
 
     def _page(self, capture: Capture, band: str) -> tuple[Path, int]:
         for sensor in capture.sensors:
-            labels = [b.label for b in sensor.bands]
+            labels = [b.label for b in (capture if capture.tiles else sensor).bands]
             if band in labels:
-                where = capture.object, capture.camera, capture.setup, sensor.name
+                name = "" if capture.tiles else part_name(capture, sensor.name)
+                where = capture.object, capture.camera, capture.setup, name
                 place = self.places.native(*where)
-                if not place.is_file() and not capture.tiles:
-                    place = self.places.native(*where, folder=self._calibrated(capture))
+                if not place.is_file():
+                    place = self.places.native(*where, folder=self._folder(capture))
                 return place, labels.index(band)
         raise FrameMissing(Problem("E_BAND_MISSING", "unknown band", found=band))
+
+    def _folder(self, capture: Capture) -> Path:
+        """Return where the native pixels of a capture or of a tile are beside the database, or its tiles joined."""
+        if capture.tiles:
+            with self._lock:
+                return joined(capture, self.campaign, self.places)
+        if capture.tile:
+            return self.places.kept_native(capture.object, capture.layer)
+        return self._calibrated(capture)
 
     def _calibrated(self, capture: Capture) -> Path:
         """Return the folder of a capture's native pixels beside the database; calibrate it where they are not there yet."""
@@ -251,7 +352,11 @@ class Library:
 
     def _opened(self, view: SensorView) -> RegistrationView:
         capture = view.capture
-        record, reference = self._record(capture), self._reference(capture)
+        record, reference = self._record(capture), view.beside or self._reference(capture)
+        main_record = self._record(reference)
+        if capture.tile and record:
+            main_record = record_of_neighbour(record, view) if view.beside else main_record
+            record = record_of_tile(record, view, self._sizes(view))
         if not record or "reference" not in record:
             raise FrameMissing(
                 Problem(
@@ -275,21 +380,32 @@ class Library:
             stop=keys.get("stop", 1.0),
         )
         edits = read_edits(self.edits_path)
-        place = capture.object, f"{capture.layer}{'' if view.is_first else f':{view.sensor.name}'}"
+        place = capture.object, f"{view.frame}{'' if view.is_first else f':{view.sensor.name}'}"
         session = CorrectionSession(
             found,
             self._edits(view, edits),
             partial(self._save, view),
             self.history.read(*place),
             partial(self.remember, *place),
-            edits.outlines.get(capture.object, ()),
-            partial(change_outline, self.edits_path, capture.object),
+            () if view.beside else edits.outlines.get(capture.object, ()),
+            _no_outline
+            if view.beside
+            else partial(change_outline, self.edits_path, capture.object),
         )
         main = SensorView(reference, sensor_of(reference, str(ours["band"])))
         return RegistrationView(
-            view, main, record, self._record(reference), session, band, str(ours["band"]),
+            view, main, record, main_record, session, band, str(ours["band"]),
             self.picture, self.flags,
         )  # fmt: skip
+
+    def _sizes(self, view: SensorView) -> tuple[tuple[int, int], tuple[int, int]]:
+        """(width, height) of the neighbour and of the tile, px."""
+        shapes = [
+            self._shape(self._page(part, view.labels[0])[0])
+            for part in (view.beside or view.capture, view.capture)
+        ]
+        (height, width), (down, across) = shapes
+        return (width, height), (across, down)
 
     def _shape(self, path: Path) -> tuple[int, int]:
         from levkas.database.tiff_pages import open_pages
@@ -298,13 +414,13 @@ class Library:
 
     def _reference(self, capture: Capture) -> Capture:
         wanted = self.campaign.reference.camera
-        mine = (v.capture for v in self.views.values() if v.capture.object == capture.object)
+        mine = (c for c in self.captures if c.object == capture.object)
         return next((c for c in mine if c.camera == wanted and not c.setup), capture)
 
     def _is_reference(self, view: SensorView) -> bool:
         """Whether all others are registered to this sensor."""
         reference = self._reference(view.capture)
-        if view.capture.layer != reference.layer:
+        if view.capture.frame != reference.layer:
             return False
         wanted = self._record(reference).get("reference", {}).get("band", "")
         return sensor_of(reference, wanted or self.campaign.reference.band or "") == view.sensor
@@ -318,14 +434,15 @@ class Library:
 
     def _matches(self, view: SensorView) -> Matches:
         capture, sensor = view.capture, view.sensor.name
-        path = self.places.matches(capture.object, capture.layer, sensor)
+        where = capture.object, capture.layer
+        path = self.places.matches(*where, part_name(capture, sensor))
         if view.is_first and not path.is_file():
-            path = self.places.matches(capture.object, capture.layer)
+            path = self.places.matches(*where, part_name(capture, ""))
         text = path.read_text(encoding="utf-8") if path.is_file() else ""
         return parse_matches(text)
 
     def _edits(self, view: SensorView, edits: Edits) -> FrameEdits:
-        of_layer = edits.of_layer(view.capture.object, view.capture.layer)
+        of_layer = edits.of_layer(view.capture.object, view.frame)
         return of_layer.get(self._band_of(view, of_layer), FrameEdits())
 
     def _band_of(self, view: SensorView, edits: Mapping[str, FrameEdits]) -> str:
@@ -338,10 +455,15 @@ class Library:
         capture = view.capture
 
         def frame_of(edits: Edits) -> str:
-            band = self._band_of(view, edits.of_layer(capture.object, capture.layer))
-            return f"{capture.layer}:{band}" if band else capture.layer
+            band = self._band_of(view, edits.of_layer(capture.object, view.frame))
+            return f"{view.frame}:{band}" if band else view.frame
 
         return change_edits(self.edits_path, capture.object, frame_of, before, after)
+
+
+def _no_outline(before: Outline, after: Outline) -> Outline:
+    fix = "Draw it over the reference, with another camera or with the whole reference."
+    raise OperationRefused(Problem("E_VALUE", "a tile has no outline of its own", fix=fix))
 
 
 def _name_bands(labels: list[str]) -> str:

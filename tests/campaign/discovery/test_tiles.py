@@ -113,10 +113,10 @@ def test_a_table_of_positions_has_a_row_a_tile(tmp_path):
     ]
 
 
-def test_corrections_of_tiles_are_said_to_have_no_effect(tmp_path):
+def test_corrections_of_a_whole_camera_of_tiles_are_said_to_have_no_effect(tmp_path):
     campaign(tmp_path)
     (tmp_path / "edits.toml").write_text(
         "version = 1\n[objects.icon.cameras.d80]\nadded = [[1.0, 2.0, 3.0, 4.0]]\n"
     )
     (warning,) = load_campaign(tmp_path).without_effect
-    assert "icon/d80" in warning
+    assert "icon/d80" in warning and "one of its tiles" in warning

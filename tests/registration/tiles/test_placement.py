@@ -1,6 +1,7 @@
 """Tiles cut from one texture by known maps, placed again."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
 from levkas.geometry.transforms import Composed, Homography, Inverse, Lens
 from levkas.registration import BandImage, RegistrationRefused
+from levkas.registration.manual_points import ManualPoints
 from levkas.registration.tiles import TilePlacement, place_tiles
 
 SIZE, STEP = (200, 160), (150, 120)
@@ -129,6 +131,43 @@ def test_order_and_positions_change_nothing_but_the_work(mosaic):
     assert one.to_dict() == other.to_dict()
     assert set(one.transforms) == set(names)
     assert lazy.reads <= 3 * len(names)
+
+
+def test_pairs_by_hand_place_a_tile_that_key_points_do_not(mosaic):
+    tiles, truth, _ = mosaic
+    rng, clear = np.random.default_rng(4), tiles["r1c1"].values
+    blurred = gaussian_filter(clear, 4) + rng.normal(size=clear.shape).astype(np.float32) * 0.01
+    some = {**tiles, "r1c1": BandImage.of("1", blurred)}
+    places = np.array([[160.0, 12.0], [192.0, 30.0], [170.0, 90.0], [195.0, 140.0], [158.0, 120.0]])
+    there = truth["r1c1"].inverse(truth["r1c0"](places)) + rng.normal(size=(5, 2)) * 0.7
+    pairs = np.hstack([places, there])
+    assert set(place_tiles(some).left_out) == {"r1c1"}
+    started = place_tiles(some, by_hand={("r1c0", "r1c1"): ManualPoints(added=pairs)})
+    assert (started.left_out, started.by_hand) == ({}, {})
+    assert errors(started, truth).max() < 0.6
+
+    plain = BandImage.of("1", 0.4 + rng.normal(size=clear.shape).astype(np.float32) * 0.01)
+    some = {**tiles, "r1c1": plain}
+    only = ManualPoints(added=pairs[:, [2, 3, 0, 1]])
+    left = place_tiles(some, by_hand={("r1c1", "r1c0"): only}).left_out
+    assert "can be placed by hand" in left["r1c1"]
+    accepted = replace(only, accepted=True)
+    placed = place_tiles(some, by_hand={("r1c1", "r1c0"): accepted})
+    assert placed.by_hand == {"r1c1": 5} and not placed.left_out
+    off = np.linalg.norm(
+        placed.transforms["r1c1"].inverse(placed.transforms["r1c0"](places)) - there, axis=1
+    )
+    assert off.mean() < 1.2  # the pairs, to what a hand points at
+    spread = np.median(np.linalg.norm(errors_of("r1c1", placed, truth), axis=1))
+    assert placed.sigma["r1c1"] > 0.3 and spread < 3 * placed.sigma["r1c1"]
+
+
+def errors_of(name, placement, truth):
+    """How far a tile lies from where it was cut, beside the others, (n, 2)."""
+    others = [one for one in sorted(truth) if one != name]
+    ours, theirs = (np.concatenate([maps[n](GRID) for n in others])
+                    for maps in (placement.transforms, truth))  # fmt: skip
+    return Homography.fit(ours, theirs)(placement.transforms[name](GRID)) - truth[name](GRID)
 
 
 def test_a_tile_without_detail_lies_where_its_position_says(mosaic):

@@ -121,6 +121,11 @@ class Capture:
         """Camera and setup as frames are named: ``d80@45-degree``."""
         return f"{self.camera}@{self.setup}" if self.setup else self.camera
 
+    @property
+    def frame(self) -> str:
+        """The layer, and its tile where this is one: ``d80#r2c3``."""
+        return f"{self.layer}#{self.tile}" if self.tile else self.layer
+
     def boxes(
         self, frames: Mapping[str, tuple[tuple[int, int, int, int], ...]]
     ) -> dict[str, list[tuple[int, int, int, int]]]:

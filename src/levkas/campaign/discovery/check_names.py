@@ -83,17 +83,21 @@ def _lost_objects(campaign: Campaign, index: FileIndex, there: Sequence[str]) ->
 # --- corrections by hand ----------------------------------------------------------------------
 
 
-def check_edits(edits: Edits, captures: Iterable[Capture], path: Path) -> None:
+def check_edits(edits: Edits, captures: Iterable[Capture], path: Path, reference: str = "") -> None:
     """Refuse corrections of what the campaign does not have, and two tables of one sensor.
+
+    A tile of the camera `reference` is named with the neighbour beside which it is placed, others without.
 
     Raises
     ------
     EditsInvalid
     """
     known: dict[str, dict[str, dict[str, str]]] = {}
+    tiles: dict[tuple[str, str], list[str]] = {}
     for capture in captures:
         labels = {band.label: sensor.name for sensor in capture.sensors for band in sensor.bands}
         known.setdefault(capture.object, {})[capture.layer] = labels
+        tiles[capture.object, capture.layer] = [part.tile for part in capture.tiles]
     problems = []
     edited: dict[tuple[str, str, str], str] = {}
     for name in sorted(edits.outlines.keys() - known.keys()):
@@ -102,11 +106,14 @@ def check_edits(edits: Edits, captures: Iterable[Capture], path: Path) -> None:
         )
         problems.append(with_explanation(problem, path))
     for name, frame in sorted(edits.frames):
-        layer, _, band = frame.partition(":")
+        whole, _, band = frame.partition(":")
+        layer, *parts = whole.split("#")
         where, layers = f"objects.{name}.cameras.{frame}", known.get(name, {})
+        of_layer = tiles.get((name, layer), [])
         for kind, wanted, names in (
             ("object", name, list(known)),
             ("camera", layer, list(layers)),
+            *(("tile", part, of_layer) for part in parts),
             ("band", band, list(layers.get(layer, {}))),
         ):
             if wanted and wanted not in names:
@@ -115,8 +122,9 @@ def check_edits(edits: Edits, captures: Iterable[Capture], path: Path) -> None:
                 problems.append(with_explanation(problem, path))
                 break
         else:
+            problems += _misnamed(parts, where, path, beside=layer == reference)
             sensors = layers[layer]
-            place = (name, layer, sensors[band] if band else next(iter(sensors.values())))
+            place = (name, whole, sensors[band] if band else next(iter(sensors.values())))
             if (first := edited.setdefault(place, frame)) != frame:
                 message = "edits.toml has two tables for this sensor"
                 problem = Problem(
@@ -125,3 +133,15 @@ def check_edits(edits: Edits, captures: Iterable[Capture], path: Path) -> None:
                 problems.append(with_explanation(problem, path))
     if problems:
         raise EditsInvalid(*problems)
+
+
+def _misnamed(parts: list[str], where: str, path: Path, *, beside: bool) -> list[Problem]:
+    """Return what is wrong with the name of a tile: one `beside` a neighbour has two parts, another has one."""
+    if not parts or (len(parts) == 1 + beside and len(set(parts)) == len(parts)):
+        return []
+    message, expected = "a tile is corrected against the reference", "CAMERA#TILE"
+    if beside:
+        message = "a tile of the reference is corrected against one of its neighbours"
+        expected = "CAMERA#TILE#NEIGHBOUR"
+    problem = Problem("E_VALUE", message, None, where, "#".join(parts), expected)
+    return [with_explanation(problem, path)]

@@ -431,7 +431,7 @@ class FrameKeys(Table):
 
 
 class ObjectKeys(Table):
-    """Corrections of one object: its outline, and by frame name: CAMERA, CAMERA@SETUP, CAMERA:BAND."""
+    """Corrections of one object: its outline, and by frame name: CAMERA, CAMERA@SETUP, CAMERA:BAND, CAMERA#TILE, CAMERA#TILE#NEIGHBOUR."""
 
     outline: Outline | None = None
     cameras: dict[str, FrameKeys] = Field(default={})

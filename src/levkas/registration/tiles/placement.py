@@ -13,7 +13,10 @@ from levkas.core.machine import steady_libraries
 from levkas.core.problems import Problem
 from levkas.geometry import from_dict
 from levkas.geometry.transforms import Affine, Composed, Inverse, Lens, Transform
+from levkas.registration.advice import LEAST_PAIRS
 from levkas.registration.bands import BandImage
+from levkas.registration.manual_points import HAND_PX, ManualPoints
+from levkas.registration.placed_by_hand import leverage
 from levkas.registration.record import RegistrationRefused
 from levkas.registration.tiles.adjustment import (
     Adjustment,
@@ -47,6 +50,8 @@ TWICE_SHARE = 0.95
 MOST_OFF_PX, MOST_OFF = 1.0, 8.0
 #: Rounds in which overlaps that contradict the adjustment are taken out.
 ROUNDS = 10
+#: Px by which an overlap may be off that rests on pairs by hand.
+MOST_OFF_BY_HAND_PX = 8 * HAND_PX
 #: Px by which a tile's place may be wrong before its first adjustment is refined.
 PREDICTED_PX = 12.0
 #: Longer sides of a tile up to which middles of neighbours are apart; of 15 x 15 places, how many a corner has.
@@ -56,6 +61,7 @@ LEAST_STAGE = 0.002
 #: Of a tile's longer side: how far apart places are looked for that look alike, where no position is known.
 REPEAT_SHARE = 0.5
 REPEATS = "shows detail that repeats itself where it overlaps others"
+BY_HAND_UNLIKE = "shows nothing that its neighbour shows where the pairs by hand put it; it can be placed by hand"
 NO_DETAIL = "shows no detail where it overlaps others"
 #: Why overlaps are missing of a tile that is taken where its position says.
 DOUBTFUL = ({"no detail"}, {"repeats"}, {"no detail", "repeats"})
@@ -91,6 +97,8 @@ class TilePlacement:
         In windows left out, of plain homographies (``"none"``), with a lens and with a bend.
     by_position : dict of name to str
         Tiles that no overlap holds and that lie where their position says; why.
+    by_hand : dict of name to int
+        Tiles that only pairs by hand hold, which no picture confirms; how many pairs.
     deviations : dict of str to float, px
         What tiles differ by in `scale`, `shear`, `tilt`, at the rim.
     """
@@ -106,6 +114,7 @@ class TilePlacement:
     rms: float
     errors: dict[str, float]
     by_position: dict[str, str] = field(default_factory=dict)
+    by_hand: dict[str, int] = field(default_factory=dict)
     deviations: dict[str, float] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
@@ -117,6 +126,7 @@ class TilePlacement:
             "sigma": self.sigma,
             "left_out": self.left_out,
             "by_position": self.by_position,
+            "by_hand": self.by_hand,
             "overlaps": self.overlaps,
             "loops": self.loops,
             "lens": self.lens and self.lens.to_dict(),
@@ -136,7 +146,8 @@ class TilePlacement:
         rest = {
             key: record[key]
             for key in (
-                "sigma", "left_out", "overlaps", "loops", "rms", "errors", "by_position", "deviations"
+                "sigma", "left_out", "overlaps", "loops", "rms", "errors", "by_position", "by_hand",
+                "deviations",
             )
         }  # fmt: skip
         return cls(transforms=transforms, size=(width, height), lens=lens, bend=bend, **rest)
@@ -146,6 +157,7 @@ def place_tiles(
     tiles: Mapping[str, BandImage],
     *,
     starts: Mapping[str, tuple[float, float]] | None = None,
+    by_hand: Mapping[Pair, ManualPoints] | None = None,
     lens: bool = True,
 ) -> TilePlacement:
     """Place the tiles of a painting beside one another.
@@ -156,6 +168,9 @@ def place_tiles(
         Pictures of parts of one plane by one camera. A value is read whenever it is needed, and few are held: a mapping may read files.
     starts : mapping of name to (x, y), px, optional
         Where the first px of a tile lies, to about a tenth of its side.
+    by_hand : mapping of (name, name) to ManualPoints, optional
+        Pairs of two tiles, px of the first and of the second. Four say where the overlap lies, which the pictures then show; `accepted` ones
+        are the overlap, where the pictures show none.
     lens : bool
         Whether tiles share a lens that is not known.
 
@@ -174,7 +189,19 @@ def place_tiles(
     A block adjustment as photogrammetry has it ([brown1976]_), of windows in place of tie points; docs/explanation/tiles.md describes it.
     """
     with steady_libraries():
-        return _Mosaic(tiles, dict(starts or {}), lens).place()
+        return _Mosaic(tiles, dict(starts or {}), lens, _in_order(by_hand or {})).place()
+
+
+def _in_order(by_hand: Mapping[Pair, ManualPoints]) -> dict[Pair, ManualPoints]:
+    """Return pairs of two tiles each once, the tiles in name order; those that determine no place are not among them."""
+    found: dict[Pair, ManualPoints] = {}
+    for (first, second), given in sorted(by_hand.items(), key=lambda item: item[0]):
+        pairs = given.fixed if first < second else given.fixed[:, [2, 3, 0, 1]]
+        pair = (min(first, second), max(first, second))
+        before = found.get(pair, ManualPoints())
+        added, accepted = np.concatenate([before.added, pairs]), before.accepted or given.accepted
+        found[pair] = ManualPoints(added=added, accepted=accepted)
+    return {pair: given for pair, given in found.items() if len(given.added) >= LEAST_PAIRS}
 
 
 class _Mosaic:
@@ -185,11 +212,14 @@ class _Mosaic:
         tiles: Mapping[str, BandImage],
         starts: dict[str, tuple[float, float]],
         lens: bool,
+        by_hand: Mapping[Pair, ManualPoints],
     ) -> None:
         self.names = sorted(tiles)
         self.pictures = TilePictures(tiles)
         self.starts = {name: starts[name] for name in self.names if name in starts}
         self.lens = lens
+        self.by_hand = {p: given for p, given in by_hand.items() if set(p) <= set(self.names)}
+        self.unconfirmed: set[Pair] = set()
         self.found: dict[Pair, OverlapWindows] = {}
         self.missed: dict[Pair, str] = {}
         self.refused: dict[Pair, str] = {}
@@ -205,6 +235,8 @@ class _Mosaic:
     def place(self) -> TilePlacement:
         for pair in self._candidates():
             self._measure_from_key_points(pair)
+        for pair, given in self.by_hand.items():
+            self._measure_by_hand(pair, given.added, accepted=given.accepted)
         self._leave_out_twins()
         joined, adjusted = self._adjusted(AdjustmentTerms(self.lens, covariance=False))
         if self._measure_predicted(joined, adjusted):
@@ -262,6 +294,31 @@ class _Mosaic:
         self.found[pair] = outcome
         self.missed.pop(pair, None)
         return True
+
+    def _measure_by_hand(self, pair: Pair, pairs: np.ndarray, *, accepted: bool) -> None:
+        """Measure an overlap from where a person's pairs put it; where nothing is found there and they are `accepted`, they are the overlap."""
+        begin = similarity(pairs[:, :2], pairs[:, 2:])
+        before = self.found.get(pair)
+        if before is not None:
+            apart = begin(pairs[:, :2]) - before.transform(pairs[:, :2])
+            if np.hypot(*apart.mean(0)) <= PREDICTED_PX:
+                return
+            del self.found[pair]
+        if self._measure(pair, begin, PREDICTED_PX) or not accepted:
+            return
+        missed = np.hypot(*(begin(pairs[:, :2]) - pairs[:, 2:]).T)
+        height, width = self.pictures.shapes[pair[0]]
+        x, y = np.meshgrid(np.arange(0, width, 8), np.arange(0, height, 8))
+        there = begin(np.stack([x.ravel(), y.ravel()], 1).astype(float))
+        height, width = self.pictures.shapes[pair[1]]
+        share = float(((there >= 0) & (there <= [width - 1, height - 1])).all(1).mean())
+        information = np.tile(np.eye(2) / (2 * HAND_PX**2), (len(pairs), 1, 1))
+        self.found[pair] = OverlapWindows(
+            pairs[:, :2], pairs[:, 2:], information, len(pairs), share, begin,
+            float(np.sqrt(np.square(missed).mean() / 2)), np.nan, 1.0,
+        )  # fmt: skip
+        self.unconfirmed.add(pair)
+        self.missed.pop(pair, None)
 
     def _measure_predicted(self, joined: list[str], adjusted: Adjustment) -> bool:
         """Measure overlaps of placed tiles that were not found before, from where the adjustment puts them."""
@@ -337,11 +394,13 @@ class _Mosaic:
             adjusted = adjust(windows, begin, terms)
             off = overlap_offsets(windows, adjusted)
             size = np.hypot(*off.T)
-            most = max(MOST_OFF_PX, MOST_OFF * adjusted.rms)
+            most = np.full(len(pairs), max(MOST_OFF_PX, MOST_OFF * adjusted.rms))
+            by_hand = np.array([pair in self.unconfirmed for pair in pairs])
+            most[by_hand] = np.maximum(most[by_hand], MOST_OFF_BY_HAND_PX)
             if not (size > most).any():
                 break
-            worst = pairs[int(np.argmax(size))]
-            self.refused[worst] = f"contradicts the others by {size.max():.1f} px"
+            worst = pairs[int(np.argmax(size / most))]
+            self.refused[worst] = f"contradicts the others by {size[pairs.index(worst)]:.1f} px"
         return joined, adjusted
 
     def _joined(self) -> tuple[list[str], list[Pair]]:
@@ -430,6 +489,9 @@ class _Mosaic:
             if name in joined:
                 spread = adjusted.place_covariance(k, points)
                 sigma[name] = scale * float(np.sqrt(np.trace(spread, axis1=1, axis2=2).mean() / 2))
+        held = self._held_by_hand(joined, pairs)
+        for name in held:
+            sigma[name] = max(sigma[name], scale * self._sigma_by_hand(name))
         low = np.floor(np.min([box.min(0) for box in boxes], axis=0) + 0.5)
         high = np.max([box.max(0) for box in boxes], axis=0)
         shift = Affine(np.array([[1.0, 0, -low[0]], [0, 1, -low[1]]]))
@@ -451,8 +513,34 @@ class _Mosaic:
                 name: f"{self._why(name)}: its position is known to ± {sigma[name]:.1f} px"
                 for name in lone
             },
+            held,
             dict(zip(names, adjusted.deviations.tolist(), strict=True)),
         )
+
+    def _sigma_by_hand(self, name: str) -> float:
+        """Return how well a tile lies that pairs by hand hold, px, the root mean square over it: how exactly a person points, times the leverage of the pairs."""
+        mine = [self.found[p].points if p[0] == name else self.found[p].partners
+                for p in sorted(self.unconfirmed) if name in p]  # fmt: skip
+        if not mine:
+            return 0.0
+        height, width = self.pictures.shapes[name]
+        x, y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 9))
+        points = np.stack([x.ravel(), y.ravel()], 1)
+        spread = leverage(points, np.concatenate(mine), "similarity")
+        return HAND_PX * float(np.sqrt(np.trace(spread, axis1=1, axis2=2).mean()))
+
+    def _held_by_hand(self, joined: list[str], pairs: list[Pair]) -> dict[str, int]:
+        """Return the tiles that overlaps of pictures do not join to most others, and how many pairs by hand hold each or those it is joined to."""
+        if not self.unconfirmed & set(pairs):
+            return {}
+        parts = components(joined, [pair for pair in pairs if pair not in self.unconfirmed])
+        most = max(parts, key=lambda part: (len(part), [-joined.index(name) for name in part]))
+        held: dict[str, int] = {}
+        for part in parts:
+            by_hand = [p for p in pairs if p in self.unconfirmed and set(p) & set(part)]
+            count = sum(self.found[p].windows for p in by_hand)
+            held |= dict.fromkeys(part, count) if part is not most else {}
+        return dict(sorted(held.items()))
 
     def _gauge(self, maps: TileMaps) -> Affine:
         """Return the similarity after which the first tile is neither turned nor scaled about its middle."""
@@ -470,7 +558,9 @@ class _Mosaic:
             refused = {p: r for p, r in self.refused.items() if name in p}
             others = sorted({n for p in self.found if name in p for n in p} - {name})
             missed = {r for p, r in self.missed.items() if name in p}
-            if refused and all(pair in refused for pair in self.found if name in pair):
+            if any(name in pair for pair in self.by_hand.keys() - self.found.keys()):
+                self.left_out[name] = BY_HAND_UNLIKE
+            elif refused and all(pair in refused for pair in self.found if name in pair):
                 pair, reason = next(iter(sorted(refused.items())))
                 partner = pair[1] if pair[0] == name else pair[0]
                 self.left_out[name] = f"its overlap with tile {partner!r} {reason}"

@@ -179,10 +179,10 @@ def _warm_up(library: Library) -> None:
     """Load what the first answer needs while the browser still starts."""
     from levkas.workbench.answer import describe
 
-    for key, row in zip(library.views, library.list(), strict=True):
+    for row in library.list():
         if not row["reference"]:
             with contextlib.suppress(Refused):
-                frame = library.open(key)
+                frame = library.open(row["id"])
                 with frame.lock:
                     describe(frame.session)
                 return

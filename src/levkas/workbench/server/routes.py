@@ -252,6 +252,7 @@ class Handlers:
         more = {
             "turn": self.library.turn_of(frame),
             "declared_outline": self.library.declared_outline(frame),
+            "beside": self.library.neighbours(frame.view),
             **self.library.registered_with(frame),
         }
         return JSONResponse({"ok": True, **describe_frame(frame), **more})
@@ -403,12 +404,12 @@ def describe_frame(frame: RegistrationView) -> dict[str, Any]:
     return {
         "id": frame.key,
         "object": frame.capture.object,
-        "camera": frame.capture.layer,
+        "camera": frame.capture.frame,
         "sensor": frame.view.sensor.name if len(frame.capture.sensors) > 1 else "",
         "band": frame.band,
         "bands": _describe_bands(frame.view),
         "reference": {
-            "camera": frame.reference.layer,
+            "camera": frame.reference.frame,
             "band": frame.reference_band,
             "bands": _describe_bands(frame.main),
         },
