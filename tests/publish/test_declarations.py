@@ -105,6 +105,16 @@ def test_a_path_of_the_machine_is_never_published(campaign, tmp_path, make_plate
     assert not (report.output / "declarations").exists()
 
 
+def test_a_database_published_alone_says_how_its_declarations_come_along(campaign, tmp_path):
+    wanted = run.find_subject(campaign / "other")
+    report = run.summarise(
+        run.publish(wanted, output=tmp_path / "out", iiif=False, editions="full")
+    )
+    (note,) = report.left_out
+    assert note.startswith("declarations/") and "the campaign's folder" in note
+    assert note in report.text and not (report.output / "declarations").exists()
+
+
 def test_every_key_that_names_a_file_is_known():
     keys = {
         key

@@ -178,10 +178,11 @@ def map_points(
     """Map points between any two pixel frames of an object."""
     from levkas.core.ownership import require_free
     from levkas.core.text import read_stream, read_text
-    from levkas.database.pixel_frames import map_table, warn_of_turns
+    from levkas.database.pixel_frames import find_map, map_table, warn_of_turns
 
     if output is not None:
         require_free(output, overwrite=overwrite)
+    find_map(database, name, source, target)  # before a person types points in vain
     wanted = "a CSV in UTF-8 with the header x,y"
     text = (
         read_text(points, wanted)

@@ -19,11 +19,12 @@ import numpy as np
 
 from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused, closest_match
-from levkas.core.text import unusable_name
+from levkas.core.text import missing_path, unusable_name
 from levkas.database.catalogue import database_of
 from levkas.database.containment import check_inside, is_plain_name
 from levkas.database.layout import layer_name
 from levkas.database.registrations import RecordRefused, beyond_checks, read_registration
+from levkas.database.remote import is_remote
 from levkas.geometry import from_dict
 from levkas.geometry.transforms import Affine, Inverse, Transform
 from levkas.readers.facts import check_memory
@@ -440,6 +441,9 @@ class Records:
     """The registration records of one object."""
 
     def __init__(self, database: Path, name: str) -> None:
+        absent = None if is_remote(database) else missing_path(database)
+        if absent is not None:
+            raise MappingRefused(absent)
         self.name = name
         self.folder = database / "objects" / name / "registration"
         if not is_plain_name(name) or unusable_name(name) or not self.folder.is_dir():

@@ -36,10 +36,14 @@ def write_declarations(publication: Publication) -> Iterator[str]:
     """Write campaign.toml, edits.toml and the tables that they name, where the campaign is known.
 
     campaign.toml is written anew: without its comments, which were not written for the public, and without
-    `output`, which is whoever builds to choose. Where it names a file outside its folder, nothing is written,
-    and `left_out` says which.
+    `output`, which is whoever builds to choose. Where the campaign was not given, or names a file outside its folder,
+    nothing is written, and `left_out` says so.
     """
     if publication.campaign is None:
+        publication.left_out.append(
+            f"{FOLDER}/: of a database alone it is not known what its campaign declared, from which it can be built "
+            "again; publish the campaign's folder in place of the database's"
+        )
         return
     import tomlkit
 

@@ -212,11 +212,12 @@ def test_three_pictures_alone_are_of_the_object_that_the_folder_is_named_after(f
 
 def test_an_infrared_written_out_is_a_picture_of_that_object_too(folder):
     folder.picture("photograph.jpg")
-    for name in ("infrared", "xray"):
+    others = ("infrared", "ultraviolet", "xray")
+    for name in others:
         folder.picture(f"{name}.png", channels=1)
     _, captures, refusals = found(folder.root)
     assert not refusals
-    assert set(captures) == {("studio", c) for c in ("photograph", "infrared", "xray")}
+    assert set(captures) == {("studio", c) for c in ("photograph", *others)}
 
 
 # --- what headers and numbers tell ------------------------------------------------------------

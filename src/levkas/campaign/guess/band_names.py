@@ -249,7 +249,8 @@ def _by_name(column: _Column, samples: Frames) -> tuple[str, str] | None:
     listed = f"{{band}}: {', '.join(texts)}"
     if lower <= LENSES and len(lower) > 2:
         return "sensor", f"{{sensor}}: {', '.join(texts)}, a lens each"
-    if lower <= COLOURS | IMAGES and len(lower & COLOURS) >= FEWEST:
+    pictures = lower <= IMAGES  # infrared, ultraviolet, xray: each by a camera of its own
+    if lower <= COLOURS | IMAGES and len(lower & COLOURS) >= FEWEST and not pictures:
         return "band", listed
     if lower <= COLOURS | COLOUR_LETTERS and any(known <= lower for known in LETTERS):
         return "band", listed
