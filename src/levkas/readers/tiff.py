@@ -401,12 +401,15 @@ def _colours_of(page: Any) -> str | None:
 def _describe(page: Any, shape: tuple[int, ...]) -> dict[str, Any]:
     """Return the levels, pattern, exposure, date, camera and band of a page, as fields of Facts."""
     tags = page.tags
-    exif = value_of(tags, "ExifTag")
+    named: dict[str, Any] = {}  # tifffile would look through all tags for each name
+    for tag in tags.values():
+        named.setdefault(tag.name, tag)
+    exif = value_of(named, "ExifTag")
     exif = exif if isinstance(exif, dict) else {}
 
     def find(name: str) -> Any:
         both = (name, f"{name} ")  # tifffile has a blank in the name of ExposureIndex
-        found = (get(each) for get in (partial(value_of, tags), exif.get) for each in both)
+        found = (get(each) for get in (partial(value_of, named), exif.get) for each in both)
         return next((value for value in found if value is not None), None)
 
     whites = numbers_of(tags, "WhiteLevel")

@@ -101,8 +101,7 @@ class Templates:
 
     def _served(self, names: Sequence[str], setup: str) -> list[str]:
         """Return the objects that have a dark or white of their own."""
-        frames = self.index.frames[self.camera.name, setup]
-        return sorted({f.object for f in frames if f.object and f.target in names}, key=natural)
+        return self.index.served(names, self.camera.name, setup)
 
     # --- the nearest in time ------------------------------------------------------------------
 

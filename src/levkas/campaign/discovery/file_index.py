@@ -372,12 +372,21 @@ class FileIndex:
 
         Of a dark, white or chart those that serve the object `serving` alone, or those that serve all.
         """
+        return self._targets(camera, setup).get((name, serving), [])
+
+    def served(self, names: Sequence[str], camera: str, setup: str) -> list[str]:
+        """Return the objects that have a dark, white or chart of these names of their own."""
+        own = {one for name, one in self._targets(camera, setup) if one and name in names}
+        return sorted(own, key=natural)
+
+    def _targets(self, camera: str, setup: str) -> dict[tuple[str, str], list[FoundFile]]:
+        """Return frames by target and by the object that they serve."""
         key = camera, setup
         if key not in self._by_target:
             self._by_target[key] = {}
             for found in self.frames[key]:
                 self._by_target[key].setdefault((found.target, found.object), []).append(found)
-        return self._by_target[key].get((name, serving), [])
+        return self._by_target[key]
 
     def has_objects(self, camera: str, setup: str) -> bool:
         """Whether any object was taken by a camera under a setup."""

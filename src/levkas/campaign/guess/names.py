@@ -291,8 +291,9 @@ def _places(
             places[capture.path] = STEM
     templates = [c for c in captures if c.path in places]
     rest = [c for c in captures if c.path not in places]
+    beside = {folders: _beside(folders, templates, places) for folders in {c.folders for c in rest}}
     for capture in rest:
-        place = _beside(capture, templates, places)
+        place = beside[capture.folders]
         if place is not None:
             places[capture.path] = place
     for depth in {len(c.folders) for c in rest}:
@@ -304,10 +305,9 @@ def _places(
 
 
 def _beside(
-    capture: CaptureFile, templates: Sequence[CaptureFile], places: dict[Path, int]
+    folders: tuple[str, ...], templates: Sequence[CaptureFile], places: dict[Path, int]
 ) -> int | None:
     """Return the place that darks and whites in the same folders have."""
-    folders = capture.folders
     levels = {
         level
         for t in templates

@@ -6,6 +6,7 @@ import re
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 from levkas.campaign.chart_names import CHARTS
@@ -158,6 +159,7 @@ def chart_in(text: str) -> str:
     return "ColorCheckerSG" if known and any(part in word for part in SG) else known
 
 
+@cache  # names of twenty thousand files have the same few hundred words
 def role_of(text: str) -> str:
     """Return ``"dark"``, ``"white"`` or ``"chart"`` where a single word says so, else "".
 
@@ -187,6 +189,7 @@ def are_elements(texts: Sequence[str]) -> bool:
     return len(found) >= max(3, 2 * len(texts) / 3) and 2 * longer >= len(found)
 
 
+@cache
 def role_in(text: str) -> str:
     """Return the role of the first word, or two, of a name that has one: ``"white board"`` is a white."""
     words = re.split(r"[\W_]+", text)
