@@ -3,6 +3,7 @@
     python benchmarks/watching.py faults FOLDER      each fault at two sizes, into each camera of a simulated session
     python benchmarks/watching.py alarms FOLDER      ten sound simulated sessions of unlike cameras
     python benchmarks/watching.py frames FOLDER      seconds from the last byte of a frame to its verdict, 1 to 100 Mpx
+    python benchmarks/watching.py previews FOLDER    seconds from the last frame of a camera to its registered layer
     python benchmarks/watching.py many FOLDER        the same in a session of 10 to 10,000 frames, and the memory it takes
 
 Each takes `--results FILE`. FOLDER is a new one for what is simulated.
@@ -12,6 +13,7 @@ import argparse
 import os
 import resource
 import time
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -26,13 +28,16 @@ from levkas.simulation.live import (
     is_plantable,
     play_session,
     session_frames,
+    write_slowly,
 )
 from levkas.simulation.session_faults import FAULTS
 from levkas.workbench.watching import WatchedSession
 from levkas.workbench.watching.cache import MeasureCache
+from levkas.workbench.watching.previews import RegisteredPreviews
 
 LOOKS_S = 0.3
 PRESETS = (("small", None), ("small", 0.14), ("hard", 0.15), ("default", 0.15), ("small", 0.18))
+SCALES = (0.1, 0.2, 0.4)
 MEGAPIXELS = (1, 4, 16, 50, 100)
 SIZES = (10, 100, 1000, 10000)
 ONE_CAMERA = """
@@ -91,7 +96,7 @@ def faults(folder, results):
             able = [k for k in able if is_plantable(frames[k])]
             if fault.stack:
                 able = [k for k in able if _has_earlier_shot(frames, k)]
-            if fault.check in ("drift", "dust") and fault.role == "white":
+            if fault.role == "white" and fault.kind.startswith(("lamp", "dust", "shading")):
                 able = able[-1:] if _has_earlier_shot(frames, able[-1]) else []
             for size in fault.sizes if able else ():
                 k = able[len(able) // 2]
@@ -228,10 +233,61 @@ def _come(home, name, k):
     return [(path, data)] if fate < 3 else []
 
 
+def previews(folder, results):
+    """Time the registered layer of the last camera of a session, after its last frame, with the other cameras built before."""
+    found = {}
+    for scale in SCALES:
+        source, home = folder / f"whole{scale}", folder / f"session{scale}"
+        list(simulate_campaign(source, preset="small", scale=scale, seed=3))
+        campaign = load_campaign(source)
+        frames = session_frames(campaign)
+        last = frames[-1].camera
+        home.mkdir()
+        copy_declarations(source, home)
+        rng, session = np.random.default_rng(1), watched(home)
+        layers = RegisteredPreviews(session)
+        layers.start()
+        for k, frame in enumerate(frames):
+            if frame.camera == last and frames[k - 1].camera != last:
+                _until_shown(session, layers, campaign, set(campaign.cameras) - {last})
+            for path, data in contents_of(campaign, frames, k, rng).items():
+                write_slowly(home / path.relative_to(source), data, 0)
+        begin = time.monotonic()
+        layer = _until_shown(session, layers, campaign, {last})
+        seconds = time.monotonic() - begin
+        layers.stop()
+        with (
+            tifffile.TiffFile(frames[-1].path)
+            if frames[-1].path.suffix == ".tif"
+            else nullcontext() as file
+        ):
+            size = np.prod(file.pages[0].shape) / 1e6 if file else frames[-1].path.stat().st_size
+        count = sum(frame.camera == last for frame in frames)
+        print(
+            f"scale {scale}: {last}, {count} frames of {size:.2f} Mpx: {seconds:.1f} s, {layer['verdict']}",
+            flush=True,
+        )
+        found[f"{size:.2f}"] = seconds
+    return found
+
+
+def _until_shown(session, layers, campaign, cameras, most_s=600):
+    """Look as `levkas watch` does until every one of some cameras is shown; return the last one's layer."""
+    end = time.monotonic() + most_s
+    while time.monotonic() < end:
+        list(session.poll())
+        layers.state = session.state()
+        shown = {key[1]: layer for key, layer in layers.layers.items()}
+        if cameras <= shown.keys():
+            return shown[sorted(cameras)[-1]]
+        time.sleep(LOOKS_S)
+    raise TimeoutError(f"{cameras - shown.keys()} not built: {layers.problems}")
+
+
 def main():
-    """Run one of the four."""
+    """Run one of the five."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=["faults", "alarms", "frames", "many"])
+    parser.add_argument("what", choices=["faults", "alarms", "frames", "many", "previews"])
     parser.add_argument("folder", type=Path)
     add_option(parser)
     options = parser.parse_args()

@@ -19,7 +19,7 @@ from levkas.simulation.session_faults import FAULTS, FrameLevels, PlantedFault, 
 
 START = datetime(2019, 5, 6, 9, 0)
 APART = timedelta(seconds=20)
-EXPOSURE_S, ISO = 0.1, 100
+EXPOSURE_S, ISO, F_NUMBER = 0.1, 100, 8.0
 PIECES = 4
 """In which a frame is written, as a slow cable would."""
 
@@ -156,7 +156,8 @@ def contents_of(
             codes = plant_fault(fault, size, codes, levels_of(campaign, frame), rng, beside=beside)
     exposure_s = EXPOSURE_S * (size if kind.startswith("dark of another time") else 1)
     iso = int(ISO * (size if kind.startswith("another ISO") else 1))
-    data = _tiff(codes, exposure_s, iso, START + number * APART)
+    f_number = F_NUMBER * (size if kind.startswith("another f-number") else 1)
+    data = _tiff(codes, exposure_s, iso, f_number, START + number * APART)
     if kind.startswith("file cut short"):
         data = data[: max(1, int(len(data) * (1 - size)))]
     return {frame.path: data}
@@ -219,13 +220,15 @@ def _beside(frames: Sequence[SessionFrame], frame: SessionFrame) -> np.ndarray |
     return None
 
 
-def _tiff(codes: np.ndarray, exposure_s: float, iso: int, moment: datetime) -> bytes:
+def _tiff(
+    codes: np.ndarray, exposure_s: float, iso: int, f_number: float, moment: datetime
+) -> bytes:
     import tifffile
 
     buffer = BytesIO()
     tags = [
         (33434, "2I", 1, (round(exposure_s * 1000), 1000), True),
-        (33437, "2I", 1, (80, 10), True),
+        (33437, "2I", 1, (round(f_number * 10), 10), True),
         (34855, "H", 1, iso, True),
         (36867, "s", 0, moment.strftime("%Y:%m:%d %H:%M:%S"), True),
     ]

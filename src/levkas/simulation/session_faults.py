@@ -38,10 +38,12 @@ class PlantedFault:
 FAULTS = (
     PlantedFault("white clipped, share", "exposure", "white", (0.005, 0.3)),
     PlantedFault("object clipped, share", "exposure", "object", (0.02, 0.2)),
+    PlantedFault("object too dark, loss", "exposure", "object", (0.98, 0.995)),
     PlantedFault("light in the dark, of full scale", "dark", "dark", (0.03, 0.4)),
     PlantedFault("black level, of full scale", "black", "dark", (0.008, 0.03), stack=True),
     PlantedFault("dark of another time, ratio", "dark", "object", (2.0, 20.0)),
     PlantedFault("painting in the white, share", "white", "white", (0.25, 1.0)),
+    PlantedFault("shading of a white, change", "white", "white", (0.08, 0.4)),
     PlantedFault("lamp between whites, loss", "drift", "white", (0.04, 0.12)),
     PlantedFault("lamp within a stack, loss", "drift", "object", (0.02, 0.1), stack=True),
     PlantedFault("noise of a white, times", "noise", "white", (1.6, 3.0)),
@@ -51,6 +53,7 @@ FAULTS = (
     PlantedFault("moved, px", "moved", "object", (2.0, 20.0), stack=True),
     PlantedFault("dust, depth", "dust", "white", (0.15, 0.5)),
     PlantedFault("another ISO, ratio", "settings", "object", (2.0, 8.0)),
+    PlantedFault("another f-number, ratio", "settings", "object", (1.4, 4.0)),
     PlantedFault("another size, share", "settings", "object", (0.01, 0.5)),
     PlantedFault("file cut short, share", "file", "object", (0.01, 0.6)),
     PlantedFault("file twice", "twice", "object", (1.0, 1.0), stack=True),
@@ -90,7 +93,7 @@ def plant_fault(
 
     Examples
     --------
-    >>> white, lamp = np.full((40, 60), 1064, np.uint16), FAULTS[6]
+    >>> white, lamp = np.full((40, 60), 1064, np.uint16), next(f for f in FAULTS if f.kind[:4] == "lamp")
     >>> found = plant_fault(lamp, 0.04, white, FrameLevels(64, 4095), np.random.default_rng(1))
     >>> lamp.kind, round(float(found.mean()))
     ('lamp between whites, loss', 1024)
@@ -133,6 +136,11 @@ def _dimmed(light, loss, levels, rng, beside):  # type: ignore[no-untyped-def]
     """Take a share of the light away; the variance that scaling takes too much is put back."""
     noise = _noise(light, levels.period)
     return (1 - loss) * light + rng.normal(0, noise * np.sqrt(loss * (1 - loss)), light.shape)
+
+
+def _shaded(light, change, levels, rng, beside):  # type: ignore[no-untyped-def]
+    """Tilt the light from one side to the other."""
+    return light * np.linspace(1, 1 - change, light.shape[1])
 
 
 def _noisier(light, times, levels, rng, beside):  # type: ignore[no-untyped-def]
@@ -181,6 +189,8 @@ def _cropped(light, share, levels, rng, beside):  # type: ignore[no-untyped-def]
 _MAKERS: dict[str, Maker] = {
     "white clipped": _clipped,
     "object clipped": _clipped,
+    "object too dark": _dimmed,
+    "shading of a white": _shaded,
     "light in the dark": _lit,
     "black level": _lifted,
     "painting in the white": _covered,

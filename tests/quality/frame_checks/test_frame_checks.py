@@ -173,6 +173,18 @@ def test_the_numbers_in_the_reasons_are_those_planted():
     assert abs(float(found[0].text.split("moved by ")[1].split(" px")[0]) - 1.5) <= 0.2
 
 
+@pytest.mark.parametrize(
+    ("blurs", "way"), [((0, 1.2, 1.8), "getting worse"), ((0, 3, 1.6), "getting better")]
+)
+def test_the_way_that_the_focus_runs_is_told(blurs, way):
+    shots = {
+        f"{k} shot": frame(f"0{k} shot", "object", expose(gaussian_filter(PANEL, blur), k))
+        for k, blur in enumerate(blurs, 5)
+    }
+    found = judge([*[*GOOD.values()][:4], *shots.values()])["07 shot"]
+    assert [one.text.endswith(way) for one in found if one.check == "focus"] == [True]
+
+
 def test_findings_hang_on_the_set_and_not_on_the_order_of_coming():
     _, name, codes, _ = CASES["lamp sank by 4 %"]
     frames = list({**GOOD, name: frame(name, "white", codes)}.values())

@@ -13,6 +13,8 @@ whose edges are others and which the lens focuses otherwise."""
 DETAIL_LEFT = (0.75, 0.35)
 """Share of the fine detail of the sharpest shot of a stack, below which to look at it and to stop: 0.75 is lost by a blur of
 0.5 px more."""
+DETAIL_STEP, BLUR_STEP = 0.05, 0.1
+"""Share of detail, and px of blur, by which a shot must differ from the one before it for its focus to run somewhere."""
 LEAST_BLUR, UNLIKE_BLUR = 0.4, 1.5
 """Px more than the sharpest frame has: less is the scatter of the measure."""
 MOVED_PX = (0.75, 4.0)
@@ -49,7 +51,11 @@ def check_focus(
         severity = graded(1 - left, (1 - DETAIL_LEFT[0], 1 - DETAIL_LEFT[1]))
         if severity is None:
             return []
-        text = f"{percent(max(left, 0))} of the fine detail of the sharpest shot is left"
+        way = ""
+        if before is not None:
+            step = left - float(np.nan_to_num(before.fine)) / float(best.fine)
+            way = _way(-step, DETAIL_STEP)
+        text = f"{percent(max(left, 0))} of the fine detail of the sharpest shot is left{way}"
         return [Finding("focus", severity, text, "focus again at this band, and repeat")]
     blur, least = float(frame.blur_px), float(best.blur_px)
     apart = LEAST_BLUR if same_scene else UNLIKE_BLUR
@@ -60,10 +66,15 @@ def check_focus(
         return []
     way = ""
     if before is not None and np.isfinite(before.blur_px):
-        step = blur - float(before.blur_px)
-        way = ", and getting worse" if step > 0.1 else ", and getting better" if step < -0.1 else ""
+        way = _way(blur - float(before.blur_px), BLUR_STEP)
     text = f"edges are blurred by {blur:.1f} px, {least:.1f} px in the sharpest frame{way}"
     return [Finding("focus", severity, text, "focus again at this band, and repeat")]
+
+
+def _way(worse: float, least: float) -> str:
+    return (
+        ", and getting worse" if worse > least else ", and getting better" if worse < -least else ""
+    )
 
 
 def shift_between(
