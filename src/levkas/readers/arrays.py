@@ -174,8 +174,10 @@ def read_hdf5(path: Path, name: str, shape: Shape) -> np.ndarray:
         return np.asarray(found[()])
 
 
-def list_hdf5(path: Path, group: str) -> dict[str, tuple[int, ...]]:
+def list_hdf5(path: Path, group: str = "") -> dict[str, tuple[int, ...]]:
     """Return the data sets of numbers in all groups of an HDF5 file whose name ends with `group`, by their full name, and their shapes.
+
+    Without `group` they are those of all groups.
 
     Only hard links are followed: others could lead to any file of this computer.
 
@@ -199,10 +201,13 @@ def list_hdf5(path: Path, group: str) -> dict[str, tuple[int, ...]]:
             one = parent[key]
             if isinstance(one, h5py.Group) and depth < DEEPEST_GROUP:
                 walk(one, f"{name}/{key}", depth + 1)
-            elif name.endswith(f"/{group}") and _holds_numbers(one):
+            elif (not group or name.endswith(f"/{group}")) and _holds_numbers(one):
                 found[f"{name}/{key}"] = one.shape
 
-    with _reading(path, f"an HDF5 file with a group {group!r}"), h5py.File(path, "r") as file:
+    with (
+        _reading(path, f"an HDF5 file with a group {group!r}" if group else "an HDF5 file"),
+        h5py.File(path, "r") as file,
+    ):
         walk(file, "", 0)
     return found
 

@@ -36,8 +36,7 @@ __all__ = [
 
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 FOREIGN = {
-    b"\x89HDF\r\n\x1a\n": "HDF5 (also .mat of MATLAB 7.3 and netCDF 4)",
-    b"MATLAB 5.0 MAT-fil": "a MATLAB file",
+    b"\x89HDF\r\n\x1a\n": "HDF5 by another name than .h5, .hdf5 or .mat",
     b"\x93NUMPY": "a NumPy array",
     b"SIMPLE  =": "FITS",
     b"CDF\x01": "netCDF",
@@ -48,7 +47,9 @@ LARGEST_SAMPLE, BLOCKS, BLOCK = 16 << 20, 8, 60
 """Samples of a glimpse of a frame; blocks they are taken from, and what their sides are multiples of."""
 MOST_FACTS = 1 << 15
 """Files whose facts are kept in memory, about 1 kB each."""
-EXPECTED = "TIFF, PNG, JPEG, JPEG 2000, camera raw or ENVI with its header"
+EXPECTED = (
+    "TIFF, PNG, JPEG, JPEG 2000, camera raw, ENVI with its header, or a cube in HDF5 or MATLAB"
+)
 
 
 class Reader(NamedTuple):
@@ -90,6 +91,16 @@ READERS = {
     "ripple": Reader("levkas.readers.map_stacks", "read_ripple_facts", "read_ripple"),
     "dms": Reader("levkas.readers.map_stacks", "read_dms_facts", "read_dms"),
     "hdf5": Reader("levkas.readers.map_stacks", "read_hdf5_facts", "read_hdf5_maps"),
+    "hdf5-cube": Reader(
+        "levkas.readers.container_cubes",
+        *("read_hdf5_cube_facts", "read_hdf5_cube"),
+        (b"MATLAB 7.3 MAT-fil",),
+    ),
+    "mat": Reader(
+        "levkas.readers.container_cubes",
+        *("read_mat_facts", "read_mat"),
+        (b"MATLAB 5.0 MAT-fil",),
+    ),
     "table": Reader("levkas.readers.map_stacks", "read_table_facts", "read_table"),
 }
 STACKS = {".rpl": "ripple", ".dms": "dms", ".h5": "hdf5", ".hdf5": "hdf5", ".csv": "table"}
@@ -101,7 +112,7 @@ ALONE = (RENDERED | {*RAW_SUFFIXES}) - {*DATA_SUFFIXES}
 
 
 def kind_of(path: str | Path) -> str:
-    """Return ``"tiff"``, ``"png"``, ``"jpeg"``, ``"jpeg2000"``, ``"raw"``, ``"envi"``, ``"ripple"``, ``"dms"``, ``"hdf5"`` or ``"table"`` from name and first bytes.
+    """Return ``"tiff"``, ``"png"``, ``"jpeg"``, ``"jpeg2000"``, ``"raw"``, ``"envi"``, ``"ripple"``, ``"dms"``, ``"hdf5"``, ``"hdf5-cube"``, ``"mat"`` or ``"table"`` from name and first bytes.
 
     A header beside decides that ``.raw``, ``.dat``, ``.img``, … are ENVI; without one ``.raw`` is
     taken for a camera raw.

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from levkas.readers.arrays import list_hdf5, read_hdf5
+from levkas.readers.container_cubes import read_hdf5_cube, read_hdf5_cube_facts
 from levkas.readers.facts import Facts, check_memory, check_size, decoding, truncated, unreadable
 
 MOST_HEADER = 1 << 16
@@ -202,12 +203,14 @@ def _open_dms(path: Path) -> Stack:
 
 
 def read_hdf5_facts(path: Path) -> Facts:
-    """Return the facts of the maps in an HDF5 file of PyMca.
+    """Return the facts of the maps in an HDF5 file of PyMca, or of the cube in one of another program.
 
     Raises
     ------
     UnreadableCapture
     """
+    if not list_hdf5(path, RESULTS):
+        return read_hdf5_cube_facts(path)
     names, shape = _maps_of_hdf5(path)
     check_memory(path, prod(shape), 8)
     labels = tuple(name.rpartition("/")[2] for name in names)
@@ -215,7 +218,9 @@ def read_hdf5_facts(path: Path) -> Facts:
 
 
 def read_hdf5_maps(path: Path) -> np.ndarray:
-    """Read the maps in an HDF5 file of PyMca, (lines, samples, maps) float32."""
+    """Read the maps in an HDF5 file of PyMca, (lines, samples, maps) float32, or the cube in one of another program."""
+    if not list_hdf5(path, RESULTS):
+        return read_hdf5_cube(path)
     names, shape = _maps_of_hdf5(path)
     check_memory(path, prod(shape), 8)
     out = np.empty(shape, np.float32)

@@ -134,9 +134,10 @@ def _facts_of_stack(path: Path) -> Facts | None:
     from levkas.readers.frames import read_facts
 
     try:
-        return read_facts(path)
+        facts = read_facts(path)
     except Refused:
         return None
+    return facts if facts.kind in STACKS.values() else None
 
 
 def _facts_of_image(path: Path) -> Facts:
