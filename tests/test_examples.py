@@ -84,7 +84,8 @@ def test_a_line_scan_becomes_reflectance(real_data, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("method", "mean", "worst"), [("levkas", 0.06, 0.4), ("mirhashemi2019", 0.2, 1.0)]
+    ("method", "mean", "worst"),
+    [("levkas", 0.06, 0.4), pytest.param("mirhashemi2019", 0.2, 1.0, marks=pytest.mark.exhaustive)],
 )
 def test_a_campaign_made_by_other_hands_is_registered(two_paintings, tmp_path, method, mean, worst):
     from levkas.quality.evaluation.layer_report import assess

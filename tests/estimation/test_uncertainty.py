@@ -108,7 +108,7 @@ def test_the_interval_of_an_estimated_spectrum_holds_the_truth(method, pixels):
     [
         ("wiener", True, 1),
         ("wiener", False, 10_000),
-        pytest.param("matern", True, 10_000, marks=pytest.mark.slow),
+        pytest.param("matern", True, 10_000, marks=pytest.mark.exhaustive),
         pytest.param("gaussian-process", False, 1, marks=pytest.mark.slow),
     ],
 )

@@ -112,7 +112,7 @@ def ours():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("hand", [2, 3])
+@pytest.mark.parametrize("hand", [2, pytest.param(3, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("wavelengths", [(460, 540, 660), (900,)])
 def test_another_painting_by_the_same_pattern_in_the_same_place_is_never_accepted(
     ours, hand, wavelengths
