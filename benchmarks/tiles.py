@@ -2,6 +2,7 @@
 
     python benchmarks/tiles.py --data FOLDER [--seeds 2] [--others PYTHON] [--results results.json]
     python benchmarks/tiles.py --tiles 30000 [--results results.json]
+    python benchmarks/tiles.py --surfaces [--results results.json]
     python benchmarks/tiles.py --build FOLDER [--columns 6] [--rows 4] [--results results.json]
 
 The first form takes the tiles of a polished section (`tiles-section`, grey JPEG files named by row and column) and paintings (`paintings`)
@@ -10,7 +11,9 @@ as plain homographies. The paintings are cut into tiles of 360 x 300 px, turned,
 noise, and joined again; the error of all px, against the cut and after one homography of the whole, stands beside that of a chain of key
 points from tile to tile, of whole-tile correlation at given positions (as ashlar and MIST work) and of OpenCV's bundle adjustment.
 The second form adjusts observations alone: time, memory, and errors over the sigma that the adjustment promises.
-The third builds a database from tiles of 12 Mpx of a photograph and from 2 x 2 tiles of a coarser camera that lie on all of it, in a new
+The third photographs panels that are not flat: nine tiles of 600 x 500 px by a pinhole camera, 1,500 px away, that a stage moves, every ray traced to
+the surface; by how much two tiles put one place of the panel apart where both see it, placed as on one plane and as Levkas places them.
+The fourth builds a database from tiles of 12 Mpx of a photograph and from 2 x 2 tiles of a coarser camera that lie on all of it, in a new
 folder of some 0.7 GB a tile: time, memory, and the errors of both cameras against the planted maps.
 """
 
@@ -38,9 +41,10 @@ from levkas.database.pixel_frames import map_points
 from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Affine, Composed, Homography, Inverse, Lens
 from levkas.registration import BandImage
-from levkas.registration.tiles import place_tiles
+from levkas.registration.tiles import adjustment, place_tiles
 from levkas.registration.tiles.adjustment import Windows, adjust
 from levkas.registration.tiles.tile_maps import SHARED, TileFrame, TileMaps
+from levkas.stages.tile_registration import OVERLAP_UNKNOWNS
 
 TABLE = "tiles"
 SIZE = (360, 300)
@@ -278,6 +282,112 @@ def real(folder):
     return values
 
 
+# --- panels that are not flat
+
+SEEN, AWAY, PITCH = np.array([600, 500]), 1500.0, 0.75
+PANEL = SEEN * (1 + 2 * PITCH)
+#: Of its width; bent as a cylinder, recessed smoothly over half of the panel, stepped over 5 % of its width.
+SURFACES = {
+    "flat": lambda x, y: 0 * x,
+    "bent 1 %": lambda x, y: PANEL[0] * 0.04 * x**2,
+    "recessed 0.3 %": lambda x, y: -PANEL[0] * 0.003 * np.exp(-(x**2 + y**2) / 0.18),
+    "recessed 1 %": lambda x, y: -PANEL[0] * 0.01 * np.exp(-(x**2 + y**2) / 0.18),
+    "stepped 0.5 %": lambda x, y: (
+        PANEL[0] * 0.0025 * np.tanh((np.maximum(abs(x), abs(y)) - 0.3) / 0.025)
+    ),
+}  # fmt: skip
+
+
+class Pinhole:
+    """A camera above the panel: px to rays, rays to the surface, and back."""
+
+    def __init__(self, middle, rng):
+        lean, turn = rng.normal(size=2) * 1e-3, rng.normal() * 5e-3
+        turned, _ = cv2.Rodrigues(np.array([*lean, turn]))
+        self.axes = turned
+        self.place = np.append(middle + rng.normal(size=2) * 4, AWAY * (1 + rng.normal() * 1e-3))
+        self.middle = (SEEN - 1) / 2
+
+    def hit(self, points, surface):
+        flat = (points - self.middle) / (SEEN[0] / 2)
+        for _ in range(8):  # its lens: 0.6 % at the rim
+            flat = (points - self.middle) / (SEEN[0] / 2) / (1 + 0.006 * (flat**2).sum(1)[:, None])
+        rays = np.column_stack([flat * SEEN[0] / 2, np.full(len(flat), -AWAY)]) @ self.axes.T
+        along = np.full(len(rays), 1.0)
+        for _ in range(60):
+            place = self.place + along[:, None] * rays
+            height = surface(*((place[:, :2] - PANEL / 2) / PANEL[0]).T)
+            along += (place[:, 2] - height) / -rays[:, 2]
+        return self.place + along[:, None] * rays
+
+    def see(self, places):
+        seen = (places - self.place) @ self.axes
+        flat = seen[:, :2] / -seen[:, 2:] * AWAY / (SEEN[0] / 2)
+        return flat * (1 + 0.006 * (flat**2).sum(1)[:, None]) * SEEN[0] / 2 + self.middle
+
+
+def photographed(surface, seed):
+    """Return pictures of nine tiles, and their cameras."""
+    rng = np.random.default_rng(seed)
+    shape = tuple((PANEL[::-1] + 200).astype(int))
+    total = np.zeros(shape)
+    for blur in (1.3, 2.5, 6.0, 15.0):
+        layer = cv2.GaussianBlur(rng.standard_normal(shape), (0, 0), blur)
+        total += layer / layer.std()
+    paint = spline_filter(0.5 + 0.08 * total)
+    x, y = np.meshgrid(np.arange(SEEN[0]), np.arange(SEEN[1]))
+    points = np.stack([x.ravel(), y.ravel()], 1).astype(float)
+    tiles, cameras = {}, {}
+    for row, column in np.ndindex(3, 3):
+        camera = Pinhole(np.array([column, row]) * PITCH * SEEN + SEEN / 2, rng)
+        places = camera.hit(points, surface)[:, 1::-1].T + 100
+        seen = map_coordinates(paint, places, order=3, prefilter=False, mode="nearest")
+        seen = seen.reshape(SEEN[::-1]) + rng.normal(size=SEEN[::-1]) * 0.008
+        name = f"r{row}c{column}"
+        tiles[name], cameras[name] = BandImage.of("1", seen.astype(np.float32)), camera
+    return tiles, cameras
+
+
+def apart(transforms, cameras, surface):
+    """Return by how much neighbours put places apart that both see, mosaic px."""
+    x, y = (np.linspace(0, side - 1, 41) for side in SEEN)
+    points, found = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2), []
+    for one, other in combinations(sorted(transforms), 2):
+        there = cameras[other].see(cameras[one].hit(points, surface))
+        both = ((there >= 0) & (there <= SEEN - 1)).all(1)
+        if both.sum() > 50:
+            off = transforms[one](points[both]) - transforms[other](there[both])
+            found.append(np.linalg.norm(off, axis=1))
+    return np.concatenate(found)
+
+
+def surfaces():
+    values = {}
+    least = adjustment.LEAST_TILES
+    for name, surface in SURFACES.items():
+        tiles, cameras = photographed(surface, 0)
+        for way, tried in (("one plane", 10**9), ("Levkas", least)):
+            adjustment.LEAST_TILES = tried
+            placed = place_tiles(tiles)
+            off = apart(placed.transforms, cameras, surface)
+            values[name, f"{way}, mean"] = float(off.mean())
+            values[name, way] = float(off.max())
+        beside = [
+            (OVERLAP_UNKNOWNS * o["sigma"] ** 2 + max(o["off"], o["misfit"]) ** 2)
+            for o in placed.overlaps
+            if o["used"]
+        ]
+        values[name, "error over sigma"] = float(np.sqrt((off**2).mean() / 2 / np.mean(beside)))
+        print(
+            f"{name:42}",
+            {w: round(v, 3) for (n, w), v in values.items() if n == name},
+            f"parallax {placed.surface:.1f} px",
+            {k: round(v, 3) for k, v in placed.errors.items()},
+            flush=True,
+        )
+    return values
+
+
 # --- very many tiles, observations alone
 
 
@@ -469,6 +579,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--others", help="Python of an environment with ashlar, multiview-stitcher")
     parser.add_argument("--tiles", type=int)
+    parser.add_argument("--surfaces", action="store_true")
     parser.add_argument("--build", type=Path)
     parser.add_argument("--rows", type=int, default=4)
     parser.add_argument("--columns", type=int, default=6)
@@ -477,6 +588,8 @@ def main() -> None:
     if given.build:
         built = whole_build(given.build, given.rows, given.columns)
         record(given.results, TABLE + "-build", built)
+    if given.surfaces:
+        record(given.results, TABLE + "-surfaces", surfaces())
     if given.tiles:
         record(given.results, TABLE + "-many", many(given.tiles))
     if given.data:

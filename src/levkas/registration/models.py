@@ -323,14 +323,16 @@ def fit_spline(
         observations, target=shift, jacobian=np.broadcast_to(np.eye(2), (len(shift), 2, 2))
     )
     weight = price * np.trace(observations.information, axis1=1, axis2=2).sum() / (rows * columns)
-    bending = weight * (_roughness(rows, columns) + 1e-3 * np.eye(rows * columns))
+    bending = weight * (roughness(rows, columns) + 1e-3 * np.eye(rows * columns))
     normal, right = np.zeros((2, rows * columns, 2, rows * columns)), np.zeros((2, rows * columns))
     spline_sums(whole, bx, by, _native(plain), shift, columns, normal, right)
     solved = _solve_normal(normal, right, bending)
     return Composed(SplineShift(origin, spacing, solved.reshape(rows, columns, 2)), under)
 
 
-def _roughness(rows: int, columns: int) -> np.ndarray:
+def roughness(rows: int, columns: int) -> np.ndarray:
+    """Return the matrix, (rows x columns, rows x columns), by which coefficients of a lattice give the sum of squares of their second differences."""
+
     def second(n: int) -> np.ndarray:
         d = np.diff(np.eye(n), n=2, axis=0)
         return d.T @ d

@@ -51,6 +51,8 @@ LATTICE = 25
 """Places a side at which the uncertainty of a mosaic is recorded."""
 HELD_BY_HAND = "placed by hand; the pictures do not confirm it"
 AROUND_TILE = "the part of the reference about the tile"
+OVERLAP_UNKNOWNS = 4
+"""Unknowns an axis of the map between two tiles: at its windows, on average, its variance is so many times that of their mean."""
 NO_KEY_POINTS = "too few key points match between this tile and the reference"
 RIGID = ("pattern", "sensors", "file")
 """Cameras whose bands are captured at once: they lie alike in all tiles."""
@@ -174,7 +176,7 @@ def _sigma_beside(placement: TilePlacement, name: str) -> float:
     How well its place in the frame of the whole mosaic is known, which may be bent as a whole, is in the record of the placement.
     """
     beside = [
-        (one["sigma"] ** 2 + one["off"] ** 2) / 2
+        (OVERLAP_UNKNOWNS * one["sigma"] ** 2 + max(one["off"], one["misfit"]) ** 2) / 2
         for one in placement.overlaps
         if one["used"] and name in one["tiles"]
     ]

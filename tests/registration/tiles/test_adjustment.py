@@ -1,9 +1,17 @@
 """One adjustment of all tiles, on observations without pictures; truth is made by matrices of its own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from levkas.registration.tiles.adjustment import AdjustmentTerms, Windows, adjust, choose_terms
+from levkas.registration.tiles.adjustment import (
+    AdjustmentTerms,
+    Windows,
+    adjust,
+    choose_terms,
+    overlap_misfits,
+)
 from levkas.registration.tiles.dissection import BlockFactor, BlockSystem, Elimination
 from levkas.registration.tiles.loops import closure, consistent_pairs
 from levkas.registration.tiles.neighbours import similarity
@@ -187,3 +195,85 @@ def test_terms_without_projective_keep_tiles_similar():
     windows, begin, *_ = planted(3, 3, np.random.default_rng(5), noise=0.02)
     adjusted = adjust(windows, begin, AdjustmentTerms(projective=False))
     assert np.abs(adjusted.maps.own[:, 4:] - adjusted.maps.shared[-4:]).max() < 1e-3
+
+
+def photographed(height, rng, *, noise=0.03, away=1000.0):
+    """Windows of 3 x 3 tiles of a pinhole camera that a stage moves over a panel of `height`, (x, y) of -0.5..0.5 → px: rays are traced to it."""
+    size, middle = np.array(SIZE), (np.array(SIZE) - 1) / 2
+    panel, pitch = 2.5 * size, 0.75 * size
+    places, turns = [], []
+    for n in range(9):
+        at = np.array([n % 3, n // 3]) * pitch + size / 2 + rng.normal(size=2) * 3
+        places.append(np.append(at, away * (1 + rng.normal() * 5e-4)))
+        a = rng.normal() * 5e-3
+        turns.append(np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]))
+
+    def hit(n, points):
+        rays = np.column_stack([(points - middle) @ turns[n].T, np.full(len(points), -away)])
+        along = np.ones(len(points))
+        for _ in range(40):
+            here = places[n] + along[:, None] * rays
+            along += (here[:, 2] - height(*((here[:, :2] - panel / 2) / panel[0]).T)) / away
+        return places[n] + along[:, None] * rays
+
+    def see(n, here):
+        off = here - places[n]
+        return (off[:, :2] / -off[:, 2:] * away) @ turns[n] + middle
+
+    grid = np.stack(np.meshgrid(*(np.linspace(5, side - 6, 17) for side in SIZE)), -1)
+    pairs, seen = grid_pairs(3, 3), []
+    for k, (i, j) in enumerate(pairs):
+        points = grid.reshape(-1, 2)
+        there = see(j, hit(i, points))
+        both = ((there >= 5) & (there <= size - 6)).all(1)
+        seen.append((np.full(both.sum(), k), points[both], there[both]))
+    overlap, first, second = map(np.concatenate, zip(*seen, strict=True))
+    moved = second + rng.normal(size=second.shape) * noise
+    own = np.zeros((9, 8))
+    own[:, 0] = 200
+    own[:, 2:4] = np.stack([np.arange(9) % 3, np.arange(9) // 3], 1) * pitch
+    information = np.tile(np.eye(2) / noise**2, (len(first), 1, 1))
+    windows = Windows(pairs, overlap, first, moved, information)
+    return windows, TileMaps(TileFrame.of_size(SIZE), own, np.zeros(SHARED)), second
+
+
+def apart(adjusted, windows, second):
+    """By how much two tiles put apart what they both see."""
+    one, other = windows.pairs[windows.overlap].T
+    return np.linalg.norm(adjusted.maps(one, windows.first) - adjusted.maps(other, second), axis=1)
+
+
+def test_a_recessed_panel_is_followed_where_windows_left_out_show_it():
+    recessed = photographed(
+        lambda x, y: -10 * np.exp(-(x**2 + y**2) / 0.08), np.random.default_rng(8)
+    )
+    windows, begin, second = recessed
+    terms, found = choose_terms(windows, begin)
+    assert terms.surface, found
+    plane = apart(adjust(windows, begin, AdjustmentTerms(covariance=False)), windows, second)
+    adjusted = adjust(windows, begin, terms)
+    off = apart(adjusted, windows, second)
+    assert plane.max() > 0.4
+    assert off.max() < 0.1
+    assert off.mean() < 0.025
+    assert not overlap_misfits(windows, adjusted).any()
+    where = windows.pairs[windows.overlap]
+    tile = where[:, 0]
+    moved = adjusted.maps.parallax(*where.T, adjusted.maps(tile, windows.first))
+    assert np.abs(moved).max() == pytest.approx(2.2, abs=0.8)  # 300 px of the stage, 10/1000 deep
+
+
+def test_a_flat_panel_stays_a_plane_and_a_step_in_it_is_in_the_misfit():
+    windows, begin, second = photographed(lambda x, y: 0 * x, np.random.default_rng(9))
+    terms, found = choose_terms(windows, begin)
+    assert not terms.surface, found
+    flat = adjust(windows, begin, terms)
+    assert apart(flat, windows, second).max() < 0.03
+    assert not overlap_misfits(windows, flat).any()
+    windows, begin, second = photographed(
+        lambda x, y: -8.0 * ((abs(x) < 0.2) & (abs(y) < 0.2)), np.random.default_rng(9)
+    )
+    adjusted = adjust(windows, begin, replace(choose_terms(windows, begin)[0], covariance=False))
+    off, misfit = apart(adjusted, windows, second), overlap_misfits(windows, adjusted)
+    ratio = np.sqrt((off**2).mean() / 2) / np.sqrt((misfit**2).mean())
+    assert 0.5 < ratio < 1.5

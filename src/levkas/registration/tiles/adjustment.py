@@ -1,4 +1,4 @@
-"""One adjustment of all tiles of a mosaic: a projective map a tile, one lens, windows of all overlaps.
+"""One adjustment of all tiles of a mosaic: a projective map a tile, one lens, one surface, windows of all overlaps.
 
 Their unknowns are those of `tile_maps`. An overlap demands that both tiles map a window to
 one place: M_i(p_i) = M_j(p_j). Tiles of one camera differ little in scale, shear and tilt, and by how much is estimated along with
@@ -13,13 +13,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from levkas.geometry.transforms import solve_2x2
-from levkas.registration.models import scale_covariance
+from levkas.registration.models import roughness, scale_covariance
 from levkas.registration.tiles.dissection import BlockFactor, BlockSystem, Elimination
 from levkas.registration.tiles.tile_maps import BEND, LENS, OWN, SHARED, TileMaps
 
 #: Standard deviations before anything is measured, as shares of half a tile's longer side: of the lens, of the bend, of the means of shear
 #: and tilt; and of what tiles differ by in scale, shear and tilt.
 LENS_SHARE, BEND_SHARE, SHEAR_SHARE, TILT_SHARE, DIFFER_SHARE = 0.1, 0.01, 0.001, 0.01, 0.003
+#: Of second differences of the surface's coefficients, before they are known; tiles from which on a surface is tried.
+SURFACE_SHARE, LEAST_TILES = 0.003, 3
 #: Of an unknown that is not free.
 FIXED_SHARE = 1e-6
 #: Change of a deviation, of its logarithm, at which it is found.
@@ -34,6 +36,8 @@ VARIANCE_ROUNDS, ROUNDS_EACH = 6, 2
 GAIN, MOST_JUDGED = 0.97, 400
 #: Windows that are linearised at once.
 AT_ONCE = 4096
+#: Standard errors up to which chance may leave residuals that are alike.
+CHANCE = 3.0
 #: Deviation, px, by which one tile is held while equations are solved.
 HELD_PX = 0.01
 
@@ -100,8 +104,10 @@ class Adjustment:
         As residuals scatter.
     deviations : ndarray, (3,), px at the rim
         What tiles differ by in scale, in shear and in tilt.
-    covariance : ndarray, (n, 12, 12), with a bend (n, 26, 26), or None
-        Of every tile's own unknowns, those of the lens and of the bend, in the frame of the whole mosaic: what moves, turns or tilts all of it as one plane is no error of a tile.
+    columns : ndarray of int
+        Which shared unknowns are free: of lens, bend and surface.
+    covariance : ndarray, (n, 8 + columns, 8 + columns), or None
+        Of every tile's own unknowns and of `columns`, in the frame of the whole mosaic: what moves, turns or tilts all of it as one plane is no error of a tile.
     """
 
     maps: TileMaps
@@ -109,6 +115,7 @@ class Adjustment:
     weight: np.ndarray
     information: np.ndarray
     deviations: np.ndarray
+    columns: np.ndarray
     covariance: np.ndarray | None = None
 
     @property
@@ -120,8 +127,8 @@ class Adjustment:
     def place_covariance(self, tile: int, points: np.ndarray) -> np.ndarray:
         """Return the covariance of the places, (n, 2, 2), mosaic px², of `points`, (n, 2), px of a tile."""
         assert self.covariance is not None
-        _, _, own, lens = self.maps.linearised(np.full(len(points), tile), points)
-        slopes = np.concatenate([own, lens], 2)[:, :, : self.covariance.shape[1]]
+        _, _, own, common = self.maps.linearised(np.full(len(points), tile), points)
+        slopes = np.concatenate([own, common[:, :, self.columns]], 2)
         return np.asarray(slopes @ self.covariance[tile] @ slopes.transpose(0, 2, 1))
 
 
@@ -131,8 +138,8 @@ class AdjustmentTerms:
 
     Parameters
     ----------
-    lens, bend : bool
-        Whether they share a lens that is not known, and a bend.
+    lens, bend, surface : bool
+        Whether they share a lens that is not known, and a bend; whether they show a surface off the plane.
     projective : bool
         Whether a tile may be sheared and tilted by itself; else tiles are similar, but for what is common to all.
     covariance : bool
@@ -143,14 +150,15 @@ class AdjustmentTerms:
 
     lens: bool = True
     bend: bool = False
+    surface: bool = False
     projective: bool = True
     covariance: bool = True
     rounds: int = ROUNDS
 
-    @property
-    def common(self) -> int:
-        """How many unknowns of lens and bend there are."""
-        return LENS + 2 * BEND if self.bend else LENS
+    def columns(self, shared: int) -> np.ndarray:
+        """Return which of so many shared unknowns are free: of lens, bend and surface."""
+        bend = LENS + 2 * BEND if self.bend else LENS
+        return np.r_[0 : bend if self.lens else 0, SHARED : shared if self.surface else SHARED]
 
 
 def adjust(
@@ -176,6 +184,9 @@ def adjust(
     adjusted : Adjustment
     """
     terms = terms or AdjustmentTerms()
+    if terms.surface:
+        flat = replace(terms, surface=False, covariance=False)
+        begin = adjust(windows, begin, flat, placed).maps.with_surface()
     work = _Work(windows, begin, terms, placed)
     maps = work.converge(begin, terms.rounds)
     covariance = None
@@ -189,7 +200,8 @@ def adjust(
         maps = work.converge(maps, terms.rounds)
         covariance = work.covariances(maps)
     residual, weight, information = work.scattered(maps)
-    return Adjustment(maps, residual, weight, information, work.deviations, covariance)
+    columns = terms.columns(len(maps.shared))
+    return Adjustment(maps, residual, weight, information, work.deviations, columns, covariance)
 
 
 def choose_terms(windows: Windows, begin: TileMaps) -> tuple[AdjustmentTerms, dict[str, float]]:
@@ -200,10 +212,13 @@ def choose_terms(windows: Windows, begin: TileMaps) -> tuple[AdjustmentTerms, di
     candidates = {
         "none": AdjustmentTerms(lens=False, covariance=False),
         "lens": AdjustmentTerms(covariance=False),
+        "surface": AdjustmentTerms(surface=True, covariance=False),
         "bend": AdjustmentTerms(bend=True, covariance=False),
     }
     if len(begin.own) > MOST_JUDGED:
         return AdjustmentTerms(), {}
+    if len(begin.own) < LEAST_TILES:
+        del candidates["surface"]
     half = np.arange(len(windows.overlap)) % 2 == 0
     errors: dict[str, float] = {}
     best, chosen = np.inf, candidates["none"]
@@ -231,6 +246,9 @@ class _Work:
     order: Elimination = field(init=False)
     held: int = field(init=False)
     trusted: np.ndarray | None = None
+    smooth: np.ndarray = field(init=False)
+    level: np.ndarray = field(init=False)
+    bending: float = field(init=False)
 
     def __post_init__(self) -> None:
         places = self.begin.own[:, 2:4]
@@ -240,6 +258,12 @@ class _Work:
         self.deviations = np.full(3, DIFFER_SHARE * spread)
         if not self.terms.projective:
             self.deviations[1:] = FIXED_SHARE * spread
+        self.bending = SURFACE_SHARE * spread
+        if (lattice := self.begin.lattice) is not None:
+            level = np.column_stack([np.ones(len(lattice.knots)), lattice.knots])
+            level = np.linalg.qr(level)[0]
+            self.level = level @ level.T
+            self.smooth = roughness(*lattice.shape)
 
     def converge(self, maps: TileMaps, rounds: int) -> TileMaps:
         """Return the maps after Gauss-Newton; the last rounds keep the weights, so that they come to rest."""
@@ -299,30 +323,36 @@ class _Work:
         assert information is not None
         residuals = []
         pairs, count = self.windows.pairs, len(maps.own)
+        total_shared = len(maps.shared)
         diagonal, coupling = np.zeros((count, OWN, OWN)), np.zeros((len(pairs), OWN, OWN))
-        border, corner = np.zeros((count, OWN, SHARED)), np.zeros((SHARED, SHARED))
-        right, shared = np.zeros((count, OWN)), np.zeros(SHARED)
-        common_px = slice(self.terms.common)
-        for here, (one, by_px, own, lens), (other, _, theirs, bent) in self._linearised(maps):
+        border, corner = np.zeros((count, OWN, total_shared)), np.zeros((total_shared,) * 2)
+        right, shared = np.zeros((count, OWN)), np.zeros(total_shared)
+        columns = self.terms.columns(total_shared)
+        k, s = OWN, slice(2 * OWN, -1)
+        for here, (one, by_px, own, common), (other, _, theirs, others) in self._linearised(maps):
             back = np.linalg.inv(by_px)
             residuals.append(np.einsum("nab,nb->na", back, other - one))
             weights = back.transpose(0, 2, 1) @ information[here] @ back
-            common = (lens - bent)[:, :, common_px] * float(self.terms.lens)
-            rows = np.concatenate([own, -theirs, common, (other - one)[:, :, None]], 2)
-            products = rows.transpose(0, 2, 1) @ (weights @ rows)
+            rest = (common - others)[:, :, columns]
+            rows = np.concatenate([own, -theirs, rest, (other - one)[:, :, None]], 2)
+            weighted = weights @ rows
+            products = rows[:, :, : 2 * OWN].transpose(0, 2, 1) @ weighted
             overlap = self.windows.overlap[here]
             starts = np.flatnonzero(np.diff(overlap, prepend=-1))
             total = np.add.reduceat(products, starts)
-            (i, j), k, s = pairs[overlap[starts]].T, OWN, slice(2 * OWN, -1)
+            i, j = pairs[overlap[starts]].T
             np.add.at(diagonal, i, total[:, :k, :k])
             np.add.at(diagonal, j, total[:, k : 2 * k, k : 2 * k])
             coupling[overlap[starts]] += total[:, :k, k : 2 * k]
-            np.add.at(border[:, :, common_px], i, total[:, :k, s])
-            np.add.at(border[:, :, common_px], j, total[:, k : 2 * k, s])
-            corner[common_px, common_px] += total[:, s, s].sum(0)
-            np.add.at(right, i, total[:, :k, -1])
-            np.add.at(right, j, total[:, k : 2 * k, -1])
-            shared[common_px] += total[:, s, -1].sum(0)
+            for tiles, half in ((i, total[:, :k]), (j, total[:, k:])):
+                part = np.zeros((len(tiles), OWN, total_shared))
+                part[:, :, columns] = half[:, :, s]
+                np.add.at(border, tiles, part)
+                np.add.at(right, tiles, half[:, :, -1])
+            left, whole = np.concatenate(rest, 0), np.concatenate(weighted[:, :, 2 * OWN :], 0)
+            together = left.T @ whole
+            corner[np.ix_(columns, columns)] += together[:, :-1]
+            shared[columns] += together[:, -1]
         if weigh:
             self._weigh(np.concatenate(residuals))
         system = BlockSystem(pairs, diagonal, coupling, border, corner)
@@ -352,7 +382,11 @@ class _Work:
         shares = [lens, bend, SHEAR_SHARE, TILT_SHARE]
         known = 1 / (np.repeat(shares, [LENS, 2 * BEND, 2, 2]) * spread) ** 2
         system.corner[np.arange(SHARED), np.arange(SHARED)] += known
-        shared -= known * maps.shared
+        shared[:SHARED] -= known * maps.shared[:SHARED]
+        if maps.lattice is not None:
+            held = self.level / (FIXED_SHARE * spread) ** 2
+            system.corner[SHARED:, SHARED:] += held + self.smooth / self.bending**2
+            shared[SHARED:] -= self.smooth @ maps.shared[SHARED:] / self.bending**2
         if self.placed is not None:
             tile, trust = self.placed.tile, 1 / self.placed.sigma**2
             system.diagonal[tile, 2, 2] += trust
@@ -379,16 +413,21 @@ class _Work:
         found = np.sqrt((np.array(squares) + (STILL_SHARE * spread) ** 2) / (count + 1))
         free = slice(None) if self.terms.projective else slice(1)
         self.deviations[free] = np.maximum(found, LEAST_PX)[free]
+        if maps.lattice is not None:
+            heights, spread_of = maps.shared[SHARED:], corner[SHARED:, SHARED:]
+            square = heights @ self.smooth @ heights + np.trace(self.smooth @ spread_of)
+            self.bending = max(float(np.sqrt(square / (len(heights) - 3))), LEAST_PX)
 
     def covariances(self, maps: TileMaps) -> np.ndarray:
         """Return covariances of own and common unknowns, in the frame of the whole mosaic ([baarda1973]_): as if no tile had been held."""
         system, _, _ = self.equations(maps)
         factor = BlockFactor(system, self.order)
         blocks, border, corner = factor.covariances()
-        width = self.terms.common
+        columns = self.terms.columns(len(maps.shared))
+        width = len(columns)
         whole = np.empty((len(maps.own), OWN + width, OWN + width))
-        whole[:, :OWN, :OWN], whole[:, :OWN, OWN:] = blocks, border[:, :, :width]
-        whole[:, OWN:, OWN:] = corner[:width, :width]
+        whole[:, :OWN, :OWN], whole[:, :OWN, OWN:] = blocks, border[:, :, columns]
+        whole[:, OWN:, OWN:] = corner[np.ix_(columns, columns)]
         if self.placed is None:
             motion, by_place, by_lens = _motions(maps)
             moving, common = factor.solve(by_place, by_lens)
@@ -399,7 +438,7 @@ class _Work:
             cross = turned @ moving.transpose(0, 2, 1)
             together = motion @ square @ motion.transpose(0, 2, 1)
             whole[:, :OWN, :OWN] += together - cross - cross.transpose(0, 2, 1)
-            whole[:, :OWN, OWN:] -= turned @ common[:width].T
+            whole[:, :OWN, OWN:] -= turned @ common[columns].T
         whole[:, OWN:, :OWN] = whole[:, :OWN, OWN:].transpose(0, 2, 1)
         return whole
 
@@ -419,7 +458,7 @@ def _motions(maps: TileMaps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     -------
     motion : ndarray, (n, 8, 8)
         Changes of own unknowns under each of the eight small changes of a homography of the mosaic.
-    by_place, by_lens : ndarray, (n, 8, 8) and (22, 8)
+    by_place, by_lens : ndarray, (n, 8, 8) and (shared, 8)
         Products of unknowns, own and shared, with these give how far the corners of all tiles take part in each.
     """
     count, reach = len(maps.own), maps.frame.spread
@@ -433,9 +472,7 @@ def _motions(maps: TileMaps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     down = [nil, one, nil, nil, x, y, x * y, y * y]
     fields = np.stack([np.stack(along, 1), np.stack(down, 1)], 1).reshape(count, 8, 8)
     slopes = own.reshape(count, 8, OWN)
-    by_lens = np.zeros((SHARED, 8))
-    lens = lens.reshape(count, 8, -1)
-    by_lens[: lens.shape[2]] = np.einsum("nak,nal->kl", lens, fields)
+    by_lens = np.einsum("nak,nal->kl", lens.reshape(count, 8, -1), fields)
     return np.linalg.solve(slopes, fields), slopes.transpose(0, 2, 1) @ fields, by_lens
 
 
@@ -448,3 +485,18 @@ def overlap_offsets(windows: Windows, adjusted: Adjustment) -> np.ndarray:
         goal, windows.overlap, np.einsum("nab,nb->na", windows.information, adjusted.residual)
     )
     return np.asarray(np.linalg.solve(total + 1e-12 * np.eye(2), goal[..., None])[..., 0])
+
+
+def overlap_misfits(windows: Windows, adjusted: Adjustment) -> np.ndarray:
+    """Return what an overlap's windows are off by alike, (m,), px of its first tile along an axis, as a step of a panel leaves it; 0 where chance may be the cause.
+
+    Noise of one window is not that of the next: the mean product of the residuals of both is what they have in common.
+    """
+    here = windows.overlap[1:]
+    alike = here == windows.overlap[:-1]
+    product = (adjusted.residual[1:] * adjusted.residual[:-1]).sum(1) / 2 * alike
+    bins = {"minlength": len(windows.pairs)}
+    count = np.maximum(np.bincount(here, alike, **bins), 1)
+    mean, square = (np.bincount(here, values, **bins) / count for values in (product, product**2))
+    chance = CHANCE * np.sqrt(square / count)
+    return np.asarray(np.sqrt(np.where(mean > chance, mean, 0.0)))

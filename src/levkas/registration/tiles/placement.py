@@ -24,6 +24,7 @@ from levkas.registration.tiles.adjustment import (
     Windows,
     adjust,
     choose_terms,
+    overlap_misfits,
     overlap_offsets,
 )
 from levkas.registration.tiles.loops import (
@@ -84,17 +85,19 @@ class TilePlacement:
         Why a tile is not placed.
     overlaps : list of dict
         Of every pair of tiles that was used or refused: `tiles`, `windows`, `rms` and `sigma` (px), `held_out` (px), `off` (px after the
-        adjustment), `used`, `reason`.
+        adjustment, of all windows), `misfit` (px along an axis, of windows beside one another), `used`, `reason`.
     loops : list of dict
         `tiles` of every shortest loop, and by how much it does not close, `closure` (px), before overlaps are adjusted.
     lens : Lens or None
         Which all tiles share: px put right → px.
     bend : Polynomial or None
         What the lens leaves, as far as windows left out show it: px put right by it → px put right.
+    surface : float, px
+        By how much a surface off the plane displaces what neighbours both see, in one against the other, the most; 0 where windows left out show no such surface.
     rms : float, px
         Of all windows after the adjustment, along an axis.
     errors : dict of str to float, px
-        In windows left out, of plain homographies (``"none"``), with a lens and with a bend.
+        In windows left out, of plain homographies (``"none"``), with a lens, with a surface off the plane, and with a bend.
     by_position : dict of name to str
         Tiles that no overlap holds and that lie where their position says; why.
     by_hand : dict of name to int
@@ -116,6 +119,7 @@ class TilePlacement:
     by_position: dict[str, str] = field(default_factory=dict)
     by_hand: dict[str, int] = field(default_factory=dict)
     deviations: dict[str, float] = field(default_factory=dict)
+    surface: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready record."""
@@ -134,6 +138,7 @@ class TilePlacement:
             "rms": self.rms,
             "errors": self.errors,
             "deviations": self.deviations,
+            "surface": self.surface,
         }
 
     @classmethod
@@ -147,7 +152,7 @@ class TilePlacement:
             key: record[key]
             for key in (
                 "sigma", "left_out", "overlaps", "loops", "rms", "errors", "by_position", "by_hand",
-                "deviations",
+                "deviations", "surface",
             )
         }  # fmt: skip
         return cls(transforms=transforms, size=(width, height), lens=lens, bend=bend, **rest)
@@ -503,7 +508,7 @@ class _Mosaic:
             (width, height),
             sigma,
             dict(sorted(self.left_out.items())),
-            self._overlap_records(pairs, off),
+            self._overlap_records(pairs, off, overlap_misfits(windows, adjusted)),
             loop_records(joined, windows.pairs, off),
             adjusted.maps.lens if terms.lens else None,
             adjusted.maps.bend,
@@ -515,6 +520,7 @@ class _Mosaic:
             },
             held,
             dict(zip(names, adjusted.deviations.tolist(), strict=True)),
+            float(np.hypot(*self._parallax(windows, adjusted).T).max()),
         )
 
     def _sigma_by_hand(self, name: str) -> float:
@@ -541,6 +547,10 @@ class _Mosaic:
             count = sum(self.found[p].windows for p in by_hand)
             held |= dict.fromkeys(part, count) if part is not most else {}
         return dict(sorted(held.items()))
+
+    def _parallax(self, windows: Windows, adjusted: Adjustment) -> np.ndarray:
+        one, other = windows.pairs[windows.overlap].T
+        return adjusted.maps.parallax(one, other, adjusted.maps(one, windows.first))
 
     def _gauge(self, maps: TileMaps) -> Affine:
         """Return the similarity after which the first tile is neither turned nor scaled about its middle."""
@@ -576,8 +586,11 @@ class _Mosaic:
             else:
                 self.left_out[name] = "shows nothing that any other tile shows"
 
-    def _overlap_records(self, pairs: list[Pair], off: np.ndarray) -> list[dict[str, Any]]:
+    def _overlap_records(
+        self, pairs: list[Pair], off: np.ndarray, misfits: np.ndarray
+    ) -> list[dict[str, Any]]:
         at = {pair: float(np.hypot(*off[k])) for k, pair in enumerate(pairs)}
+        misfit = dict(zip(pairs, misfits.tolist(), strict=True))
         records = []
         for pair, one in sorted(self.found.items()):
             left = next((self.left_out[name] for name in pair if name in self.left_out), None)
@@ -591,6 +604,7 @@ class _Mosaic:
                     "sigma": float(np.sqrt(np.trace(spread) / 2)),
                     "held_out": one.held_out if np.isfinite(one.held_out) else None,
                     "off": at.get(pair),
+                    "misfit": misfit.get(pair),
                     "used": pair in at,
                     "reason": self.refused.get(pair) or (left if pair not in at else None),
                 }
