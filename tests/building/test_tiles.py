@@ -1,7 +1,10 @@
 """Paintings in tiles, from files to layers. Tiles are cut out of one picture by known homographies, with noise."""
 
 import json
+import subprocess
+import sys
 from itertools import product
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -9,9 +12,13 @@ import pytest
 import tifffile
 
 from levkas.building import build
+from levkas.core.digests import hash_tree
 from levkas.database.pixel_frames import find_map, map_points
 from levkas.geometry.transforms import Homography
 from levkas.quality.evaluation.layer_report import assess
+
+sys.path.insert(0, str(Path(__file__).parent))
+from circumstances import run
 
 WIDTH, HEIGHT = 460, 380
 TILE = (220, 190)
@@ -307,3 +314,160 @@ def test_tiles_in_wrong_order_one_twice_and_one_missing(tmp_path):
     assert any("shows the same as" in reason for reason in record["verdict"]["reasons"])
     frames["photo#r1c1"], frames["photo#r2c2"] = frames["photo#r2c2"], frames["photo#r1c1"]
     assert error(tmp_path, frames, "photo#r1c1", "photo#r2c3").mean() < 0.06
+
+
+@pytest.mark.slow
+def test_refused_tiles_are_placed_by_pairs_and_any_order_of_them_gives_the_same_bytes(tmp_path):
+    """Two tiles too blurred to be found: that of the reference is found where pairs put it, one of plain ground is placed by hand."""
+    frames = make(tmp_path, xray=True)
+    text = KEYS[: KEYS.index("[cameras.infrared]")] + XRAY
+    (tmp_path / "campaign.toml").write_text(text)
+    rng = np.random.default_rng(5)
+    for path, blur in (("photo/one_r2c3.tif", 4), ("xray/one_right.tif", 60)):
+        values = tifffile.imread(tmp_path / path).astype(np.float32)
+        values = cv2.GaussianBlur(values, (0, 0), blur) + 1800 * rng.standard_normal(values.shape)
+        write(tmp_path / path, np.clip(values, 0, 65535).astype(np.uint16))
+    steps_of(tmp_path)
+    for camera, lost in (("photo", "r2c3"), ("xray", "right")):
+        tiles = record_of(tmp_path, camera)["tiles"]
+        assert [t for t, one in tiles.items() if "bands" not in one] == [lost]
+    to_mosaic = find_map(tmp_path / "database", "one", "photo#r1c2", "grid")
+    own = np.array([[145.0, 10], [210, 20], [205, 170], [150, 160], [180, 90]])
+    there = frames["photo#r2c3"].inverse(frames["photo#r2c2"](own))
+    beside = np.hstack([own, there + rng.normal(0, 0.5, own.shape)])
+    own = np.array([[100.0, 40], [200, 30], [205, 170], [110, 160], [150, 90]])
+    there = frames["xray#right"].inverse(frames["photo#r1c2"](own))
+    onto = np.hstack([to_mosaic(own), there + rng.normal(0, 0.5, own.shape)])
+
+    def edited(order):
+        tables = (("photo#r2c3#r2c2", beside, ""), ("xray#right", onto, 'accept = "by hand"\n'))
+        rows = {name: [[round(float(v), 2) for v in row] for row in pairs[::order]]
+                for name, pairs, _ in tables}  # fmt: skip
+        parts = [f'[objects.one.cameras."{n}"]\n{more}added = {rows[n]}\n' for n, _, more in tables]
+        (tmp_path / "edits.toml").write_text("version = 1\n" + "".join(parts[::order]))
+        assert {s.state for s in steps_of(tmp_path).values()} <= {"done", "fresh"}
+        base = tmp_path / "database/objects/one"
+        return {p.name: p.read_bytes() for p in sorted(base.rglob("*")) if p.is_file()}
+
+    first = edited(1)
+    record = record_of(tmp_path, "photo")
+    assert record["verdict"]["decision"] == "accept" and record["pairs_by_hand"] == 5
+    found = error(tmp_path, frames, "photo#r2c2", "photo#r2c3")
+    assert found.max() < 0.5  # of a picture blurred over 4 px
+    record = record_of(tmp_path, "xray")
+    assert record["verdict"]["decision"] == "warn"
+    assert record["tiles"]["right"]["verdict"]["decision"] == "by hand"
+    assert any("Tile right" in r and "by hand" in r for r in record["verdict"]["reasons"])
+    found = error(tmp_path, frames, "photo#r1c2", "xray#right")
+    assert found.mean() < 1.5
+    assert edited(-1) == first
+
+
+def make_few(folder, *, plain=(), overlap=90, positions=False):
+    """Write a campaign of 2 x 2 tiles, and a radiograph in one; `plain` rectangles of the painting, x0, y0, x1, y1, are gold without texture."""
+    rng, picture = np.random.default_rng(11), painting(11)
+    for x0, y0, x1, y1 in plain:
+        picture[y0:y1, x0:x1] = 0.5
+    frames = {}
+    for i, j in product(range(2), range(2)):
+        x, y = 40 + (TILE[0] - overlap) * j, 40 + (TILE[1] - overlap) * i
+        frames[f"photo#r{i + 1}c{j + 1}"] = laid(x + rng.uniform(-2, 2), y, rng.uniform(-0.5, 0.5))
+    for name, homography in frames.items():
+        tile = cut(picture, homography, TILE, rng)
+        write(folder / f"photo/one_{name.partition('#')[2]}.tif", tile)
+    frames["xray#all"] = laid(70, 60, -0.8, 0.9)
+    other = cv2.GaussianBlur(picture, (0, 0), 0.8) ** 1.3
+    write(folder / "xray/one_all.tif", cut(other, frames["xray#all"], (260, 240), rng))
+    text = KEYS[: KEYS.index("[cameras.infrared]")]
+    if positions:
+        text += 'positions = "stage.csv"\n'
+        rows = [f"r{i + 1}c{j + 1},{(TILE[0] - overlap) * j},{(TILE[1] - overlap) * i}\n"
+                for i, j in product(range(2), range(2))]  # fmt: skip
+        (folder / "stage.csv").write_text("tile,x,y\n" + "".join(rows))
+    (folder / "campaign.toml").write_text(text + XRAY)
+    return frames
+
+
+@pytest.fixture(scope="module")
+def few(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("few") / "campaign"
+    make_few(folder)
+    assert {s.state for s in steps_of(folder).values()} == {"done"}
+    return folder, hash_tree(folder / "database")
+
+
+@pytest.mark.slow
+def test_order_of_files_threads_rows_and_workers_change_no_byte(few, tmp_path):
+    folder, expected = few
+    assert run(folder, tmp_path / "threads", "3 threads, 97 rows") == expected
+    for _ in build(folder, output=tmp_path / "workers", workers=2):
+        pass
+    assert hash_tree(tmp_path / "workers") == expected
+
+
+UNTIL = """
+import os, signal, sys, threading, time
+from pathlib import Path
+from levkas.building import build
+def die():
+    while not Path(sys.argv[3]).exists():
+        time.sleep(0.002)
+    os.kill(os.getpid(), signal.SIGKILL)
+threading.Thread(target=die, daemon=True).start()
+for step in build(sys.argv[1], output=sys.argv[2]):
+    if step.finished and step.label == sys.argv[4]:
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.slow
+def test_a_build_that_is_killed_among_its_tiles_goes_on(few, tmp_path):
+    """Killed while tiles are calibrated, then when those of the reference are placed: the third build ends in the bytes of one."""
+    folder, expected = few
+    output = tmp_path / "database"
+    third = tmp_path / "database.kept/one/photo/native/one_photo_tile-r2c1.tif"
+    for file, step in ((third, ""), (tmp_path / "never", "one/photo register")):
+        command = [sys.executable, "-c", UNTIL, folder, output, file, step]
+        assert subprocess.run(list(map(str, command)), check=False).returncode == -9
+        assert not (output / "catalogue.csv").exists()
+    steps = [s for s in build(folder, output=output) if s.finished]
+    states = {(s.key.camera, s.key.stage): s.state for s in steps}
+    assert states["photo", "calibrate"] == states["photo", "register"] == "fresh"
+    assert hash_tree(output) == expected
+
+
+@pytest.mark.slow
+def test_gold_without_texture_in_one_overlap_is_passed_by_others(tmp_path):
+    """What r1c1 and r1c2 share is plain; both are held by the tiles below them."""
+    frames = make_few(tmp_path, plain=((165, 0, 265, 240),))
+    assert {s.state for s in steps_of(tmp_path).values()} == {"done"}
+    record = record_of(tmp_path, "photo")
+    assert record["verdict"]["decision"] == "accept", record["verdict"]
+    used = [o["tiles"] for o in record["placement"]["overlaps"] if o["used"]]
+    assert ["r1c1", "r1c2"] not in used and ["r1c1", "r2c1"] in used
+    found = error(tmp_path, frames, "photo#r1c1", "photo#r2c2")
+    assert found.mean() < 0.15 and found.max() < 0.4
+
+
+@pytest.mark.slow
+def test_a_tile_that_only_its_position_holds_is_doubtful(tmp_path):
+    """All that r1c2 shares with others is plain gold: it lies where the stage says, and nobody is told that it is right."""
+    make_few(tmp_path, plain=((165, 0, 265, 235), (165, 135, 395, 235)), positions=True)
+    steps_of(tmp_path)
+    record = record_of(tmp_path, "photo")
+    assert record["verdict"]["decision"] == "warn"
+    assert set(record["placement"]["by_position"]) == {"r1c2"}
+    assert record["tiles"]["r1c2"]["verdict"]["decision"] == "warn"
+    (reason,) = record["verdict"]["reasons"]
+    assert reason.startswith("Tile r1c2") and "its position is known to" in reason
+    assert record["tiles"]["r1c2"]["sigma_px"] > 5 * record["tiles"]["r2c1"]["sigma_px"]
+
+
+@pytest.mark.slow
+def test_an_overlap_of_seven_pixels_is_refused_and_nothing_published(tmp_path):
+    """3 % of 220 px: no window fits in, and no tile is put anywhere by it."""
+    make_few(tmp_path, overlap=7)
+    steps = steps_of(tmp_path)
+    assert steps["photo", "register"].state == "refused"
+    assert "no two tiles overlap" in steps["photo", "register"].line
+    assert not (tmp_path / "database/objects/one/one_photo.tif").exists()

@@ -50,6 +50,7 @@ OUTLINE = 9
 LATTICE = 25
 """Places a side at which the uncertainty of a mosaic is recorded."""
 HELD_BY_HAND = "placed by hand; the pictures do not confirm it"
+BY_POSITION = "Set pairs beside a neighbour in `levkas inspect CAMPAIGN`, or capture this tile with more overlap."
 AROUND_TILE = "the part of the reference about the tile"
 OVERLAP_UNKNOWNS = 4
 """Unknowns an axis of the map between two tiles: at its windows, on average, its variance is so many times that of their mean."""
@@ -118,6 +119,12 @@ def place_reference(
     stage = _stage(native, campaign)
     starts = _starts(tiles, stage) if len(tiles) > FEW_TILES else None
     placement = place_tiles(tiles, starts=starts, by_hand=by_hand)
+    if placement.left_out and not starts and campaign.cameras[native.capture.camera].positions:
+        known = _starts(
+            tiles, stage
+        )  # of few tiles too they say where one lies that shows no detail
+        other = place_tiles(tiles, starts=known, by_hand=by_hand) if known else placement
+        placement = other if len(other.left_out) < len(placement.left_out) else placement
     if starts and placement.left_out:  # names or positions may be wrong
         other = place_tiles(tiles, by_hand=by_hand)
         placement = other if len(other.left_out) < len(placement.left_out) else placement
@@ -134,6 +141,8 @@ def place_reference(
             Verdict("accept"),
             sum(len(g.fixed) for p, g in by_hand.items() if p[1] == name),
         )
+        if name in placement.by_position:
+            verdict = Verdict("warn", (placement.by_position[name],), BY_POSITION)
         if name in placement.by_hand:
             verdict, count = Verdict("by hand", (HELD_BY_HAND,)), placement.by_hand[name]
             sigma = max(sigma, placement.sigma[name])

@@ -138,6 +138,16 @@ def test_tiles_and_their_lens_are_recovered():
     assert adjusted.maps.lens.radial[0] == pytest.approx(0.01, abs=3e-4)
 
 
+def test_windows_that_are_met_exactly_still_have_an_error():
+    """Three tiles in a row and four windows an overlap: a map a tile meets them all, which tells nothing of how well they were measured."""
+    rng = np.random.default_rng(1)
+    windows, begin, _views, _see = planted(1, 3, rng, noise=0.02, many=4)
+    adjusted = adjust(windows, begin, AdjustmentTerms(lens=True))
+    spread = [adjusted.place_covariance(n, np.array([[199.5, 149.5]]))[0] for n in range(3)]
+    assert np.isfinite(spread).all()
+    assert np.sqrt(1 / np.median(adjusted.information[:, 0, 0])) > 1e-3
+
+
 def test_errors_are_those_that_sigma_promises():
     rng = np.random.default_rng(3)
     windows, begin, views, see = planted(4, 5, rng, noise=0.03)

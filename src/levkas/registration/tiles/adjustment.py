@@ -34,6 +34,8 @@ ROUNDS, WEIGHED_ROUNDS, CONVERGED_PX = 15, 5, 5e-4
 VARIANCE_ROUNDS, ROUNDS_EACH = 6, 2
 #: Error in windows left out that a richer model has to reach, of that of a simpler one; tiles up to which it is measured.
 GAIN, MOST_JUDGED = 0.97, 400
+#: Least scatter of windows, of what they state themselves: what is less was met exactly, and says nothing of them.
+LEAST_SCATTER = 0.05
 #: Windows that are linearised at once.
 AT_ONCE = 4096
 #: Standard errors up to which chance may leave residuals that are alike.
@@ -285,12 +287,20 @@ class _Work:
             for _, (first, by_px, _, _), (second, _, _, _) in self._linearised(maps)
         ]
         residual = np.concatenate(pieces)
-        information, weight = scale_covariance(residual, self.windows.information)
-        return residual, weight, information
+        return residual, *self._scaled(residual)[::-1]
+
+    def _scaled(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return information as these residuals scatter, and robust weights; as windows say themselves where so few join the tiles that they are met exactly."""
+        stated = self.windows.information
+        information, weight = scale_covariance(residual, stated)
+        found, known = (np.median(np.trace(i, axis1=1, axis2=2)) for i in (information, stated))
+        if found > known / LEAST_SCATTER**2:
+            return stated, np.ones(len(stated))
+        return information, weight
 
     def _weigh(self, residual: np.ndarray) -> None:
         """Keep the information of windows as these residuals scatter: the next equations are weighted by it."""
-        information, weight = scale_covariance(residual, self.windows.information)
+        information, weight = self._scaled(residual)
         self.trusted = information * weight[:, None, None]
 
     def _linearised(
