@@ -4,6 +4,7 @@ import json
 import shutil
 from importlib.util import find_spec
 
+import cv2
 import numpy as np
 import pytest
 import zarr
@@ -225,6 +226,24 @@ def test_a_database_without_native_pixels_is_refused_with_the_key_that_keeps_the
         list(export(bare, "ngff", output=tmp_path / "out"))
     assert "native = true" in refused.value.problems[0].fix
     assert not list((tmp_path / "out").glob("*.ome.zarr"))
+
+
+def test_native_pixels_are_calibrated_where_the_campaign_is_given(make_plates, tmp_path):
+    from levkas.building import build
+
+    folder = make_plates(tmp_path / "campaign", ("one",))
+    list(build(folder))
+    with pytest.raises(Refused, match="no native pixels"):
+        list(export(folder / "database", "ngff", output=tmp_path / "out"))
+    before = hash_tree(folder / "database")
+    files = [p for s in export(folder, "ngff", output=tmp_path / "out") for p in s.files]
+    root = zarr.open_group(files[0], mode="r")
+    (raw,) = (folder / "photo").glob("one.*")
+    picture = cv2.imread(str(raw))[..., ::-1]
+    photo = {label: root[path]["0"][i] for frame, path, i in images_of(root)
+             for camera, _, label in [frame.partition(":")] if camera == "photo"}  # fmt: skip
+    assert np.array_equal(np.dstack([photo[c] for c in "RGB"]), picture)
+    assert hash_tree(folder / "database") == before
 
 
 @pytest.mark.skipif(find_spec("ngff_zarr") is None, reason="ngff-zarr is not installed")

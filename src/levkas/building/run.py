@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from levkas.building import fingerprints
-from levkas.building.build_records import CATALOGUE, BuildRecords, Key
+from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
 from levkas.building.camera_pages import prints_of_charts, prints_of_page, write_camera_page
 from levkas.building.catalogue import (
     by_others,
@@ -52,6 +52,8 @@ from levkas.stages.written import Written
 
 if TYPE_CHECKING:
     from levkas.building.cluster_executor import ClusterExecutor
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
 
 SCHEDULER = "DASK_SCHEDULER_ADDRESS"
 """The variable by which dask's own programs know their scheduler."""
@@ -344,6 +346,27 @@ def status(
     report = summarise(steps, places.output)
     states = {step.key: step.state for step in steps}
     return replace(report, draws=partial(draw, plan.graph, states))
+
+
+def calibrate_aside(capture: Capture, campaign: Campaign, places: Places) -> Path:
+    """Return a folder beside the database with a capture's native pixels; calibrate it where they are not there yet.
+
+    Raises
+    ------
+    Refused
+        Where the capture cannot be calibrated.
+    """
+    from levkas.stages.calibrate import calibrate, write_shown
+
+    records = BuildRecords(places.kept, places.output)
+    made_of = records.fingerprint(key_of(capture, "calibrate"))
+    version = fingerprints.digest(made_of, numbers_of="calibrate")
+    folder = places.kept_native(capture.object, capture.layer, version)
+    if not folder.is_dir():
+        templates = TemplateCache(places.kept / "templates", records.hashes.of_frame)
+        made = calibrate(capture, campaign, templates, places)
+        write_shown(made, capture, campaign, places, folder)
+    return folder
 
 
 def _state_of_catalogue(

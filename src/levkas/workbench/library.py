@@ -330,25 +330,10 @@ class Library:
                 return joined(capture, self.campaign, self.places)
         if capture.tile:
             return self.places.kept_native(capture.object, capture.layer)
-        return self._calibrated(capture)
+        from levkas.building.run import calibrate_aside
 
-    def _calibrated(self, capture: Capture) -> Path:
-        """Return the folder of a capture's native pixels beside the database; calibrate it where they are not there yet."""
-        from levkas.building.build_records import BuildRecords, key_of
-        from levkas.building.fingerprints import digest
-        from levkas.stages.calibrate import calibrate, write_shown
-        from levkas.stages.template_cache import TemplateCache
-
-        records = BuildRecords(self.places.kept, self.places.output)
-        made_of = records.fingerprint(key_of(capture, "calibrate"))
-        version = digest(made_of, numbers_of="calibrate")
-        folder = self.places.kept_native(capture.object, capture.layer, version)
         with self._lock:
-            if not folder.is_dir():
-                templates = TemplateCache(self.places.kept / "templates", records.hashes.of_frame)
-                made = calibrate(capture, self.campaign, templates, self.places)
-                write_shown(made, capture, self.campaign, self.places, folder)
-        return folder
+            return calibrate_aside(capture, self.campaign, self.places)
 
     def _opened(self, view: SensorView) -> RegistrationView:
         capture = view.capture

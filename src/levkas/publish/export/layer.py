@@ -44,6 +44,8 @@ class ExportLayer:
         What the TIFF says of itself: quantity, px_per_mm and others.
     path : Path
         Of the TIFF with the values; flags and sigma stand beside it.
+    campaign : Path, optional
+        campaign.toml of the database, where it is known.
     """
 
     object: str
@@ -52,6 +54,7 @@ class ExportLayer:
     bands: tuple[Band, ...]
     facts: dict[str, Any]
     path: Path
+    campaign: Path | None = None
 
     @classmethod
     def read(cls, database: Path, name: str, camera: str, setup: str) -> ExportLayer:

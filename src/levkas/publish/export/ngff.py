@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from levkas.core.cube import Band
-from levkas.core.files import publishing
+from levkas.core.files import before_writing, publishing
 from levkas.core.problems import Problem
 from levkas.database.catalogue import ESTIMATED
 from levkas.database.described import describe_pages
@@ -50,7 +50,7 @@ def finish(layers: Sequence[ExportLayer], folder: Path) -> list[Path]:
     ExportRefused
         Where a frame and the grid have nothing in common.
     ComparisonRefused
-        Where the database holds no native pixels.
+        Where the database holds no native pixels, and its campaign was not given.
     MappingRefused
         Where a registration record is not there.
     """
@@ -100,14 +100,12 @@ def _write_scene(name: str, layers: Sequence[ExportLayer], folder: Path) -> Path
 
 
 def _images(database: Path, layer: ExportLayer, records: Records) -> Iterator[_Image]:
-    from levkas.quality.evaluation.native_layers import native_files
-
     if layer.facts.get("kind") == ESTIMATED:
         return
     stem = "_".join(filter(None, (layer.camera, layer.setup)))
     grid = records.pixels(Frame())
     tiles = records.tiles(Frame(layer.camera, layer.setup))
-    for part, file in native_files(database, layer.object, layer.camera, layer.setup).items():
+    for part, file in _native_files(database, layer).items():
         tile = next((t for t in tiles if f"{part}_".startswith(f"tile-{t}_")), "")
         if part.startswith("tile-") and not tile:  # it was left out of the layer
             continue
@@ -136,6 +134,31 @@ def _images(database: Path, layer: ExportLayer, records: Records) -> Iterator[_I
                 described.quantity,
                 _fitted(maps[picked[0]], grid.size or size, size, file),
             )
+
+
+def _native_files(database: Path, layer: ExportLayer) -> dict[str, Path]:
+    """Return the files with a layer's native pixels: the database's, else those calibrated anew where its campaign is known."""
+    from levkas.building.run import calibrate_aside
+    from levkas.campaign.campaign import load_campaign
+    from levkas.campaign.discovery.find_captures import find_captures
+    from levkas.database.layout import Places
+    from levkas.quality.evaluation.native_layers import ComparisonRefused, native_files
+
+    where = layer.object, layer.camera, layer.setup
+    try:
+        return native_files(database, *where)
+    except ComparisonRefused:
+        if layer.campaign is None:
+            raise
+    campaign, places = load_campaign(layer.campaign), Places(database)
+    captures, _ = find_captures(campaign)
+    capture = next((c for c in captures if (c.object, c.camera, c.setup) == where), None)
+    if capture is None:
+        return native_files(database, *where)
+    if capture.tiles:  # they are kept in any case
+        return native_files(database, *where, places.kept_native(layer.object, capture.layer))
+    with before_writing(lambda _: None):  # beside the database, not into the folder of the export
+        return native_files(database, *where, calibrate_aside(capture, campaign, places))
 
 
 def _positions(to_native: Transform, size: Size) -> bytes:

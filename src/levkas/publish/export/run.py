@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 
@@ -64,7 +64,8 @@ def export(
     Parameters
     ----------
     database : path
-        A database, also a published one or its medium edition.
+        A database, also a published one or its medium edition, or the folder of its campaign, from which the
+        form ``ngff`` calibrates native pixels that the database does not hold.
     form : str
         One of `FORMS`.
     output : path, optional
@@ -117,8 +118,18 @@ def export(
     finish = getattr(import_module(FORMS[form].partition(":")[0]), "finish", None)
     if finish is not None:
         with own.writing():
-            files = finish([ExportLayer.read(root, *layer) for layer in layers], folder)
+            campaign = _campaign(database, root) if form == "ngff" else None
+            read = (ExportLayer.read(root, *layer) for layer in layers)
+            files = finish([replace(layer, campaign=campaign) for layer in read], folder)
         yield Exported(form, tuple(files), len(layers), len(layers))
+
+
+def _campaign(given: str | Path, root: Path) -> Path | None:
+    """Return campaign.toml where a campaign was given, and its database is up to date."""
+    from levkas.database.remote import is_remote
+    from levkas.publish.run import find_subject
+
+    return None if is_remote(root) else find_subject(given).campaign
 
 
 def load_writer(form: str) -> Writer:

@@ -77,8 +77,12 @@ def read_native_layer(database: Path, name: str, camera: str, setup: str) -> Nat
     return NativeLayer(sensors)
 
 
-def native_files(database: Path, name: str, camera: str, setup: str) -> dict[str, Path]:
+def native_files(
+    database: Path, name: str, camera: str, setup: str, folder: Path | None = None
+) -> dict[str, Path]:
     """Return the files with the native pixels of a layer, by the names of its sensors and tiles.
+
+    They are those of the database unless another `folder` is given.
 
     Raises
     ------
@@ -88,12 +92,13 @@ def native_files(database: Path, name: str, camera: str, setup: str) -> dict[str
     from levkas.database.described import open_tiff
     from levkas.database.layout import Places
 
-    first = Places(database).native(name, camera, setup, "")
+    first = Places(database).native(name, camera, setup, "", folder=folder)
     found = {}
     for path in sorted(first.parent.glob(escape(first.stem) + "*.tif")):
         if path.name.endswith((".flags.tif", ".sigma.tif")):
             continue
-        check_inside(database, path)
+        if folder is None:
+            check_inside(database, path)
         facts = open_tiff(path).facts
         if (facts.get("camera", camera), facts.get("setup", setup) or "") == (camera, setup):
             found[path.stem.removeprefix(first.stem).removeprefix("_")] = path
