@@ -71,6 +71,13 @@ def run_counted(arguments, folder):
     return run_levkas(arguments, folder)
 
 
+def run_by_two_methods(arguments, folder):
+    """Estimate by two methods of seven: to search parameters of the others takes a minute, and tests/estimation has it smaller."""
+    if "--from" in arguments:
+        arguments = [*arguments, "--method", "wiener", "--method", "pseudo-inverse"]
+    return run_levkas(arguments, folder)
+
+
 def follow(page, folder, programs=PROGRAMS):
     """Do what a tutorial has: write its files, run its commands; return what they printed."""
     printed = []
@@ -151,9 +158,15 @@ def test_five_cameras_are_built_with_few_kernels_and_compared_with_the_truth(tmp
     assert 0 < len(found) <= MOST_KERNELS
 
 
-@pytest.mark.slow
-def test_spectra_are_estimated_and_written(tmp_path):
-    follow("estimating_spectra.md", tmp_path)
+@pytest.mark.parametrize(
+    "run",
+    [
+        pytest.param(run_by_two_methods, marks=pytest.mark.slow, id="two methods"),
+        pytest.param(run_levkas, marks=pytest.mark.exhaustive, id="all methods"),
+    ],
+)
+def test_spectra_are_estimated_and_written(tmp_path, run):
+    follow("estimating_spectra.md", tmp_path, PROGRAMS | {"levkas": run})
     assert "vis-estimated" in (tmp_path / "paintings/database/catalogue.csv").read_text()
 
 

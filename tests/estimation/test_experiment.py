@@ -10,6 +10,7 @@ from levkas.core.problems import Refused
 from levkas.database.reader import Database
 from levkas.estimation.budget import DRAWS
 from levkas.estimation.experiment import Paintings, run_experiment
+from levkas.estimation.methods import METHODS as EVERY_METHOD
 from levkas.estimation.plan import ExperimentPlan, choose_layers
 from levkas.estimation.samples import SampleSource, training_of
 from levkas.estimation.splits import split_at_random, split_paintings
@@ -188,6 +189,15 @@ def test_fewer_samples_than_coefficients_are_refused_by_the_method(paintings, mo
     with pytest.raises(Refused) as refused:
         report_of(paintings, sources=["rgb,cam2"], methods=["wiener"])
     assert refused.value.problems[0].code == "E_TOO_FEW_SAMPLES"
+
+
+def test_the_command_ranks_every_method_where_none_is_named(paintings):
+    ran = command(paintings, "--from", "rgb", "--test", "icon1", "--no-budget", "--json")
+    assert ran.exit_code == 0, ran.stderr
+    (result,) = json.loads(ran.stdout)["results"]
+    errors = {one["method"]: one["metrics"]["rmse"]["mean"] for one in result["methods"]}
+    assert errors.keys() == EVERY_METHOD.keys() and min(errors.values()) > 0
+    assert max(errors.values()) < 0.2
 
 
 def test_the_command_writes_page_json_tables_maps_and_models(paintings, tmp_path):
