@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from multiprocessing import SimpleQueue
 
 import pytest
 
@@ -28,13 +29,23 @@ def test_an_object_is_ready_when_the_reference_has_it_and_nothing_is_being_writt
     assert file.target not in objects_to_build(session.campaign, session.state())
 
 
+def iter_of(news):
+    while not news.empty():
+        yield news.get()
+
+
 @pytest.mark.slow
 def test_what_was_built_meanwhile_is_what_a_build_makes(session, make_plates, tmp_path):
     state = session.settle()
     root = session.watch.root
-    layers, problems = build_objects(str(root), list(objects_to_build(session.campaign, state)))
+    news = SimpleQueue()
+    names = list(objects_to_build(session.campaign, state))
+    layers, problems = build_objects(str(root), names, news)
     assert {layer["camera"] for layer in layers} == set(session.campaign.cameras)
     assert problems == []
+    assert sorted(early["camera"] for early in iter_of(news)) == sorted(
+        layer["camera"] for layer in layers
+    )
     assert {step.state for step in build(root) if step.key.stage != "catalogue"} <= {"fresh"}
     alone = make_plates(tmp_path / "alone")
     list(build(alone))

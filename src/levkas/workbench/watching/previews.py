@@ -6,8 +6,10 @@ There is no second pipeline: what is shown are the layers of the database, and a
 from __future__ import annotations
 
 import threading
+import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from importlib import import_module
 from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any
 
@@ -16,25 +18,58 @@ from levkas.campaign.campaign import load_campaign
 from levkas.core.problems import Refused
 
 if TYPE_CHECKING:
+    from multiprocessing.queues import SimpleQueue
+
     from levkas.campaign.campaign import Campaign
     from levkas.workbench.watching.session import SessionState, WatchedSession
 
 QUIET_S = 3.0
 """How long no frame of an object may have come before it is built: frames of a stack come faster."""
-LOOK_S = 0.5
+LOOK_S, NEWS_S = 0.5, 0.1
 
 
-def build_objects(folder: str, names: list[str]) -> tuple[list[dict[str, Any]], list[str]]:
-    """Build some objects of a campaign; return its layers, and the problems as sentences."""
+def build_objects(
+    folder: str, names: list[str], news: SimpleQueue[dict[str, Any]] | None = None
+) -> tuple[list[dict[str, Any]], list[str]]:
+    """Build some objects of a campaign; return its layers, and the problems as sentences.
+
+    A layer is put into `news` as soon as it is written: pages and catalogue come after it.
+    """
     from levkas.building import build, summarise
     from levkas.building.layer_verdicts import layer_verdicts
 
+    news, steps = news or _news, []
     try:
         output = places_of(load_campaign(folder)).output
-        report = summarise(build(folder, objects=names, workers=0), output)
+        for step in build(folder, objects=names, workers=0):
+            steps.append(step)
+            if news is not None and step.finished and step.key.stage == "resample":
+                own = [s for s in steps if s.key.layer == step.key.layer]
+                own = [s for s in own if s.key.object == step.key.object]
+                for layer in layer_verdicts(summarise(own, output)):
+                    news.put(layer)
+        report = summarise(steps, output)
     except Refused as refused:
         return [], [str(problem) for problem in refused.problems]
     return layer_verdicts(report), [str(problem) for problem in report.problems]
+
+
+_news: SimpleQueue[dict[str, Any]] | None = None
+"""Of the process that builds: where its layers go."""
+
+
+def _begin(news: SimpleQueue[dict[str, Any]]) -> None:
+    """Load what a build needs before there is one: it takes longer than a small layer."""
+    global _news
+    _news = news
+    for name in ("executor", "report_pages", "tasks"):
+        import_module(f"levkas.building.{name}")
+    for name in ("calibrate", "register", "resample"):
+        import_module(f"levkas.stages.{name}")
+
+
+def _wait() -> None:
+    """Do nothing: what is asked first of a process starts it."""
 
 
 def objects_to_build(campaign: Campaign, state: SessionState) -> dict[str, tuple[object, ...]]:
@@ -105,7 +140,10 @@ class RegisteredPreviews:
     def _run(self) -> None:
         known: object = None
         quiet = 0.0
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        context = get_context("spawn")
+        news: SimpleQueue[dict[str, Any]] = context.SimpleQueue()
+        with ProcessPoolExecutor(1, context, initializer=_begin, initargs=(news,)) as pool:
+            pool.submit(_wait)
             while not self._ended.wait(LOOK_S):
                 campaign, state = self.session.campaign, self.state
                 if campaign is None or state is None or state.guessed or state.away:
@@ -116,11 +154,18 @@ class RegisteredPreviews:
                 due = [name for name, files in ready.items() if self._built.get(name) != files]
                 if not due or quiet < QUIET_S:
                     continue
-                layers, self.problems = pool.submit(
-                    build_objects, str(self.session.watch.root), due
-                ).result()
-                for layer in layers:
-                    key = layer["object"], layer["camera"], layer.get("setup") or ""
-                    self.layers[key] = {**layer, "built": self.version}
+                built = pool.submit(build_objects, str(self.session.watch.root), due)
+                while not built.done() or not news.empty():
+                    if news.empty():
+                        time.sleep(NEWS_S)
+                    else:
+                        self._show(news.get())
+                layers, self.problems = built.result()
+                self._show(*layers)
                 self._built |= {name: ready[name] for name in due}
-                self.version += 1
+
+    def _show(self, *layers: dict[str, Any]) -> None:
+        for layer in layers:
+            key = layer["object"], layer["camera"], layer.get("setup") or ""
+            self.layers[key] = {**layer, "built": self.version}
+        self.version += 1
