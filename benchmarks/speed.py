@@ -1,9 +1,10 @@
 """Time of builds, starts, `look` and registrations beside the code before, in turns in one run, and where a build's time goes.
 
-    python benchmarks/speed.py [FOLDER] [--before COMMIT] [--preset small] [--rounds 2] [--files 20000] [--pairs 8] [--results FILE]
+    python benchmarks/speed.py [FOLDER] [--before COMMIT] [--preset small] [--rounds 2] [--files 20000] [--pairs 8]
 
-FOLDER keeps the simulated campaign, the band files that `look` reads and the sources of COMMIT (default: the last but one) for the next run. Both codes are measured in turns, each from an empty database; the least time of the rounds counts, as
-nothing makes a program faster than it is. Where time goes is sampled every 10 ms over threads that do not wait, by the package whose code,
+FOLDER keeps the simulated campaign, the band files that `look` reads and the sources of COMMIT (default: the last but one) for the
+next run. Both codes are measured in turns, each from an empty database; the least of the rounds counts, as nothing makes a
+program faster than it is. Where time goes is sampled every 10 ms over threads that do not wait, by the package whose code,
 or library on its behalf, runs. The floor is to read every raw frame and to write every published layer once.
 Ten minutes with the preset `small`; compare times within a run only.
 """
@@ -23,7 +24,6 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from results import add_option, record
 from unchanged import HERE, levkas, unpack
 
 WAITING = ("threading.py", "queue.py", "selectors.py", "thread.py", "_base.py", "subprocess.py")
@@ -187,14 +187,12 @@ def least(rounds: list[dict]) -> dict:
     return {**numbers, "packages": shares}
 
 
-def tell(before: dict, after: dict) -> dict[tuple[str, str], float]:
-    """Print both, and where time goes; return the figures for the results file."""
-    figures = {}
+def tell(before: dict, after: dict) -> None:
+    """Print both, their ratios, and where time goes."""
     print(f"{'':20s} {'before':>9s} {'now':>9s} {'ratio':>6s}")
     for name in (n for n in after if n != "packages"):
         ratio = before[name] / after[name]
         print(f"{name:20s} {before[name]:9.2f} {after[name]:9.2f} {ratio:6.2f}")
-        figures |= {(name, "before"): before[name], (name, "now"): after[name]}
     print(f"\nprocessor seconds of the build\n{'package':20s} {'before':>9s} {'now':>9s}")
     for name, share in sorted(after["packages"].items(), key=lambda item: -item[1]):
         parts = [one["packages"].get(name, 0) * one["build, CPU"] for one in (before, after)]
@@ -202,7 +200,6 @@ def tell(before: dict, after: dict) -> dict[tuple[str, str], float]:
             print(f"{name:20s} {parts[0]:9.1f} {parts[1]:9.1f}")
     over = after["build, time"] / after["floor"]
     print(f"\nthe build takes {over:.1f} times the floor")
-    return figures | {("build over floor", "now"): over}
 
 
 def main() -> None:
@@ -216,7 +213,6 @@ def main() -> None:
     parser.add_argument("--files", type=int, default=20_000, help="that `look` reads")
     parser.add_argument("--pairs", type=int, default=8, help="right pairs, and as many impostors")
     parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
-    add_option(parser)
     given = parser.parse_args()
     folder = (given.folder or Path(tempfile.mkdtemp())).resolve()
     if given.measure:
@@ -232,8 +228,7 @@ def main() -> None:
         for name, code in codes.items():
             found[name].append(measured_by(code, folder, given.pairs))
             print(f"{name}: built in {found[name][-1]['build, time']:.1f} s", flush=True)
-    figures = tell(*(least(found[name]) for name in ("before", "now")))
-    record(given.results, "speed-before", figures)
+    tell(*(least(found[name]) for name in ("before", "now")))
 
 
 if __name__ == "__main__":
