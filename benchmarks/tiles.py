@@ -3,7 +3,7 @@
     python benchmarks/tiles.py --data FOLDER [--seeds 2] [--others PYTHON] [--results results.json]
     python benchmarks/tiles.py --tiles 30000 [--results results.json]
     python benchmarks/tiles.py --surfaces [--results results.json]
-    python benchmarks/tiles.py --build FOLDER [--columns 6] [--rows 4] [--results results.json]
+    python benchmarks/tiles.py --build FOLDER [--columns 6] [--rows 4] [--size 4000 3000] [--results results.json]
 
 The first form takes the tiles of a polished section (`tiles-section`, grey JPEG files named by row and column) and paintings (`paintings`)
 in the folder. Of the real tiles there is no truth: how well windows agree after one adjustment, and how well loops close, with the lens and
@@ -13,7 +13,7 @@ points from tile to tile, of whole-tile correlation at given positions (as ashla
 The second form adjusts observations alone: time, memory, and errors over the sigma that the adjustment promises.
 The third photographs panels that are not flat: nine tiles of 600 x 500 px by a pinhole camera, 1,500 px away, that a stage moves, every ray traced to
 the surface; by how much two tiles put one place of the panel apart where both see it, placed as on one plane and as Levkas places them.
-The fourth builds a database from tiles of 12 Mpx of a photograph and from 2 x 2 tiles of a coarser camera that lie on all of it, in a new
+The fourth builds a database from tiles of a photograph (by default of 12 Mpx) and from 2 x 2 tiles of a coarser camera that lie on all of it, in a new
 folder of some 0.7 GB a tile: time, memory, and the errors of both cameras against the planted maps.
 """
 
@@ -493,30 +493,30 @@ files = "photo/{target}_r{row}c{column}.tif"
 kind = "image"
 files = "infrared/{target}_r{row}c{column}.tif"
 """
-BUILT_SIZE, BUILT_STEP, SPACINGS = (4000, 3000), 0.86, (3, 8, 30, 150)
+BUILT_STEP, SPACINGS = 0.86, (3, 8, 30, 150)
 
 
-def write_panel(folder, rows, columns, rng):
+def write_panel(folder, rows, columns, tile_size, rng):
     """Write tiles of a panel of noise of four sizes; return the map of each, its px → px of the panel."""
     width, height = (
         round(side * (1 + BUILT_STEP * (n - 1)) + 400)
-        for side, n in zip(BUILT_SIZE, (columns, rows), strict=True)
+        for side, n in zip(tile_size, (columns, rows), strict=True)
     )
     grids = {
         s: rng.standard_normal((height // s + 4, width // s + 4), np.float32) for s in SPACINGS
     }
     frames = {}
     for row, column in np.ndindex(rows, columns):
-        step = np.array([column, row]) * BUILT_STEP * BUILT_SIZE + 200 + rng.uniform(-25, 25, 2)
+        step = np.array([column, row]) * BUILT_STEP * tile_size + 200 + rng.uniform(-25, 25, 2)
         frames[f"photo#r{row + 1}c{column + 1}"] = laid(step, rng.normal(0, 2e-3), 1.0, rng)
-    scale = (width + 200) / 2 / BUILT_SIZE[0]
-    size = (BUILT_SIZE[0], round((height + 200) / 2 / scale))
+    scale = (width + 200) / 2 / tile_size[0]
+    size = (tile_size[0], round((height + 200) / 2 / scale))
     for row, column in np.ndindex(2, 2):
         step = np.array([column * (width - scale * size[0]), row * (height - scale * size[1])])
         frames[f"infrared#r{row + 1}c{column + 1}"] = laid(step, 0.004, scale, rng)
     for name, frame in frames.items():
         camera, _, tile = name.partition("#")
-        shape = (BUILT_SIZE if camera == "photo" else size)[::-1]
+        shape = (tile_size if camera == "photo" else size)[::-1]
         values = np.zeros(shape, np.float32)
         for spacing, grid in grids.items():
             inside = Affine(np.array([[1 / spacing, 0, 2], [0, 1 / spacing, 2]]))
@@ -539,21 +539,21 @@ def laid(corner, turn, scale, rng):
     return Homography(np.array([[c, -s, corner[0]], [s, c, corner[1]], [*tilt, 1.0]]))
 
 
-def whole_build(folder, rows, columns):
-    frames = write_panel(folder, rows, columns, np.random.default_rng(0))
+def whole_build(folder, rows, columns, tile_size):
+    frames = write_panel(folder, rows, columns, tile_size, np.random.default_rng(0))
     command = [Path(sys.executable).with_name("levkas"), "build", folder]
     clock = time.perf_counter()
     subprocess.run(command, check=False)
     minutes = (time.perf_counter() - clock) / 60
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    lattice = np.stack(np.meshgrid(*(np.linspace(20, side - 21, 15) for side in BUILT_SIZE)), -1)
+    lattice = np.stack(np.meshgrid(*(np.linspace(20, side - 21, 15) for side in tile_size)), -1)
     points = lattice.reshape(-1, 2)
     errors = {"photo": [], "infrared": []}
     for source, target in combinations(frames, 2):
         if not source.startswith("photo") or source == target:
             continue
         truth = frames[target].inverse(frames[source](points))
-        size = BUILT_SIZE if target.startswith("photo") else (0, 0)
+        size = tile_size if target.startswith("photo") else (0, 0)
         try:
             found = map_points(folder / "database", "panel", points, source=source, target=target)
         except Refused:
@@ -562,7 +562,7 @@ def whole_build(folder, rows, columns):
         if size[0]:
             known &= ((truth >= 0) & (truth < size)).all(1)
         errors[target.partition("#")[0]] += np.linalg.norm(found - truth, axis=1)[known].tolist()
-    mpx = rows * columns * BUILT_SIZE[0] * BUILT_SIZE[1] / 1e6
+    mpx = rows * columns * tile_size[0] * tile_size[1] / 1e6
     values = {"Mpx of the reference": mpx, "minutes": minutes}
     values["GB of memory"] = after.ru_maxrss / 1e6
     for camera, found in errors.items():
@@ -583,10 +583,13 @@ def main() -> None:
     parser.add_argument("--build", type=Path)
     parser.add_argument("--rows", type=int, default=4)
     parser.add_argument("--columns", type=int, default=6)
+    parser.add_argument(
+        "--size", type=int, nargs=2, default=(4000, 3000), help="width and height of a tile, px"
+    )
     add_option(parser)
     given = parser.parse_args()
     if given.build:
-        built = whole_build(given.build, given.rows, given.columns)
+        built = whole_build(given.build, given.rows, given.columns, given.size)
         record(given.results, TABLE + "-build", built)
     if given.surfaces:
         record(given.results, TABLE + "-surfaces", surfaces())

@@ -99,6 +99,18 @@ class Affine:
         return cls(np.column_stack([np.diag(s), s / 2 - 0.5]))
 
     @classmethod
+    def of_box(cls, left: float, top: float, step: int = 1) -> Affine:
+        """Return the map from px of a part of a picture to those of the whole, of which `step` a side make one.
+
+        Examples
+        --------
+        >>> Affine.of_box(10, 20, 2)(np.zeros((1, 2)))
+        array([[10.5, 20.5]])
+        """
+        middle = (step - 1) / 2
+        return cls(np.array([[step, 0, left + middle], [0, step, top + middle]], float))
+
+    @classmethod
     def fit(
         cls, source: np.ndarray, target: np.ndarray, weights: np.ndarray | None = None
     ) -> Affine:

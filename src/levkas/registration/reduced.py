@@ -21,10 +21,12 @@ LEAST_SIDE = 250
 
 def reduce_target(request: Request, factor: int = FACTOR) -> Request:
     """Return the request with the target's pictures reduced, and what is stated in px of them."""
-    back = Inverse(onto_box(0, 0, factor))
+    back = Inverse(Affine.of_box(0, 0, factor))
     align: Mapping[str, Any] = {
         sensor: Composed(
-            onto_box(0, 0, factor), one if callable(one) else Affine(np.asarray(one, float)), back
+            Affine.of_box(0, 0, factor),
+            one if callable(one) else Affine(np.asarray(one, float)),
+            back,
         )
         for sensor, one in request.align.items()
     }
@@ -56,21 +58,9 @@ def reduced(image: BandImage, factor: int) -> BandImage:
     return replace(image, values=values, valid=count >= factor**2 / 2, sites=None)
 
 
-def onto_box(left: float, top: float, step: int = 1) -> Affine:
-    """Return the map from px of a part of a picture to those of the whole, of which `step` a side make one.
-
-    Examples
-    --------
-    >>> onto_box(10, 20, 2)(np.zeros((1, 2)))
-    array([[10.5, 20.5]])
-    """
-    middle = (step - 1) / 2
-    return Affine(np.array([[step, 0, left + middle], [0, step, top + middle]], float))
-
-
 def enlarged(found: Registration, factor: int = FACTOR) -> Registration:
     """Return a registration of reduced pictures as one of native pixels."""
-    grow = onto_box(0, 0, factor)
+    grow = Affine.of_box(0, 0, factor)
     return replace(
         found,
         transforms={label: Composed(one, grow) for label, one in found.transforms.items()},

@@ -18,7 +18,6 @@ from levkas.geometry.grid import Grid, GridRefused
 from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration import Matches, Registration, Verdict
 from levkas.registration.record import Sigma
-from levkas.registration.reduced import onto_box
 from levkas.stages.spectra import middle_band, reference_channel
 from levkas.stages.tiles import TiledCapture, coarseness
 
@@ -223,7 +222,7 @@ def cropped(
 ) -> tuple[list[BandImage], dict[str, Transform]]:
     """Return a box of the bands, each cut out in its own px, and the maps from px of the box to those."""
     x, y, right, bottom = box
-    corner, back = onto_box(x, y), onto_box(-x, -y)
+    corner, back = Affine.of_box(x, y), Affine.of_box(-x, -y)
     part = np.s_[y:bottom, x:right]
     # A mosaic's sites repeat from the corner: of a box that begins elsewhere they are not known.
     cut = [replace(i, values=i.values[part], valid=i.valid[part], sites=None) for i in images]

@@ -29,7 +29,7 @@ from levkas.registration import Registration, RegistrationRefused, register
 from levkas.registration.joint import SensorObservations
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.record import COLUMNS, HandMark, Matches
-from levkas.registration.reduced import enlarged, onto_box
+from levkas.registration.reduced import enlarged
 from levkas.stages.control_points import declared_points, joined, placed_in, placed_pairs
 from levkas.stages.native_cubes import TILE, part_name
 from levkas.stages.tile_registration import (
@@ -287,7 +287,7 @@ def register_capture(
     )  # fmt: skip
     if native.factor == 1:
         return found
-    errors = _with_enlarged_checks(found.errors, onto_box(0, 0, native.factor))
+    errors = _with_enlarged_checks(found.errors, Affine.of_box(0, 0, native.factor))
     return replace(enlarged(found, native.factor), errors=errors)
 
 

@@ -24,7 +24,7 @@ from levkas.registration.manual_points import ManualPoints
 from levkas.registration.measured_bands import measured_bands
 from levkas.registration.predictors import PreparedReference
 from levkas.registration.record import HandMark, Matches, Sigma, Verdict
-from levkas.registration.reduced import FACTOR, LEAST_SIDE, onto_box, reduced
+from levkas.registration.reduced import FACTOR, LEAST_SIDE, reduced
 from levkas.registration.tiles import TilePlacement, place_tiles
 from levkas.stages.tiles import Placement, TiledCapture, TilePlace
 
@@ -412,8 +412,8 @@ class TilesToReference:
         found = find_initial_transform(self._keys, theirs)
         if found is None:
             return None
-        whole = Inverse(onto_box(0, 0, self._frame.step))
-        return Composed(whole, found.transform, onto_box(0, 0, factor))
+        whole = Inverse(Affine.of_box(0, 0, self._frame.step))
+        return Composed(whole, found.transform, Affine.of_box(0, 0, factor))
 
     @cached_property
     def _keys(self) -> CameraFeatures:
@@ -429,8 +429,8 @@ class TilesToReference:
     ) -> Registration:
         """Register the pictures of a tile to a box of the reference, where it is expected, with what a person corrected of it."""
         images, transforms, step = self._frame.part(box)
-        corner = onto_box(box[0], box[1], step)
-        back, grow = Inverse(corner), onto_box(0, 0, factor)
+        corner = Affine.of_box(box[0], box[1], step)
+        back, grow = Inverse(corner), Affine.of_box(0, 0, factor)
         sigma = {label: _moved(one, back, 1 / step) for label, one in self._own.sigma.items()}
         height, width = images[0].values.shape
         places = np.array([[0.2, 0.2], [0.8, 0.2], [0.8, 0.8], [0.2, 0.8]]) * (width, height)

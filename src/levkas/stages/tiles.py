@@ -22,7 +22,6 @@ from levkas.geometry.transforms import Affine, Composed
 from levkas.quality.image_quality.glare import setup_gains
 from levkas.registration.bands import BandImage, share_of_most
 from levkas.registration.record import RegistrationRefused
-from levkas.registration.reduced import onto_box
 from levkas.stages.native_cubes import Native, part_name, read_native
 from levkas.stages.scan_templates import block_lines
 from levkas.stages.scans import Pictures, Scan, factor_of
@@ -282,7 +281,7 @@ class TiledCapture:
         numbers = sorted(chosen)
         values = np.full((len(numbers), height, width), np.nan, np.float32)
         valid = np.zeros(values.shape, bool)
-        onto = onto_box(left, top, step)
+        onto = Affine.of_box(left, top, step)
         row = 0
         for cube in self.on_grid(dict.fromkeys(labels, onto), (width, height)).blocks:
             rows = slice(row, row + len(cube.values))
@@ -321,7 +320,7 @@ class TiledCapture:
         """Find the gains of tiles from every `LEVELLED_STEP`-th pixel a side where they meet; they are joined with them from now on."""
         self.gains = {}
         step = LEVELLED_STEP
-        coarse = {label: Composed(onto_box(0, 0, step), one) for label, one in maps.items()}
+        coarse = {label: Composed(Affine.of_box(0, 0, step), one) for label, one in maps.items()}
         joiner = _Joiner(self, coarse, (max(size[0] // step, 1), max(size[1] // step, 1)))
         joiner.require_memory()
         for start, stop in joiner.blocks():
