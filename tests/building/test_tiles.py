@@ -194,7 +194,7 @@ def test_tiles_are_levelled_by_recorded_gains_only_where_that_is_asked(tmp_path)
     counts = tifffile.imread(bright)
     write(bright, np.clip(counts * 1.06, 0, 65535).astype(np.uint16))
     found = {}
-    for name, more in (("as captured", ""), ("levelled", "equalise = true\n")):
+    for name, more in (("as captured", ""), ("levelled", "level_tiles = true\n")):
         (tmp_path / "campaign.toml").write_text(keys + more + infrared)
         steps = steps_of(tmp_path)
         assert steps["photo", "register"].state == ("fresh" if more else "done")

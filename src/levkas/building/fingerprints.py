@@ -296,8 +296,8 @@ def of_resampling(
     if default:
         prints["layer under the default setup"] = default
     camera = campaign.cameras[capture.camera]
-    if camera.equalise:
-        prints[f"cameras.{camera.name}.equalise"] = True
+    if camera.level_tiles:
+        prints[f"cameras.{camera.name}.level_tiles"] = True
     prints |= {**_grid(campaign), **_credits(campaign, capture.object)}
     prints |= _centroids(campaign, capture, hashes)
     size = _facts(campaign, capture.object).get("size_mm")

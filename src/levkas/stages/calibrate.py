@@ -103,9 +103,16 @@ def calibrate(
             for tile in capture.tiles
         )
         folder, mosaics = folder_of(capture, campaign, places), mosaics_of(capture, campaign)
-        equalise = campaign.cameras[capture.camera].equalise
+        level_tiles = campaign.cameras[capture.camera].level_tiles
         return TiledCapture(
-            capture, places, folder, mosaics, tiles, notes, streamed=streamed, equalise=equalise
+            capture,
+            places,
+            folder,
+            mosaics,
+            tiles,
+            notes,
+            streamed=streamed,
+            level_tiles=level_tiles,
         )
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)
@@ -198,7 +205,7 @@ def load_calibrated(
     if capture.tiles:
         folder, mosaics = folder_of(capture, campaign, places), mosaics_of(capture, campaign)
         streamed = _streamed_tiles(capture, campaign)
-        equalise = campaign.cameras[capture.camera].equalise
+        level_tiles = campaign.cameras[capture.camera].level_tiles
         return TiledCapture(
             capture,
             places,
@@ -206,7 +213,7 @@ def load_calibrated(
             mosaics,
             notes=dict(notes),
             streamed=streamed,
-            equalise=equalise,
+            level_tiles=level_tiles,
         )
     if is_streamed(capture, campaign):
         return open_scan(capture, campaign, templates)

@@ -125,7 +125,7 @@ def resample(native: CalibratedCapture, target: GridTarget, frame: ReferenceFram
     maps = {
         band.label: Composed(grid.transform, target.transforms[band.label]) for band in native.bands
     }
-    if isinstance(native, TiledCapture) and native.equalise:
+    if isinstance(native, TiledCapture) and native.level_tiles:
         native.level(maps, grid.size)
     gains = native.setup_gains(default, maps) if default else None
     rows = native.on_grid(maps, grid.size, spool=frame.places.kept)
@@ -177,7 +177,7 @@ def write_resampled(
             }
             found = 100 * (np.stack(list(made.levelled.values())) - 1)
             warnings += (
-                f"{where}: tiles are levelled by gains of {found.min():+.2f} to {found.max():+.2f} %, as `equalise` asks: "
+                f"{where}: tiles are levelled by gains of {found.min():+.2f} to {found.max():+.2f} %, as `level_tiles` asks: "
                 "what they differ by is hidden, not explained",
             )
         notes["warnings"] = list(warnings)

@@ -108,7 +108,7 @@ class TiledCapture:
         Tiles that are passes of a line scanner and too large to be held.
     seams : Seams or None
         What tiles differ by where they meet, of the rows that were joined.
-    equalise : bool
+    level_tiles : bool
         Whether tiles are to be levelled.
     gains : dict of tile to ndarray, (bands,)
         By which they are.
@@ -123,7 +123,7 @@ class TiledCapture:
     placement: Placement | None = None
     streamed: frozenset[str] = frozenset()
     seams: Seams | None = None
-    equalise: bool = False
+    level_tiles: bool = False
     gains: dict[str, np.ndarray] = field(default_factory=dict)
     factor: ClassVar[int] = 1
     white: ClassVar[float | None] = None

@@ -485,7 +485,7 @@ def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
         yield Problem("E_KEY", "files is required", field=f"{where}.files")
     for text in camera.files:
         yield from check_pattern(f"{where}.files", text, camera.kind)
-    for key, stated in (("positions", camera.positions), ("equalise", camera.equalise)):
+    for key, stated in (("positions", camera.positions), ("level_tiles", camera.level_tiles)):
         if stated and not camera.has_tiles:
             yield value_problem(
                 f"{where}.{key}",
