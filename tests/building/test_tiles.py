@@ -471,3 +471,44 @@ def test_an_overlap_of_seven_pixels_is_refused_and_nothing_published(tmp_path):
     assert steps["photo", "register"].state == "refused"
     assert "no two tiles overlap" in steps["photo", "register"].line
     assert not (tmp_path / "database/objects/one/one_photo.tif").exists()
+
+
+REPEATED = """[campaign]
+reference = { camera = "photo" }
+[cameras.photo]
+kind = "image"
+files = "photo/{target}.tif"
+[cameras.xray]
+kind = "image"
+files = "xray/{target}_r{row}c{column}.tif"
+"""
+
+
+@pytest.mark.slow
+def test_a_repeated_ornament_places_no_tile_one_period_off(tmp_path):
+    """A frieze of one figure every 30 px; its tile has most detail, and is tried before the others say where it lies."""
+    rng, picture = np.random.default_rng(4), painting(4)
+    figure = np.clip(0.5 + 1.4 * (painting(9)[100:130, 100:130] - 0.5), 0.05, 0.95)
+    picture[40:280, 300:510] = np.tile(figure, (8, 7))
+    frames = {"photo": laid(30, 30, 0.0)}
+    write(tmp_path / "photo/one.tif", cut(picture, frames["photo"], (WIDTH, HEIGHT), rng))
+    for i, j in product(range(2), range(3)):
+        at = 40 + 140 * j + rng.uniform(-2, 2), 40 + 160 * i + rng.uniform(-2, 2)
+        frames[f"xray#r{i + 1}c{j + 1}"] = laid(*at, rng.uniform(-0.4, 0.4), 1.02)
+    for name, frame in frames.items():
+        if "#" in name:
+            tile = cut(picture, frame, (160, 175), rng)
+            write(tmp_path / f"xray/one_{name[5:]}.tif", tile)
+    (tmp_path / "campaign.toml").write_text(REPEATED)
+    steps_of(tmp_path)
+    tiles = record_of(tmp_path, "xray")["tiles"]
+    points = np.array([[40.0, 40], [80, 90], [120, 130]])
+    for tile, one in tiles.items():
+        if "bands" in one:
+            target = frames[f"xray#{tile}"]
+            source = f"xray#{tile}"
+            found = map_points(tmp_path / "database", "one", points, source=source, target="photo")
+            off = np.linalg.norm(found - frames["photo"].inverse(target(points)), axis=1)
+            assert off.max() < 0.5, (tile, off)
+    lost = {t: one["verdict"]["reasons"] for t, one in tiles.items() if "bands" not in one}
+    assert set(lost) <= {"r1c3"}, lost  # it shows nothing but the frieze
