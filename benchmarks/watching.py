@@ -13,7 +13,6 @@ import argparse
 import os
 import resource
 import time
-from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ import tifffile
 from results import add_option, record
 
 from levkas.campaign.campaign import load_campaign
+from levkas.readers.frames import read_facts
 from levkas.simulation import simulate_campaign
 from levkas.simulation.live import (
     contents_of,
@@ -257,12 +257,7 @@ def previews(folder, results):
         layer = _until_shown(session, layers, campaign, {last})
         seconds = time.monotonic() - begin
         layers.stop()
-        with (
-            tifffile.TiffFile(frames[-1].path)
-            if frames[-1].path.suffix == ".tif"
-            else nullcontext() as file
-        ):
-            size = np.prod(file.pages[0].shape) / 1e6 if file else frames[-1].path.stat().st_size
+        size = np.prod(read_facts(frames[-1].path).shape) / 1e6
         count = sum(frame.camera == last for frame in frames)
         print(
             f"scale {scale}: {last}, {count} frames of {size:.2f} Mpx: {seconds:.1f} s, {layer['verdict']}",
@@ -278,7 +273,8 @@ def _until_shown(session, layers, campaign, cameras, most_s=600):
     while time.monotonic() < end:
         list(session.poll())
         layers.state = session.state()
-        shown = {key[1]: layer for key, layer in layers.layers.items()}
+        every = {key[1]: layer for key, layer in layers.layers.items()}
+        shown = {camera: one for camera, one in every.items() if one["verdict"] != "refuse"}
         if cameras <= shown.keys():
             return shown[sorted(cameras)[-1]]
         time.sleep(LOOKS_S)
