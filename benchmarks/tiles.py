@@ -44,7 +44,7 @@ from levkas.registration import BandImage
 from levkas.registration.tiles import adjustment, place_tiles
 from levkas.registration.tiles.adjustment import Windows, adjust
 from levkas.registration.tiles.tile_maps import SHARED, TileFrame, TileMaps
-from levkas.stages.tile_registration import OVERLAP_UNKNOWNS
+from levkas.stages.tile_placement import OVERLAP_UNKNOWNS
 
 TABLE = "tiles"
 SIZE = (360, 300)

@@ -32,15 +32,15 @@ from levkas.registration.record import COLUMNS, HandMark, Matches
 from levkas.registration.reduced import enlarged
 from levkas.stages.control_points import declared_points, joined, placed_in, placed_pairs
 from levkas.stages.native_cubes import TILE, part_name
-from levkas.stages.tile_registration import (
+from levkas.stages.tile_layers import (
     FoundTile,
-    TilesToReference,
-    place_reference,
     placement_of,
     results_of,
     sigma_of_mosaic,
     verdict_of,
 )
+from levkas.stages.tile_placement import place_reference
+from levkas.stages.tile_registration import TilesToReference
 from levkas.stages.tiles import TiledCapture
 from levkas.stages.written import Written
 

@@ -1,0 +1,145 @@
+"""Tiles as they were registered, and the record of the layer that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.campaign.methods import DEFAULT_METHOD
+from levkas.geometry.transforms import Affine
+from levkas.registration.advice import LOOK
+from levkas.registration.record import Matches, Sigma, Verdict
+from levkas.stages.tiles import Placement, TiledCapture, TilePlace
+
+if TYPE_CHECKING:
+    from levkas.geometry.transforms import Transform
+
+LATTICE = 25
+"""Places a side at which the uncertainty of a mosaic is recorded."""
+
+
+@dataclass(frozen=True, eq=False)
+class FoundTile:
+    """A tile as it was registered: maps of its bands, reference px → native px, or why there are none."""
+
+    verdict: Verdict
+    size: tuple[int, int]
+    maps: Mapping[str, Transform]
+    sigma: Mapping[str, Sigma]
+    sigma_px: float = 0.0
+    errors: Mapping[str, Any] | None = None
+    matches: Mapping[str, Matches] = field(default_factory=dict)
+    pairs_by_hand: int = 0
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether it can be resampled."""
+        return self.verdict.decision != "refuse"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready record; without maps of a tile that is left out."""
+        record: dict[str, Any] = {"verdict": self.verdict.to_dict(), "size": list(self.size)}
+        if self.is_placed:
+            record["sigma_px"] = self.sigma_px
+            record["bands"] = {
+                label: {"size": list(self.size), "transform": one.to_dict()}
+                | ({"sigma": self.sigma[label].to_dict()} if label in self.sigma else {})
+                for label, one in self.maps.items()
+            }
+        if self.errors:
+            record["errors"] = dict(self.errors)
+        if self.pairs_by_hand:
+            record["pairs_by_hand"] = self.pairs_by_hand
+        return record
+
+
+def left_out(reason: str, size: tuple[int, int]) -> FoundTile:
+    """Return a tile that is left out, with the reason."""
+    return FoundTile(Verdict("refuse", (reason,)), size, {}, {})
+
+
+def verdict_of(found: Mapping[str, FoundTile]) -> Verdict:
+    """Return the verdict of a layer: refused where no tile is placed, doubtful where some are left out or doubtful."""
+    placed = [name for name, one in found.items() if one.is_placed]
+    lost = {name: one for name, one in found.items() if not one.is_placed}
+    doubtful = {
+        n: one
+        for n, one in found.items()
+        if one.is_placed and one.verdict.decision in ("warn", "by hand")
+    }
+    reasons = [
+        f"Tile {name} is left out, and is a hole in the layer: {' '.join(one.verdict.reasons)}"
+        for name, one in lost.items()
+    ]
+    reasons += [f"Tile {name}: {' '.join(one.verdict.reasons)}" for name, one in doubtful.items()]
+    numbers = {"tiles": len(found), "placed": len(placed)}
+    if not placed:
+        return Verdict("refuse", tuple(reasons), "Correct the frames of the tiles.", numbers)
+    if reasons:
+        step = "Capture these tiles again, or use the layer without them." if lost else LOOK
+        return Verdict("warn", tuple(reasons), step, numbers)
+    return Verdict("accept", (f"All {len(placed)} tiles are placed.",), "", numbers)
+
+
+def results_of(
+    found: Mapping[str, FoundTile], native: TiledCapture, size: tuple[int, int]
+) -> dict[str, Any]:
+    """Return the part of a layer's record that holds maps, verdict and evidence; its bands are those of the joined frame."""
+    verdict = verdict_of(found)
+    worst: dict[str, Any] = {}
+    for name, one in found.items():
+        for sensor, numbers in ((one.errors or {}).get("sensors") or {}).items():
+            before = (worst.get(sensor) or {}).get("held_out_px") or -1.0
+            if numbers and (numbers.get("held_out_px") or 0.0) > before:
+                # A start that follows from other tiles is no pair of another program.
+                kept = {key: value for key, value in numbers.items() if key != "start_pairs"}
+                worst[sensor] = kept | {"tile": name}
+    sigma = sigma_of_mosaic(found, size)
+    bands = {
+        band.label: {
+            "size": list(size),
+            "transform": Affine.identity().to_dict(),
+            "sigma": sigma.to_dict(),
+        }
+        for band in native.bands
+    }
+    by_hand = sum(one.pairs_by_hand for one in found.values() if one.is_placed)
+    return {
+        "method": DEFAULT_METHOD,
+        "verdict": verdict.to_dict(),
+        "model": {"kind": "tiles", "tiles": len(found)},
+        "errors": {"sensors": worst} if worst else {},
+        "trace": {},
+        "bands": bands if verdict.decision != "refuse" else {},
+        "tiles": {name: one.to_dict() for name, one in found.items()},
+        **({"pairs_by_hand": by_hand} if by_hand else {}),
+    }
+
+
+def sigma_of_mosaic(found: Mapping[str, FoundTile], size: tuple[int, int]) -> Sigma:
+    """Return how well the pixels of a mosaic are placed: at each, the tile in whose frame it lies deepest; beyond all of them the worst."""
+    x, y = (np.linspace(0, side - 1, LATTICE) for side in size)
+    points = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    deepest, values = np.zeros(len(points)), np.zeros(len(points))
+    for one in found.values():
+        if not one.is_placed:
+            continue
+        label, onto = next(iter(one.maps.items()))
+        places = onto(points)
+        depth = np.min([places + 0.5, np.array(one.size) - 0.5 - places], axis=(0, 2))
+        here = np.nan_to_num(depth, nan=-1.0) > deepest
+        sigma = one.sigma[label](points[here]) if label in one.sigma else one.sigma_px
+        deepest[here], values[here] = depth[here], sigma
+    values[deepest <= 0] = values.max(initial=0.0)
+    return Sigma(x, y, values.reshape(LATTICE, LATTICE))
+
+
+def placement_of(found: Mapping[str, FoundTile], size: tuple[int, int]) -> Placement:
+    """Return where the tiles lie that are placed."""
+    return Placement(
+        {name: TilePlace(one.maps, one.sigma_px) for name, one in found.items() if one.is_placed},
+        size,
+    )
