@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +11,7 @@ from scipy.spatial import cKDTree
 
 from levkas.core.machine import steady_libraries
 from levkas.core.problems import Problem
-from levkas.geometry import from_dict
-from levkas.geometry.transforms import Affine, Composed, Inverse, Lens, Transform
-from levkas.registration.advice import LEAST_PAIRS
+from levkas.geometry.transforms import Affine, Composed, Inverse
 from levkas.registration.bands import BandImage
 from levkas.registration.manual_points import HAND_PX, ManualPoints
 from levkas.registration.placed_by_hand import leverage
@@ -35,15 +33,11 @@ from levkas.registration.tiles.loops import (
 )
 from levkas.registration.tiles.neighbours import (
     STAGE_SHARE,
-    TilePictures,
-    correlate_tiles,
-    match_tiles,
-    near_pairs,
-    repeats,
     similarity,
 )
-from levkas.registration.tiles.overlaps import NoOverlap, OverlapWindows, measure_overlap
+from levkas.registration.tiles.overlap_search import OverlapSearch, Pair
 from levkas.registration.tiles.tile_maps import OWN, SHARED, TileFrame, TileMaps, similar
+from levkas.registration.tiles.tile_record import TilePlacement
 
 #: Share of a tile that another one shows too from which it is there twice.
 TWICE_SHARE = 0.95
@@ -53,109 +47,15 @@ MOST_OFF_PX, MOST_OFF = 1.0, 8.0
 ROUNDS = 10
 #: Px by which an overlap may be off that rests on pairs by hand.
 MOST_OFF_BY_HAND_PX = 8 * HAND_PX
-#: Px by which a tile's place may be wrong before its first adjustment is refined.
-PREDICTED_PX = 12.0
 #: Longer sides of a tile up to which middles of neighbours are apart; of 15 x 15 places, how many a corner has.
 NEAR, CORNER = 1.05, 3
 #: Of a tile's longer side: how well a stage's position is known at best.
 LEAST_STAGE = 0.002
-#: Of a tile's longer side: how far apart places are looked for that look alike, where no position is known.
-REPEAT_SHARE = 0.5
 REPEATS = "shows detail that repeats itself where it overlaps others"
 BY_HAND_UNLIKE = "shows nothing that its neighbour shows where the pairs by hand put it; it can be placed by hand"
 NO_DETAIL = "shows no detail where it overlaps others"
 #: Why overlaps are missing of a tile that is taken where its position says.
 DOUBTFUL = ({"no detail"}, {"repeats"}, {"no detail", "repeats"})
-Pair = tuple[str, str]
-
-
-@dataclass(frozen=True)
-class TilePlacement:
-    """Where every tile of a painting lies.
-
-    Parameters
-    ----------
-    transforms : dict of name to Transform
-        Px of a tile → mosaic px.
-    size : (width, height), mosaic px
-        Of the box about all tiles.
-    sigma : dict of name to float, mosaic px
-        Standard uncertainty of a tile's px along an axis, the root mean square over the tile, in the frame of the whole mosaic.
-    left_out : dict of name to str
-        Why a tile is not placed.
-    overlaps : list of dict
-        Of every pair of tiles that was used or refused: `tiles`, `windows`, `rms` and `sigma` (px), `held_out` (px), `off` (px after the
-        adjustment, of all windows), `misfit` (px along an axis, of windows beside one another), `used`, `reason`.
-    loops : list of dict
-        `tiles` of every shortest loop, and by how much it does not close, `closure` (px), before overlaps are adjusted.
-    lens : Lens or None
-        Which all tiles share: px put right → px.
-    bend : Polynomial or None
-        What the lens leaves, as far as windows left out show it: px put right by it → px put right.
-    surface : float, px
-        By how much a surface off the plane displaces what neighbours both see, in one against the other, the most; 0 where windows left out show no such surface.
-    rms : float, px
-        Of all windows after the adjustment, along an axis.
-    errors : dict of str to float, px
-        In windows left out, of plain homographies (``"none"``), with a lens, with a surface off the plane, and with a bend.
-    by_position : dict of name to str
-        Tiles that no overlap holds and that lie where their position says; why.
-    by_hand : dict of name to int
-        Tiles that only pairs by hand hold, which no picture confirms; how many pairs.
-    deviations : dict of str to float, px
-        What tiles differ by in `scale`, `shear`, `tilt`, at the rim.
-    """
-
-    transforms: dict[str, Transform]
-    size: tuple[int, int]
-    sigma: dict[str, float]
-    left_out: dict[str, str]
-    overlaps: list[dict[str, Any]]
-    loops: list[dict[str, Any]]
-    lens: Lens | None
-    bend: Transform | None
-    rms: float
-    errors: dict[str, float]
-    by_position: dict[str, str] = field(default_factory=dict)
-    by_hand: dict[str, int] = field(default_factory=dict)
-    deviations: dict[str, float] = field(default_factory=dict)
-    surface: float = 0.0
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready record."""
-        return {
-            "kind": "tiles",
-            "transforms": {name: one.to_dict() for name, one in self.transforms.items()},
-            "size": list(self.size),
-            "sigma": self.sigma,
-            "left_out": self.left_out,
-            "by_position": self.by_position,
-            "by_hand": self.by_hand,
-            "overlaps": self.overlaps,
-            "loops": self.loops,
-            "lens": self.lens and self.lens.to_dict(),
-            "bend": self.bend and self.bend.to_dict(),
-            "rms": self.rms,
-            "errors": self.errors,
-            "deviations": self.deviations,
-            "surface": self.surface,
-        }
-
-    @classmethod
-    def from_dict(cls, record: Mapping[str, Any]) -> TilePlacement:
-        """Read what `to_dict` wrote."""
-        lens, bend = (from_dict(of) if (of := record[key]) else None for key in ("lens", "bend"))
-        assert lens is None or isinstance(lens, Lens)
-        transforms = {name: from_dict(one) for name, one in record["transforms"].items()}
-        width, height = record["size"]
-        rest = {
-            key: record[key]
-            for key in (
-                "sigma", "left_out", "overlaps", "loops", "rms", "errors", "by_position", "by_hand",
-                "deviations", "surface",
-            )
-        }  # fmt: skip
-        return cls(transforms=transforms, size=(width, height), lens=lens, bend=bend, **rest)
 
 
 def place_tiles(
@@ -194,54 +94,20 @@ def place_tiles(
     A block adjustment as photogrammetry has it ([brown1976]_), of windows in place of tie points; docs/explanation/tiles.md describes it.
     """
     with steady_libraries():
-        return _Mosaic(tiles, dict(starts or {}), lens, _in_order(by_hand or {})).place()
-
-
-def _in_order(by_hand: Mapping[Pair, ManualPoints]) -> dict[Pair, ManualPoints]:
-    """Return pairs of two tiles each once, the tiles in name order; those that determine no place are not among them."""
-    found: dict[Pair, ManualPoints] = {}
-    for (first, second), given in sorted(by_hand.items(), key=lambda item: item[0]):
-        pairs = given.fixed if first < second else given.fixed[:, [2, 3, 0, 1]]
-        pair = (min(first, second), max(first, second))
-        before = found.get(pair, ManualPoints())
-        added, accepted = np.concatenate([before.added, pairs]), before.accepted or given.accepted
-        found[pair] = ManualPoints(added=added, accepted=accepted)
-    return {pair: given for pair, given in found.items() if len(given.added) >= LEAST_PAIRS}
+        return _Mosaic(OverlapSearch(tiles, starts or {}, by_hand or {}), lens).place()
 
 
 class _Mosaic:
-    """A mosaic at work: pictures, overlaps as far as they are measured, and why tiles are left out."""
+    """A mosaic at work: overlaps, and why some of them and of the tiles are left out."""
 
-    def __init__(
-        self,
-        tiles: Mapping[str, BandImage],
-        starts: dict[str, tuple[float, float]],
-        lens: bool,
-        by_hand: Mapping[Pair, ManualPoints],
-    ) -> None:
-        self.names = sorted(tiles)
-        self.pictures = TilePictures(tiles)
-        self.starts = {name: starts[name] for name in self.names if name in starts}
-        self.lens = lens
-        self.by_hand = {p: given for p, given in by_hand.items() if set(p) <= set(self.names)}
-        self.unconfirmed: set[Pair] = set()
-        self.found: dict[Pair, OverlapWindows] = {}
-        self.missed: dict[Pair, str] = {}
+    def __init__(self, overlaps: OverlapSearch, lens: bool) -> None:
+        self.overlaps, self.lens = overlaps, lens
+        self.names, self.size, self.starts = overlaps.names, overlaps.size, overlaps.starts
         self.refused: dict[Pair, str] = {}
         self.left_out: dict[str, str] = {}
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) of the first tile."""
-        self.pictures[self.names[0]]
-        height, width = self.pictures.shapes[self.names[0]]
-        return width, height
-
     def place(self) -> TilePlacement:
-        for pair in self._candidates():
-            self._measure_from_key_points(pair)
-        for pair, given in self.by_hand.items():
-            self._measure_by_hand(pair, given.added, accepted=given.accepted)
+        self.overlaps.run()
         self._leave_out_twins()
         joined, adjusted = self._adjusted(AdjustmentTerms(self.lens, covariance=False))
         if self._measure_predicted(joined, adjusted):
@@ -250,93 +116,18 @@ class _Mosaic:
 
     # --- overlaps
 
-    def _candidates(self) -> list[Pair]:
-        """Return the pairs that may overlap, in name order."""
-        if len(self.starts) == len(self.names):
-            return near_pairs(self.starts, self.size)
-        return [(a, b) for k, a in enumerate(self.names) for b in self.names[k + 1 :]]
-
-    def _measure_from_key_points(self, pair: Pair) -> None:
-        """Measure an overlap from where key points put it, else from where positions do."""
-        begin, expected = match_tiles(self.pictures, *pair), self._expected(pair)
-        reach = STAGE_SHARE * max(self.size)
-        if begin is not None and expected is not None:
-            middle = np.array(self.size, float)[None] / 2
-            astray = float(np.hypot(*(begin(middle) - expected(middle))[0]))
-            begin = begin if astray <= 2 * reach else None
-        if begin is not None and self._measure(pair, begin, 4.0):
-            around = REPEAT_SHARE * max(self.size) if expected is None else reach
-            first, second = (self.pictures[name] for name in pair)
-            if not repeats(first, second, self.found[pair].transform, around):
-                return
-            del self.found[pair]
-            self.missed[pair] = "repeats"
-        elif expected is not None:
-            self._measure_by_detail(pair, expected, reach)
-
-    def _expected(self, pair: Pair) -> Affine | None:
-        """Return px of one tile → px of another by their positions, where these are known."""
-        if not all(name in self.starts for name in pair):
-            return None
-        shift = np.subtract(self.starts[pair[0]], self.starts[pair[1]])
-        return Affine(np.array([[1.0, 0, shift[0]], [0, 1, shift[1]]]))
-
-    def _measure_by_detail(self, pair: Pair, begin: Transform, reach: float) -> bool:
-        first, second = (self.pictures[name] for name in pair)
-        found = correlate_tiles(first, second, begin, reach)
-        if found is None:
-            outcome = measure_overlap(first, second, begin)
-            self.missed[pair] = outcome.reason if isinstance(outcome, NoOverlap) else "unlike"
-            return False
-        return self._measure(pair, *found)
-
-    def _measure(self, pair: Pair, begin: Transform, reach: float) -> bool:
-        first, second = (self.pictures[name] for name in pair)
-        outcome = measure_overlap(first, second, begin, reach=reach)
-        if isinstance(outcome, NoOverlap):
-            self.missed[pair] = outcome.reason
-            return False
-        self.found[pair] = outcome
-        self.missed.pop(pair, None)
-        return True
-
-    def _measure_by_hand(self, pair: Pair, pairs: np.ndarray, *, accepted: bool) -> None:
-        """Measure an overlap from where a person's pairs put it; where nothing is found there and they are `accepted`, they are the overlap."""
-        begin = similarity(pairs[:, :2], pairs[:, 2:])
-        before = self.found.get(pair)
-        if before is not None:
-            apart = begin(pairs[:, :2]) - before.transform(pairs[:, :2])
-            if np.hypot(*apart.mean(0)) <= PREDICTED_PX:
-                return
-            del self.found[pair]
-        if self._measure(pair, begin, PREDICTED_PX) or not accepted:
-            return
-        missed = np.hypot(*(begin(pairs[:, :2]) - pairs[:, 2:]).T)
-        height, width = self.pictures.shapes[pair[0]]
-        x, y = np.meshgrid(np.arange(0, width, 8), np.arange(0, height, 8))
-        there = begin(np.stack([x.ravel(), y.ravel()], 1).astype(float))
-        height, width = self.pictures.shapes[pair[1]]
-        share = float(((there >= 0) & (there <= [width - 1, height - 1])).all(1).mean())
-        information = np.tile(np.eye(2) / (2 * HAND_PX**2), (len(pairs), 1, 1))
-        self.found[pair] = OverlapWindows(
-            pairs[:, :2], pairs[:, 2:], information, len(pairs), share, begin,
-            float(np.sqrt(np.square(missed).mean() / 2)), np.nan, 1.0,
-        )  # fmt: skip
-        self.unconfirmed.add(pair)
-        self.missed.pop(pair, None)
-
     def _measure_predicted(self, joined: list[str], adjusted: Adjustment) -> bool:
         """Measure overlaps of placed tiles that were not found before, from where the adjustment puts them."""
         number = {name: k for k, name in enumerate(joined)}
         new = False
         for pair in self._predicted(joined, adjusted.maps):
-            if pair in self.found or pair in self.refused:
+            if pair in self.overlaps.found or pair in self.refused:
                 continue
             onto = Composed(*(
                 adjusted.maps.transform(number[pair[0]]),
                 Inverse(adjusted.maps.transform(number[pair[1]])),
             ))  # fmt: skip
-            new |= self._measure(pair, onto, PREDICTED_PX)
+            new |= self.overlaps.measure_at(pair, onto)
         return new
 
     def _predicted(self, joined: list[str], maps: TileMaps) -> list[Pair]:
@@ -360,8 +151,8 @@ class _Mosaic:
             for name in self.starts
             if name not in joined
             and name not in self.left_out
-            and not any(name in pair for pair in (*self.found, *self.refused))
-            and {r for p, r in self.missed.items() if name in p} - {"apart"} in DOUBTFUL
+            and not any(name in pair for pair in (*self.overlaps.found, *self.refused))
+            and {r for p, r in self.overlaps.missed.items() if name in p} - {"apart"} in DOUBTFUL
         ]
         known = [name for name in joined if name in self.starts]
         if not lone or len(known) < 2:
@@ -378,12 +169,14 @@ class _Mosaic:
 
     def _why(self, name: str) -> str:
         return (
-            REPEATS if "repeats" in {r for p, r in self.missed.items() if name in p} else NO_DETAIL
+            REPEATS
+            if "repeats" in {r for p, r in self.overlaps.missed.items() if name in p}
+            else NO_DETAIL
         )
 
     def _leave_out_twins(self) -> None:
         """Leave out tiles that show the same as one before them."""
-        for (first, second), overlap in sorted(self.found.items()):
+        for (first, second), overlap in sorted(self.overlaps.found.items()):
             if overlap.share >= TWICE_SHARE and first not in self.left_out:
                 self.left_out[second] = (
                     f"shows the same as tile {first!r}: {100 * overlap.share:.0f} % of it"
@@ -400,7 +193,7 @@ class _Mosaic:
             off = overlap_offsets(windows, adjusted)
             size = np.hypot(*off.T)
             most = np.full(len(pairs), max(MOST_OFF_PX, MOST_OFF * adjusted.rms))
-            by_hand = np.array([pair in self.unconfirmed for pair in pairs])
+            by_hand = np.array([pair in self.overlaps.unconfirmed for pair in pairs])
             most[by_hand] = np.maximum(most[by_hand], MOST_OFF_BY_HAND_PX)
             if not (size > most).any():
                 break
@@ -412,7 +205,7 @@ class _Mosaic:
         """Return the largest set of tiles that overlaps join, and these; what contradicts loops is refused."""
         usable = {
             pair: one
-            for pair, one in sorted(self.found.items())
+            for pair, one in sorted(self.overlaps.found.items())
             if pair not in self.refused and not set(pair) & self.left_out.keys()
         }
         maps = {pair: similarity(one.points, one.partners) for pair, one in usable.items()}
@@ -429,7 +222,7 @@ class _Mosaic:
         return joined, [pair for pair in kept if pair[0] in set(joined)]
 
     def _nothing_joined(self) -> RegistrationRefused:
-        reasons = sorted(set(self.missed.values()) | set(self.left_out.values()))
+        reasons = sorted(set(self.overlaps.missed.values()) | set(self.left_out.values()))
         return RegistrationRefused(
             Problem(
                 "E_TILES",
@@ -444,7 +237,7 @@ class _Mosaic:
 
     def _windows(self, joined: list[str], pairs: list[Pair]) -> Windows:
         number = {name: k for k, name in enumerate(joined)}
-        found = [self.found[pair] for pair in pairs]
+        found = [self.overlaps.found[pair] for pair in pairs]
         return Windows(
             np.array([[number[a], number[b]] for a, b in pairs]),
             np.repeat(np.arange(len(pairs)), [len(one.points) for one in found]),
@@ -456,9 +249,10 @@ class _Mosaic:
     def _begin(self, joined: list[str], pairs: list[Pair]) -> TileMaps:
         """Return tiles along the strongest overlaps, from the middle one on."""
         maps = {
-            pair: similarity(self.found[pair].points, self.found[pair].partners) for pair in pairs
+            pair: similarity(self.overlaps.found[pair].points, self.overlaps.found[pair].partners)
+            for pair in pairs
         }
-        weights = {pair: float(self.found[pair].windows) for pair in pairs}
+        weights = {pair: float(self.overlaps.found[pair].windows) for pair in pairs}
         laid = lay_along_tree(joined, maps, weights)
         frame = TileFrame.of_size(self.size)
         own = np.zeros((len(joined), 8))
@@ -485,7 +279,7 @@ class _Mosaic:
         transforms, boxes, sigma = {}, [], {}
         scale = float(np.sqrt(np.linalg.det(gauge.matrix[:, :2])))
         for k, name in enumerate(joined + lone):
-            height, width = self.pictures.shapes[name]
+            height, width = self.overlaps.pictures.shapes[name]
             x, y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 9))
             points = np.stack([x.ravel(), y.ravel()], 1)
             transforms[name] = Composed(maps.transform(k), gauge)
@@ -525,11 +319,11 @@ class _Mosaic:
 
     def _sigma_by_hand(self, name: str) -> float:
         """Return how well a tile lies that pairs by hand hold, px, the root mean square over it: how exactly a person points, times the leverage of the pairs."""
-        mine = [self.found[p].points if p[0] == name else self.found[p].partners
-                for p in sorted(self.unconfirmed) if name in p]  # fmt: skip
+        mine = [self.overlaps.found[p].points if p[0] == name else self.overlaps.found[p].partners
+                for p in sorted(self.overlaps.unconfirmed) if name in p]  # fmt: skip
         if not mine:
             return 0.0
-        height, width = self.pictures.shapes[name]
+        height, width = self.overlaps.pictures.shapes[name]
         x, y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 9))
         points = np.stack([x.ravel(), y.ravel()], 1)
         spread = leverage(points, np.concatenate(mine), "similarity")
@@ -537,14 +331,16 @@ class _Mosaic:
 
     def _held_by_hand(self, joined: list[str], pairs: list[Pair]) -> dict[str, int]:
         """Return the tiles that overlaps of pictures do not join to most others, and how many pairs by hand hold each or those it is joined to."""
-        if not self.unconfirmed & set(pairs):
+        if not self.overlaps.unconfirmed & set(pairs):
             return {}
-        parts = components(joined, [pair for pair in pairs if pair not in self.unconfirmed])
+        parts = components(
+            joined, [pair for pair in pairs if pair not in self.overlaps.unconfirmed]
+        )
         most = max(parts, key=lambda part: (len(part), [-joined.index(name) for name in part]))
         held: dict[str, int] = {}
         for part in parts:
-            by_hand = [p for p in pairs if p in self.unconfirmed and set(p) & set(part)]
-            count = sum(self.found[p].windows for p in by_hand)
+            by_hand = [p for p in pairs if p in self.overlaps.unconfirmed and set(p) & set(part)]
+            count = sum(self.overlaps.found[p].windows for p in by_hand)
             held |= dict.fromkeys(part, count) if part is not most else {}
         return dict(sorted(held.items()))
 
@@ -566,11 +362,13 @@ class _Mosaic:
             if name in joined or name in self.left_out:
                 continue
             refused = {p: r for p, r in self.refused.items() if name in p}
-            others = sorted({n for p in self.found if name in p for n in p} - {name})
-            missed = {r for p, r in self.missed.items() if name in p}
-            if any(name in pair for pair in self.by_hand.keys() - self.found.keys()):
+            others = sorted({n for p in self.overlaps.found if name in p for n in p} - {name})
+            missed = {r for p, r in self.overlaps.missed.items() if name in p}
+            if any(
+                name in pair for pair in self.overlaps.by_hand.keys() - self.overlaps.found.keys()
+            ):
                 self.left_out[name] = BY_HAND_UNLIKE
-            elif refused and all(pair in refused for pair in self.found if name in pair):
+            elif refused and all(pair in refused for pair in self.overlaps.found if name in pair):
                 pair, reason = next(iter(sorted(refused.items())))
                 partner = pair[1] if pair[0] == name else pair[0]
                 self.left_out[name] = f"its overlap with tile {partner!r} {reason}"
@@ -592,7 +390,7 @@ class _Mosaic:
         at = {pair: float(np.hypot(*off[k])) for k, pair in enumerate(pairs)}
         misfit = dict(zip(pairs, misfits.tolist(), strict=True))
         records = []
-        for pair, one in sorted(self.found.items()):
+        for pair, one in sorted(self.overlaps.found.items()):
             left = next((self.left_out[name] for name in pair if name in self.left_out), None)
             spread = np.linalg.inv(one.information.sum(0))
             records.append(
@@ -609,7 +407,7 @@ class _Mosaic:
                     "reason": self.refused.get(pair) or (left if pair not in at else None),
                 }
             )
-        for pair, reason in sorted(self.missed.items()):
+        for pair, reason in sorted(self.overlaps.missed.items()):
             if reason != "apart":
                 records.append({"tiles": list(pair), "windows": 0, "used": False, "reason": reason})
         return records
