@@ -3,7 +3,7 @@
     python benchmarks/tiles.py --data FOLDER [--seeds 2] [--others PYTHON] [--results results.json]
     python benchmarks/tiles.py --tiles 30000 [--results results.json]
     python benchmarks/tiles.py --surfaces [--results results.json]
-    python benchmarks/tiles.py --build FOLDER [--columns 6] [--rows 4] [--size 4000 3000] [--results results.json]
+    python benchmarks/tiles.py --build FOLDER [--columns 6] [--rows 4] [--size 4000 3000] [--others-in 2x2 4x3]
 
 The first form takes the tiles of a polished section (`tiles-section`, grey JPEG files named by row and column) and paintings (`paintings`)
 in the folder. Of the real tiles there is no truth: how well windows agree after one adjustment, and how well loops close, with the lens and
@@ -13,7 +13,7 @@ points from tile to tile, of whole-tile correlation at given positions (as ashla
 The second form adjusts observations alone: time, memory, and errors over the sigma that the adjustment promises.
 The third photographs panels that are not flat: nine tiles of 600 x 500 px by a pinhole camera, 1,500 px away, that a stage moves, every ray traced to
 the surface; by how much two tiles put one place of the panel apart where both see it, placed as on one plane and as Levkas places them.
-The fourth builds a database from tiles of a photograph (by default of 12 Mpx) and from 2 x 2 tiles of a coarser camera that lie on all of it, in a new
+The fourth builds a database from tiles of a photograph (by default of 12 Mpx) and from tiles of one or two other cameras that lie on all of it, in a new
 folder of some 0.7 GB a tile: time, memory, and the errors of both cameras against the planted maps.
 """
 
@@ -489,14 +489,12 @@ reference = { camera = "photo" }
 [cameras.photo]
 kind = "image"
 files = "photo/{target}_r{row}c{column}.tif"
-[cameras.infrared]
-kind = "image"
-files = "infrared/{target}_r{row}c{column}.tif"
 """
+OTHERS = ("infrared", "colour")
 BUILT_STEP, SPACINGS = 0.86, (3, 8, 30, 150)
 
 
-def write_panel(folder, rows, columns, tile_size, rng):
+def write_panel(folder, rows, columns, tile_size, others, rng):
     """Write tiles of a panel of noise of four sizes; return the map of each, its px → px of the panel."""
     width, height = (
         round(side * (1 + BUILT_STEP * (n - 1)) + 400)
@@ -505,30 +503,34 @@ def write_panel(folder, rows, columns, tile_size, rng):
     grids = {
         s: rng.standard_normal((height // s + 4, width // s + 4), np.float32) for s in SPACINGS
     }
-    frames = {}
+    frames, sizes, scales, keys = {}, {"photo": tile_size}, {"photo": 1.0}, BUILD_KEYS
     for row, column in np.ndindex(rows, columns):
         step = np.array([column, row]) * BUILT_STEP * tile_size + 200 + rng.uniform(-25, 25, 2)
         frames[f"photo#r{row + 1}c{column + 1}"] = laid(step, rng.normal(0, 2e-3), 1.0, rng)
-    scale = (width + 200) / 2 / tile_size[0]
-    size = (tile_size[0], round((height + 200) / 2 / scale))
-    for row, column in np.ndindex(2, 2):
-        step = np.array([column * (width - scale * size[0]), row * (height - scale * size[1])])
-        frames[f"infrared#r{row + 1}c{column + 1}"] = laid(step, 0.004, scale, rng)
+    for camera, (down, across) in zip(OTHERS, others, strict=False):
+        scale = (width + 200) / across / tile_size[0]
+        size = (tile_size[0], round((height + 200) / down / scale))
+        free = np.array([width - scale * size[0], height - scale * size[1]])
+        for row, column in np.ndindex(down, across):
+            step = free * (column / max(across - 1, 1), row / max(down - 1, 1))
+            frames[f"{camera}#r{row + 1}c{column + 1}"] = laid(step, 0.004, scale, rng)
+        sizes[camera], scales[camera] = size, scale
+        keys += f'[cameras.{camera}]\nkind = "image"\nfiles = "{camera}/{{target}}_r{{row}}c{{column}}.tif"\n'
     for name, frame in frames.items():
         camera, _, tile = name.partition("#")
-        shape = (tile_size if camera == "photo" else size)[::-1]
+        shape = tuple(sizes[camera])[::-1]
         values = np.zeros(shape, np.float32)
         for spacing, grid in grids.items():
             inside = Affine(np.array([[1 / spacing, 0, 2], [0, 1 / spacing, 2]]))
             # A coarser camera does not see what is finer than its px.
-            if spacing > 1.5 * (1 if camera == "photo" else scale):
+            if spacing > 1.5 * scales[camera]:
                 values += np.nan_to_num(warp(grid, Composed(frame, inside), shape).values)
         noise = rng.standard_normal(shape, np.float32)
         counts = np.clip(20000 + 5000 * values + 400 * noise, 0, 65535)
         path = folder / camera / f"panel_{tile}.tif"
         path.parent.mkdir(parents=True, exist_ok=True)
         tifffile.imwrite(path, counts.astype(np.uint16), photometric="minisblack")
-    (folder / "campaign.toml").write_text(BUILD_KEYS)
+    (folder / "campaign.toml").write_text(keys)
     return frames
 
 
@@ -539,8 +541,8 @@ def laid(corner, turn, scale, rng):
     return Homography(np.array([[c, -s, corner[0]], [s, c, corner[1]], [*tilt, 1.0]]))
 
 
-def whole_build(folder, rows, columns, tile_size):
-    frames = write_panel(folder, rows, columns, tile_size, np.random.default_rng(0))
+def whole_build(folder, rows, columns, tile_size, others):
+    frames = write_panel(folder, rows, columns, tile_size, others, np.random.default_rng(0))
     command = [Path(sys.executable).with_name("levkas"), "build", folder]
     clock = time.perf_counter()
     subprocess.run(command, check=False)
@@ -548,7 +550,7 @@ def whole_build(folder, rows, columns, tile_size):
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     lattice = np.stack(np.meshgrid(*(np.linspace(20, side - 21, 15) for side in tile_size)), -1)
     points = lattice.reshape(-1, 2)
-    errors = {"photo": [], "infrared": []}
+    errors = {name.partition("#")[0]: [] for name in frames}
     for source, target in combinations(frames, 2):
         if not source.startswith("photo") or source == target:
             continue
@@ -586,10 +588,14 @@ def main() -> None:
     parser.add_argument(
         "--size", type=int, nargs=2, default=(4000, 3000), help="width and height of a tile, px"
     )
+    parser.add_argument(
+        "--others-in", nargs="+", default=["2x2"], help="rows and columns of other cameras' tiles"
+    )
     add_option(parser)
     given = parser.parse_args()
     if given.build:
-        built = whole_build(given.build, given.rows, given.columns, given.size)
+        others = [tuple(map(int, one.split("x"))) for one in given.others_in]
+        built = whole_build(given.build, given.rows, given.columns, given.size, others)
         record(given.results, TABLE + "-build", built)
     if given.surfaces:
         record(given.results, TABLE + "-surfaces", surfaces())
