@@ -35,7 +35,7 @@ def test_a_truncated_file_is_refused_by_name_and_never_reads_as_zeros(tmp_path, 
 def test_a_file_that_is_no_image_says_what_was_expected(tmp_path):
     path = tmp_path / "notes.tif"
     path.write_text("not an image at all")
-    with pytest.raises(UnreadableCapture, match="TIFF, PNG, JPEG, JPEG 2000, camera raw or ENVI"):
+    with pytest.raises(UnreadableCapture, match="TIFF, PNG, JPEG, JPEG 2000, camera raw, ENVI"):
         read_frame(path)
 
 

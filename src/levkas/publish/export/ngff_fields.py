@@ -67,7 +67,7 @@ def fit_map(to_native: Transform, grid_size: Size, native_size: Size) -> FittedM
     Examples
     --------
     >>> fitted = fit_map(Affine.scaling(0.5), (100, 80), (50, 40))
-    >>> fitted.affine.matrix.round(6).tolist(), fitted.onto_grid is None
+    >>> (fitted.affine.matrix.round(6) + 0.0).tolist(), fitted.onto_grid is None
     ([[0.5, 0.0, -0.25], [0.0, 0.5, -0.25]], True)
     """
     grid, native = _pairs(to_native, grid_size, native_size)
