@@ -47,7 +47,7 @@ class Exported:
     @property
     def line(self) -> str:
         """One line for a log."""
-        return f"{self.name}: {', '.join(path.name for path in self.files)}"
+        return f"{self.name}: {', '.join(path.name for path in self.files) or 'read'}"
 
 
 def export(
