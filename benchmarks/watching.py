@@ -147,7 +147,7 @@ def alarms(folder, results):
         for frame in some[:4]:
             print(f"    {frame.what}: {frame.findings[0].text}", flush=True)
     print(f"{alarmed} of {count} sound frames")
-    record(results, "watching", {"false alarms": 100 * alarmed / count})
+    record(results, "watching", {"false alarms of sound frames": 100 * alarmed / count})
 
 
 def put(home, name, shape, seed, level=1500.0):
