@@ -248,9 +248,8 @@ def of_registration(
         prints["region in the reference"] = [grid[key] for key in edited]
     if keys.sensitivity and any(isnan(band.wavelength) for band in capture.bands):
         prints[f"file {keys.sensitivity}"] = hashes(campaign.root / keys.sensitivity)
-    if (
-        keys.positions
-    ):  # not under "file ": where tiles lie depends on it, and with it all that follows
+    if keys.positions:
+        # Not under "file ": where tiles lie depends on it, and with it all that follows.
         prints["positions of the tiles"] = hashes(campaign.root / keys.positions)
     options = campaign.registration_of(capture.camera)
     prints |= {f"registration.{key}": value for key, value in options.items()}

@@ -220,7 +220,6 @@ def compare_marks(
     (1.0, True, (False, False))
     """
     height, width = (min(n) for n in zip(reference.shape, target.shape, strict=True))
-    alone = None if own is None else _noise_of(own)
     first, second = (_Detail.of(image[:height, :width]) for image in (reference, target))
     both = first.valid & second.valid & where[:height, :width]
     if both.sum() < SETTINGS.window**2:
@@ -240,9 +239,10 @@ def compare_marks(
         one.noise_in(ground, whiteness() if w is None else w)
         for one, w in zip((first, second), white, strict=True)
     ]
-    if alone is not None:
-        noise[1] = alone
     contrast = first.contrast_in(ground), second.contrast_in(ground)
+    if own is not None:
+        del first, second  # a third of these would be the most that is held
+        noise[1] = _noise_of(own)
     return Marks(float(np.sqrt(excess)), sigma, windows, contrast, (noise[0], noise[1]))
 
 

@@ -60,9 +60,8 @@ def place_reference(
     starts = _starts(tiles, stage) if len(tiles) > FEW_TILES else None
     placement = place_tiles(tiles, starts=starts, by_hand=by_hand)
     if placement.left_out and not starts and campaign.cameras[native.capture.camera].positions:
-        known = _starts(
-            tiles, stage
-        )  # of few tiles too they say where one lies that shows no detail
+        # Of few tiles too they say where one lies that shows no detail.
+        known = _starts(tiles, stage)
         other = place_tiles(tiles, starts=known, by_hand=by_hand) if known else placement
         placement = other if len(other.left_out) < len(placement.left_out) else placement
     if starts and placement.left_out:  # names or positions may be wrong
@@ -77,10 +76,8 @@ def place_reference(
             found[name] = left_out(placement.left_out.get(name, "not placed"), size)
             continue
         onto, sigma = Inverse(placement.transforms[name]), _sigma_beside(placement, name)
-        verdict, count = (
-            Verdict("accept"),
-            sum(len(g.fixed) for p, g in by_hand.items() if p[1] == name),
-        )
+        verdict = Verdict("accept")
+        count = sum(len(given.fixed) for pair, given in by_hand.items() if pair[1] == name)
         if name in placement.by_position:
             verdict = Verdict("warn", (placement.by_position[name],), BY_POSITION)
         if name in placement.by_hand:

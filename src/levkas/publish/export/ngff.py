@@ -24,6 +24,7 @@ from levkas.database.tiff_pages import TiffPages, open_pages
 from levkas.geometry.transforms import Affine, Composed, Inverse, Transform
 from levkas.publish.export.layer import ExportLayer, ExportRefused
 from levkas.publish.export.ngff_fields import Field, FittedMap, Size, fit_map, lattice
+from levkas.publish.viewer.pyramid import halve
 
 VERSION = "0.6"
 NATIVE, GRID, OBJECT = "native", "grid", "object"
@@ -328,7 +329,7 @@ def _write_image(root: Any, image: _Image) -> None:
     for number, index in enumerate(image.picked):
         plane = np.asarray(image.pages.read_page(index), dtype)
         for level, array in enumerate(arrays):
-            plane = _halved(plane) if level else plane
+            plane = halve(plane) if level else plane
             array[number] = plane
         white = max(white, float(np.max(plane, initial=0.0, where=np.isfinite(plane))))
     levels = [((2.0**n,) * 2, ((2.0**n - 1) / 2,) * 2) for n in range(len(shapes))]
@@ -368,11 +369,3 @@ def _array(group: Any, name: str, depth: int, shape: tuple[int, int], dtype: np.
         dimension_names=("c", "y", "x"),
         config={"write_empty_chunks": True},
     )
-
-
-def _halved(plane: np.ndarray) -> np.ndarray:
-    """Mean of blocks of 2 x 2; an odd last row or column is repeated."""
-    height, width = plane.shape
-    even = np.pad(plane, ((0, height % 2), (0, width % 2)), mode="edge")
-    total = even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]
-    return np.asarray(total / 4, np.float32)

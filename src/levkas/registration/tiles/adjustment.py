@@ -20,8 +20,10 @@ from levkas.registration.tiles.tile_maps import BEND, LENS, OWN, SHARED, TileMap
 #: Standard deviations before anything is measured, as shares of half a tile's longer side: of the lens, of the bend, of the means of shear
 #: and tilt; and of what tiles differ by in scale, shear and tilt.
 LENS_SHARE, BEND_SHARE, SHEAR_SHARE, TILT_SHARE, DIFFER_SHARE = 0.1, 0.01, 0.001, 0.01, 0.003
-#: Of second differences of the surface's coefficients, before they are known; tiles from which on a surface is tried.
-SURFACE_SHARE, LEAST_TILES = 0.003, 3
+#: Standard deviation of second differences of the surface's coefficients before it is estimated, of half a tile's longer side.
+SURFACE_SHARE = 0.003
+#: Tiles from which on a surface is tried.
+LEAST_TILES = 3
 #: Of an unknown that is not free.
 FIXED_SHARE = 1e-6
 #: Change of a deviation, of its logarithm, at which it is found.

@@ -234,11 +234,8 @@ class TileMaps:
         """Return places and derivatives of what lies on the surface and is seen at `there`, (n, 2), on the plane."""
         lattice = self.lattice
         assert lattice is not None
-        heights, knots, foot = (
-            self.shared[SHARED:] / self.frame.spread,
-            lattice.knots,
-            self.own[tile, 2:4],
-        )
+        heights, knots = self.shared[SHARED:] / self.frame.spread, lattice.knots
+        foot = self.own[tile, 2:4]
         moved = lattice.displacement(heights[:, None] * knots)
         raised = lattice.displacement(np.stack([heights, heights], 1))
         place = there
@@ -251,10 +248,8 @@ class TileMaps:
         by_px, own, common = slopes
         own = own.copy()
         own[:, :, 2:4] += height[:, :1, None] * np.eye(2)
-        along = knots[None] - foot[:, None]
-        by_height = (lattice.weights(place)[..., None] * along / -self.frame.spread).transpose(
-            0, 2, 1
-        )
+        along = (foot[:, None] - knots[None]) / self.frame.spread
+        by_height = (lattice.weights(place)[..., None] * along).transpose(0, 2, 1)
         return place, back @ by_px, back @ own, back @ np.concatenate([common, by_height], 2)
 
 
