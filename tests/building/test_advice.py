@@ -75,17 +75,30 @@ def test_an_x_trans_raw_is_read_by_its_own_pattern_and_built_to_the_planted_trut
     assert np.abs(error.mean((0, 1))).max() < 2e-4 and error.std() < 4e-3
 
 
-def test_a_linear_dng_is_named_as_such_and_not_to_be_copied_again(tmp_path):
-    path = tmp_path / "linear.dng"
-    tags = [(50706, "B", 4, (1, 4, 0, 0), True), (50708, "s", 0, "Levkas test", True)]
-    colours = np.full((64, 96, 3), 900, np.uint16)
+def write_linear_dng(path, colours):
+    tags = [(50706, "B", 4, (1, 4, 0, 0), True), (50708, "s", 0, "Levkas test", True),
+            (50717, "H", 3, (4095,) * 3, True)]  # fmt: skip
     tifffile.imwrite(path, colours, photometric=34892, extratags=tags, metadata=None)
-    with pytest.raises(Refused) as refused:
-        read_frame(path)
-    (problem,) = refused.value.problems
-    assert problem.code == "E_RENDERED" and problem.file == str(path)
-    assert "linear DNG" in problem.message and 'kind = "image"' in problem.fix
-    assert "opy the file again" not in problem.fix
+
+
+def test_a_linear_dng_is_a_photograph_whose_picture_is_encoded(tmp_path):
+    colours = np.full((64, 96, 3), 900, np.uint16)
+    colours[8:40, 8:48] = 4000
+    write_linear_dng(tmp_path / "panel.dng", colours)
+    report = summarise(build(campaign(tmp_path, "image", "{target}.dng")))
+    assert report.ok, report.text
+    layer = levkas.open(tmp_path / "database")["panel"]["c"]
+    assert np.array_equal(layer.values, colours)
+    (picture,) = (tmp_path / "database/objects/panel").glob("panel_c.png")
+    dark, bright = (int(read_frame(picture)[y, x, 0]) for y, x in ((50, 80), (20, 20)))
+    assert bright == 255 and abs(dark - 131) <= 2  # 900/4000 of light is 0.512 of the sRGB code
+
+
+def test_a_linear_dng_is_no_mosaic(tmp_path):
+    for target in ("dark", "white", "panel"):
+        write_linear_dng(tmp_path / f"{target}.dng", np.full((64, 96, 3), 900, np.uint16))
+    with pytest.raises(Refused, match=r'holds colours and no mosaic.*kind = "image"'):
+        summarise(build(campaign(tmp_path, "mosaic", "{target}.dng")))
 
 
 def write_bands(folder, levels, dtype=np.uint16):

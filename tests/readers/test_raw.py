@@ -110,12 +110,66 @@ def test_a_truncated_raw_is_refused_by_name(tmp_path, share):
         read_frame(path)
 
 
-def test_a_rendered_dng_is_no_mosaic(tmp_path):
+def write_linear(path, colours, black=(64,), **more):
+    tags = [
+        (50706, "B", 4, (1, 4, 0, 0), True),
+        (50708, "s", 0, "Levkas test", True),
+        (50714, "H", len(black), black, True),
+        (50717, "H", 3, (4095,) * 3, True),
+    ]
+    tifffile.imwrite(path, colours, photometric=34892, extratags=tags, metadata=None, **more)
+    return path
+
+
+COLOURS = RNG.integers(64, 4096, (64, 96, 3)).astype(np.uint16)
+
+
+def write_linear_jpeg(path, parts, rows, black=(64,)):
+    facts = {"shape": COLOURS.shape, "dtype": COLOURS.dtype, "compression": 7}
+    return write_linear(path, iter(parts), black, **facts, rowsperstrip=rows)
+
+
+@pytest.mark.parametrize("lossless", [False, True])
+@pytest.mark.parametrize("black", [(64,), (64, 64, 64)])  # LibRaw takes the first off the white
+def test_the_colours_of_a_linear_dng_come_bit_exact(tmp_path, lossless, black):
     path = tmp_path / "linear.dng"
-    tags = [(50706, "B", 4, (1, 4, 0, 0), True), (50708, "s", 0, "Levkas test", True)]
-    colours = np.repeat(MOSAIC[..., None], 3, axis=2)
-    tifffile.imwrite(path, colours, photometric=34892, extratags=tags, metadata=None)
-    with pytest.raises(UnreadableCapture, match="not a sensor mosaic"):
+    if lossless:
+        facts = {"lossless": True, "bitspersample": 16, "colorspace": "rgb", "outcolorspace": "rgb"}
+        write_linear_jpeg(path, [imagecodecs.jpeg8_encode(COLOURS, **facts)], 64, black)
+    else:
+        write_linear(path, COLOURS, black)
+    assert np.array_equal(read_frame(path), COLOURS)
+    facts = read_facts(path)
+    assert (facts.kind, facts.shape, facts.pattern) == ("raw-colours", (64, 96, 3), None)
+    assert (facts.black, facts.saturation, facts.encoded) == (64.0, 4095.0, None)
+
+
+def test_colours_that_libraw_would_mix_are_refused(tmp_path):
+    parts = [imagecodecs.ljpeg_encode(COLOURS.reshape(64, -1))]
+    path = write_linear_jpeg(tmp_path / "linear.dng", parts, 64)
+    with pytest.raises(UnreadableCapture, match="not the components of its JPEG"):
+        read_frame(path)
+
+
+def test_strips_of_which_libraw_reads_the_first_alone_are_refused(tmp_path):
+    parts = (imagecodecs.ljpeg_encode(MOSAIC[y : y + 32].copy()) for y in (0, 32))
+    facts = {"shape": MOSAIC.shape, "dtype": MOSAIC.dtype, "compression": 7, "rowsperstrip": 32}
+    path = write_dng(tmp_path / "strips.dng", parts, **facts)
+    with pytest.raises(UnreadableCapture, match="in several strips"):
+        read_frame(path)
+
+
+def test_blacks_of_colours_that_differ_are_no_single_black(tmp_path):
+    facts = read_facts(write_linear(tmp_path / "linear.dng", COLOURS, black=(60, 64, 66)))
+    assert facts.black is None and facts.black_unclear == "levels of the colours: 60, 64, 66"
+
+
+@pytest.mark.parametrize("share", [0.3, 0.9])
+def test_a_truncated_linear_dng_is_refused_by_name(tmp_path, share):
+    path = write_linear(tmp_path / "linear.dng", COLOURS)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(UnreadableCapture, match=r"linear\.dng"):
         read_frame(path)
 
 

@@ -86,7 +86,7 @@ READERS = {
         (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51"),
         (".jp2", ".j2k", ".jpf", ".jpx"),
     ),
-    "raw": Reader("levkas.readers.raw", "read_raw_facts", "read_raw_mosaic"),
+    "raw": Reader("levkas.readers.raw", "read_raw_facts", "read_raw"),
     "envi": Reader("levkas.readers.envi", "read_envi_facts", "read_envi"),
     "ripple": Reader("levkas.readers.map_stacks", "read_ripple_facts", "read_ripple"),
     "dms": Reader("levkas.readers.map_stacks", "read_dms_facts", "read_dms"),
@@ -243,7 +243,7 @@ def read_frame(path: str | Path, *, page: int | None = None) -> np.ndarray:
     -------
     values : ndarray, (h, w) or (h, w, samples), native byte order
         Colour samples in the order red, green, blue; a camera raw is the mosaic of its visible
-        area; for ENVI (lines, samples, bands).
+        area, a linear DNG its colours; for ENVI (lines, samples, bands).
 
     Raises
     ------

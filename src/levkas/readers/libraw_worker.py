@@ -61,7 +61,7 @@ def describe(raw: Any) -> dict[str, Any]:
         # LibRaw has one black a colour: of 36 sensels their mean alone is known.
         facts["blacks"] = blacks if side == 2 else 4 * [sum(blacks) / len(blacks)]
     elif tile is None:
-        facts["blacks"] = facts["blacks"][:1]
+        facts["blacks"] = facts["blacks"][: raw.num_colors]
     shot = raw.other
     facts.update(
         white=int(raw.white_level),
@@ -73,7 +73,7 @@ def describe(raw: Any) -> dict[str, Any]:
 
 
 def read(path: str, pixels: bool) -> tuple[dict[str, Any], bytes]:
-    """Return the facts and, if requested, the bytes of the visible mosaic."""
+    """Return the facts and, if requested, the bytes of the visible mosaic, or of colours where the file has no mosaic."""
     import numpy as np
     import rawpy
 
@@ -81,19 +81,21 @@ def read(path: str, pixels: bool) -> tuple[dict[str, Any], bytes]:
     limit_reading(size)
     with rawpy.imread(path) as raw:
         sizes = raw.sizes
-        if 2 * sizes.raw_height * sizes.raw_width > max(FREE_BYTES, LARGEST_RATIO * size):
+        samples = 4 if raw.raw_type == rawpy.RawType.Stack else 1
+        if 2 * samples * sizes.raw_height * sizes.raw_width > max(FREE_BYTES, LARGEST_RATIO * size):
             return {"error": f"a size of {sizes.raw_width} x {sizes.raw_height}"}, b""
-        mosaic = raw.raw_image_visible
-        if mosaic is None or mosaic.ndim != 2 or mosaic.dtype != np.uint16:
-            found = "already rendered" if mosaic is None else f"{mosaic.shape} {mosaic.dtype}"
-            rendered = mosaic is None or mosaic.ndim == 3
-            return {"error": f"not a sensor mosaic: {found}", "rendered": rendered}, b""
-        if not mosaic.any():  # what LibRaw leaves where it could not begin to decode
+        values = raw.raw_image_visible
+        if values is not None and values.ndim == 3:
+            values = values[..., : raw.num_colors]
+        if values is None or values.dtype != np.uint16 or values.shape[2:] not in ((), (3,)):
+            found = "no counts" if values is None else f"{values.shape} {values.dtype}"
+            return {"error": f"neither a sensor mosaic nor colours: {found}"}, b""
+        if not values.any():  # what LibRaw leaves where it could not begin to decode
             return {"error": "nothing but zeros"}, b""
         # Levels and pattern only now: some formats have them set while their pixels unpack.
         margins = [int(sizes.top_margin), int(sizes.left_margin)]
-        facts = {"shape": list(mosaic.shape), "margins": margins, **describe(raw)}
-        return facts, np.ascontiguousarray(mosaic).tobytes() if pixels else b""
+        facts = {"shape": list(values.shape), "margins": margins, **describe(raw)}
+        return facts, np.ascontiguousarray(values).tobytes() if pixels else b""
 
 
 def serve() -> None:

@@ -1,4 +1,4 @@
-"""Camera raw: the mosaic as the sensor recorded it, never LibRaw's own rendering."""
+"""Camera raw: the mosaic as the sensor recorded it, or the colours of a linear DNG; never LibRaw's own rendering."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ from levkas.readers.facts import (
 )
 from levkas.readers.images import jpeg_frame, jpeg_segments
 from levkas.readers.tiff import check_strips
+from levkas.readers.tiff_tags import numbers_of
 
 EXTENSIONS = """
     3fr ari arq arw bay cap cr2 cr3 crw cs1 dc2 dcr dcs dng drf erf fff gpr iiq k25 kdc mdc mef mos
@@ -45,9 +46,10 @@ PROGRAM = Path(__file__).with_name("libraw_worker.py")
 PATIENCE_S = 600
 OUT_OF_TIME = -int(getattr(signal, "SIGPROF", 0)) or None
 """Exit status of a decoder that took too much processor time; None where the system sets no limit."""
-DNG_VERSION, MOSAIC, LOSSLESS_JPEG = 50706, 32803, 7
+DNG_VERSION, MOSAIC, LINEAR, LOSSLESS_JPEG = 50706, 32803, 34892, 7
 FRAMES = (0xC0, 0xC1, 0xC3)
 """Markers of JPEG frames that LibRaw decodes in a mosaic."""
+CONVERT_AGAIN = "Convert the camera's own file again, to a DNG of tiles or without compression."
 MOST_DIRECTORIES, MOST_SEGMENTS, HEADER_BYTES = 16, 64, 1 << 16
 
 _read: OrderedDict[tuple[Path, Stamp], dict[str, Any]] = OrderedDict()
@@ -62,21 +64,20 @@ def read_raw_facts(path: Path) -> Facts:
     """Return size, levels and pattern of the visible area, and the shot's exposure and date.
 
     LibRaw has the levels of some cameras only when it has unpacked the pixels, so this takes
-    nearly as long as `read_raw_mosaic`.
+    nearly as long as `read_raw`.
     """
     found = _read.get((path, stamp_of(path))) or _decode(path, pixels=False)[0]
     white = float(found["white"]) or None
     with decoding(path, "camera raw"), path.open("rb") as handle:
         exif = read_exif(handle)
-        black = _black(path, found, white)
+        levels = {"saturation": white, **_black(path, found, white)}
     return Facts(
         path=path,
-        kind="raw",
+        kind="raw" if len(found["shape"]) == 2 else "raw-colours",
         shape=tuple(found["shape"]),
         dtype="uint16",
         bits=int(white).bit_length() if white else None,
-        **black,
-        saturation=white,
+        **levels,
         pattern=found["pattern"],
         **{
             **exif,
@@ -97,7 +98,9 @@ def _black(path: Path, found: dict[str, Any], white: float | None) -> dict[str, 
     """Return the black facts: of a DNG by its own tags, which LibRaw has the mean of, else by LibRaw's channels."""
     levels = tuple(float(b) for b in found["blacks"])
     mean = sum(levels) / len(levels)
-    with _opened(path) as mosaics:
+    if len(found["shape"]) == 3:
+        return _levels_of_colours(path, levels, white)
+    with _opened(path, MOSAIC) as mosaics:
         if mosaics:
             (top, left), (height, width) = found["margins"], found["shape"]
             page = max(mosaics, key=lambda page: page.imagelength * page.imagewidth)
@@ -108,8 +111,26 @@ def _black(path: Path, found: dict[str, Any], white: float | None) -> dict[str, 
     return {"black": mean, "blacks": blacks if blacks and blacks.varies else None}
 
 
-def read_raw_mosaic(path: Path) -> np.ndarray:
-    """Return the visible mosaic, (h, w), uint16, curves of the camera's compression undone."""
+def _levels_of_colours(
+    path: Path, blacks: tuple[float, ...], white: float | None
+) -> dict[str, Any]:
+    """Return black and full scale of a linear DNG by its own tags, else LibRaw's: of a black that all colours share LibRaw takes it off the white."""
+    with _opened(path, LINEAR) as pages:
+        if pages:
+            tags = max(pages, key=lambda page: page.imagelength * page.imagewidth).tags
+            blacks = numbers_of(tags, "BlackLevel") or (0.0,)
+            white = min(numbers_of(tags, "WhiteLevel"), default=white)
+    if len(set(blacks)) == 1:
+        return {"black": blacks[0], "saturation": white}
+    each = ", ".join(f"{level:g}" for level in blacks)
+    return {"black": None, "black_unclear": f"levels of the colours: {each}", "saturation": white}
+
+
+def read_raw(path: Path) -> np.ndarray:
+    """Return the visible mosaic, (h, w), uint16, curves of the camera's compression undone.
+
+    Of a raw of colours, such as a linear DNG, (h, w, 3): the camera's own red, green and blue, proportional to light.
+    """
     stamp = stamp_of(path)
     found, data = _decode(path, pixels=True)
     _read[path, stamp] = found
@@ -155,8 +176,6 @@ def _decode(path: Path, *, pixels: bool) -> tuple[dict[str, Any], bytearray]:
     finally:
         timer.cancel()
     _idle.append(worker)
-    if found.get("rendered"):
-        raise _rendered(path, found["error"])
     if "error" in found:
         raise _refused(path, found["error"])
     return found, data
@@ -225,25 +244,12 @@ def _refused(path: Path, found: str) -> Exception:
     return unreadable(path, "the camera raw cannot be read", found=found, expected=expected)
 
 
-def _rendered(path: Path, found: str) -> UnreadableCapture:
-    """Return the refusal of a raw of colours, such as a linear DNG: it has no mosaic, but it is sound."""
-    return unreadable(
-        path,
-        "this raw holds demosaiced colours and no mosaic, as a linear DNG does",
-        code="E_RENDERED",
-        found=found,
-        expected="the mosaic of the sensor",
-        fix="Name the camera's own raw file, or convert it to DNG without demosaicing. A 16-bit TIFF of the colours "
-        'is read by kind = "image": nothing is calibrated then.',
-    )
-
-
 # --- DNG: LibRaw leaves zeros where a part of lossless JPEG is none ----------------------------
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[list[Any]]:
-    """Yield the pages of a DNG that are mosaics; none of another file."""
+def _opened(path: Path, *kinds: int) -> Iterator[list[Any]]:
+    """Yield the pages of a DNG that are of some kinds (PhotometricInterpretation); none of another file."""
     import tifffile
 
     with path.open("rb") as handle:
@@ -263,11 +269,11 @@ def _opened(path: Path) -> Iterator[list[Any]]:
             if page.subifds and len(pages) < MOST_DIRECTORIES:
                 pages += islice(page.pages or (), MOST_DIRECTORIES - len(pages))
         dng = any(DNG_VERSION in page.tags for page in pages)
-        yield [page for page in pages if dng and page.photometric == MOSAIC]
+        yield [page for page in pages if dng and page.photometric in kinds]
 
 
 def _check_parts(path: Path) -> None:
-    """Refuse a DNG of lossless JPEG whose mosaic lacks a strip or tile; what is no DNG is passed over.
+    """Refuse a DNG of lossless JPEG that lacks a strip or tile; what is no DNG is passed over.
 
     Of other compressions LibRaw complains itself.
 
@@ -276,20 +282,29 @@ def _check_parts(path: Path) -> None:
     UnreadableCapture
         ``E_TRUNCATED`` where a part is missing, reaches past the end or does not begin as it should.
     """
-    with _opened(path) as mosaics:
-        for page in mosaics:
+    with _opened(path, MOSAIC, LINEAR) as pages:
+        for page in pages:
             if page.compression == LOSSLESS_JPEG:
-                _check_mosaic(path, page.parent, page)
+                _check_page(path, page.parent, page)
 
 
-def _check_mosaic(path: Path, tiff: Any, page: Any) -> None:
-    """Refuse a mosaic of which a strip or tile is missing, or declares fewer samples than it has to hold."""
+def _check_page(path: Path, tiff: Any, page: Any) -> None:
+    """Refuse a page of which a strip or tile is missing, or declares fewer samples than it has to hold."""
     message, field = "a strip or tile of the camera raw is missing", "offsets and byte counts"
     try:
-        check_strips(path, tiff, page, "the mosaic")
+        check_strips(path, tiff, page, "the raw image")
     except UnreadableCapture as refused:
         (problem,) = refused.problems
         raise truncated(path, message, field, problem.found, str(problem.expected)) from None
+    if not page.is_tiled and len(page.dataoffsets) > 1:  # LibRaw reads the first, and leaves zeros
+        raise unreadable(
+            path,
+            "a raw image of lossless JPEG in several strips is not read",
+            field="RowsPerStrip",
+            found=f"{len(page.dataoffsets)} strips",
+            expected="tiles, or one strip",
+            fix=CONVERT_AGAIN,
+        )
     high = page.tilelength if page.is_tiled else page.rowsperstrip
     wide = page.tilewidth if page.is_tiled else page.imagewidth
     across = ceil(page.imagewidth / wide)
@@ -299,20 +314,29 @@ def _check_mosaic(path: Path, tiff: Any, page: Any) -> None:
         left = high if page.is_tiled else page.imagelength - number // across * high
         least = wide * min(high, left) * page.samplesperpixel
         tiff.filehandle.seek(start)
-        found = _lossless_samples(tiff.filehandle.read(min(count, HEADER_BYTES)))
+        found, components = _lossless_size(tiff.filehandle.read(min(count, HEADER_BYTES)))
         if found < least:
             found_text = f"{found} samples in part {number}"
             raise truncated(path, message, field, found_text, f"{least} in a JPEG")
+        if page.photometric == LINEAR and components != page.samplesperpixel:
+            raise unreadable(  # LibRaw would mix the colours
+                path,
+                "the colours of the raw image are not the components of its JPEG",
+                field="SamplesPerPixel",
+                found=f"{components} in part {number}",
+                expected=f"{page.samplesperpixel}",
+                fix=CONVERT_AGAIN,
+            )
 
 
-def _lossless_samples(data: bytes) -> int:
-    """Return how many samples a JPEG declares that LibRaw decodes in a mosaic; 0 for any other."""
+def _lossless_size(data: bytes) -> tuple[int, int]:
+    """Return how many samples a JPEG declares that LibRaw decodes in a raw image, and of how many components; 0 for any other."""
     segments = list(islice(jpeg_segments(BytesIO(data)), MOST_SEGMENTS))
     if data[:2] != b"\xff\xd8" or not segments or segments[-1][0] != 0xDA:
-        return 0
-    found = 0
+        return 0, 0
+    found = 0, 0
     for marker, content in segments:
         frame = jpeg_frame(marker, content) if marker in FRAMES else None
         if frame:
-            found = prod(frame[1:]) if 2 <= frame[0] <= 16 else 0
+            found = (prod(frame[1:]), frame[3]) if 2 <= frame[0] <= 16 else (0, 0)
     return found

@@ -18,6 +18,7 @@ from levkas.database.preview import encode_png
 from levkas.geometry.joining import describe_steps
 from levkas.geometry.transforms import Composed
 from levkas.quality.evaluation.similarity import structural_similarity
+from levkas.readers.frames import read_facts
 from levkas.stages.capture_statistics import DefaultLayer, LayerStatistics, describe_flags
 from levkas.stages.native_cubes import least_bytes
 from levkas.stages.reference import maps_of
@@ -85,6 +86,8 @@ def target_of(
         values, flags = (places.layer(name, capture.camera, kind=k) for k in (".tif", ".flags.tif"))
         default = DefaultLayer.open(values, flags, shape)
     encoded = not campaign.cameras[capture.camera].traits.is_calibrated
+    if encoded:  # colours of a camera raw are proportional to light
+        encoded = read_facts(capture.sensors[0].object[0].path).kind != "raw-colours"
     verdict = record["verdict"]["decision"]
     return GridTarget(capture, layer, grid, maps_of(record), verdict, encoded, default)
 

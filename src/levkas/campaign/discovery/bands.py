@@ -35,6 +35,19 @@ def bands_of_mosaic(
     Names are those of red, green, blue in this order where the pattern has these letters, else of
     the channels in the order in which the pattern first shows them.
     """
+    if facts and facts.kind == "raw-colours":
+        raise CaptureRefused(
+            Problem(
+                "E_RENDERED",
+                f"{camera.name}: this raw holds colours and no mosaic, as a linear DNG does",
+                str(facts.path),
+                f"cameras.{camera.name}.kind",
+                camera.kind,
+                "the mosaic of the sensor",
+                'Write kind = "image" for a photograph, kind = "cube" to calibrate the colours by darks and whites, '
+                "or name the camera's own raw file.",
+            )
+        )
     letters = facts.pattern if facts and pattern is None else None
     if letters:
         side = isqrt(len(letters))

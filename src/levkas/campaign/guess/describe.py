@@ -248,6 +248,8 @@ def _kind(group: CameraGroup, files: FilePatterns, samples: Samples) -> Guess:
         return Guess("mosaic", f"camera raw, {facts.pattern}" if facts.pattern else "camera raw")
     if facts.pages > 1 and channels == 1:
         return Guess("bands", f"{facts.pages} pages per file, one band each")
+    if facts.kind == "raw-colours":
+        return Guess("image", "a camera raw of colours, as a linear DNG: nothing to calibrate")
     if channels == 3:
         return Guess("image", "3 channels per pixel: a rendered picture, nothing to calibrate")
     if channels > 3:
