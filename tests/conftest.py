@@ -129,7 +129,7 @@ class Correctable:
                 band = "grey" if camera == "xray" else "G"
                 map_ = Affine(MATRIX) if camera == "xray" else Affine.identity()
                 record = {
-                    "object": name, "camera": camera, "setup": "", "method": "levkas",
+                    "object": name, "camera": camera, "setup": "", "method": "mirhashemi2019",
                     "reference": reference, "grid": grid,
                     "target": {"camera": camera, "setup": "", "band": band},
                     "verdict": {"decision": "accept" if matched else "refuse",

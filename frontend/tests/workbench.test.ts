@@ -3,6 +3,7 @@ import { isSafeAddress } from "../src/shared/element";
 import { beyond } from "../src/shared/curtain";
 import { restore } from "../src/viewer/spectra";
 import { confirms, enlargement, quantile, windowsTable } from "../src/workbench/basis";
+import { thinned } from "../src/workbench/thinning";
 import { placeTurned } from "../src/workbench/figure";
 import { placesOf, tilesAround } from "../src/workbench/loupe";
 import { cornerAt, sideAt } from "../src/workbench/outline";
@@ -139,6 +140,18 @@ test("pictures show the pairs that the table lists, and all check points", () =>
   expect(shown("kept")).toEqual([0, 2]);
   expect(shown("removed")).toEqual([1, 2, 3]);
   expect(shown("hand")).toEqual([2, 3]);
+});
+
+test("of many marks in one spot the worst is shown, until one zooms in, and all of a hand", () => {
+  const session = {
+    pairs: [0, 1, 2, 3, 400].map((x) => [x, 5, x, 5]),
+    residual: new Float32Array([0.2, 0.9, 0.1, 0.1, 0.1]),
+    state: ["kept", "kept", "kept", "check", "kept"],
+    hand: ["", "", "added", "checks", ""],
+  } as unknown as SessionState;
+  const far = thinned(session, "kept", 1);
+  expect([[...far.shown], far.count, far.all]).toEqual([[0, 1, 1, 1, 1], 4, 5]);
+  expect(thinned(session, "kept", 64).count).toBe(5);
 });
 
 test("rounds and windows are saved as tables", () => {

@@ -43,6 +43,12 @@ def test_every_camera_is_listed_with_its_verdict(library):
     assert listed["xray"]["decision"] == "accept" and listed["xray"]["corrections"] == ""
 
 
+def test_thresholds_are_offered_under_the_method_that_has_them(frame):
+    assert describe_frame(frame)["removes"]
+    frame.record["method"] = "levkas"
+    assert not describe_frame(frame)["removes"]
+
+
 def test_an_unknown_id_is_refused(library):
     for key in ("", "..", "../../etc/passwd", "icon/xray", "0" * 12):
         with pytest.raises(FrameMissing):

@@ -54,10 +54,10 @@ function buttonOf(row: CameraRow, current: boolean): HTMLButtonElement {
       type: "button",
       id: `camera-${id.split("-")[0]}`,
       "aria-current": current && "true",
-      title: reason,
+      title: [verdict, reason].filter(Boolean).join(": "),
     },
     make("span", { class: "name" }, sensor ? `${camera} · ${sensor}` : camera),
     make("span", { class: "soft of" }, about),
-    make("span", { class: `badge ${reference ? "reference" : decision}` }, verdict),
+    make("span", { class: `badge ${reference ? "reference" : decision}` }, verdict.split(",")[0]),
   );
 }

@@ -63,9 +63,11 @@ function pairKeys({ store, stage, table, pair }: Parts): Key[] {
       "I",
       ["i"],
       "insert a pair, or a corner of the outline, in the middle of the reference",
-      () => (isOpen() ? stage.cornerAtMiddle() : stage.proposeAtMiddle()),
+      () => (isOpen() ? stage.cornerAtMiddle() : stage.placing.proposeAtMiddle()),
     ),
-    key("R", ["r"], "measure the error in the middle of the view", () => stage.measureAtMiddle()),
+    key("R", ["r"], "measure the error in the middle of the view", () =>
+      stage.placing.measureAtMiddle(),
+    ),
     key(
       "Del",
       ["Delete", "Backspace"],

@@ -1,4 +1,4 @@
-// Thousands of small squares and crosses, set as pixels: a path of as many takes longer than all else on screen.
+// Thousands of small squares, set as pixels: a path of as many takes longer than all else on screen.
 
 export class Dots {
   private readonly canvas = document.createElement("canvas");
@@ -27,18 +27,6 @@ export class Dots {
       this.pixels.fill(colour, row * width + from, row * width + Math.max(from, to));
   }
 
-  /** Two diagonals of a square of `side` pixels about a place. */
-  cross(x: number, y: number, side: number, colour: number): void {
-    const { width, height } = this.image;
-    const [left, top] = [Math.round(x - side / 2), Math.round(y - side / 2)];
-    if (left < 0 || top < 0 || left + side > width || top + side > height) return;
-    for (let i = 0; i < side; i++) {
-      const row = (top + i) * width + left;
-      this.pixels[row + i] = colour;
-      this.pixels[row + side - 1 - i] = colour;
-    }
-  }
-
   /** Lay all of it over what is drawn already, a pixel on a pixel. */
   drawOn(context: CanvasRenderingContext2D): void {
     this.context.putImageData(this.image, 0, 0);
@@ -50,10 +38,10 @@ export class Dots {
 }
 
 /** A colour of the style sheet as a pixel. */
-export function packed(colour: string, context: CanvasRenderingContext2D, opacity = 1): number {
+export function packed(colour: string, context: CanvasRenderingContext2D): number {
   context.fillStyle = colour; // any colour of CSS becomes #rrggbb
   const [r, g, b] = [1, 3, 5].map((at) =>
     parseInt((context.fillStyle as string).slice(at, at + 2), 16),
   );
-  return ((Math.round(255 * opacity) << 24) | (b! << 16) | (g! << 8) | r!) >>> 0;
+  return ((255 << 24) | (b! << 16) | (g! << 8) | r!) >>> 0;
 }

@@ -1,21 +1,11 @@
 // Pairs drawn on a canvas: kept ones green to red by their error, removed ones as crosses, check points as diamonds.
 import type { Point } from "../shared/pane";
 import { ink } from "../shared/theme";
-import { packed, type Dots } from "./dots";
 import type { PlaneMap } from "./maps";
-import {
-  errorColour,
-  isMarked,
-  shareOf,
-  type Filter,
-  type Half,
-  type Partner,
-  type SessionState,
-} from "./record";
+import { errorColour, shareOf, type Half, type Partner, type SessionState } from "./record";
 
 const BINS = 16;
 const REMOVED = BINS;
-const MANY = 3000;
 const LEAST_LINE = 1.5; // px of the screen
 const HEAD = 5; // of an arrow, px of the screen
 const EDGE = 9; // px round the canvas in which marks still show
@@ -45,14 +35,15 @@ export interface Scene {
   map: PlaneMap | null;
   /** Screen pixels a pixel of the reference: both pictures show the same place alike. */
   scale: number;
-  filter: Filter;
+  /** Which pairs are drawn, by row. */
+  shown: Uint8Array;
   /** How many times as long as they are residuals are drawn. */
   times: number;
 }
 
 /** Draw all pairs over a picture. */
-export function paintPairs(context: CanvasRenderingContext2D, dots: Dots, scene: Scene): void {
-  const { session, selected, half, place, map, scale, filter, times } = scene;
+export function paintPairs(context: CanvasRenderingContext2D, scene: Scene): void {
+  const { session, selected, half, place, map, scale, shown, times } = scene;
   const light = ink("--error-light") || "45%";
   const colour = (share: number): string =>
     errorColour(share, 1).replace("var(--error-light)", light);
@@ -68,7 +59,7 @@ export function paintPairs(context: CanvasRenderingContext2D, dots: Dots, scene:
     lines.lineTo(x + dx, y + dy);
     if (times > 1) addHead(lines, [x + dx, y + dy], [dx, dy]);
   };
-  const shows = (row: number): boolean => row !== selected && isMarked(session, row, filter);
+  const shows = (row: number): boolean => row !== selected && shown[row] === 1;
   const visible = findInView(context.canvas, session, half, at, shows, join);
   context.lineWidth = 0.4 + radius / 4;
   if (times > 1) outline(context, lines, "#fff", 3, 1.2);
@@ -77,8 +68,7 @@ export function paintPairs(context: CanvasRenderingContext2D, dots: Dots, scene:
     context.stroke(lines);
   }
   context.lineWidth = 0.4 + radius / 4;
-  if (visible.count > MANY) paintMany(context, dots, visible, radius, colour);
-  else paintFew(context, visible, radius, colour);
+  paintOrdinary(context, visible, radius, colour);
   for (const row of [...visible.special, ...(selected in session.pairs ? [selected] : [])]) {
     const pair = session.pairs[row]!;
     const [x, y] = at(pair[half], pair[half + 1]!);
@@ -164,7 +154,7 @@ function addHead(path: Path2D, [x, y]: Point, [dx, dy]: Point): void {
 }
 
 /** Circles with a rim, as paths of one shade each. */
-function paintFew(
+function paintOrdinary(
   context: CanvasRenderingContext2D,
   visible: InView,
   radius: number,
@@ -187,30 +177,6 @@ function paintFew(
     context.strokeStyle = RIM;
     context.stroke(bins[bin]!);
   }
-}
-
-/** Squares without one, the worst on top. */
-function paintMany(
-  context: CanvasRenderingContext2D,
-  dots: Dots,
-  visible: InView,
-  radius: number,
-  colour: (share: number) => string,
-): void {
-  const ratio = devicePixelRatio || 1;
-  const side = Math.round(2 * radius * ratio);
-  dots.begin(context.canvas.width, context.canvas.height);
-  const rows = Array.from({ length: BINS + 1 }, (): number[] => []);
-  for (let i = 0; i < visible.count; i++) rows[visible.bin[i]!]!.push(i);
-  const grey = packed(GREY, context, 0.8);
-  for (const i of rows[REMOVED]!)
-    dots.cross(visible.x[i]! * ratio, visible.y[i]! * ratio, side, grey);
-  for (let bin = 0; bin < BINS; bin++) {
-    const pixel = packed(colour(bin / (BINS - 1)), context);
-    for (const i of rows[bin]!)
-      dots.square(visible.x[i]! * ratio, visible.y[i]! * ratio, side, pixel);
-  }
-  dots.drawOn(context);
 }
 
 /** Draw a proposed or measured pair: where the map puts it, and where it is. */

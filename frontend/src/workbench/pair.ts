@@ -30,6 +30,9 @@ export class PairCard {
 
   constructor(private readonly store: Store) {
     effect(() => {
+      this.root.hidden = store.frame.value?.is_reference === true;
+    });
+    effect(() => {
       const [proposal, measured] = [store.proposal.value, store.measured.value];
       const pair = store.selectedPair();
       if (proposal) this.showProposal(proposal);

@@ -2,13 +2,11 @@
 import { make } from "../shared/element";
 import { Pane, type Point } from "../shared/pane";
 import { onTheme } from "../shared/theme";
-import { Dots } from "./dots";
 
 export class MarkedPane extends Pane {
   /** The line under the picture: its name, and what can be chosen of it. */
   readonly foot = make("div", { class: "foot" });
   readonly label = make("span", { class: "label" });
-  readonly dots = new Dots();
   /** Whether something at a place is taken hold of, to be dragged rather than the picture. */
   grab: (at: Point) => boolean = () => false;
   /** Called while what was taken hold of is dragged, and when it is let go of, dragged or not. */

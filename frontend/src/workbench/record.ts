@@ -79,7 +79,8 @@ export interface FrameInfo {
   built: boolean;
   builds: number;
   maps: string[];
-  method: string;
+  /** Whether the method removes wrong pairs by thresholds. */
+  removes: boolean;
   verdict: { decision: string; words: string; reasons: string[]; next_step: string };
   /** Degrees clockwise by which the pictures are turned, a multiple of 90. */
   turn: number;

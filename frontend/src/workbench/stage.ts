@@ -4,7 +4,7 @@ import type { Point } from "../shared/pane";
 import { Stage, type Mode, type Wanted } from "../shared/stage";
 import { watch } from "../shared/watch";
 import { effect, signal } from "@preact/signals-core";
-import { getJson, layerOf } from "./api";
+import { layerOf } from "./api";
 import { BandPicker } from "./bands";
 import { Loupe, placesOf, type Enlarged, type LoupeUse } from "./loupe";
 import { paintMap, type MapImage } from "./maplayer";
@@ -12,8 +12,10 @@ import { invert, mapOf, turnAndScale, type PlaneMap } from "./maps";
 import { paintHandle, paintOutline, paintPairs, paintProposal } from "./marks";
 import { OutlineTool } from "./outline";
 import { MarkedPane } from "./pane";
-import { isMarked, type Half, type Pair, type Partner } from "./record";
+import type { Half, Pair } from "./record";
 import type { Store } from "./store";
+import { HIT_PX, Placing } from "./placing";
+import { Thinning, type Thinned } from "./thinning";
 import { Trial } from "./trial";
 
 export const MODES: Option<Mode>[] = [
@@ -25,7 +27,6 @@ export const MODES: Option<Mode>[] = [
   { value: "redcyan", label: "Red / cyan" },
 ];
 export const TIMES = [1, 5, 20, 100];
-const HIT_PX = 9; // of the screen
 const MOVED_PX = 0.05; // a shorter drag is none
 const CLOSE = 3; // screen pixels a pixel at which a pair is looked at
 const LOUPE_TIMES = 2; // of the picture's own scale
@@ -47,7 +48,9 @@ export class PairStage extends Stage<MarkedPane> {
   private mapImage: MapImage | null = null;
   private readonly trial: Trial;
   readonly outline: OutlineTool;
+  readonly placing: Placing;
   private drag: Drag | null = null;
+  private readonly thinning = new Thinning();
   /** Whether pairs are drawn over the pictures. */
   readonly marks = signal(true);
   /** How many times as long as they are residuals are drawn. */
@@ -69,7 +72,8 @@ export class PairStage extends Stage<MarkedPane> {
     );
     this.trial = new Trial(store, () => this.load());
     this.outline = new OutlineTool(store);
-    this.left.foot.append(this.bands.left.root);
+    this.placing = new Placing(store, this);
+    this.left.foot.append(this.bands.left.root, this.thinning.label);
     this.right.foot.append(this.bands.right.root);
     this.left.host.append(this.loupes.left.root);
     this.right.host.append(this.loupes.right.root);
@@ -78,7 +82,7 @@ export class PairStage extends Stage<MarkedPane> {
       [this.right, 2],
     ] as const) {
       pane.paint = (context) => this.paint(context, pane, half);
-      pane.onClick = (...at) => void this.click(pane, half, at);
+      pane.onClick = (...at) => void this.placing.click(pane, half, at);
       pane.grab = (at) => this.grab(pane, half, at);
       pane.onDrag = (...how) => {
         if (this.outline.open.peek()) this.outline.drag(...how);
@@ -107,6 +111,12 @@ export class PairStage extends Stage<MarkedPane> {
     });
   }
 
+  /** Which pairs are marked at this scale. */
+  get marked(): Thinned {
+    const { session, filter } = this.store;
+    return this.thinning.of(session.peek()!, filter.peek(), this.left.scale);
+  }
+
   private get map(): PlaneMap | null {
     const trace = this.store.session.peek()?.trace;
     return trace ? mapOf(trace, trace.largest.length) : null;
@@ -133,16 +143,6 @@ export class PairStage extends Stage<MarkedPane> {
   lay(map: MapImage | null): void {
     this.mapImage = map;
     this.left.redraw();
-  }
-
-  /** Propose a pair in the middle of the reference. */
-  proposeAtMiddle(): Promise<void> {
-    return this.findPartner(0, this.left.centre, true);
-  }
-
-  /** Measure how far off the pictures are in the middle of the reference. */
-  measureAtMiddle(): Promise<void> {
-    return this.findPartner(0, this.left.centre, false);
   }
 
   /** Whether the reference's place of a pair is in view, not only just. */
@@ -311,59 +311,6 @@ export class PairStage extends Stage<MarkedPane> {
     this.magnify();
   }
 
-  private async click(pane: MarkedPane, half: Half, [x, y]: Point): Promise<void> {
-    const { store } = this;
-    const session = store.session.peek();
-    if (this.outline.open.peek()) {
-      if (half === 0) this.outline.click([x, y], pane.scale);
-      return;
-    }
-    if (!session || !pane.contains([x, y])) return;
-    const beside = this.mode.peek() === "side";
-    if (beside) {
-      let [best, row] = [HIT_PX / pane.scale, -1];
-      const filter = store.filter.peek();
-      session.pairs.forEach((pair, i) => {
-        const apart = Math.hypot(pair[half] - x, pair[half + 1]! - y);
-        if (apart >= best || !this.marks.peek() || !isMarked(session, i, filter)) return;
-        [best, row] = [apart, i];
-      });
-      if (row >= 0) {
-        store.choose({ row });
-        return;
-      }
-      const proposal = store.proposal.peek();
-      if (proposal && proposal.begun !== half) {
-        const pair: Pair = [...proposal.pair];
-        [pair[half], pair[half + 1]] = [x, y];
-        const placed = { ...proposal, pair, predicted: pair, placed: true, sure: true };
-        store.choose({ proposal: placed });
-        return;
-      }
-    }
-    await this.findPartner(half, [x, y], beside);
-  }
-
-  /** Find the partner of a place, and propose the pair or show how far off it is. */
-  private async findPartner(half: Half, [x, y]: Point, proposes: boolean): Promise<void> {
-    const { store } = this;
-    const query = new URLSearchParams({
-      x: x.toFixed(3),
-      y: y.toFixed(3),
-      from: half === 0 ? "reference" : "target",
-      map: store.map.peek(),
-      reference: this.bands.left.query,
-      target: this.bands.right.query,
-    });
-    try {
-      const partner = await getJson<Partner>(`${store.path}/partner?${query.toString()}`);
-      store.refused.value = "";
-      store.choose(proposes ? { proposal: { ...partner, begun: half } } : { measured: partner });
-    } catch (error) {
-      store.refuse(error);
-    }
-  }
-
   private paint(context: CanvasRenderingContext2D, pane: MarkedPane, half: Half): void {
     const { frame, session, selected, proposal, measured } = this.store;
     if (!session.peek() || !frame.peek()) return;
@@ -373,20 +320,21 @@ export class PairStage extends Stage<MarkedPane> {
     const handles = open.peek() && { closed: !draft.peek(), chosen: chosen.peek() };
     if (half === 0 && (this.marks.peek() || handles))
       paintOutline(context, corners, place, handles || null);
-    if (!this.marks.peek() || (handles && half === 0)) {
-      // Only what is being placed is drawn.
-    } else if (!this.isOverlay || this.mapImage)
-      paintPairs(context, pane.dots, {
+    const draws = this.marks.peek() && !(handles && half === 0); // else only what is being placed
+    const many = draws && (!this.isOverlay || this.mapImage) && this.marked;
+    if (half === 0) this.thinning.label.hidden = !many || many.count === many.all;
+    if (many)
+      paintPairs(context, {
         session: session.peek()!,
         selected: selected.peek(),
         half,
         place,
         map: this.map,
         scale: this.left.scale,
-        filter: this.store.filter.peek(),
+        shown: many.shown,
         times: this.times.peek(),
       });
-    else {
+    else if (draws) {
       const pair = this.drag?.to ?? this.store.selectedPair();
       if (pair) paintHandle(context, place(pair[0], pair[1]), place(...this.seenAt(pair)));
     }

@@ -61,7 +61,7 @@ export class TraceView {
       const missing = !session.value?.trace;
       range.disabled = this.play.disabled = missing;
       this.saveDrawing.disabled = this.saveRounds.disabled = missing;
-      this.root.hidden = Boolean(frame.value?.basis || frame.value?.is_reference); // nothing was removed
+      this.root.hidden = !frame.value?.removes || frame.value.is_reference;
       this.go(this.atEnd ? Infinity : this.round.peek());
     });
     effect(() => {

@@ -1,6 +1,7 @@
 """What helps to place pairs: loupe, marks, arrows, numbers that are typed, pictures that stand upright."""
 
 import io
+import re
 
 import numpy as np
 import pytest
@@ -85,6 +86,25 @@ def test_marks_go_and_come_and_only_those_that_the_table_lists_are_there(bench):
     page.locator(".filters button", has_text="Removed").click()
     page.mouse.click(x, y)
     page.wait_for_function("() => levkasWorkbench.store.selected.value >= 0")
+
+
+def test_of_marks_that_lie_close_the_worst_are_shown_until_one_zooms_in(bench):
+    page, _ = bench
+    told_of = page.get_by_text(re.compile(r"^\d+ of 241 marks$"))
+    first = int(told_of.inner_text().split()[0])
+    assert 60 < first < 241
+    page.keyboard.press("+")
+    page.keyboard.press("+")
+    page.wait_for_function(
+        "(first) => parseInt(document.querySelectorAll('.label')[1].textContent) > first", arg=first
+    )
+    choose_worst(page)
+    page.evaluate("levkasWorkbench.stage.look(210, 170, 20)")
+    page.wait_for_function("() => document.querySelectorAll('.label')[1].hidden")
+    page.keyboard.press("h")
+    page.keyboard.press("f")
+    pause(page, 300)
+    assert told_of.is_hidden(), "no marks, no number of them"
 
 
 def test_residuals_are_drawn_as_arrows_as_long_as_is_said(bench):

@@ -249,13 +249,14 @@ def test_a_map_that_rests_on_windows_shows_them_and_no_removal(bench):
             held_out: [0.03, 0.05, null], weight: [1, 1, 0.2] };
         const checks = { x: column, y: column, shift_x: [0, 0, 9], shift_y, found: [true, true, true],
             tolerance: 1 };
-        frame.value = { ...frame.value,
+        frame.value = { ...frame.value, removes: false,
             basis: { source: "fused", band: "R", count: 3, windows, checks } }; }"""
     )
     words = page.locator("#basis-words").inner_text()
     assert words.startswith("3 windows of all bands together; lines")
     assert "2 of 3 free windows of R confirm the map." in words
     assert page.locator(".basis").is_visible() and not page.locator(".trace").is_visible()
+    assert page.locator("#reject-range").is_hidden(), "the method does not know it"
 
 
 def test_a_place_is_measured_and_kept_as_check_point(bench):

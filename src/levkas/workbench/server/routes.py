@@ -18,6 +18,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from levkas.campaign.edits import EditsConflict
+from levkas.campaign.methods import owners_of
 from levkas.campaign.schema.values import MOST_CORNERS
 from levkas.core.locks import Taken
 from levkas.core.problems import Problem, Refused
@@ -420,7 +421,7 @@ def describe_frame(frame: RegistrationView) -> dict[str, Any]:
         "built": frame.built is not None,
         "builds": frame.builds,
         "maps": find_kinds(frame.record, frame.band),
-        "method": frame.record.get("method", ""),
+        "removes": frame.record.get("method") in owners_of("reject"),
         "verdict": judged,
         "scores": [s.get("scores", {}) for s in sensors[:1]],
         "chosen": [s.get("base", "") for s in sensors[:1]],
