@@ -166,8 +166,9 @@ def test_an_option_is_given_once_or_with_another_value(name, param):
 FREE = {
     *(("simulate", word) for word in ("--preset", "--setup", "--tiles", "--camera")),
     ("estimate apply", "--object"),
+    ("splice", "--object"),
 }
-"""They need a new folder or a model: `tests/simulation` and `tests/estimation` have them."""
+"""They need a new folder, a model or two spectrographs: `tests/simulation`, `tests/estimation` and `tests/database` have them."""
 
 
 @pytest.fixture(scope="module")

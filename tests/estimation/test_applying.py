@@ -117,7 +117,7 @@ def test_the_record_names_model_sources_and_training(own_paintings, models):
 
 
 def test_an_estimate_never_replaces_a_measurement_nor_is_estimated_to(own_paintings, models):
-    with pytest.raises(Refused, match="measured") as refused:
+    with pytest.raises(Refused, match="must not replace it") as refused:
         list(apply_model(own_paintings, models / "rgb_wiener.npz", "cam2"))
     assert refused.value.problems[0].code == "E_EXISTS"
     list(apply_model(own_paintings, models / "rgb_wiener.npz", "guess"))

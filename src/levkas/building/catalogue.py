@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
-from levkas.building.estimates import (
+from levkas.building.derived_layers import (
+    Outdated,
     describe_outdated,
-    outdated_estimates,
-    put_away_estimates,
+    outdated_layers,
+    put_away_outdated,
 )
 from levkas.building.fingerprints import digest
 from levkas.building.graph import Step
@@ -62,7 +63,7 @@ def write_catalogue_of(
         if not why:
             return Step(key, "fresh", warnings=foreign_files(others))
         records.forget(key)
-        warnings = put_away_estimates(places, records, outdated)
+        warnings = put_away_outdated(places, records, outdated)
         paths = _published(places, entries, names, imprint, spectra)
         manifest = places.output / MANIFEST
         listed = [path.relative_to(places.output).as_posix() for path in (*paths, manifest)]
@@ -79,10 +80,10 @@ def _outdated(
     names: Collection[str],
     *,
     whole: bool,
-) -> dict[LayerId, str]:
-    """Return the estimated layers that are not of the database's layers any more."""
+) -> dict[LayerId, Outdated]:
+    """Return the layers made from others that are not of the database's layers any more."""
     every = whole and not records.keep_removed
-    return outdated_estimates(places, rows, names if every else None)
+    return outdated_layers(places, rows, names if every else None)
 
 
 def why_catalogue_is_stale(
@@ -113,21 +114,21 @@ def by_others(places: Places, records: BuildRecords) -> dict[str, str]:
 
     keys = (*records.recorded(), CATALOGUE)
     paths = {name for key in keys for name in records.made_by(key)} | {TABLE, IMPRINT, MANIFEST}
-    estimated = _estimated_files(places)
+    derived = _derived_files(places)
     there = [
         name
         for name in sorted(set(walk_files(places.output)) - paths)
-        if not (is_partial(name) or _OF_ALL_LAYERS.fullmatch(name) or name.startswith(estimated))
+        if not (is_partial(name) or _OF_ALL_LAYERS.fullmatch(name) or name.startswith(derived))
     ]
     return {n: records.hashes(places.output / n) for n in there if (places.output / n).is_file()}
 
 
-def _estimated_files(places: Places) -> tuple[str, ...]:
-    """Return how the names of files of estimated layers begin; ``levkas estimate apply`` makes them."""
-    from levkas.database.catalogue import ESTIMATED, DatabaseRefused, read_catalogue
+def _derived_files(places: Places) -> tuple[str, ...]:
+    """Return how the names of files of layers begin that were made from others: no build makes them."""
+    from levkas.database.catalogue import MEASURED, DatabaseRefused, read_catalogue
 
     try:
-        entries = [e for e in read_catalogue(places.output) if e.kind == ESTIMATED]
+        entries = [e for e in read_catalogue(places.output) if e.kind != MEASURED]
     except DatabaseRefused:
         return ()
     layers = [LayerId(e.object, e.camera, e.setup) for e in entries]
@@ -180,7 +181,7 @@ def _entries(
     places: Places, records: BuildRecords, captures: list[Capture], names: list[str], *, whole: bool
 ) -> list[Entry]:
     """One row a layer that stands in the database."""
-    from levkas.database.catalogue import ESTIMATED, DatabaseRefused, entry_of, read_catalogue
+    from levkas.database.catalogue import MEASURED, DatabaseRefused, entry_of, read_catalogue
 
     built = {(c.object, c.camera, c.setup) for c in captures}
     try:
@@ -190,7 +191,7 @@ def _entries(
     entries = [
         e
         for e in stood
-        if e.kind == ESTIMATED
+        if e.kind != MEASURED
         or (not whole and e.object not in names)
         or (
             records.keep_removed

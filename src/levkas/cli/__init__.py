@@ -30,7 +30,7 @@ ORDER = {
     "Capture": ("watch",),
     "Build": ("build", "status", "inspect", "points"),
     "Measure": ("radiometry", "chart", "evaluate", "agree", "methods", "loops", "validate"),
-    "Use": ("map", "estimate", "estimate apply", "estimate score", "export", "publish"),
+    "Use": ("map", "estimate", "estimate apply", "estimate score", "splice", "export", "publish"),
 }
 """Commands as `levkas --help` lists them: in groups, in the order of work."""
 
@@ -103,6 +103,7 @@ for _name, _command in {
     "estimate": estimate.estimate,
     "estimate apply": estimate.apply,
     "estimate score": estimate.score,
+    "splice": estimate.splice,
     "evaluate": evaluate.evaluate,
     "methods": evaluate.methods,
     "loops": evaluate.loops,

@@ -42,6 +42,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "publish": ("levkas publish icons --check", "levkas publish icons -o published --url https://example.org/icons"),
     "radiometry": ("levkas radiometry icons", "levkas radiometry icons --camera d80 -o radiometry.html"),
     "simulate": ("levkas simulate trial", "levkas simulate trial --preset small --objects 2"),
+    "splice": (
+        "levkas splice icons/database vnir swir vnir-swir",
+        "levkas splice icons/database vnir swir vnir-swir --at 985 --level",
+    ),
     "status": ("levkas status icons", "levkas status icons --graph"),
     "validate": ("levkas validate icons/database", "levkas validate https://example.org/icons"),
     "watch": ("levkas watch session", "levkas watch session --once --json"),

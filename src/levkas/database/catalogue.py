@@ -26,7 +26,7 @@ LARGEST = 256 << 20
 LARGEST_REMOTE = 32 << 20
 """Of one on a server, whose size is the server's choice: a quarter of a million layers, 7 s and 0.4 GB."""
 MOST_PROBLEMS = 10
-MEASURED, ESTIMATED = "measured", "estimated"
+MEASURED, ESTIMATED, SPLICED = "measured", "estimated", "spliced"
 
 
 class DatabaseRefused(Refused):
@@ -176,7 +176,7 @@ def entry_of(row: list[str]) -> Entry:
     if len(row) not in (len(COLUMNS), len(COLUMNS) + 1):
         raise ValueError(f"{len(row)} cells of {len(COLUMNS)}")
     kind = row[len(COLUMNS)] if len(row) > len(COLUMNS) else MEASURED
-    if kind not in (MEASURED, ESTIMATED):
+    if kind not in (MEASURED, ESTIMATED, SPLICED):
         raise ValueError(f"unknown kind of layer: {kind!r}")
     name, camera, setup, bands, width, height, px_per_mm, quantity, verdict, sha256 = row[:10]
     check_plain_names(name, camera, setup or "-", f"{LayerId(name, camera, setup).stem}.sigma.tif")

@@ -18,7 +18,7 @@ from levkas.core.files import remove, spooling, together
 from levkas.core.machine import count_threads
 from levkas.core.rounding import SIGMA_DROP, is_rounded, round_sigma
 from levkas.core.threads import made_ahead
-from levkas.database.catalogue import ESTIMATED, MEASURED, Entry
+from levkas.database.catalogue import ESTIMATED, MEASURED, SPLICED, Entry
 from levkas.database.credits import Credits
 from levkas.database.layout import SIGMA, STEP, LayerId, layer_name
 from levkas.database.preview import write_preview
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from levkas.core.cube import Band, Cube, CubeRows
 
 KINDS = {"values": "", "flags": ".flags", "sigma": ".sigma"}
+MADE = {MEASURED: "made_of", ESTIMATED: "estimate", SPLICED: "splice"}
+"""Attribute with what a layer was made of, by its kind."""
 DTYPES = {"values": np.float32, "flags": np.uint8, "sigma": np.float32}
 
 
@@ -53,8 +55,10 @@ class Layer:
     credits : Credits
     centroids : mapping of label to float, nm
         Of the sensitivities of channels without a centre wavelength, for tag 65000.
-    estimate : mapping, optional
-        Of a layer that was estimated from others: its method, layers and training objects.
+    kind : str
+        ``"measured"``, or how it was made from others: ``"estimated"``, ``"spliced"``.
+    made_of : mapping, optional
+        Of a layer made from others: which, and how.
     step_per_sigma : float
         Largest step of the values that `core.rounding.round_values` left, a share of their sigma; NaN where it took none.
     """
@@ -65,7 +69,8 @@ class Layer:
     px_per_mm: float = nan
     credits: Credits = field(default_factory=Credits)
     centroids: Mapping[str, float] = field(default_factory=dict)
-    estimate: Mapping[str, Any] | None = None
+    kind: str = MEASURED
+    made_of: Mapping[str, Any] | None = None
     step_per_sigma: float = nan
 
     @property
@@ -86,8 +91,8 @@ class Layer:
             "camera": self.camera,
             "setup": self.setup,
             "px_per_mm": None if isnan(self.px_per_mm) else float(self.px_per_mm),
-            "kind": ESTIMATED if self.estimate is not None else None,
-            "estimate": self.estimate,
+            "kind": None if self.kind == MEASURED else self.kind,
+            MADE[self.kind]: self.made_of,
             "bad_bands": [band.label for band in bands if band.bad] or None,
         }
         return {key: value for key, value in facts.items() if value is not None}
@@ -100,7 +105,7 @@ def entry_of_layer(
     height, width, count = shape
     return Entry(
         *(layer.object, layer.camera, layer.setup, count, width, height, layer.px_per_mm),
-        *(quantity, verdict, hash_file(tiff), MEASURED if layer.estimate is None else ESTIMATED),
+        *(quantity, verdict, hash_file(tiff), layer.kind),
     )
 
 

@@ -21,7 +21,7 @@ from levkas.calibration.error_sources import (
 from levkas.core.problems import Problem
 from levkas.core.text import read_json
 from levkas.database.catalogue import DatabaseRefused
-from levkas.database.layout import ESTIMATE, LayerId
+from levkas.database.layout import MADE_OF, LayerId
 from levkas.database.regions import TRUSTED, Region, RegionRefused
 
 if TYPE_CHECKING:
@@ -58,21 +58,20 @@ class LayerBudget:
 
 
 def read_budget(root: Path, layer: LayerId) -> LayerBudget:
-    """Return the budget of a layer by its object's provenance, or by the record of an estimate; an empty one where none says anything.
+    """Return the budget of a layer by its object's provenance, or by the record of what it was made of; an empty one where none says anything.
 
     Raises
     ------
     DatabaseRefused
         ``E_DAMAGED`` where that is none.
     """
-    path = root / (layer.path + ESTIMATE)
-    estimated = path.is_file()
-    path = path if estimated else root / "objects" / layer.object / PROVENANCE
+    made_of = _record_of(root, layer)
+    path = made_of or root / "objects" / layer.object / PROVENANCE
     if not path.is_file():
         return LayerBudget()
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
-        return _budget_of_estimate(record) if estimated else _budget_in(record, layer)
+        return _budget_of_made(record) if made_of else _budget_in(record, layer)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         problem = Problem(
             "E_DAMAGED",
@@ -97,8 +96,14 @@ def _budget_in(record: Mapping[str, Any], layer: LayerId) -> LayerBudget:
     return _as_budget(rows, mine.get("resample", {}).get("noise_correlation"))
 
 
-def _budget_of_estimate(record: Mapping[str, Any]) -> LayerBudget:
-    """Read the budget of an estimated layer off its record."""
+def _record_of(root: Path, layer: LayerId) -> Path | None:
+    """Return the record of what a layer was made of; None of one that was measured."""
+    paths = (root / f"{layer.path}{ending}" for ending in MADE_OF.values())
+    return next((path for path in paths if path.is_file()), None)
+
+
+def _budget_of_made(record: Mapping[str, Any]) -> LayerBudget:
+    """Read the budget of a layer that was made from others off its record."""
     return _as_budget(record.get("uncertainty", []), record.get("noise_correlation"))
 
 
@@ -168,11 +173,11 @@ def position_sigmas(
 ) -> np.ndarray:
     """Return how well the place of each band is known at (p, 2) px of the grid, by the layer's registration, (p, n) px; NaN where it is not.
 
-    Of an estimated layer it is that of the least known of its sources, in its reference channel.
+    Of a layer that was made from others it is that of the least known of its sources, in its reference channel.
     """
     from levkas.database.pixel_frames import Frame, MappingRefused, Records, position_sigma_at
 
-    if (record := root / (layer.path + ESTIMATE)).is_file():
+    if record := _record_of(root, layer):
         return _of_sources(root, layer, read_json(record).get("from", ()), labels, places)
     found = np.full((len(places), len(labels)), np.nan)
     try:

@@ -15,21 +15,17 @@ import numpy as np
 
 from levkas.core.cube import Cube, Flag
 from levkas.core.digests import hash_file
-from levkas.core.files import write_json
 from levkas.core.machine import steady_libraries
-from levkas.core.problems import Problem, closest_match
-from levkas.database.catalogue import ESTIMATED, read_catalogue, write_catalogue
-from levkas.database.containment import check_plain_names
+from levkas.database.catalogue import ESTIMATED
 from levkas.database.credits import Credits
-from levkas.database.layers import Layer, write_layer
-from levkas.database.layout import ESTIMATE, LayerId
+from levkas.database.derived import check_new_layer, write_derived
+from levkas.database.layers import Layer
+from levkas.database.layout import LayerId
 from levkas.database.manifest import write_manifest
 from levkas.database.reader import Database
 from levkas.database.region_uncertainty import mean_correlation, read_budget
-from levkas.database.store import write_index
 from levkas.estimation.methods import find_method
 from levkas.estimation.samples import (
-    EstimationRefused,
     read_lattice,
     require_layers,
     side_by_side,
@@ -76,15 +72,17 @@ def apply_model(
 
     Raises
     ------
+    DatabaseRefused
+        Where the name is that of another layer, or the database lacks an object.
     EstimationRefused
-        Where the name is that of a camera, or the database lacks a source layer or object.
+        Where it lacks a source layer.
     Refused
         Where the model cannot be read, or was fitted with other channels.
     """
     root = Path(database)
     opened, stored = Database(root), read_model(Path(model))
     names = require_layers(opened, stored.sources, "MODEL")
-    _check_names(opened, names, layer, objects)
+    check_new_layer(opened, names, layer, objects, kind=ESTIMATED, field="-o")
     chosen = [name for name in names if not objects or name in objects]
     first = (LayerId.parse(names[0], source) for source in stored.sources)
     channels = sum(opened[key.object][key.camera, key.setup].shape[2] for key in first)
@@ -116,31 +114,22 @@ def _apply_to(
             title=f"{name}, spectra estimated",
             description=f"Estimated from {', '.join(stored.sources)} by {find_method(stored.method).title}; not a measurement.",
         ),
-        estimate=facts,
+        kind=ESTIMATED,
+        made_of=facts,
     )  # fmt: skip
     estimate = sample_estimate(database, name, stored)
     cube = estimate_cube(database, name, stored, estimate)
-    entry, written = write_layer(database.path, described, cube, verdict=ESTIMATED)
-    record = database.path / "objects" / name / f"{described.stem}{ESTIMATE}"
-    sources = {
-        source: hash_file(database.path / "objects" / name / f"{key.stem}.tif")
-        for source, key in zip(stored.sources, keys, strict=True)
-    }
     here = all(painting in database for painting in stored.training)
     rows = [row.to_dict() for row in estimate.rows(same_cameras=here)] if estimate else []
     budgets = [read_budget(database.path, key) for key in keys]
     shared = mean_correlation([budget.correlation for budget in budgets])
-    write_json(record, {"kind": ESTIMATED, **facts, "model": {"file": model.name, "sha256": hash_file(model)},
-                        "sources": sources, "held_out_rmse": list(stored.sigma),
-                        "uncertainty": rows, "noise_correlation": shared.round(4).tolist()})  # fmt: skip
-    others = [
-        e
-        for e in read_catalogue(database.path)
-        if (e.object, e.camera, e.setup) != (name, layer, "")
-    ]
-    write_catalogue(database.path, [*others, entry])
-    write_index(database.path / "zarr" / f"{name}.zarr")
-    return (*written, record)
+    record = {
+        "model": {"file": model.name, "sha256": hash_file(model)},
+        "held_out_rmse": list(stored.sigma),
+        "uncertainty": rows,
+        "noise_correlation": shared.round(4).tolist(),
+    }
+    return write_derived(database.path, described, cube, keys, record, verdict=ESTIMATED)
 
 
 def sample_estimate(database: Database, name: str, stored: StoredModel) -> Estimate | None:
@@ -199,37 +188,3 @@ def estimate_cube(
             ..., None
         ]
     return Cube(values, flags, sigma, stored.bands)
-
-
-def _check_names(
-    database: Database, names: Sequence[str], layer: str, objects: Sequence[str]
-) -> None:
-    try:
-        check_plain_names(layer)
-    except ValueError as error:
-        raise EstimationRefused(Problem("E_VALUE", str(error), field="-o", found=layer)) from None
-    measured = {e.camera for e in database.catalogue if e.kind != ESTIMATED}
-    if layer in measured:
-        raise EstimationRefused(
-            Problem(
-                "E_EXISTS",
-                f"{layer!r} is a measured layer; an estimate must not replace it",
-                str(database.path),
-                "-o",
-                found=layer,
-                expected="a name that differs from all cameras",
-                fix=f"Say -o {layer}-estimated.",
-            )
-        )
-    if unknown := [name for name in objects if name not in names]:
-        raise EstimationRefused(
-            Problem(
-                "E_VALUE",
-                "no such object has the model's layers",
-                str(database.path),
-                "--object",
-                found=unknown[0],
-                expected=", ".join(names),
-                fix=closest_match(unknown[0], names),
-            )
-        )

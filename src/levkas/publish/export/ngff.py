@@ -16,7 +16,7 @@ import numpy as np
 from levkas.core.cube import Band
 from levkas.core.files import before_writing, publishing
 from levkas.core.problems import Problem
-from levkas.database.catalogue import ESTIMATED
+from levkas.database.catalogue import MEASURED
 from levkas.database.described import describe_pages
 from levkas.database.layout import layer_name
 from levkas.database.pixel_frames import Frame, Records
@@ -44,7 +44,7 @@ def write_ngff(layer: ExportLayer, folder: Path) -> list[Path]:
 def finish(layers: Sequence[ExportLayer], folder: Path) -> list[Path]:
     """Write OBJECT.ome.zarr for every object: native pixels not resampled, and where they lie on the grid.
 
-    Bands that share a map are one image; layers that were estimated have no native pixels and are left out.
+    Bands that share a map are one image; layers that were made from others have no native pixels and are left out.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def _write_scene(name: str, layers: Sequence[ExportLayer], folder: Path) -> Path
 
 
 def _images(database: Path, layer: ExportLayer, records: Records) -> Iterator[_Image]:
-    if layer.facts.get("kind") == ESTIMATED:
+    if layer.facts.get("kind", MEASURED) != MEASURED:
         return
     stem = "_".join(filter(None, (layer.camera, layer.setup)))
     grid = records.pixels(Frame())

@@ -15,8 +15,9 @@ from levkas.core.cube import Band
 from levkas.core.flags import describe_marks
 from levkas.core.problems import Refused
 from levkas.core.text import counted, parse_bounded
-from levkas.database.catalogue import ESTIMATED
+from levkas.database.catalogue import ESTIMATED, MEASURED, SPLICED
 from levkas.database.described import channel_shapes
+from levkas.database.layers import MADE
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.pixel_frames import Frame
 from levkas.database.region_uncertainty import OTHER_BUDGET, position_sigmas, read_budget
@@ -256,7 +257,7 @@ def _write_layer(
         key=f"{number}/native",
     )
     return {
-        **(_say_estimate(attrs) if attrs.get("kind") == ESTIMATED else {}),
+        **_say_made_of(attrs),
         "quantity": source.quantity,
         "rendering": source.rendering,
         "bands": [
@@ -339,10 +340,26 @@ def _places_of(
     return {"place": {"columns": LATTICE, "rows": LATTICE, "tables": [*tables], "of": of}}
 
 
-def _say_estimate(attrs: dict[str, Any]) -> dict[str, Any]:
-    """Words for a layer that was made from others, in place of a verdict on its registration."""
-    facts = attrs.get("estimate") if isinstance(attrs.get("estimate"), dict) else {}
-    assert isinstance(facts, dict)
+def _say_made_of(attrs: dict[str, Any]) -> dict[str, Any]:
+    """Words for a layer that was made from others, in place of a verdict on its registration; nothing of one that was measured."""
+    kind = str(attrs.get("kind", MEASURED))
+    if kind not in (ESTIMATED, SPLICED):
+        return {}
+    facts = attrs.get(MADE[kind])
+    facts = facts if isinstance(facts, dict) else {}
+    if kind == SPLICED:
+        overlap = facts.get("overlap")
+        overlap = overlap if isinstance(overlap, dict) else {}
+        decision = "accept" if overlap.get("decision") == "accept" else "warn"
+        by = f", divided by {facts['levelled_by']}" if facts.get("levelled_by") else ""
+        names = [*map(str, facts.get("from") or []), "?", "?"]
+        why = f"{names[0]} to {facts.get('at_nm')} nm, {names[1]} from there on{by}."
+        reasons = [why, *map(str, overlap.get("reasons") or [])]
+        return {
+            "decision": decision,
+            "verdict": f"spliced, {DECISIONS[decision]}",
+            "reasons": reasons,
+        }
     sources, training = (", ".join(map(str, facts.get(key) or [])) for key in ("from", "training"))
     why = f"Estimated from {sources} by {facts.get('method')}, fitted on {training}: not a measurement."
     return {"decision": "warn", "verdict": "estimated", "reasons": [why]}

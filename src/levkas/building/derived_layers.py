@@ -1,0 +1,101 @@
+"""Layers of a database that were made from others, estimated or spliced: those that no longer fit their sources."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from levkas.core.problems import Refused
+from levkas.core.text import counted, read_json
+from levkas.database.catalogue import ESTIMATED, MEASURED, SPLICED
+from levkas.database.layout import KINDS, MADE_OF, LayerId
+from levkas.database.manifest import walk_files
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Mapping, Sequence
+
+    from levkas.building.build_records import BuildRecords
+    from levkas.database.catalogue import Entry
+    from levkas.database.layout import Places
+
+
+class Outdated(NamedTuple):
+    """A layer made from others that is not of what the database holds now: how it was made, and why."""
+
+    kind: str
+    why: str
+
+
+MADE_BY = {ESTIMATED: "levkas estimate apply", SPLICED: "levkas splice"}
+
+
+def outdated_layers(
+    places: Places, entries: Sequence[Entry], names: Collection[str] | None
+) -> dict[LayerId, Outdated]:
+    """Return the layers made from others that are not of what the database holds now, and why.
+
+    Parameters
+    ----------
+    places : Places
+    entries : sequence of Entry
+        Rows of the catalogue, those of measured layers as they are now.
+    names : collection of str, optional
+        Objects of the campaign; None where others may be in the database.
+    """
+    measured = {entry.layer: entry.sha256 for entry in entries if entry.kind == MEASURED}
+    found = {}
+    for layer, kind in ((entry.layer, entry.kind) for entry in entries if entry.kind != MEASURED):
+        if names is not None and layer.object not in names:
+            found[layer] = Outdated(kind, f"{layer.object} is no longer in the campaign")
+        elif layer in measured:
+            found[layer] = Outdated(kind, "a camera of the campaign has its name")
+        elif why := _why_outdated(places, layer, kind, measured):
+            found[layer] = Outdated(kind, why)
+    return found
+
+
+def _why_outdated(
+    places: Places, layer: LayerId, kind: str, measured: Mapping[LayerId, str]
+) -> str:
+    try:
+        sources = dict(read_json(places.output / f"{layer.path}{MADE_OF[kind]}")["sources"])
+    except (Refused, OSError, KeyError, TypeError, ValueError):
+        return "its record cannot be read"
+    for name, sha256 in sources.items():
+        now = measured.get(LayerId.parse(layer.object, name))
+        if now is None:
+            return f"its source {name} is not in the database any more"
+        if now != sha256:
+            return f"its source {name} was built again"
+    return ""
+
+
+def describe_outdated(outdated: Mapping[LayerId, Outdated]) -> str:
+    """Report in a line what is outdated; empty for nothing."""
+    if not outdated:
+        return ""
+    first, (_, why) = next(iter(outdated.items()))
+    more = f" and {len(outdated) - 1} more" if len(outdated) > 1 else ""
+    return f"{counted(len(outdated), 'layer')} made from others: {first.object}/{first.name}{more}, {why}"
+
+
+def put_away_outdated(
+    places: Places, records: BuildRecords, outdated: Mapping[LayerId, Outdated]
+) -> tuple[str, ...]:
+    """Move outdated layers out of the database; return a warning for each."""
+    warnings = []
+    for layer, (kind, why) in outdated.items():
+        where = records.put_away(_files_of(places, layer))
+        warnings.append(
+            f"{layer.object}/{layer.name}: this layer is {kind}, and {why}; it was moved to "
+            f"{where or 'nowhere: its files are gone'}. `{MADE_BY[kind]}` makes it again"
+        )
+    return tuple(warnings)
+
+
+def _files_of(places: Places, layer: LayerId) -> Iterator[str]:
+    """Yield the names of the files of a layer that was made from others."""
+    endings = (*KINDS.values(), ".png", *MADE_OF.values())
+    yield from (f"{layer.path}{ending}" for ending in endings)
+    group = places.output / layer.group
+    if group.is_dir():
+        yield from (f"{layer.group}/{name}" for name in walk_files(group))

@@ -1,0 +1,100 @@
+"""Layers that are made from others, estimated or spliced: written into a database beside those that were measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from levkas.core.digests import hash_file
+from levkas.core.files import write_json
+from levkas.core.problems import Problem, closest_match
+from levkas.database.catalogue import DatabaseRefused, read_catalogue, write_catalogue
+from levkas.database.containment import check_plain_names
+from levkas.database.layers import Layer, write_layer
+from levkas.database.layout import MADE_OF, LayerId
+from levkas.database.store import write_index
+
+if TYPE_CHECKING:
+    from levkas.core.cube import Cube, CubeRows
+    from levkas.database.reader import Database
+
+
+def write_derived(
+    root: Path,
+    layer: Layer,
+    rows: Cube | CubeRows,
+    sources: Sequence[LayerId],
+    record: Mapping[str, Any],
+    *,
+    verdict: str,
+) -> tuple[Path, ...]:
+    """Write a layer made from others, with the record of what it was made of, and list it; one of its name is replaced.
+
+    The manifest is left to `database.manifest.write_manifest`, once for all layers.
+    """
+    entry, written = write_layer(root, layer, rows, verdict=verdict)
+    path = root / f"objects/{layer.object}/{layer.stem}{MADE_OF[layer.kind]}"
+    hashes = {source.name: hash_file(root / f"{source.path}.tif") for source in sources}
+    write_json(path, {"kind": layer.kind, **(layer.made_of or {}), "sources": hashes, **record})
+    others = [e for e in read_catalogue(root) if e.layer != entry.layer]
+    write_catalogue(root, [*others, entry])
+    write_index(root / "zarr" / f"{layer.object}.zarr")
+    return (*written, path)
+
+
+def check_new_layer(
+    database: Database,
+    having: Sequence[str],
+    layer: str,
+    objects: Sequence[str],
+    *,
+    kind: str,
+    field: str,
+) -> None:
+    """Refuse a name that a layer of another kind has, or that files cannot have, and objects that lack the sources.
+
+    Parameters
+    ----------
+    database : Database
+    having : sequence of str
+        Objects that have the sources.
+    layer : str
+        Name of the new layer.
+    objects : sequence of str
+        What was asked for.
+    kind, field : str
+        Of the new layer, and the argument that names it.
+
+    Raises
+    ------
+    DatabaseRefused
+    """
+    try:
+        check_plain_names(layer)
+    except ValueError as error:
+        raise DatabaseRefused(Problem("E_VALUE", str(error), field=field, found=layer)) from None
+    if layer in {e.camera for e in database.catalogue if e.kind != kind}:
+        raise DatabaseRefused(
+            Problem(
+                "E_EXISTS",
+                f"the database has another layer {layer!r}; one that is {kind} must not replace it",
+                str(database.path),
+                field,
+                found=layer,
+                expected="a name that differs from all cameras",
+                fix=f"Name it {layer}-{kind}.",
+            )
+        )
+    if unknown := [name for name in objects if name not in having]:
+        raise DatabaseRefused(
+            Problem(
+                "E_VALUE",
+                "this object lacks the layers to make it from, or does not exist",
+                str(database.path),
+                "--object",
+                found=unknown[0],
+                expected=", ".join(having),
+                fix=closest_match(unknown[0], having),
+            )
+        )
