@@ -76,6 +76,12 @@ def test_the_spectrum_goes_over_where_noise_is_least_and_values_are_those_of_the
     assert validate(root).ok
 
 
+def test_of_two_that_begin_together_the_noisier_keeps_a_band(make):
+    (step,) = splice(make(swir=np.arange(400.0, 1701.0, 15.0)), "vnir", "swir", "both")
+    waves = levkas.open(step.files[0].parents[2])["icon1"]["both"].wavelength.values
+    assert step.overlap.decision == "accept" and waves[0] == 400 and waves[-1] == 1690
+
+
 def test_a_step_is_measured_said_and_levelled_where_that_is_asked_for(make):
     root = make(gain=1.05)
     (step,) = splice(root, "vnir", "swir", "both")

@@ -254,11 +254,11 @@ def judge_overlap(
     count = int(np.count_nonzero(good))
     chosen = None
     if count and mine.noise is not None and other.noise is not None:
-        noises = (
+        mine_noise, other_noise = (
             (noise[good] / sample.values[good]).mean(0)
             for noise, sample in ((mine.noise, mine), (other.noise, other))
         )
-        chosen = _quietest(ours[between], *noises)
+        chosen = _quietest(ours[between], mine_noise, other_noise, least=int(ours.min() >= low))
     where = _checked(at, (low + high) / 2 if chosen is None else chosen, ours, theirs)
     if count < LEAST_SAMPLES:
         why = f"only {count} sound pixels are seen by both from {low:g} to {high:g} nm: nothing shows that they agree"
@@ -347,8 +347,8 @@ def _sample(layer: LayerArray, step: int, waves: np.ndarray, wanted: np.ndarray)
     return _Sample(mixed, np.hypot(*ends), ends[0] + ends[1], sound)
 
 
-def _quietest(waves: np.ndarray, mine: np.ndarray, other: np.ndarray) -> float:
-    """Return where to change from one layer to the other so that their relative noises add up to the least.
+def _quietest(waves: np.ndarray, mine: np.ndarray, other: np.ndarray, least: int = 0) -> float:
+    """Return where to change from one layer to the other so that their relative noises add up to the least; at least so many bands there stay the first's.
 
     >>> _quietest(np.array([950.0, 960, 970]), np.array([0.1, 0.2, 0.9]), np.array([0.5, 0.3, 0.1]))
     965.0
@@ -356,7 +356,7 @@ def _quietest(waves: np.ndarray, mine: np.ndarray, other: np.ndarray) -> float:
     order = np.argsort(waves)
     before = np.concatenate([[0.0], np.cumsum(mine[order])])
     after = np.concatenate([np.cumsum(other[order][::-1])[::-1], [0.0]])
-    place = int(np.argmin(before + after))
+    place = least + int(np.argmin((before + after)[least:]))
     return float(waves[order][max(place - 1, 0) : place + 1].mean())
 
 
