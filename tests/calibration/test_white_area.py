@@ -68,6 +68,17 @@ def test_a_board_that_leaves_a_part_of_the_painting_is_found_out(width, fringes)
     assert "columns 0 to" in note and "rows 0 to 239" in note
 
 
+@pytest.mark.parametrize("side", [np.s_[:1], np.s_[:, :2], np.s_[:, -1:]])
+def test_first_lines_of_a_sensor_that_respond_otherwise_are_no_object(side):
+    response, scene = camera(2), painting(3)
+    response[side] *= 1.7
+    found = find_white_area(shots(scene, response, 1), shots(board(), response, 2), DARK)
+    assert found.uncovered is None and not found.notes
+    partly = np.where(np.arange(SHAPE[1]) < 110, scene, board())
+    found = find_white_area(shots(scene, response, 1), shots(partly, response, 2), DARK)
+    assert found.uncovered[:, :108].all() and not found.uncovered[:, 150:].any()
+
+
 def test_a_white_that_is_the_object_is_refused():
     response, scene = camera(3), painting(4)
     with pytest.raises(CalibrationRefused) as refused:

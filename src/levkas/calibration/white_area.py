@@ -29,6 +29,10 @@ CONTRAST = 0.25  # share of the object's contrast that the white shows at least
 LEAST, FEWEST = 0.02, 6  # share of the frame, and blocks together: dust has less
 MOST = 0.5  # share of the frame beyond which the white is none
 STEP, NOISE = 0.03, 5.0  # of an edge, relative; and over the detail that the whole white has
+EDGE, OTHER = (
+    2,
+    0.05,
+)  # px at each side whose lines may respond otherwise, and by how much at least, relative
 LINES, BRIGHT = 16, 0.2  # lines that show what moves; share of the brightest band that a band has
 MOVING, USUAL = 0.05, 4.0  # rms along the scan, relative; and over that of the steadier samples
 LONG = 0.25  # of the frame's shorter side: a scratch or a hair is shorter
@@ -113,6 +117,9 @@ def find_white_area(
     )
     full = _reduced(_plane((shot.saturated | white.saturated).astype(np.float32)), reduced) > 0
     sound = (scene > 0) & (lit > 0) & ~full
+    inside = _inside(lit)
+    sound &= inside
+    scene, lit = (_grown_over(plane, inside) for plane in (scene, lit))
     of_object, of_white = (detail(plane, SCALES[0]).between for plane in (scene, lit))
     side = max(3, min(SIDE, min(reduced) // BLOCKS))
     state = _state(_blocks(of_object, of_white, sound, side))
@@ -229,6 +236,25 @@ def _reduced(plane: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     if plane.shape == size:
         return plane
     return np.asarray(cv2.resize(plane, size[::-1], interpolation=cv2.INTER_AREA))
+
+
+def _inside(lit: np.ndarray) -> np.ndarray:
+    """Return which pixels of a white, (h, w), are not of first or last lines that respond otherwise, as sensors have in any frame."""
+    inside = np.ones(lit.shape, bool)
+    for plane, part in ((lit, inside), (lit.T, inside.T)):
+        lines = np.median(plane, 1)
+        for side, within in ((slice(None, EDGE), EDGE), (slice(-EDGE, None), -EDGE - 1)):
+            if np.abs(lines[side] - lines[within]).max() > OTHER * abs(lines[within]):
+                part[side] = False
+    return inside
+
+
+def _grown_over(plane: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Return a plane with what lies nearest inside in place of lines at its edges."""
+    rows, columns = (np.flatnonzero(inside.any(axis)) for axis in (1, 0))
+    whole = plane[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    after = [n - 1 - at[-1] for n, at in zip(plane.shape, (rows, columns), strict=True)]
+    return np.pad(whole, ((rows[0], after[0]), (columns[0], after[1])), mode="edge")
 
 
 def _blocks(

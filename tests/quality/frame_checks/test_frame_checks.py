@@ -229,6 +229,54 @@ def test_what_a_campaign_allows_is_no_finding():
     assert "exposure" not in [one.check for one in brackets]
 
 
+def test_shots_are_compared_with_the_first_of_their_stack_and_not_with_the_one_before():
+    dim = frame("06 shot", "object", expose(PANEL, 6, lamp=0.98))
+    found = judge({**GOOD, "06 shot": dim}.values())
+    drifting = {name for name, some in found.items() if any(f.check == "drift" for f in some)}
+    assert drifting == {"06 shot"}  # the third has the light of the first again
+
+
+@pytest.mark.parametrize("tiles", [("", ""), ("r0c0", "r0c1")])
+def test_tiles_are_scenes_of_their_own(tiles):
+    """The second tile shows the panel 30 px further and softer: as a shot it has moved and is out of focus."""
+    shown = PANEL, gaussian_filter(shift(PANEL, (0, 30), mode="nearest"), 2)
+    frames = [
+        frame(f"0{5 + k} shot", "object", expose(light, 5 + k), tile=tile)
+        for k, (light, tile) in enumerate(zip(shown, tiles, strict=True))
+    ]
+    found = judge([*[*GOOD.values()][:4], *frames])["06 shot"]
+    assert {one.check for one in found} == (set() if tiles[0] else {"moved", "focus"})
+
+
+@pytest.mark.parametrize(("target", "white", "verdict"), [
+    ("icon", False, "stop"), ("other", False, "look"), ("other", True, "stop"),
+])  # fmt: skip
+def test_a_setting_stops_a_frame_where_a_build_refuses_it(target, white, verdict):
+    """Shots of one object, and an object and its white, must agree; two objects need not."""
+    frames = [frame("05 shot", "object", expose(PANEL, 5))]
+    frames += [frame("04 white", "white", expose(0.98, 4))] * white
+    frames += [
+        replace(
+            frame("06 shot", "object", expose(PANEL, 6), facts=replace(FACTS, iso=200.0)),
+            target=target,
+        )
+    ]
+    (one,) = (f for f in judge(frames)["06 shot"] if f.check == "settings")
+    assert one.severity == verdict
+    assert ("most others" in one.text) == white  # one of two is not most
+
+
+def test_a_white_that_is_a_picture_stops_and_tells_of_no_glare():
+    picture = 0.2 + 0.8 * np.kron([[1, 0, 1], [0, 1, 0]], np.ones((180, 160)))
+    frames = [
+        frame("03 white", "white", expose(picture, 3)),
+        frame("05 shot", "object", expose(0.9, 5)),
+    ]
+    found = judge(frames)
+    assert [(f.check, f.severity) for f in found["03 white"]] == [("white", "stop")]
+    assert "glare" not in [f.check for f in found["05 shot"]]
+
+
 def test_an_object_cut_at_a_side_is_named_with_the_side():
     whole = measure_frame(expose(PANEL, 1))
     cut = measure_frame(

@@ -270,6 +270,49 @@ def test_a_shot_that_is_captured_again_is_no_clock_that_was_set(session, folder)
     assert after(session, 0.0).problems == ()
 
 
+def test_shots_of_a_copied_folder_are_ordered_by_their_names(session, folder):
+    """Copied within milliseconds, 10 before 2: the light sinks from the seventh shot on, and only there."""
+    for order, k in enumerate([1, 10, 2, 3, 4, 5, 6, 7, 8, 9]):
+        light = PAINT * (0.98 if k >= 7 else 1.0)
+        path = put(folder, f"raw/icon/100ms_{k}.tif", codes(light, 20 + k))
+        os.utime(path, ns=(1_700_000_000_000_000_000 + order * 1_000_000,) * 2)
+    drifting = {f.file.shot for f in after(session, 0.0).frames if f.findings}
+    assert drifting == {"7", "8", "9", "10"}
+
+
+REAL = """
+[campaign]
+reference = { camera = "silios", band = "B5" }
+[cameras.silios]
+kind = "mosaic"
+pattern = [["B1", "B2", "B3"], ["B4", "B5", "B6"], ["B7", "B8", "B9"]]
+files = "FOLDER/silios-kinect/{target}/{shot}_multispectral_camera.png"
+bits = 8
+[cameras.microscope]
+kind = "bands"
+bands = ["grey"]
+files = "FOLDER/tiles-section/{target}[Grid@{row} {column}].jpg"
+[targets]
+dark = "dark"
+white = { names = "flat", reflectance = 1.0 }
+objects = ["burst", "scene1", "stitch2d_ex"]
+"""
+
+
+def test_real_captures_are_called_what_they_are(session, folder, real_data):
+    """Tiles are sharp each for itself, though unlike; the white is one, whose corners lie beyond the filters and are full;
+    the burst loses 1.8 % of its light at its fifth shot; the flat has less light than scene and burst."""
+    (folder / "campaign.toml").write_text(REAL.replace("FOLDER", real_data.as_posix()))
+    found = {f.what: {one.check for one in f.findings} for f in after(session, FAR).frames}
+    assert found.pop("silios · dark · 2020511") == {"dark"}
+    assert found.pop("silios · white · 2020511") == {"exposure"}
+    assert found.pop("silios · scene1 · 2020511") == {"white"}
+    burst = {k: found.pop(f"silios · burst · {k}") for k in range(11)}
+    assert {k for k, checks in burst.items() if "drift" in checks} == set(range(4, 11))
+    assert set.union(*burst.values()) == {"drift", "glare"}
+    assert len(found) == 6 and set(map(frozenset, found.values())) == {frozenset()}
+
+
 def test_a_restart_reads_no_frame_again(session, folder, tmp_path):
     for name, values in GOOD.items():
         put(folder, name, values)

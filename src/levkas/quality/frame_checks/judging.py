@@ -36,8 +36,8 @@ class FrameOfSet:
     name : str
         Unique; frames of the same time are ordered by it, 9 before 10.
     role : {"object", "white", "dark", "chart"}
-    target, band, shot : str
-        Band and shot are empty where the name has none; a frame without a band serves all.
+    target, band, shot, tile : str
+        Band, shot and tile are empty where the name has none; a frame without a band serves all.
     at : float
         s, on the clock of the camera or of the files, which orders the frames of a sensor.
     facts : Facts
@@ -58,6 +58,7 @@ class FrameOfSet:
     measures: FrameMeasures
     band: str = ""
     shot: str = ""
+    tile: str = ""
     at: float = 0.0
     exposure_s: float | None = None
     names: tuple[str, ...] = ("",)
@@ -68,6 +69,11 @@ class FrameOfSet:
     def order(self) -> tuple[object, ...]:
         """What frames of a set are sorted by."""
         return self.at, natural(self.name), self.name
+
+    @cached_property
+    def shown(self) -> tuple[str, str]:
+        """What it shows: each tile of an object is a scene of its own."""
+        return self.target, self.tile
 
     @cached_property
     def stated(self) -> dict[str, tuple[object, str]]:
@@ -192,22 +198,22 @@ class _Beside:
     white: FrameOfSet | None = None
     scene: FrameOfSet | None = None
     before: FrameOfSet | None = None
+    first: FrameOfSet | None = None
     best: FrameOfSet | None = None
     twin: FrameOfSet | None = None
     like: tuple[FrameOfSet, ...] = ()
     dark_times: tuple[float, ...] = ()
-    settings: tuple[tuple[ComparedFact, object, str, object], ...] = ()
+    settings: tuple[_Differing, ...] = ()
     same_band: bool = True
-    same_exposure: bool = True
     same_scene: bool = True
     scale: float | None = None
     size: tuple[int, ...] | None = None
 
     @cached_property
     def key(self) -> tuple[object, ...]:
-        single = (self.white, self.scene, self.before, self.best, self.twin, *self.like)
+        single = (self.white, self.scene, self.before, self.first, self.best, self.twin, *self.like)
         names = tuple(None if f is None else f.version for f in single)
-        differing = tuple(fact.name for fact, *_ in self.settings)
+        differing = tuple((d.fact.name, d.refused, d.usual.prevails) for d in self.settings)
         return (names, self.black, self.scale, self.dark_times, differing, self.size)
 
 
@@ -221,9 +227,9 @@ class _Companions:
         for frame in frames:
             by["role", frame.role].append(frame)
             by["band", frame.role, frame.band].append(frame)
-            by["target", frame.role, frame.target].append(frame)
-            by["scene", frame.role, frame.target, frame.band].append(frame)
-            by["stack", frame.role, frame.target, frame.band, frame.exposure_s].append(frame)
+            by["target", frame.role, frame.shown].append(frame)
+            by["scene", frame.role, frame.shown, frame.band].append(frame)
+            by["stack", frame.role, frame.shown, frame.band, frame.exposure_s].append(frame)
             by["twin", frame.measures.key].append(frame)
         self.by = by
         self.dark_times = tuple(
@@ -253,7 +259,9 @@ class _Companions:
     def shared(self) -> tuple[object, ...]:
         """What every frame is compared with."""
         usual = {
-            fact.name: {band: (first.version, text) for band, (first, _, text) in found.items()}
+            fact.name: {
+                b: (u.first.version, u.text, u.of_all, u.prevails) for b, u in found.items()
+            }
             for fact, found in self.usual.items()
         }
         return self.black, self.scale, self.dark_times, self.size, usual
@@ -280,9 +288,9 @@ class _Companions:
         }
 
     def of(self, frame: FrameOfSet) -> _Beside:
-        stack = self.by["stack", frame.role, frame.target, frame.band, frame.exposure_s]
+        stack = self.by["stack", frame.role, frame.shown, frame.band, frame.exposure_s]
         like: tuple[FrameOfSet, ...]
-        before, same_band, same_exposure = None, True, True
+        before, same_band = None, True
         if frame.role == "dark":
             of_time = [f for f in stack if f is not frame]
             like, before = tuple(of_time[:MOST_COMPANIONS]), self._before(frame, stack)
@@ -295,12 +303,10 @@ class _Companions:
             before = self._before(frame, same)
         else:
             like = tuple(f for f in stack[:2] if f is not frame)[:1]
-            scene = self.by["scene", frame.role, frame.target, frame.band]
-            before = self._before(frame, scene)
-            same_exposure = before is None or before.exposure_s == frame.exposure_s
+            before = self._before(frame, self.by["scene", frame.role, frame.shown, frame.band])
             if before is None:
                 same_band = False
-                before = self._before(frame, self.by["target", frame.role, frame.target])
+                before = self._before(frame, self.by["target", frame.role, frame.shown])
         best, same_scene = self._sharpest(frame, stack)
         twins = self.by["twin", frame.measures.key]
         lit = frame.role != "dark"
@@ -310,13 +316,13 @@ class _Companions:
             white=self._nearest(frame, "white") if frame.role == "object" else None,
             scene=self._nearest(frame, "object") if frame.role == "white" else None,
             before=before,
+            first=stack[0] if stack[0] is not frame else None,
             best=best,
             twin=twins[0] if twins[0] is not frame else None,
             like=like,
             dark_times=self.dark_times if lit else (),
             settings=tuple(self._differing(frame)),
             same_band=same_band,
-            same_exposure=same_exposure,
             same_scene=same_scene,
             scale=self.scale,
             size=self.size,
@@ -353,24 +359,26 @@ class _Companions:
                 return min(around, key=lambda f: abs(f.at - frame.at))
         return None
 
-    def _differing(self, frame: FrameOfSet) -> Iterable[tuple[ComparedFact, object, str, object]]:
+    def _differing(self, frame: FrameOfSet) -> Iterable[_Differing]:
         for fact, usual in self.usual.items():
             if fact.name in self.rules.overrule or frame.role not in fact.roles or not usual:
                 continue
             expected = usual.get(frame.band if fact.per_band else "")
             value, text = frame.stated.get(fact.name, (None, ""))
-            if expected is None or value is None or text == expected[2]:
+            if expected is None or value is None or text == expected.text:
                 continue
-            if fact.compare(expected[1], value) == "refused":
-                yield fact, value, expected[0].name, expected[1]
+            if fact.compare(expected.value, value) == "refused":
+                refused = frame.role != "object" or expected.of_all
+                refused = refused or frame.target in expected.targets
+                yield _Differing(fact, value, expected, refused)
 
 
 def _scenes(frame: FrameOfSet) -> list[tuple[object, ...]]:
     """Return what frames are compared in focus by: the same stack, the same band of any object, the same object in any band."""
     return [
-        ("stack", frame.target, frame.band, frame.exposure_s),
+        ("stack", frame.shown, frame.band, frame.exposure_s),
         ("band", frame.band),
-        ("target", frame.target),
+        ("target", frame.shown),
     ]
 
 
@@ -391,23 +399,49 @@ def _at(frames: Sequence[FrameOfSet], moment: float) -> int:
     return bisect_left(frames, moment, key=lambda f: f.at)
 
 
-def _usual_settings(
-    frames: Sequence[FrameOfSet],
-) -> Mapping[ComparedFact, dict[str, tuple[FrameOfSet, object, str]]]:
-    """Return of every fact the value that most frames state, and the first frame that does, by band where bands may differ."""
-    usual: dict[ComparedFact, dict[str, tuple[FrameOfSet, object, str]]] = {}
+@dataclass(frozen=True, eq=False)
+class _Usual:
+    """The value of a fact that most frames state: the first that does, the objects that do, whether most of all do.
+
+    `of_all` is whether a dark, white or chart states it, with which a build compares every object.
+    """
+
+    first: FrameOfSet
+    value: object
+    text: str
+    targets: Collection[str]
+    of_all: bool
+    prevails: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Differing:
+    """A fact in which a frame differs from the usual, and whether a build refuses it for that."""
+
+    fact: ComparedFact
+    value: object
+    usual: _Usual
+    refused: bool
+
+
+def _usual_settings(frames: Sequence[FrameOfSet]) -> Mapping[ComparedFact, dict[str, _Usual]]:
+    """Return the usual value of every fact, by band where bands may differ."""
+    usual: dict[ComparedFact, dict[str, _Usual]] = {}
     for fact in FACTS:
-        counts: dict[str, Counter[str]] = defaultdict(Counter)
-        firsts: dict[tuple[str, str], tuple[FrameOfSet, object, str]] = {}
+        stating: dict[str, dict[str, list[FrameOfSet]]] = defaultdict(lambda: defaultdict(list))
         for frame in frames:
-            value, text = frame.stated.get(fact.name, ((), ""))
-            if value == ():
-                continue
-            band = frame.band if fact.per_band else ""
-            counts[band][text] += 1
-            firsts.setdefault((band, text), (frame, value, text))
-        # Counter keeps the order of coming, so that of equals the first in time counts.
-        usual[fact] = {b: firsts[b, c.most_common(1)[0][0]] for b, c in counts.items()}
+            if fact.name in frame.stated:
+                band = frame.band if fact.per_band else ""
+                stating[band][frame.stated[fact.name][1]].append(frame)
+        usual[fact] = {}
+        for band, by_text in stating.items():
+            # Of equals the first in time counts: dictionaries keep the order of coming.
+            text, some = max(by_text.items(), key=lambda item: len(item[1]))
+            objects = {f.target for f in some if f.role == "object"}
+            of_all = any(f.role != "object" for f in some)
+            prevails = len(some) > max(1, sum(map(len, by_text.values())) / 2)
+            value = some[0].stated[fact.name][0]
+            usual[fact][band] = _Usual(some[0], value, text, objects, of_all, prevails)
     return usual
 
 
@@ -444,9 +478,9 @@ def _lit_findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[F
         found += picture.check_glare(own, beside.white.measures, black=black, ratio_of_times=ratio)
     if rules.scanned:
         return found
+    if beside.first is not None:
+        found += light.check_stack(own, beside.first.measures, black=black)
     if beside.before is not None:
-        if beside.same_band and beside.same_exposure:
-            found += light.check_stack(own, beside.before.measures, black=black)
         found += picture.check_moved(
             own, beside.before.measures, same_band=beside.same_band, full=frame.full
         )
@@ -485,10 +519,15 @@ def _settings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> Iterable[F
         own, other = (" x ".join(map(str, one)) for one in (size, beside.size))
         text = f"the frame is {own} px, the others are {other} px"
         yield Finding("settings", "stop", text, "set the camera's size and format back, and repeat")
-    for fact, value, name, expected in beside.settings:
-        own, other = describe_value(fact, value), describe_value(fact, expected)
-        text = f"{fact.title}: {own}, but {other} in {name} and most others"
-        yield Finding("settings", "stop", text, "set the camera back, and repeat the frame")
+    for one in beside.settings:
+        own, other = (describe_value(one.fact, value) for value in (one.value, one.usual.value))
+        others = " and most others" if one.usual.prevails else ""
+        text = f"{one.fact.title}: {own}, but {other} in {one.usual.first.name}{others}"
+        if one.refused:
+            yield Finding("settings", "stop", text, "set the camera back, and repeat the frame")
+        else:
+            advice = "if it is meant, capture darks and whites with it as well"
+            yield Finding("settings", "look", text, advice)
 
 
 def _size(frame: FrameOfSet, rules: SetRules) -> tuple[int, ...]:

@@ -31,8 +31,9 @@ the scale unused."""
 LEAK, LIFTED, BLACK_OFF, NOISES = (0.005, 0.1), 0.05, 0.002, 4.0
 """Of the full scale: unevenness of a dark, or its level, to look at and to stop at; an even level that is light and not
 black; a change of black from the dark before; and that over the noise."""
-UNEVEN, ROUGH, RELIT = 0.3, 0.06, 0.04
-"""A white's darkest cell over its median; rms about a smooth surface; change of its shading from the white before."""
+UNEVEN, ROUGH, RELIT = 0.3, (0.06, 0.25), 0.04
+"""A white's darkest cell over its median; rms about a smooth surface, to look at and to stop at; change of its shading from
+the white before."""
 SHOWN = (LEAST, 0.25)
 """Share of a white that shows the object: a build marks these pixels, and refuses from a half."""
 DRIFT, STACK = (0.02, 0.1), (0.01, 0.05)
@@ -239,10 +240,7 @@ def check_white_frame(
         return [Finding("white", "stop", f"{problem.message}: {problem.found}", advice)]
     if scene is not None and (found := _painting_in(white, scene, black)):
         return [found]
-    light = np.maximum(white.cells - black, 0)
-    middle = np.median(light, (1, 2))
-    judged = light[middle > 0] / middle[middle > 0][:, None, None]
-    if not len(judged):
+    if (cells := _relative_cells(white, black)) is None:
         return []
     if before is not None and before.cells.shape == white.cells.shape:
         ratio = _ratio(white.cells - black, before.cells - black)
@@ -253,16 +251,30 @@ def check_white_frame(
             advice = "check whether a lamp was moved or something stands before it, and repeat"
             return [Finding("white", "look", text, advice)]
         return []
-    rough = float(np.sqrt(np.mean((judged.mean(0) - _surface(judged.mean(0))) ** 2)))
-    if rough > ROUGH:
+    rough = white_roughness(white, black)
+    if (severity := graded(rough, ROUGH)) is not None:
         text = f"the white is not smooth: {percent(rough)} rms about a smooth surface"
         advice = "let the board fill the frame, and take away what stands before it"
-        return [Finding("white", "look", text, advice)]
-    least = float(np.quantile(judged.mean(0), 0.02))
+        return [Finding("white", severity, text, advice)]
+    least = float(np.quantile(cells, 0.02))
     if least < UNEVEN:
         text = f"the white is uneven: its darkest part has {percent(least)} of the middle"
         return [Finding("white", "look", text, "move the lamps away, or aim them at the far edge")]
     return []
+
+
+def white_roughness(white: FrameMeasures, black: float) -> float:
+    """Return the rms of a white's cells about the smooth surface that fits them best, relative; 0 of an unlit one."""
+    cells = _relative_cells(white, black)
+    return 0.0 if cells is None else float(np.sqrt(np.mean((cells - _surface(cells)) ** 2)))
+
+
+def _relative_cells(white: FrameMeasures, black: float) -> np.ndarray | None:
+    """Return the cells over their median, the mean of the channels that are lit; None where none is."""
+    light = np.maximum(white.cells - black, 0)
+    middle = np.median(light, (1, 2))
+    lit = middle > 0
+    return (light[lit] / middle[lit][:, None, None]).mean(0) if lit.any() else None
 
 
 def check_drift(

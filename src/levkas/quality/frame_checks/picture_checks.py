@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from levkas.quality.frame_checks.light_checks import Finding, graded, percent
+from levkas.quality.frame_checks.light_checks import (
+    ROUGH,
+    Finding,
+    graded,
+    percent,
+    white_roughness,
+)
 from levkas.quality.frame_checks.measures import FrameMeasures
 
 BLURRED, UNLIKE_BLURRED = (1.4, 2.2), (2.5, 5.0)
@@ -135,10 +141,13 @@ def check_moved(
 def check_glare(
     frame: FrameMeasures, white: FrameMeasures, *, black: float, ratio_of_times: float = 1.0
 ) -> list[Finding]:
-    """Check how much of an object is brighter than the white, whose exposure is 1/`ratio_of_times` of its."""
+    """Check how much of an object is brighter than the white, whose exposure is 1/`ratio_of_times` of its.
+
+    A white that is a picture of something shows no glare: it is named itself.
+    """
     import cv2
 
-    if frame.cells.shape != white.cells.shape:
+    if frame.cells.shape != white.cells.shape or white_roughness(white, black) >= ROUGH[1]:
         return []
     size = frame.picture.shape[::-1]
     board = np.asarray(cv2.resize(white.picture, size, interpolation=cv2.INTER_AREA)) - black

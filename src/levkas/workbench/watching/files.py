@@ -38,6 +38,8 @@ GUESS_S, GUESS_SHARE = 2.0, 4.0
 """How long names must rest before a folder is guessed again; and times what the guess took."""
 BACK_S = 60.0
 """By how much a shot has an earlier time than the one before it where a clock was set: less is how headers are rounded."""
+PAUSE_S = 1.0
+"""Between files whose own times order them."""
 FILE = "campaign.toml"
 UNMOUNTED = " cannot be reached, is its share mounted? Its frames are shown as they were."
 
@@ -54,7 +56,7 @@ class WatchedFile:
     camera, setup, sensor : str
     role : {"object", "white", "dark", "chart"}
     target : str
-    band, shot : str
+    band, shot, tile : str
         Empty where its name has none.
     exposure_s : float, optional
         By its name.
@@ -70,6 +72,7 @@ class WatchedFile:
     band: str = ""
     shot: str = ""
     exposure_s: float | None = None
+    tile: str = ""
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,9 @@ class FrameState:
         who += f" {file.sensor}" if file.sensor else ""
         target = file.target if file.role in ("object", "chart") else file.role
         time_ = f"{self.exposure_s:g} s" if self.exposure_s else ""
-        return " · ".join(part for part in (who, target, file.band, time_, file.shot) if part)
+        return " · ".join(
+            part for part in (who, target, file.tile, file.band, time_, file.shot) if part
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the frame, JSON-ready."""
@@ -176,7 +181,7 @@ def _watched(root: Path, camera: str, setup: str, role: str, found: FoundFile) -
     band = found.band or ("" if found.wavelength is None else f"{found.wavelength:g} nm")
     return WatchedFile(
         found.path, _shown(found.path, root), camera, setup, found.sensor, role,
-        found.target, band, found.shot, found.exposure_s,
+        found.target, band, found.shot, found.exposure_s, found.tile,
     )  # fmt: skip
 
 
@@ -453,13 +458,15 @@ def moments_of(
     """Return when the frames of one sensor were captured, s, and what is doubtful of it, else "".
 
     By their headers where all state it, by their names, else by the files: also where shots show that a clock went back.
+    Files that were written without a pause of a second have the time of the first, so that their names order them: a copied
+    folder has the times of copying.
     """
     written = {path: stamps[path][1] / 1e9 for path in files if path in stamps}
     stated = {path: moment for path in files if (moment := captured.get(path)) is not None}
     if not files or len(stated) < len(files):
         stated = times_in_names(files)
     if not files or len(stated) < len(files):
-        return written, ""
+        return _by_pauses(written), ""
     if (back := _went_back(files, stated, written)) is None:
         return stated, ""
     earlier, later = (files[path].name for path in back)
@@ -468,7 +475,16 @@ def moments_of(
         f"Frames of {files[back[0]].camera} are ordered by the times of their files. A build chooses darks and whites by "
         "their own times: check which it takes."
     )
-    return written, doubt
+    return _by_pauses(written), doubt
+
+
+def _by_pauses(written: Mapping[Path, float]) -> dict[Path, float]:
+    found: dict[Path, float] = {}
+    start = last = -PAUSE_S
+    for path, at in sorted(written.items(), key=lambda item: item[1]):
+        start, last = (at if at - last >= PAUSE_S else start), at
+        found[path] = start
+    return found
 
 
 def _went_back(
@@ -482,7 +498,7 @@ def _went_back(
     for path in sorted(files, key=lambda p: (natural(files[p].shot), files[p].name)):
         file = files[path]
         if file.shot and path in written:
-            stack = (file.role, file.target, file.band, file.exposure_s)
+            stack = (file.role, file.target, file.tile, file.band, file.exposure_s)
             stacks.setdefault(stack, []).append(path)
     for shots in stacks.values():
         for one, other in pairwise(shots):

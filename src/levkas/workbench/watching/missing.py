@@ -145,13 +145,13 @@ def _declared(camera: Camera, bands: set[str]) -> set[str]:
 
 def _shots(who: str, name: str, frames: Sequence[FrameState]) -> Iterator[Missing]:
     """Yield stacks that have fewer shots than most of this object have."""
-    counts = Counter((f.file.band, f.file.sensor, f.exposure_s) for f in frames)
+    counts = Counter((f.file.tile, f.file.band, f.file.sensor, f.exposure_s) for f in frames)
     if len(counts) < 3:
         return
     usual = Counter(counts.values()).most_common(1)[0][0]
-    for (band, sensor, _), count in counts.items():
+    for (tile, band, sensor, _), count in counts.items():
         if count < usual:
-            where = " ".join(part for part in (name, sensor, band) if part)
+            where = " ".join(part for part in (name, tile, sensor, band) if part)
             why = f"{counted(count, 'shot')} of {usual}"
             yield Missing("capture", f"{who}: {where}", why)
 

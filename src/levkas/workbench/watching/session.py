@@ -384,7 +384,7 @@ class WatchedSession:
         black = camera.black if camera.black is not None else facts.black
         frame = FrameOfSet(
             file.name, file.role, file.target, facts, known.measures,
-            band=file.band, shot=file.shot, at=at,
+            band=file.band, shot=file.shot, tile=file.tile, at=at,
             exposure_s=file.exposure_s or facts.exposure_s,
             names=_names_of(pattern, facts, len(known.measures.level)),
             full=_full_of(camera, facts), black=black,
