@@ -2,6 +2,10 @@
 
 import re
 
+from docutils import nodes
+from sphinx import addnodes
+from sphinx.transforms.post_transforms import SphinxPostTransform
+
 import levkas
 
 project = "Levkas"
@@ -33,6 +37,25 @@ html_show_search_summary = False
 NAVIGATION_DEPTH = 3
 
 
+class LinkNames(SphinxPostTransform):
+    """Lead from every literal that is a documented name, ``levkas.open`` or ``read_stiff(…)``, to its entry."""
+
+    default_priority = 5
+    PUBLIC = frozenset(n for n in levkas.__all__ if "_" in n or n[0].isupper())
+    """Names that need no ``levkas.`` before them: ``build`` and ``open`` are words as well."""
+
+    def run(self, **kwargs):
+        """Wrap each such literal of a text in a reference; what it does not find stays as it is."""
+        for literal in list(self.document.findall(nodes.literal)):
+            name = re.match(r"(\w+\.)*\w+(?=\(|$)", literal.astext())
+            if name and isinstance(literal.parent, nodes.paragraph | nodes.term):
+                place = {"refdoc": self.env.docname, "refdomain": "py", "reftype": "obj"}
+                whole = f"levkas.{name[0]}" if name[0] in self.PUBLIC else name[0]
+                if whole.startswith("levkas."):
+                    found = addnodes.pending_xref("", literal.deepcopy(), reftarget=whole, **place)
+                    literal.replace_self(found)
+
+
 def cite(app, what, name, obj, options, lines):
     """Turn citations of docstrings, ``[key]_``, into those of references.bib."""
     lines[:] = [re.sub(r"\[([a-z]+\d{4})\]_", r":cite:t:`\1`", line) for line in lines]
@@ -47,5 +70,6 @@ def shorten_navigation(app, page, template, context, doctree):
 
 def setup(app):
     """Connect what is done to docstrings and to pages; the theme reads the navigation at priority 500."""
+    app.add_post_transform(LinkNames)
     app.connect("autodoc-process-docstring", cite)
     app.connect("html-page-context", shorten_navigation, priority=400)

@@ -1,3 +1,4 @@
+import pkgutil
 import re
 import sys
 import tomllib
@@ -8,7 +9,7 @@ import levkas
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 WORDS = 1500
-REFERENCE = {"api.md", "benchmarks.md", "campaign.md", "commands.md", "database.md"}
+REFERENCE = {"api.md", "benchmarks.md", "campaign.md", "commands.md"}
 REFERENCE_FOLDERS = (DOCS / "reference",)
 """Pages in which one looks things up: no limit of words."""
 
@@ -112,3 +113,35 @@ def test_the_lock_file_names_no_registry_and_pins_by_hash():
         assert "://" not in (ROOT / name).read_text()
     text = (ROOT / "requirements.lock").read_text()
     assert "://" not in text and text.count("--hash=sha256:") > 300
+
+
+def test_names_of_python_lead_to_their_entries_and_words_do_not(tmp_path):
+    from sphinx.application import Sphinx
+
+    (tmp_path / "index.md").write_text(
+        "# Page\n\nCall `levkas.open`, `read_stiff` or `levkas.Flag(4)`, not `open`, not `levkas.nothing`.\n\n"
+        "```{eval-rst}\n.. autofunction:: levkas.open\n.. autofunction:: levkas.read_stiff\n"
+        ".. autoclass:: levkas.Flag\n```\n"
+    )
+    place = {name: tmp_path / name for name in ("out", "trees")}
+    plain = {"bibtex_bibfiles": [], "autosummary_generate": False, "html_theme": "basic"}
+    app = Sphinx(tmp_path, DOCS, *place.values(), "html", plain, status=None, warning=None)
+    app.build()
+    page = (place["out"] / "index.html").read_text(encoding="utf-8").partition("</p>")[0]
+    linked = re.findall(r'href="#(levkas\.\w+)"[^>]*><code[^>]*><span class="pre">([^<]+)', page)
+    assert linked == [
+        ("levkas.open", "levkas.open"),
+        ("levkas.read_stiff", "read_stiff"),
+        ("levkas.Flag", "levkas.Flag(4)"),
+    ]
+
+
+def test_names_of_python_that_pages_mention_are_there():
+    found = 0
+    for page in pages():
+        for name in re.findall(r"`levkas((?:\.[a-z_A-Z]\w*)+)[`(]", page.read_text("utf-8")):
+            if name in {".py", ".NAME"}:
+                continue
+            pkgutil.resolve_name("levkas" + name)
+            found += 1
+    assert found > 40
