@@ -134,6 +134,11 @@ class Facts:
     encoded: str | None = None
     notes: tuple[str, ...] = ()
 
+    @property
+    def is_cube(self) -> bool:
+        """Whether the file is of a format of cubes: lines, samples and bands, as a scan has them."""
+        return self.kind in ("envi", "hdf5-cube", "mat")
+
 
 LISTS = (
     *("wavelengths", "fwhm", "band_names", "page_labels"),

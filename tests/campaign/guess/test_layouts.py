@@ -4,9 +4,11 @@ import re
 import unicodedata
 
 import cv2
+import h5py
 import numpy as np
 import pytest
 import tifffile
+from scipy.io import savemat
 
 import levkas
 from levkas.building import build
@@ -483,3 +485,32 @@ def test_exposures_that_darks_have_too_are_no_wavelengths(tmp_path):
         for time in (400, 800):
             frame(tmp_path / f"{name}_{time}.tif", share * np.ones(SHAPE) * time / 800)
     assert "{wavelength}" not in look(tmp_path).text
+
+
+# --- cubes in files of arrays -------------------------------------------------------------------
+
+
+def write_hdf5(path, counts):
+    with h5py.File(path.with_suffix(".h5"), "w") as file:
+        file["cube"], file["wavelengths"] = counts, WAVES
+
+
+def write_mat(path, counts):
+    savemat(path.with_suffix(".mat"), {"cube": counts, "wavelengths": WAVES})
+
+
+@pytest.mark.parametrize("write", [write_hdf5, write_mat])
+def test_cubes_in_files_of_arrays_are_scans_of_their_wavelengths(tmp_path, write):
+    rng, truth = np.random.default_rng(4), painting(3, 4)
+    (tmp_path / "scanner").mkdir()
+    for name, share in (("dark", 0.0), ("white", 1.0), ("panel", truth)):
+        counts = 90 + 3300 * share * np.ones((*SHAPE, 4)) + rng.normal(0, 4, (*SHAPE, 4))
+        write(tmp_path / "scanner" / name, counts.round().astype(np.uint16))
+    (tmp_path / "scanner/notes.mat").write_bytes(b"no arrays")
+    proposal, captures = found(tmp_path)
+    assert 'kind = "cube"' in proposal.text and list(captures) == [("panel", "scanner")]
+    (sensor,) = captures["panel", "scanner"].sensors
+    assert [band.wavelength for band in sensor.bands] == WAVES.tolist()
+    list(build(tmp_path))
+    layer = levkas.open(tmp_path / "database")["panel"]["scanner"]
+    assert np.abs(layer.values - truth).mean() < 0.002

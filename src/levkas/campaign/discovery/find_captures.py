@@ -499,7 +499,7 @@ def _check_counts(index: FileIndex, camera: Camera, frames: list[FrameRef], band
     for frame in frames:
         facts = index.facts(frame.path)
         samples = facts.shape[2] if len(facts.shape) == 3 else 1
-        found = samples if facts.kind == "envi" or samples > 1 else facts.pages
+        found = samples if facts.is_cube or samples > 1 else facts.pages
         if found != bands:
             where = f"in {frame.path.name}"
             problem = count_problem(camera, "bands", bands, found, where, str(frame.path))

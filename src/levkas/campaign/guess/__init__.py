@@ -38,6 +38,7 @@ def look(folder: str | Path) -> Proposal:
     """
     from levkas.campaign.guess.listing import list_captures
     from levkas.campaign.guess.proposal import propose
+    from levkas.readers.frames import EXPECTED
 
     if (absent := missing_path(Path(folder))) is not None:
         raise LookRefused(absent)
@@ -51,7 +52,7 @@ def look(folder: str | Path) -> Proposal:
                 "no readable capture was found here",
                 file=str(folder),
                 found="; ".join([*([others] if others else []), *unreadable]) or "no files",
-                expected="TIFF, PNG, JPEG, JPEG 2000, camera raw, or ENVI with its header",
+                expected=EXPECTED,
                 fix="Give the folder that holds the raw frames.",
             )
         )

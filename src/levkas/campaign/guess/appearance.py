@@ -58,7 +58,7 @@ def infer_roles(group: CameraGroup, samples: Samples) -> list[str]:
         Of each guess.
     """
     frames = group.of_role("object")
-    plain = all(f.file.channels == 1 or f.facts.kind == "envi" for f in frames)
+    plain = all(f.file.channels == 1 or f.facts.is_cube for f in frames)
     by_target = group.by_target(frames)
     named = {f.role for f in group.of_role("dark", "white")}
     if len(named) == 2 or not plain or len(by_target) < 2:
@@ -95,7 +95,7 @@ def doubt_whites(group: CameraGroup, samples: Samples) -> list[str]:
     doubts : list of str
     """
     objects, doubts = group.of_role("object"), []
-    plain = all(f.file.channels == 1 or f.facts.kind == "envi" for f in objects)
+    plain = all(f.file.channels == 1 or f.facts.is_cube for f in objects)
     for target, frames in group.by_target(group.of_role("white")).items() if plain else ():
         white, common, shown = frames[0].file, 0.0, ""
         for some in group.by_target(spread(objects, MOST_SAMPLED)).values():
@@ -265,7 +265,7 @@ def _two_levels(frames: Sequence[NamedFile], samples: Samples) -> np.ndarray | N
     """Return the mean levels of a target near 620 and near 460 nm, (2,); None where it has no such bands."""
     facts = frames[0].facts
     by_band = _by_wavelength(frames)
-    cube = facts.kind == "envi" and bool(facts.wavelengths)
+    cube = facts.is_cube and bool(facts.wavelengths)
     centres = list(facts.wavelengths or ()) if cube else sorted(by_band)
     places = [_nearest(centres, nm) for nm in (WARM_NM, COLD_NM)]
     if cube:

@@ -179,7 +179,7 @@ def _clusters(captures: Sequence[CaptureFile], tokens: Tokens) -> list[list[Capt
     found: dict[object, list[CaptureFile]] = defaultdict(list)
     for capture in captures:
         facts = capture.facts
-        if facts.kind in ("envi", "raw") or facts.pages > 1 or facts.wavelengths:
+        if facts.is_cube or facts.kind == "raw" or facts.pages > 1 or facts.wavelengths:
             continue
         parts = tokens[capture.path]
         gaps = tuple(t.gap for t in parts)

@@ -146,7 +146,7 @@ def describe_camera(
         keys |= _mosaic_keys(group, kind, samples, notes, warmth)
     if traits.bands_in == "files":
         keys |= _band_keys(group, files)
-    if traits.is_scanned and group.frames[0].facts.kind != "envi":
+    if traits.is_scanned and not group.frames[0].facts.is_cube:
         keys["scan"] = Guess(
             "mirror", "darks and whites are frames; remove this line for a push-broom scan"
         )
@@ -242,8 +242,9 @@ def _kind(group: CameraGroup, files: FilePatterns, samples: Samples) -> Guess:
     if files.wavelengths or files.bands:
         what = "a wavelength" if files.wavelengths else "a band"
         return Guess("bands", f"one file per band: the names contain {what}")
-    if facts.kind == "envi":
-        return Guess("cube", f"ENVI, {counted(facts.shape[2], 'band')}")
+    if facts.is_cube:
+        name = {"envi": "ENVI", "mat": "MATLAB"}.get(facts.kind, "HDF5")
+        return Guess("cube", f"{name}, {counted(facts.shape[2], 'band')}")
     if facts.kind == "raw" or facts.pattern:
         return Guess("mosaic", f"camera raw, {facts.pattern}" if facts.pattern else "camera raw")
     if facts.pages > 1 and channels == 1:

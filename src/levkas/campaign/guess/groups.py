@@ -107,7 +107,7 @@ def _are_pictures(frames: Sequence[NamedFile]) -> bool:
     """Whether all are photographs or radiographs of any size, without darks and whites."""
     channels = {f.file.channels for f in frames}
     plain = len(channels) == 1 and channels <= {1, 3}
-    cubes = any(f.facts.kind in ("envi", "raw") for f in frames)
+    cubes = any(f.facts.is_cube or f.facts.kind == "raw" for f in frames)
     wavelengths = any(f.number("wavelength") for f in frames)
     return (
         plain and not cubes and not wavelengths and {f.role for f in frames} <= {"object", "chart"}

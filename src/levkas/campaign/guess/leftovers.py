@@ -39,7 +39,9 @@ def leave_out_leftovers(
         stem = capture.path.stem.casefold()
         if capture.path.suffix.lower() not in LOSSY:
             measured[stem].append(capture)
-        if capture.facts.kind in ("envi", "raw") and capture.facts.dtype.startswith("uint"):
+        if (
+            capture.facts.is_cube or capture.facts.kind == "raw"
+        ) and capture.facts.dtype.startswith("uint"):
             scans[stem].append(capture)
     kept: list[CaptureFile] = []
     previews: dict[tuple[str, ...], list[tuple[CaptureFile, CaptureFile]]] = defaultdict(list)
@@ -66,7 +68,7 @@ def _computed(capture: CaptureFile, scans: dict[str, list[CaptureFile]]) -> Capt
     """
     facts = capture.facts
     picture = facts.kind in ("tiff", "png", "jpeg", "jpeg2000") and facts.dtype == "uint8"
-    if not picture and not (facts.kind == "envi" and facts.dtype.startswith("float")):
+    if not picture and not (facts.is_cube and facts.dtype.startswith("float")):
         return None
     parts = re.split(r"([\W_]+)", capture.path.stem.casefold())
     runs = ("".join(parts[i:j]) for i in range(0, len(parts), 2) for j in range(len(parts), i, -2))

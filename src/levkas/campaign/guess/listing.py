@@ -50,8 +50,8 @@ class CaptureFile:
         shape = self.facts.shape
         if self.is_stack:
             return (self.facts.kind,)
-        if self.facts.kind == "envi":
-            return ("envi", shape[1], shape[2], self.facts.dtype)
+        if self.facts.is_cube:
+            return (self.facts.kind, shape[1], shape[2], self.facts.dtype)
         return (shape[:2], self.channels, self.facts.dtype, self.facts.kind == "raw")
 
 
@@ -102,7 +102,7 @@ def list_captures(root: str | Path) -> Listing:
         of_header = path in headers or path.with_suffix("") in headers
         if of_header and suffix not in IMAGES and suffix not in STACKS:
             continue  # the data of an ENVI header, or of a Ripple stack
-        stack = None if suffix not in STACKS else _facts_of_stack(path)
+        stack = _facts_of_stack(path) if suffix in STACKS or suffix == ".mat" else None
         if stack is not None:
             listing.captures.append(CaptureFile(path, folders, stack))
             continue
@@ -130,14 +130,14 @@ def list_captures(root: str | Path) -> Listing:
 
 
 def _facts_of_stack(path: Path) -> Facts | None:
-    """Read the facts of a stack of maps; None of a table, or of HDF5, that holds anything else."""
+    """Read the facts of a stack of maps, or of a cube in HDF5 or a MAT-file; None of what holds anything else."""
     from levkas.readers.frames import read_facts
 
     try:
         facts = read_facts(path)
     except Refused:
         return None
-    return facts if facts.kind in STACKS.values() else None
+    return facts if facts.is_cube or facts.kind in STACKS.values() else None
 
 
 def _facts_of_image(path: Path) -> Facts:

@@ -388,7 +388,7 @@ class Samples:
         if capture.path not in self._details:
             statistics, detail = self.of(capture), None
             if statistics is not None:
-                scan = capture.facts.kind == "envi"
+                scan = capture.facts.is_cube
                 period = 0 if scan else find_mosaic(statistics.phases)
                 detail = find_detail(
                     _plane(capture), period=period, along_lines=scan, step=statistics.step
@@ -454,7 +454,7 @@ class Samples:
 
 def _plane(capture: CaptureFile) -> np.ndarray:
     """Read one plane: of a cube the brightest band of a few lines, of a photograph the mean."""
-    if capture.facts.kind == "envi":
+    if capture.facts.is_cube:
         block = _middle_lines(capture)
         return np.asarray(block[:, :, int(block.mean(axis=(0, 1), dtype=np.float64).argmax())])
     from levkas.readers.frames import read_sample
@@ -467,11 +467,14 @@ def _middle_lines(capture: CaptureFile) -> np.ndarray:
     """Read some lines of a cube, (lines, samples, bands)."""
     from levkas.readers.envi import open_envi
     from levkas.readers.facts import check_memory
-    from levkas.readers.frames import LARGEST_SAMPLE
+    from levkas.readers.frames import LARGEST_SAMPLE, read_frame
 
-    cube = open_envi(capture.path)
-    lines, samples, bands = cube.facts.shape
+    lines, samples, bands = capture.facts.shape
     count = max(1, min(LINES, LARGEST_SAMPLE // (samples * bands)))
-    check_memory(capture.path, count * samples * bands, np.dtype(cube.layout).itemsize)
     start = max(0, lines // 2 - count // 2)
-    return cube.read_lines(start, min(lines, start + count))
+    stop = min(lines, start + count)
+    if capture.facts.kind != "envi":  # its lines cannot be read apart
+        return read_frame(capture.path)[start:stop]
+    cube = open_envi(capture.path)
+    check_memory(capture.path, count * samples * bands, np.dtype(cube.layout).itemsize)
+    return cube.read_lines(start, stop)

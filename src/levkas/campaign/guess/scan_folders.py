@@ -142,7 +142,7 @@ def _word_of(objects: Sequence[CaptureFile], tokens: Tokens, samples: Frames) ->
     if len(objects) == 1:
         parts = tokens[first.path]
         return word or (parts[0].text if len(parts) == 1 and parts[0].kind == "number" else "")
-    shots = len(counts) == 1 and first.facts.kind != "envi"  # of a scan several files are strips
+    shots = len(counts) == 1 and not first.facts.is_cube  # of a scan several files are strips
     return None if shots and samples.same_scene(first, objects[-1]) is False else word
 
 

@@ -435,7 +435,7 @@ def _rules(camera: Camera) -> SetRules:
 
 def _pattern_of(camera: Camera, file: WatchedFile, facts: Facts) -> Any:
     """Return the mosaic of a frame: of its sensor, else of its camera, else what its file states."""
-    if len(facts.shape) == 3 or facts.kind == "envi":
+    if len(facts.shape) == 3:
         return None
     sensor = next((s for s in camera.sensors if s.name == file.sensor), None)
     declared = sensor.pattern if sensor else camera.pattern
