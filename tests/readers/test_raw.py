@@ -159,6 +159,16 @@ def test_strips_of_which_libraw_reads_the_first_alone_are_refused(tmp_path):
         read_frame(path)
 
 
+def test_raw_images_that_libraw_would_change_are_refused(tmp_path):
+    """Floats it scales by the most of each file: a white and an object by different factors. Planes it mixes."""
+    floats = write_dng(tmp_path / "floats.dng", (3 * MOSAIC / 4095).astype(np.float32), white=1)
+    planes = np.moveaxis(COLOURS, -1, 0)
+    write_linear(tmp_path / "planes.dng", planes, planarconfig=2)
+    for path, found in ((floats, "floats"), (tmp_path / "planes.dng", "planes")):
+        with pytest.raises(UnreadableCapture, match=f"a raw image of {found} is not read"):
+            read_frame(path)
+
+
 def test_blacks_of_colours_that_differ_are_no_single_black(tmp_path):
     facts = read_facts(write_linear(tmp_path / "linear.dng", COLOURS, black=(60, 64, 66)))
     assert facts.black is None and facts.black_unclear == "levels of the colours: 60, 64, 66"

@@ -47,9 +47,12 @@ PATIENCE_S = 600
 OUT_OF_TIME = -int(getattr(signal, "SIGPROF", 0)) or None
 """Exit status of a decoder that took too much processor time; None where the system sets no limit."""
 DNG_VERSION, MOSAIC, LINEAR, LOSSLESS_JPEG = 50706, 32803, 34892, 7
+FLOATS, PLANES = 3, 2
 FRAMES = (0xC0, 0xC1, 0xC3)
 """Markers of JPEG frames that LibRaw decodes in a mosaic."""
-CONVERT_AGAIN = "Convert the camera's own file again, to a DNG of tiles or without compression."
+CONVERT_AGAIN = (
+    "Convert the camera's own file again, to a DNG of integers, in tiles or without compression."
+)
 MOST_DIRECTORIES, MOST_SEGMENTS, HEADER_BYTES = 16, 64, 1 << 16
 
 _read: OrderedDict[tuple[Path, Stamp], dict[str, Any]] = OrderedDict()
@@ -273,7 +276,7 @@ def _opened(path: Path, *kinds: int) -> Iterator[list[Any]]:
 
 
 def _check_parts(path: Path) -> None:
-    """Refuse a DNG of lossless JPEG that lacks a strip or tile; what is no DNG is passed over.
+    """Refuse a DNG whose raw image LibRaw would change without a word, or of lossless JPEG that lacks a strip or tile; what is no DNG is passed over.
 
     Of other compressions LibRaw complains itself.
 
@@ -284,8 +287,28 @@ def _check_parts(path: Path) -> None:
     """
     with _opened(path, MOSAIC, LINEAR) as pages:
         for page in pages:
+            _check_layout(path, page)
             if page.compression == LOSSLESS_JPEG:
                 _check_page(path, page.parent, page)
+
+
+def _check_layout(path: Path, page: Any) -> None:
+    """Refuse a page of floats, which LibRaw scales by the most of each file, and colours in planes, which it mixes."""
+    found = {
+        "SampleFormat": "floats" if page.sampleformat == FLOATS else "",
+        "PlanarConfiguration": "planes"
+        * (page.planarconfig == PLANES and page.samplesperpixel > 1),
+    }
+    for field, kind in found.items():
+        if kind:
+            raise unreadable(
+                path,
+                f"a raw image of {kind} is not read",
+                field=field,
+                found=kind,
+                expected="integers, the samples of a pixel side by side",
+                fix=CONVERT_AGAIN,
+            )
 
 
 def _check_page(path: Path, tiff: Any, page: Any) -> None:
