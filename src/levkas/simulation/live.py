@@ -20,6 +20,8 @@ from levkas.simulation.session_faults import FAULTS, FrameLevels, PlantedFault, 
 START = datetime(2019, 5, 6, 9, 0)
 APART = timedelta(seconds=20)
 EXPOSURE_S, ISO, F_NUMBER = 0.1, 100, 8.0
+AUTO, MANUAL = 0, 1
+"""White balance of EXIF."""
 PIECES = 4
 """In which a frame is written, as a slow cable would."""
 
@@ -157,7 +159,8 @@ def contents_of(
     exposure_s = EXPOSURE_S * (size if kind.startswith("dark of another time") else 1)
     iso = int(ISO * (size if kind.startswith("another ISO") else 1))
     f_number = F_NUMBER * (size if kind.startswith("another f-number") else 1)
-    data = _tiff(codes, exposure_s, iso, f_number, START + number * APART)
+    balance = AUTO if kind.startswith("another white balance") else MANUAL
+    data = _tiff(codes, exposure_s, iso, f_number, balance, START + number * APART)
     if kind.startswith("file cut short"):
         data = data[: max(1, int(len(data) * (1 - size)))]
     return {frame.path: data}
@@ -221,7 +224,7 @@ def _beside(frames: Sequence[SessionFrame], frame: SessionFrame) -> np.ndarray |
 
 
 def _tiff(
-    codes: np.ndarray, exposure_s: float, iso: int, f_number: float, moment: datetime
+    codes: np.ndarray, exposure_s: float, iso: int, f_number: float, balance: int, moment: datetime
 ) -> bytes:
     import tifffile
 
@@ -230,6 +233,7 @@ def _tiff(
         (33434, "2I", 1, (round(exposure_s * 1000), 1000), True),
         (33437, "2I", 1, (round(f_number * 10), 10), True),
         (34855, "H", 1, iso, True),
+        (41987, "H", 1, balance, True),
         (36867, "s", 0, moment.strftime("%Y:%m:%d %H:%M:%S"), True),
     ]
     tifffile.imwrite(buffer, codes, photometric="minisblack", metadata=None, extratags=tags)

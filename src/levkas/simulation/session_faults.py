@@ -47,13 +47,16 @@ FAULTS = (
     PlantedFault("lamp between whites, loss", "drift", "white", (0.04, 0.12)),
     PlantedFault("lamp within a stack, loss", "drift", "object", (0.02, 0.1), stack=True),
     PlantedFault("noise of a white, times", "noise", "white", (1.6, 3.0)),
+    PlantedFault("noise reduction, share left", "noise", "white", (0.6, 0.3)),
     PlantedFault("noise of a shot, times", "noise", "object", (1.6, 3.0), stack=True),
     PlantedFault("defocus, px", "focus", "object", (1.8, 4.0), stack=True),
     PlantedFault("glare, share", "glare", "object", (0.02, 0.1)),
     PlantedFault("moved, px", "moved", "object", (2.0, 20.0), stack=True),
+    PlantedFault("object at a side, share beyond", "framing", "object", (0.0, 0.15)),
     PlantedFault("dust, depth", "dust", "white", (0.15, 0.5)),
     PlantedFault("another ISO, ratio", "settings", "object", (2.0, 8.0)),
     PlantedFault("another f-number, ratio", "settings", "object", (1.4, 4.0)),
+    PlantedFault("another white balance, gain", "settings", "object", (1.0, 1.5)),
     PlantedFault("another size, share", "settings", "object", (0.01, 0.5)),
     PlantedFault("file cut short, share", "file", "object", (0.01, 0.6)),
     PlantedFault("file twice", "twice", "object", (1.0, 1.0), stack=True),
@@ -148,15 +151,27 @@ def _noisier(light, times, levels, rng, beside):  # type: ignore[no-untyped-def]
     return light + rng.normal(0, own * np.sqrt(times**2 - 1), light.shape)
 
 
+def _smoothed(light, left, levels, rng, beside):  # type: ignore[no-untyped-def]
+    """Take most of the noise away, as noise reduction does, phase by phase."""
+    smooth = _filtered(light, 2.0, levels.period)
+    return smooth + left * (light - smooth)
+
+
 def _blurred(light, sigma, levels, rng, beside):  # type: ignore[no-untyped-def]
     """Blur each phase; the noise that blurring takes away is put back."""
+    blurred = _filtered(light, sigma / levels.period, levels.period)
+    return blurred + rng.normal(0, _noise(light, levels.period), light.shape)
+
+
+def _filtered(light: np.ndarray, sigma: float, p: int) -> np.ndarray:
+    """Return a frame whose phases are blurred by a Gaussian, px of a phase."""
     from scipy.ndimage import gaussian_filter
 
-    p, made = levels.period, light.copy()
+    made = light.copy()
     for y in range(p):
         for x in range(p):
-            made[y::p, x::p] = gaussian_filter(light[y::p, x::p], sigma / p, mode="nearest")
-    return made + rng.normal(0, _noise(light, p), light.shape)
+            made[y::p, x::p] = gaussian_filter(light[y::p, x::p], sigma, mode="nearest")
+    return made
 
 
 def _glaring(light, share, levels, rng, beside):  # type: ignore[no-untyped-def]
@@ -172,6 +187,27 @@ def _moved(light, distance, levels, rng, beside):  # type: ignore[no-untyped-def
     """Move by whole periods, so that the mosaic stays."""
     step = max(1, round(distance / levels.period)) * levels.period
     return np.pad(light, ((0, 0), (step, 0)), mode="symmetric")[:, : light.shape[1]]
+
+
+def _at_a_side(light, share, levels, rng, beside):  # type: ignore[no-untyped-def]
+    """Move the object to the left until a share of the width of the frame is beyond it; the wall on the right goes on."""
+    p, width = levels.period, light.shape[1]
+    columns = _filtered(light, 1.0, p).mean(0)
+    apart = np.abs(columns - np.median(columns[: width // 50]))
+    shown = np.flatnonzero(apart > 0.1 * apart.max())
+    step = round((shown[0] + share * width) / p) * p
+    wall = (width - shown[-1]) // (2 * p) * p
+    more = np.tile(light[:, -wall:], -(-step // wall))
+    return np.concatenate([light[:, step:], more], 1)[:, :width]
+
+
+def _balanced(light, gain, levels, rng, beside):  # type: ignore[no-untyped-def]
+    """Multiply the first phase of a mosaic, red, and divide the last, blue, as programs do that balance raw values."""
+    p, made = levels.period, light.copy()
+    if p > 1:
+        made[::p, ::p] *= gain
+        made[p - 1 :: p, p - 1 :: p] /= gain
+    return made
 
 
 def _dusty(light, depth, levels, rng, beside):  # type: ignore[no-untyped-def]
@@ -198,6 +234,9 @@ _MAKERS: dict[str, Maker] = {
     "lamp within a stack": _dimmed,
     "noise of a white": _noisier,
     "noise of a shot": _noisier,
+    "noise reduction": _smoothed,
+    "object at a side": _at_a_side,
+    "another white balance": _balanced,
     "defocus": _blurred,
     "glare": _glaring,
     "moved": _moved,

@@ -23,7 +23,16 @@ from levkas.readers.facts import Facts
 
 HEIGHT, WIDTH = 360, 480
 BLACK, FULL, GAIN, READ = 64.0, 4095, 0.4, 3.0
-FACTS = Facts(Path("a.tif"), "tiff", (HEIGHT, WIDTH), "uint16", bits=12, iso=100.0, f_number=8.0)
+FACTS = Facts(
+    Path("a.tif"),
+    "tiff",
+    (HEIGHT, WIDTH),
+    "uint16",
+    bits=12,
+    iso=100.0,
+    f_number=8.0,
+    white_balance="manual",
+)
 
 
 def panel() -> np.ndarray:
@@ -131,6 +140,12 @@ CASES = {
         *("settings", "07 shot", expose(PANEL, 7)),
         {"facts": replace(FACTS, f_number=5.6)},
     ),
+    "another white balance": (
+        *("settings", "07 shot", expose(PANEL, 7)),
+        {"facts": replace(FACTS, white_balance="auto")},
+    ),
+    "object at the border": ("framing", "07 shot", expose(np.roll(PANEL, -60, axis=1), 7), {}),
+    "object cut": ("framing", "07 shot", expose(np.pad(PANEL, ((0, 0), (0, 150)), "edge")[:, 150:], 7), {}),
     "another size": ("settings", "07 shot", expose(PANEL, 7)[:-20, :-20], {}),
 }  # fmt: skip
 

@@ -77,10 +77,12 @@ class FrameOfSet:
 
     @cached_property
     def stated(self) -> dict[str, tuple[object, str]]:
-        """The facts that its file states, by name, and their text."""
+        """The facts that its file states, by name, and their text; also the white balance of a raw frame, which changes no code."""
         read = {
             f.name: read_fact(f, self.facts) for f in FACTS if f.fields and self.role in f.roles
         }
+        if self.role in LIT_ROLES:
+            read["white_balance"] = self.facts.white_balance
         return {k: (v, repr(v)) for k, v in read.items() if v is not None}
 
     @cached_property
@@ -368,9 +370,11 @@ class _Companions:
             if expected is None or value is None or text == expected.text:
                 continue
             if fact.compare(expected.value, value) == "refused":
-                refused = frame.role != "object" or expected.of_all
-                refused = refused or frame.target in expected.targets
-                yield _Differing(fact, value, expected, refused)
+                together = (
+                    frame.role != "object" or expected.of_all or frame.target in expected.targets
+                )
+                read = read_fact(fact, frame.facts) is not None
+                yield _Differing(fact, value, expected, read, read and together)
 
 
 def _scenes(frame: FrameOfSet) -> list[tuple[object, ...]]:
@@ -416,11 +420,12 @@ class _Usual:
 
 @dataclass(frozen=True, eq=False)
 class _Differing:
-    """A fact in which a frame differs from the usual, and whether a build refuses it for that."""
+    """A fact in which a frame differs from the usual, whether it changes codes, and whether a build refuses it for that."""
 
     fact: ComparedFact
     value: object
     usual: _Usual
+    in_codes: bool
     refused: bool
 
 
@@ -527,6 +532,10 @@ def _settings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> Iterable[F
             yield Finding("settings", "stop", text, "set the camera back, and repeat the frame")
         else:
             advice = "if it is meant, capture darks and whites with it as well"
+            if not one.in_codes:
+                advice = (
+                    "set it back, and check the other settings: it changes no value of a raw frame"
+                )
             yield Finding("settings", "look", text, advice)
 
 

@@ -189,7 +189,7 @@ def check_framing(frame: FrameMeasures) -> list[Finding]:
     cut = [side for side, share in zip(SIDES, covered, strict=True) if share > CUT]
     if sum(plain) < 3 or not cut or inside < 0.2:
         return []
-    text = f"the object is cut at the {cut[0]}"
+    text = f"the object reaches the border of the frame at the {cut[0]}, or is cut there"
     return [
         Finding("framing", "look", text, "move camera or object until a border is left all round")
     ]
