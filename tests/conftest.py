@@ -121,7 +121,7 @@ class Correctable:
                 (folder / camera).mkdir(exist_ok=True)
                 data = cv2.imencode(".png", picture)[1]
                 (folder / camera / f"{name}.png").write_bytes(data.tobytes())
-                self._write(folder, name, camera, picture)
+                self.write_layer(folder, name, camera, picture)
             grid = {"size": PHOTO_SIZE, "transform": Affine.identity().to_dict(), "px_per_mm": 2.0}
             reference = {"camera": "photo", "band": "G", "size": list(PHOTO_SIZE)}
             for camera in ("photo", "xray"):
@@ -157,7 +157,8 @@ class Correctable:
                 in zip(reference, target, strict=True)]  # fmt: skip
         return "\n".join([head, *rows]) + "\n"
 
-    def _write(self, folder, name, camera, picture):
+    def write_layer(self, folder, name, camera, picture):
+        """Write the native pixels of a layer."""
         from levkas.core.cube import Band, Cube
         from levkas.database.layers import Layer, write_tiffs
 

@@ -221,11 +221,14 @@ export class Pane {
     return new OpenSeadragon.Rect(-edge, -edge, width + 2 * edge, height + 2 * edge);
   }
 
+  /** Whether the picture is turned by so many degrees. */
+  isTurned(degrees: number): boolean {
+    const apart = positive(this.viewer.viewport.getRotation(true) - degrees);
+    return Math.min(apart, 360 - apart) <= 0.01;
+  }
+
   private turnTo(degrees: number): void {
-    const { viewport } = this.viewer;
-    const wanted = ((degrees % 360) + 360) % 360;
-    const apart = Math.abs((((viewport.getRotation(true) % 360) + 360) % 360) - wanted);
-    if (Math.min(apart, 360 - apart) > 0.01) viewport.setRotation(wanted, true);
+    if (!this.isTurned(degrees)) this.viewer.viewport.setRotation(positive(degrees), true);
   }
 
   /** Whether the picture lies on its side. */
@@ -277,6 +280,11 @@ export class Pane {
     this.smooth = smooth; // setting it draws everything anew
     this.viewer.drawer.setImageSmoothingEnabled(smooth);
   }
+}
+
+/** An angle from 0 on, below 360 degrees. */
+function positive(degrees: number): number {
+  return ((degrees % 360) + 360) % 360;
 }
 
 /** Until all tiles in view are there. */

@@ -16,7 +16,7 @@ export type Mode =
   | "checker"
   | "redcyan";
 
-const PAN_STEP = 0.15; // of the height of the view
+export const PAN_STEP = 0.15; // of the height of the view
 const SQUARES = 12; // of the checker, along the longer side
 const COMPOSITIONS: Partial<Record<Mode, string>> = {
   difference: "difference",

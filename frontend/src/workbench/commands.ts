@@ -38,32 +38,25 @@ export function commands(parts: Parts): Key[] {
 function pairKeys({ store, stage, table, pair }: Parts): Key[] {
   const { outline } = stage;
   const isOpen = (): boolean => outline.open.peek();
-  const nudge = (event: KeyboardEvent): void => {
-    const [dx, dy] = direction(event);
-    if (isOpen()) {
-      const px = event.shiftKey ? 10 : 1;
-      if (!outline.nudge(...stage.left.along([dx * px, dy * px]))) stage.pan(dx, dy);
-      return;
-    }
-    const by = event.shiftKey ? 1 : NUDGE_PX;
-    const [along, down] = stage.toTarget(dx * by, dy * by);
-    if (!pair.nudge(along, down)) stage.pan(dx, dy);
-  };
   const goToWorst = (): void => {
     const row = table.worst();
     if (row >= 0) table.pick(row);
   };
   const keep = "add the proposed pair; keep a measured place as check point; close the outline";
+  const accept = (): void => {
+    pair.accept();
+    stage.placing.goOn();
+  };
   const move = "move the pair by 0.1 px, with Shift by 1 px; the pictures where none is chosen";
   return [
-    key("Enter", ["Enter"], keep, () => (isOpen() ? outline.finish() : pair.accept())),
+    key("Enter", ["Enter"], keep, () => (isOpen() ? outline.finish() : accept())),
     key("Esc", ["Escape"], "let go", () => (isOpen() ? outline.cancel() : pair.cancel())),
-    key("← → ↑ ↓", ARROWS, move, nudge),
+    key("← → ↑ ↓", ARROWS, move, (event) => nudge(event, stage, pair)),
     key(
       "I",
       ["i"],
-      "insert a pair, or a corner of the outline, in the middle of the reference",
-      () => (isOpen() ? stage.cornerAtMiddle() : stage.placing.proposeAtMiddle()),
+      "insert a pair in the middle of the picture with the focus, or its other end; or a corner of the outline",
+      () => (isOpen() ? stage.cornerAtMiddle() : stage.placing.insertAtMiddle()),
     ),
     key("R", ["r"], "measure the error in the middle of the view", () =>
       stage.placing.measureAtMiddle(),
@@ -94,7 +87,23 @@ function pairKeys({ store, stage, table, pair }: Parts): Key[] {
   ];
 }
 
-function viewKeys({ store, stage, step, help }: Parts): Key[] {
+/** Move what is chosen by an arrow, else the pictures. */
+function nudge(event: KeyboardEvent, stage: PairStage, pair: PairCard): void {
+  const { outline } = stage;
+  const [dx, dy] = direction(event);
+  if (outline.open.peek()) {
+    const px = event.shiftKey ? 10 : 1;
+    if (!outline.nudge(...stage.left.along([dx * px, dy * px]))) stage.pan(dx, dy);
+    return;
+  }
+  // Without a map the other picture is moved until the place is in its middle.
+  if (stage.isLoose && stage.placing.isSought) return stage.pan(dx, dy);
+  const by = event.shiftKey ? 1 : NUDGE_PX;
+  const [along, down] = stage.toTarget(dx * by, dy * by);
+  if (!pair.nudge(along, down)) stage.pan(dx, dy);
+}
+
+function viewKeys({ stage, step, help }: Parts): Key[] {
   const bands = "band before, after in the picture to register; with Shift in the reference";
   const digit = (event: KeyboardEvent): number =>
     isCommand(event) || event.altKey ? 0 : Number(/^Digit([1-9])$/.exec(event.code)?.[1] ?? 0);
@@ -117,8 +126,11 @@ function viewKeys({ store, stage, step, help }: Parts): Key[] {
       release: () => stage.hold(false),
     },
     key("F", ["f"], "fit the whole picture", () => stage.fit()),
-    key("T", ["t"], "turn the pictures by 90°, with Shift back; kept for this object", (event) =>
-      store.turn(event.shiftKey ? -90 : 90),
+    key(
+      "T",
+      ["t"],
+      "turn the pictures by 90°, with Shift back; before there is a map that to register alone, if it has the focus",
+      (event) => stage.turn(event.shiftKey ? -90 : 90),
     ),
     key(
       "H",
@@ -130,8 +142,8 @@ function viewKeys({ store, stage, step, help }: Parts): Key[] {
       },
     ),
     key("L", ["l"], "loupe: while placing, always, never", () => {
-      const at = LOUPES.findIndex(({ value }) => value === stage.loupe.value);
-      stage.loupe.value = LOUPES[(at + 1) % LOUPES.length]!.value;
+      const at = LOUPES.findIndex(({ value }) => value === stage.loupes.use.value);
+      stage.loupes.use.value = LOUPES[(at + 1) % LOUPES.length]!.value;
     }),
     key("+ -", ["+", "-", "="], "zoom", (event) =>
       stage.zoom(event.key === "-" ? 1 / ZOOM_STEP : ZOOM_STEP),

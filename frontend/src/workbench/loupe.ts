@@ -1,8 +1,9 @@
 // A loupe in a corner of a picture: the surroundings of a place, magnified and turned as the picture is.
 import type { Option } from "../shared/controls";
+import { signal } from "@preact/signals-core";
 import { make } from "../shared/element";
 import type { Layer, Point } from "../shared/pane";
-import { invert, type PlaneMap } from "./maps";
+import { invert, turnAndScale, type PlaneMap } from "./maps";
 import type { Half, Pair } from "./record";
 
 /** When the loupe is there: while a pair is chosen, proposed or dragged; wherever the pointer is; never. */
@@ -14,7 +15,7 @@ export const LOUPES: Option<LoupeUse>[] = [
   { value: "never", label: "Loupe: never" },
 ];
 
-export interface Enlarged {
+interface Enlarged {
   layer: Layer;
   at: Point;
   /** Screen pixels a pixel. */
@@ -27,10 +28,72 @@ const CROSS = 14; // of the lines that lead to the middle, and of the gap there
 const MOST_TILES = 96;
 const TILE = 256;
 
+const TIMES = 2; // of the picture's own scale
+const LEAST = 6; // screen pixels a pixel of the reference
+
 /** Tiles that were loaded, the latest last. */
 const tiles = new Map<string, HTMLImageElement>();
 
-export class Loupe {
+/** What is in either picture, and how it is shown. */
+export interface LoupeScene {
+  layers: [Layer, Layer];
+  /** The pair that is chosen, proposed or dragged. */
+  pair: Pair | null;
+  dragged: boolean;
+  /** Of a proposed pair the picture in which it was begun. */
+  begun: Half | null;
+  map: PlaneMap | null;
+  /** Screen pixels a pixel of the reference. */
+  scale: number;
+  /** By which either picture is turned, without what the map turns. */
+  degrees: [number, number];
+}
+
+/** A loupe for either picture. */
+export class LoupePair {
+  readonly use = signal<LoupeUse>("placing");
+  readonly left = new Loupe();
+  readonly right = new Loupe();
+  private pointer: { half: Half; at: Point } | null = null;
+  private waiting = false;
+
+  constructor(private readonly scene: () => LoupeScene | null) {}
+
+  /** Take over where the pointer is; null where it is in no picture. */
+  point(pointer: { half: Half; at: Point } | null): void {
+    this.pointer = pointer;
+    this.redraw();
+  }
+
+  /** Show what there is with the next frame. */
+  redraw(): void {
+    if (this.waiting) return;
+    this.waiting = true;
+    requestAnimationFrame(() => {
+      this.waiting = false;
+      const [left, right] = this.enlarged();
+      this.left.show(left);
+      this.right.show(right);
+    });
+  }
+
+  private enlarged(): [Enlarged | null, Enlarged | null] {
+    const [use, scene] = [this.use.peek(), this.scene()];
+    if (!scene || use === "never" || (use === "placing" && !scene.pair)) return [null, null];
+    const { layers, pair, map, begun, degrees } = scene;
+    const pointer = scene.dragged ? null : this.pointer;
+    const [here, there] = placesOf({ pair, pointer, follows: use === "always", begun, map });
+    const scale = Math.max(LEAST, TIMES * scene.scale);
+    const turn = map && there ? turnAndScale(map, ...there) : null;
+    const turned = degrees[1] + (turn && !turn.mirrored ? turn.degrees : 0);
+    return [
+      here && { layer: layers[0], at: here, scale, degrees: degrees[0] },
+      there && { layer: layers[1], at: there, scale: scale * (turn?.scale ?? 1), degrees: turned },
+    ];
+  }
+}
+
+class Loupe {
   readonly root = make("canvas", { class: "loupe", "aria-hidden": "true", hidden: true });
   private shown: Enlarged | null = null;
 

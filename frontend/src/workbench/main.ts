@@ -199,7 +199,7 @@ function fillBar(bar: HTMLElement, store: Store, stage: PairStage): void {
     { id: "loupe", "aria-label": "Loupe", title: "Loupe (L)" },
     LOUPES,
     (use) => {
-      stage.loupe.value = use;
+      stage.loupes.use.value = use;
     },
   );
   const colours = new MapLayer(store, stage);
@@ -213,7 +213,7 @@ function fillBar(bar: HTMLElement, store: Store, stage: PairStage): void {
     map.value = store.map.value;
     built.disabled = !store.frame.value?.built;
     times.value = String(stage.times.value);
-    loupe.value = stage.loupe.value;
+    loupe.value = stage.loupes.use.value;
     marks.setAttribute("aria-pressed", String(stage.marks.value));
     outline.setAttribute("aria-pressed", String(stage.outline.open.value));
     outline.hidden = (store.frame.value?.beside.length ?? 0) > 0;

@@ -188,6 +188,16 @@ export function paintProposal(
 ): void {
   const [x, y] = place(pair[half], pair[half + 1]!);
   line(context, place(predicted[half], predicted[half + 1]!), [x, y]);
+  outline(context, hair([x, y]), sure ? "#7fe39b" : "#ffd166", 4, 1.8);
+}
+
+/** Draw where the middle of the view is, for who has no pointer. */
+export function paintMiddle(context: CanvasRenderingContext2D, at: Point): void {
+  outline(context, hair(at), "#fff", 3.5, 1.2);
+}
+
+/** Four lines towards a place, which stays free. */
+function hair([x, y]: Point): Path2D {
   const path = new Path2D();
   for (const [dx, dy] of [
     [1, 0],
@@ -198,7 +208,7 @@ export function paintProposal(
     path.moveTo(x + 4 * dx, y + 4 * dy);
     path.lineTo(x + 14 * dx, y + 14 * dy);
   }
-  outline(context, path, sure ? "#7fe39b" : "#ffd166", 4, 1.8);
+  return path;
 }
 
 /** Draw the selected pair in an overlay: its place in the reference, and the handle of the other one. */

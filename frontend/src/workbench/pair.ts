@@ -2,10 +2,15 @@
 import { effect } from "@preact/signals-core";
 import { make, refill } from "../shared/element";
 import { length, px, type Pair, type Partner, type Proposal } from "./record";
-import type { Store } from "./store";
+import { rowAt, type Store } from "./store";
 
 const HINT =
   "Click a mark in a picture or a row of the table. Click an empty place to add a pair: its partner in the other picture is found for you.";
+
+const LOOSE_HINT =
+  "Click a place in one picture, then the same place in the other, and press Enter. ↻ under the right picture turns it by itself.";
+const LOOSE_KEYS =
+  "By keyboard: move it with the arrows until the place is in its middle, then press I.";
 
 export class PairCard {
   private readonly head = make("h2", { id: "pair-head" });
@@ -28,6 +33,9 @@ export class PairCard {
   next: () => Pair | null = () => null;
   onNext: () => void = () => {};
 
+  /** A pair whose move is on its way: as it is, and where it is to be. */
+  private moving: { from: Pair; to: Pair } | null = null;
+
   constructor(private readonly store: Store) {
     effect(() => {
       this.root.hidden = store.frame.value?.is_reference === true;
@@ -38,7 +46,10 @@ export class PairCard {
       if (proposal) this.showProposal(proposal);
       else if (measured) this.showMeasured(measured);
       else if (pair) this.showPair(pair);
-      else this.show("No pair chosen", [make("p", { class: "soft" }, HINT)], []);
+      else {
+        const hint = store.session.value?.trace ? HINT : LOOSE_HINT;
+        this.show("No pair chosen", [make("p", { class: "soft" }, hint)], []);
+      }
     });
   }
 
@@ -55,10 +66,25 @@ export class PairCard {
     const proposal = this.store.proposal.peek();
     const pair = proposal?.pair ?? this.store.selectedPair();
     if (!pair) return false;
-    const to: Pair = [pair[0], pair[1], pair[2] + dx, pair[3] + dy];
-    if (proposal) this.store.choose({ proposal: { ...proposal, pair: to, placed: true } });
-    else void this.store.edit({ operation: "move", pair, to }, to);
+    const onward = ([a, b, x, y]: Pair): Pair => [a, b, x + dx, y + dy];
+    if (proposal) {
+      this.store.choose({ proposal: { ...proposal, pair: onward(pair), placed: true } });
+    } else if (this.moving && rowAt([this.moving.from, this.moving.to], pair) >= 0) {
+      this.moving.to = onward(this.moving.to);
+    } else void this.move(pair, onward(pair));
     return true;
+  }
+
+  /** Move a saved pair; steps that come meanwhile are one more move, from where it is by then. */
+  private async move(from: Pair, to: Pair): Promise<void> {
+    const moving = (this.moving = { from, to });
+    while (moving.from !== moving.to) {
+      const [pair, wanted] = [moving.from, moving.to];
+      await this.store.edit({ operation: "move", pair, to: wanted }, wanted);
+      moving.from = wanted;
+      if (this.store.refused.peek()) break;
+    }
+    if (this.moving === moving) this.moving = null;
   }
 
   /** Add the proposed pair, or keep the measured place as a check point. */
@@ -115,6 +141,7 @@ export class PairCard {
 
   private showProposal(proposal: Proposal): void {
     const { pair, score, sure, placed } = proposal;
+    const sought = !this.store.session.value?.trace && !isFound(proposal);
     const found = sure
       ? `The partner was found by comparing the pictures, likeness ${percent(score)}.`
       : "The partner was not found. Click it in the other picture.";
@@ -125,7 +152,9 @@ export class PairCard {
         make(
           "p",
           { class: "soft" },
-          `If the place is wrong, click the correct one in the other picture. Arrow keys move it by 0.1 px, with Shift by 1 px.`,
+          sought
+            ? LOOSE_KEYS
+            : "If the place is wrong, click the correct one in the other picture. Arrow keys move it by 0.1 px, with Shift by 1 px.",
         ),
         coordinates(pair, (to) =>
           this.store.choose({ proposal: { ...proposal, pair: to, placed: true } }),

@@ -1,5 +1,6 @@
 // A deep-zoom picture with the pairs drawn over it.
 import { make } from "../shared/element";
+import { paintMiddle } from "./marks";
 import { Pane, type Point } from "../shared/pane";
 import { onTheme } from "../shared/theme";
 
@@ -56,6 +57,8 @@ export class MarkedPane extends Pane {
     container.addEventListener("pointermove", ({ clientX, clientY }) =>
       this.onPoint(this.pixelAt(clientX, clientY)),
     );
+    for (const event of ["focus", "blur"] as const)
+      this.viewer.canvas.addEventListener(event, () => this.redraw());
     container.addEventListener("pointerleave", () => this.onPoint(null));
     new ResizeObserver(() => this.redraw()).observe(this.host);
     onTheme(() => this.redraw());
@@ -83,5 +86,6 @@ export class MarkedPane extends Pane {
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, across, down);
     this.paint(context);
+    if (this.viewer.canvas.matches(":focus-visible")) paintMiddle(context, [across / 2, down / 2]);
   }
 }

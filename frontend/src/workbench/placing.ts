@@ -1,6 +1,7 @@
 // What a click or a key in a picture does to pairs: choose one, begin one, place its other end, measure.
 import type { Point } from "../shared/pane";
 import { getJson } from "./api";
+import { isFound } from "./pair";
 import type { MarkedPane } from "./pane";
 import type { Half, Pair, Partner } from "./record";
 import type { PairStage } from "./stage";
@@ -14,10 +15,25 @@ export class Placing {
     private readonly stage: PairStage,
   ) {}
 
-  /** Propose a pair in the middle of the reference. */
-  async proposeAtMiddle(): Promise<void> {
-    if (!this.store.frame.peek()?.is_reference)
-      await this.findPartner(0, this.stage.left.centre, true);
+  /** Begin a pair in the middle of the picture with the focus, or put its other end there. */
+  async insertAtMiddle(): Promise<void> {
+    const { left, right, focused } = this.stage;
+    const half = focused === left ? 0 : 2;
+    if (this.store.frame.peek()?.is_reference || this.placePartner(half, focused.centre)) return;
+    await this.findPartner(half, focused.centre, true);
+    if (this.stage.isLoose && this.isSought) (half ? left : right).viewer.canvas.focus();
+  }
+
+  /** Without a map the next pair begins in the reference. */
+  goOn(): void {
+    const { left, right, focused, isLoose } = this.stage;
+    if (isLoose && focused === right) left.viewer.canvas.focus();
+  }
+
+  /** Whether the other end of the pair that is proposed is still to be placed. */
+  get isSought(): boolean {
+    const proposal = this.store.proposal.peek();
+    return proposal !== null && !isFound(proposal);
   }
 
   /** Measure how far off the pictures are in the middle of the reference. */

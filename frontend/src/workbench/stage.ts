@@ -1,12 +1,13 @@
 // The pictures of a pair of cameras, and what a person does to pairs in them.
 import type { Option } from "../shared/controls";
 import type { Point } from "../shared/pane";
-import { Stage, type Mode, type Wanted } from "../shared/stage";
+import { PAN_STEP, Stage, type Mode, type Wanted } from "../shared/stage";
+import { make } from "../shared/element";
 import { watch } from "../shared/watch";
 import { effect, signal } from "@preact/signals-core";
 import { layerOf } from "./api";
 import { BandPicker } from "./bands";
-import { Loupe, placesOf, type Enlarged, type LoupeUse } from "./loupe";
+import { LoupePair, type LoupeScene } from "./loupe";
 import { paintMap, type MapImage } from "./maplayer";
 import { invert, mapOf, turnAndScale, type PlaneMap } from "./maps";
 import { paintHandle, paintOutline, paintPairs, paintProposal } from "./marks";
@@ -29,8 +30,6 @@ export const MODES: Option<Mode>[] = [
 export const TIMES = [1, 5, 20, 100];
 const MOVED_PX = 0.05; // a shorter drag is none
 const CLOSE = 3; // screen pixels a pixel at which a pair is looked at
-const LOUPE_TIMES = 2; // of the picture's own scale
-const LOUPE_LEAST = 6; // screen pixels a pixel of the reference
 const TURNED_LEAST = 1; // degrees that a new map turns the other picture before that is shown
 
 /** A pair that is being dragged: as it is, and as it would be. */
@@ -50,15 +49,14 @@ export class PairStage extends Stage<MarkedPane> {
   readonly outline: OutlineTool;
   readonly placing: Placing;
   private drag: Drag | null = null;
+  /** By how many degrees the picture to register is turned by itself, of each that has no map yet. */
+  private readonly alone = new Map<string, number>();
   private readonly thinning = new Thinning();
   /** Whether pairs are drawn over the pictures. */
   readonly marks = signal(true);
   /** How many times as long as they are residuals are drawn. */
   readonly times = signal(1);
-  readonly loupe = signal<LoupeUse>("placing");
-  private readonly loupes = { left: new Loupe(), right: new Loupe() };
-  private pointer: { half: Half; at: Point } | null = null;
-  private magnifying = false;
+  readonly loupes = new LoupePair(() => this.enlarged());
 
   constructor(
     host: HTMLElement,
@@ -74,7 +72,7 @@ export class PairStage extends Stage<MarkedPane> {
     this.outline = new OutlineTool(store);
     this.placing = new Placing(store, this);
     this.left.foot.append(this.bands.left.root, this.thinning.label);
-    this.right.foot.append(this.bands.right.root);
+    this.right.foot.append(this.bands.right.root, this.turnButton());
     this.left.host.append(this.loupes.left.root);
     this.right.host.append(this.loupes.right.root);
     for (const [pane, half] of [
@@ -88,10 +86,7 @@ export class PairStage extends Stage<MarkedPane> {
         if (this.outline.open.peek()) this.outline.drag(...how);
         else this.dragTo(half, how[0], how[1]);
       };
-      pane.onPoint = (at) => {
-        this.pointer = at && { half, at };
-        this.magnify();
-      };
+      pane.onPoint = (at) => this.loupes.point(at && { half, at });
       pane.viewer.addHandler("resize", () => requestAnimationFrame(() => this.link(this.left)));
     }
     watch([store.frame], () => this.offerBands());
@@ -104,10 +99,10 @@ export class PairStage extends Stage<MarkedPane> {
       this.left.host.classList.toggle("drawing", open.value);
       if (corners.length + chosen.value > -2) this.left.redraw();
     });
-    watch([this.marks, this.times, this.loupe, store.filter], () => {
+    watch([this.marks, this.times, this.loupes.use, store.filter], () => {
       this.left.redraw();
       this.right.redraw();
-      this.magnify();
+      this.loupes.redraw();
     });
   }
 
@@ -131,12 +126,73 @@ export class PairStage extends Stage<MarkedPane> {
   }
 
   protected override onView(): void {
-    this.magnify();
+    this.loupes.redraw();
   }
 
   override hold(on: boolean): void {
     if (this.mode.value !== "side") super.hold(on);
     else if (on) this.setMode("flicker");
+  }
+
+  /** Whether no map links the two pictures yet. */
+  get isLoose(): boolean {
+    return !this.map && this.mode.peek() === "side";
+  }
+
+  /** The picture with the focus; the reference where none has it. */
+  get focused(): MarkedPane {
+    const { left, right } = this;
+    const there = this.mode.peek() === "side" && right.host.contains(document.activeElement);
+    return there ? right : left;
+  }
+
+  private get isApart(): boolean {
+    return this.isLoose && this.focused === this.right;
+  }
+
+  override pan(dx: number, dy: number): void {
+    if (!this.isApart) return super.pan(dx, dy);
+    const { right } = this;
+    const [x, y, scale] = right.aim;
+    const by = (PAN_STEP * right.host.clientHeight) / scale;
+    const [along, down] = right.along([by * dx, by * dy]);
+    right.look(x + along, y + down, scale, this.turnedAlone);
+  }
+
+  override zoom(factor: number): void {
+    if (this.isApart) this.right.zoom(factor);
+    else super.zoom(factor);
+  }
+
+  override fit(): void {
+    super.fit();
+    if (this.isLoose) this.right.fit(true, this.turnedAlone);
+  }
+
+  /** Turn both pictures; that with the focus alone where it is to be registered, and has no map yet. */
+  turn(by: number): void {
+    if (this.isApart) this.turnAlone(by);
+    else void this.store.turn(by);
+  }
+
+  /** Turn the picture to register by itself. */
+  private turnAlone(by: number): void {
+    const id = this.store.frame.peek()?.id ?? "";
+    this.alone.set(id, (this.alone.get(id) ?? 0) + by);
+    this.link(this.left);
+  }
+
+  private get turnedAlone(): number {
+    return this.turned + (this.alone.get(this.store.frame.peek()?.id ?? "") ?? 0);
+  }
+
+  private turnButton(): HTMLElement {
+    const title = "Turn this picture alone by 90° (T, while it has the focus)";
+    const facts = { type: "button", id: "turn-alone", "aria-label": "Turn this picture by 90°" };
+    const button = make("button", { ...facts, title }, "↻");
+    button.addEventListener("click", () => this.turnAlone(90));
+    watch([this.store.session], () => (button.hidden = this.map !== null));
+    return button;
   }
 
   /** Lay a map in colours over the reference, or take it away. */
@@ -183,8 +239,8 @@ export class PairStage extends Stage<MarkedPane> {
     void this.load();
     this.left.redraw();
     this.right.redraw();
-    this.magnify();
-    if (this.isTurned) this.link(this.left);
+    this.loupes.redraw();
+    if (!this.map || this.isTurned) this.link(this.left);
   }
 
   /** Whether a new map turns or scales the other picture otherwise than it is shown. */
@@ -220,41 +276,30 @@ export class PairStage extends Stage<MarkedPane> {
     return { subject: frame.id, left, right };
   }
 
-  /** Show the loupes anew with the next frame. */
-  private magnify(): void {
-    if (this.magnifying) return;
-    this.magnifying = true;
-    requestAnimationFrame(() => {
-      this.magnifying = false;
-      const [left, right] = this.enlarged();
-      this.loupes.left.show(left);
-      this.loupes.right.show(right);
-    });
-  }
-
-  /** What the loupes show. */
-  private enlarged(): [Enlarged | null, Enlarged | null] {
-    const [use, wanted, proposal] = [this.loupe.peek(), this.wanted(), this.store.proposal.peek()];
-    const pair = this.drag?.to ?? proposal?.pair ?? this.store.selectedPair();
-    if (!wanted || use === "never" || (use === "placing" && !pair)) return [null, null];
-    const { map, turned } = this;
-    const pointer = this.drag ? null : this.pointer;
-    const free = this.mode.peek() === "side" && proposal ? proposal.begun : null;
-    const [here, there] = placesOf({ pair, pointer, follows: use === "always", begun: free, map });
-    const scale = Math.max(LOUPE_LEAST, LOUPE_TIMES * this.left.scale);
-    const turn = map && there ? turnAndScale(map, ...there) : null;
-    const degrees = turned + (turn && !turn.mirrored ? turn.degrees : 0);
-    const [ours, theirs] = [wanted.left[0]!, wanted.right![0]!];
-    return [
-      here && { layer: ours, at: here, scale, degrees: turned },
-      there && { layer: theirs, at: there, scale: scale * (turn?.scale ?? 1), degrees },
-    ];
+  /** What the loupes are to show. */
+  private enlarged(): LoupeScene | null {
+    const [wanted, proposal] = [this.wanted(), this.store.proposal.peek()];
+    if (!wanted) return null;
+    const { map, drag, turned } = this;
+    return {
+      layers: [wanted.left[0]!, wanted.right![0]!],
+      pair: drag?.to ?? proposal?.pair ?? this.store.selectedPair(),
+      dragged: drag !== null,
+      begun: this.mode.peek() === "side" && proposal ? proposal.begun : null,
+      map,
+      scale: this.left.scale,
+      degrees: [turned, map ? turned : this.turnedAlone],
+    };
   }
 
   /** Let the other picture show the same place, turned and scaled alike. */
   protected follow(leader: MarkedPane): void {
     const { map, left, right } = this;
     const frame = this.store.frame.peek();
+    if (!map && !right.isTurned(this.turnedAlone)) {
+      if (right.isFitted) right.fit(true, this.turnedAlone);
+      else right.look(...right.aim, this.turnedAlone);
+    }
     if (!map || !frame) return;
     if (leader === left) {
       const [width, height] = frame.target_size;
@@ -308,7 +353,7 @@ export class PairStage extends Stage<MarkedPane> {
     this.drag = { from, to };
     this.left.redraw();
     this.right.redraw();
-    this.magnify();
+    this.loupes.redraw();
   }
 
   private paint(context: CanvasRenderingContext2D, pane: MarkedPane, half: Half): void {

@@ -173,6 +173,22 @@ def test_coordinates_are_typed(bench, browser):
     browser.errors.clear()  # the browser tells of the answer 422 by itself
 
 
+def test_a_pair_follows_arrows_that_are_pressed_faster_than_it_is_saved(bench):
+    page, server = bench
+    choose_worst(page)
+    pair = told(page, "selectedPair()")
+    page.evaluate(
+        """() => { for (let i = 0; i < 12; i++)
+        dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowRight', shiftKey: i < 2 })); }"""
+    )
+    wanted = pytest.approx([*pair[:2], pair[2] + 3, pair[3]], abs=0.02)
+    page.wait_for_function(
+        f"() => Math.abs(levkasWorkbench.store.selectedPair()[2] - {pair[2] + 3}) < 0.02"
+    )
+    (moved,) = server.edits.moved
+    assert list(moved[4:]) == wanted
+
+
 def test_pictures_are_turned_by_quarters_and_stay_so(bench, browser, correctable):
     page, server = bench
     page.keyboard.press("t")
@@ -202,6 +218,90 @@ def test_pictures_are_turned_by_quarters_and_stay_so(bench, browser, correctable
     assert '"turn": 90' in (server.folder / HISTORY_NAME).read_text().replace('":90', '": 90')
     again.keyboard.press("Shift+T")
     again.wait_for_function("() => levkasWorkbench.store.frame.value.turn === 0")
+
+
+OPPOSITE = {"ArrowRight": "ArrowLeft", "ArrowDown": "ArrowUp"}
+
+
+@pytest.fixture
+def refused(correctable, inspected, browser, tmp_path):
+    """The workbench of a refused camera that has no pairs and shows nothing but noise: (page, server)."""
+    folder = correctable.make(tmp_path / "campaign", matched=False)
+    width, height = correctable.xray_size
+    noise = np.random.default_rng(1).integers(5, 250, (height, width))
+    correctable.write_layer(folder, "icon", "xray", noise.astype(np.uint8))
+    server = inspected(folder)
+    return opened(browser, server), server
+
+
+def test_before_there_is_a_map_one_picture_is_turned_by_itself(refused):
+    page, _ = refused
+    assert (rotation(page), rotation(page, "right")) == (0, 0)
+    page.locator("#turn-alone").click()
+    assert (rotation(page), rotation(page, "right")) == (0, 90)
+    page.locator(".pane .openseadragon-canvas").nth(1).focus()
+    page.keyboard.press("t")
+    assert (rotation(page), rotation(page, "right")) == (0, 180)
+    page.locator(".pane .openseadragon-canvas").first.focus()
+    page.keyboard.press("t")
+    page.wait_for_function("() => levkasWorkbench.store.frame.value.turn === 90")
+    assert (rotation(page), rotation(page, "right")) == (90, 270)
+    # All of it stays in view: 620 x 520 px on its side.
+    for x, y in ((0, 0), (619, 519)):
+        at = page.evaluate(f"levkasWorkbench.stage.right.placeOf({x}, {y})")
+        box = page.locator(".pane").nth(1).bounding_box()
+        assert 0 < at[0] < box["width"] and 0 < at[1] < box["height"]
+
+
+def test_a_refused_camera_gets_its_pairs_with_the_keyboard_alone(refused, correctable):
+    page, server = refused
+    keys = page.keyboard
+
+    def walk(pane, to):
+        """Bring a place to the middle as nearly as steps of the arrows do."""
+        script = f"[levkasWorkbench.stage.{pane}.centre, levkasWorkbench.stage.{pane}.scale]"
+        centre, scale = page.evaluate(script)
+        height = page.locator(".pane").first.bounding_box()["height"]
+        steps = ((np.array(to) - centre) * scale / (0.15 * height)).round()
+        for name, count in zip(("ArrowRight", "ArrowDown"), steps, strict=True):
+            for _ in range(int(abs(count))):
+                keys.press(name if count > 0 else OPPOSITE[name])
+
+    page.locator(".pane .openseadragon-canvas").first.focus()
+    for _ in range(3):
+        keys.press("+")
+    page.locator(".pane .openseadragon-canvas").nth(1).focus()
+    for _ in range(3):
+        keys.press("+")
+    page.locator(".pane .openseadragon-canvas").first.focus()
+    pause(page, 500)
+    for number, spot in enumerate(([70, 60], [330, 70], [320, 270], [80, 260]), 1):
+        walk("left", spot)
+        keys.press("i")
+        page.wait_for_selector("#pair-accept")
+        wanted = correctable.truth(told(page, "proposal.value.pair")[:2])
+        if number <= 3:
+            assert "press I" in page.locator(".pair").inner_text()
+            assert page.evaluate(
+                "document.activeElement === levkasWorkbench.stage.right.viewer.canvas"
+            )
+            walk("right", wanted)
+            keys.press("i")
+        at = np.array(told(page, "proposal.value.pair")[2:])
+        assert np.abs(at - wanted).max() < 40
+        for name, px in zip(("ArrowRight", "ArrowDown"), (wanted - at).round(), strict=True):
+            for _ in range(int(abs(px))):
+                keys.press(f"Shift+{name if px > 0 else OPPOSITE[name]}")
+        keys.press("Enter")
+        page.wait_for_function(
+            f"() => levkasWorkbench.store.session.value.pairs.length === {number}"
+        )
+        keys.press("Escape")
+    added = np.array(server.edits.added)
+    assert np.abs(correctable.truth(added[:, :2]) - added[:, 2:]).max() < 1.2
+    page.locator("#by-hand").focus()
+    assert page.evaluate("document.activeElement.id") == "by-hand"
+    assert page.locator("#turn-alone").is_hidden(), "the map turns it now"
 
 
 def test_a_place_that_cannot_be_compared_is_no_check_point(bench):
