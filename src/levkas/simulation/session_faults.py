@@ -47,7 +47,7 @@ FAULTS = (
     PlantedFault("lamp between whites, loss", "drift", "white", (0.04, 0.12)),
     PlantedFault("lamp within a stack, loss", "drift", "object", (0.02, 0.1), stack=True),
     PlantedFault("noise of a white, times", "noise", "white", (1.6, 3.0)),
-    PlantedFault("noise reduction, share left", "noise", "white", (0.6, 0.3)),
+    PlantedFault("noise reduction, share taken", "noise", "white", (0.4, 0.7)),
     PlantedFault("noise of a shot, times", "noise", "object", (1.6, 3.0), stack=True),
     PlantedFault("defocus, px", "focus", "object", (1.8, 4.0), stack=True),
     PlantedFault("glare, share", "glare", "object", (0.02, 0.1)),
@@ -151,10 +151,10 @@ def _noisier(light, times, levels, rng, beside):  # type: ignore[no-untyped-def]
     return light + rng.normal(0, own * np.sqrt(times**2 - 1), light.shape)
 
 
-def _smoothed(light, left, levels, rng, beside):  # type: ignore[no-untyped-def]
-    """Take most of the noise away, as noise reduction does, phase by phase."""
+def _smoothed(light, taken, levels, rng, beside):  # type: ignore[no-untyped-def]
+    """Take a share of the noise away, as noise reduction does, phase by phase."""
     smooth = _filtered(light, 2.0, levels.period)
-    return smooth + left * (light - smooth)
+    return smooth + (1 - taken) * (light - smooth)
 
 
 def _blurred(light, sigma, levels, rng, beside):  # type: ignore[no-untyped-def]
