@@ -42,7 +42,7 @@ TO_DO = {
     "object clipped": r"expose 0\.\d+ times",
     "object too dark": r"expose [1-9]\d* times|check the lamp",
     "light in the dark": "cover the lens",
-    "black level": "warm up",
+    "black level": "warm.up",
     "dark of another time": r"capture a dark of [\d.]+ s",
     "painting in the white": "painting out|white board",
     "shading of a white": "lamp was moved|fill the frame",
@@ -63,7 +63,13 @@ TO_DO = {
 """What the advice on a fault must say, by the first of these that its kind begins with."""
 PRESETS = (("small", None), ("small", 0.14), ("hard", 0.15), ("default", 0.15), ("small", 0.18))
 SCALES = (0.1, 0.2, 0.4)
-MEGAPIXELS = (1, 4, 16, 50, 100)
+MEGAPIXELS = (1, 10, 50, 100)
+FORMS = {
+    "TIFF": ("tif", {}),
+    "TIFF, deflate": ("tif", {"compression": "zlib", "predictor": True, "rowsperstrip": 64}),
+    "DNG, lossless JPEG": ("dng", {}),
+}
+"""Formats: their suffixes, and how tifffile writes them."""
 SIZES = (10, 100, 1000, 10000)
 ONE_CAMERA = """
 [campaign]
@@ -178,38 +184,85 @@ def alarms(folder, results):
     record(results, "watching", {"false alarms of sound frames": 100 * alarmed / count})
 
 
-def put(home, name, shape, seed, level=1500.0):
-    """Write a grey frame of 12 bits."""
+def noise(shape, seed, level):
+    """Return a grey frame of 12 bits."""
     rng = np.random.default_rng(seed)
     tile = rng.normal(level, 20, (min(shape[0], 512), min(shape[1], 512)))
     codes = np.resize(tile, (tile.shape[0], shape[1])).round().clip(0, 4095).astype(np.uint16)
     codes = np.tile(codes, (-(-shape[0] // len(codes)), 1))[: shape[0]]
     codes[seed % shape[0], seed % shape[1]] += 1
-    tifffile.imwrite(home / "raw" / name, codes, metadata=None)
+    return codes
 
 
-def home_of(folder):
+def put(home, name, shape, seed, level=1500.0):
+    """Write a grey frame of 12 bits."""
+    tifffile.imwrite(home / "raw" / name, noise(shape, seed, level), metadata=None)
+
+
+def home_of(folder, suffix="tif"):
     """Return a campaign of one camera without a frame."""
     (folder / "raw").mkdir(parents=True)
-    (folder / "campaign.toml").write_text(ONE_CAMERA)
+    (folder / "campaign.toml").write_text(ONE_CAMERA.replace(".tif", f".{suffix}"))
     return folder
 
 
+def put_dng(path, codes, tile=512):
+    """Write a mosaic as a camera does that compresses: a DNG of tiles in lossless JPEG."""
+    import imagecodecs
+
+    h, w = codes.shape
+    parts = (
+        np.pad(part, [(0, tile - n) for n in part.shape], "edge")
+        for y in range(0, h, tile)
+        for part in (codes[y : y + tile, x : x + tile] for x in range(0, w, tile))
+    )
+    tags = [
+        (50706, "B", 4, (1, 4, 0, 0), True),
+        (50708, "s", 0, "Levkas", True),
+        (33421, "H", 2, (2, 2), True),
+        (33422, "B", 4, (0, 1, 1, 2), True),
+        (50714, "H", 1, 64, True),
+        (50717, "I", 1, 4095, True),
+        (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),
+        (50778, "H", 1, 21, True),
+        (50728, "2I", 3, (1, 1, 1, 1, 1, 1), True),
+    ]
+    facts = {"shape": codes.shape, "dtype": codes.dtype, "compression": 7, "tile": (tile, tile)}
+    encoded = (imagecodecs.ljpeg_encode(part) for part in parts)
+    tifffile.imwrite(path, encoded, photometric=32803, extratags=tags, metadata=None, **facts)
+
+
+def write_frame(path, shape, seed, level, form):
+    """Write a grey frame of 12 bits in one of `FORMS`."""
+    codes = noise(shape, seed, level)
+    if form.startswith("DNG"):
+        put_dng(path, codes)
+    else:
+        tifffile.imwrite(path, codes, metadata=None, **FORMS[form][1])
+
+
 def frames(folder, results):
-    """Time the verdict of the third frame of an object by its size."""
-    slowest = {}
-    for megapixels in MEGAPIXELS:
-        shape = (round(np.sqrt(megapixels * 1e6 * 2 / 3)), round(np.sqrt(megapixels * 1e6 * 3 / 2)))
-        home = home_of(folder / f"frames{megapixels}")
-        session = watched(home)
-        for k, (target, level) in enumerate({"dark": 64, "white": 3000, "icon": 1500}.items()):
-            put(home, f"{target}_550nm_{k}.tif", shape, k, level)
-        session.settle()
-        put(home, "icon_550nm_9.tif", shape, 9)
-        seconds, _ = wait_for(session, "raw/icon_550nm_9.tif", None)
-        slowest[f"{megapixels} Mpx"] = seconds
-        print(f"{megapixels:4} Mpx {seconds:.2f} s", flush=True)
-    record(results, "watching", {f"a frame of {name}": s for name, s in slowest.items()})
+    """Time the verdict of the third frame of an object by its size and format."""
+    found = {}
+    for form, (suffix, _) in FORMS.items():
+        for megapixels in MEGAPIXELS:
+            shape = (
+                round(np.sqrt(megapixels * 1e6 * 2 / 3)),
+                round(np.sqrt(megapixels * 1e6 * 3 / 2)),
+            )
+            home = home_of(folder / f"{form}{megapixels}".replace(" ", "-"), suffix)
+            session = watched(home)
+            for k, (target, level) in enumerate({"dark": 64, "white": 3000, "icon": 1500}.items()):
+                write_frame(home / f"raw/{target}_550nm_{k}.{suffix}", shape, k, level, form)
+            session.settle()
+            aside = folder / "aside"
+            write_frame(aside, shape, 9, 1500, form)
+            aside.rename(home / f"raw/icon_550nm_9.{suffix}")
+            seconds, _ = wait_for(session, f"raw/icon_550nm_9.{suffix}", None, 60)
+            found[f"{megapixels} Mpx", form] = seconds
+            load = os.getloadavg()[0]
+            print(f"{form:20} {megapixels:4} Mpx {seconds:.2f} s, load {load:.1f}", flush=True)
+    record(results, "watching-sizes", found)
 
 
 def many(folder, results):

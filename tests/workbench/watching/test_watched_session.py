@@ -17,6 +17,7 @@ import tifffile
 from levkas.building.hashes import HASHES, TICK_NS, Hashes
 from levkas.core.digests import hash_file
 from levkas.core.progress import FRAMES
+from levkas.readers import raw
 from levkas.workbench.watching import WatchedSession, files
 from levkas.workbench.watching.cache import MeasureCache
 
@@ -332,6 +333,23 @@ def test_a_damaged_cache_is_made_anew(session, folder, tmp_path, damage):
     for path in (tmp_path / "cache").iterdir():
         path.write_bytes(damage)
     assert after(WatchedSession(folder, MeasureCache(tmp_path / "cache")), FAR).to_dict() == before
+
+
+def test_a_camera_raw_is_decoded_once_for_its_levels_and_its_pixels(session, folder, monkeypatch):
+    decode, decoded = raw._decode, []
+    monkeypatch.setattr(raw, "_decode", lambda p, **how: decoded.append(p.name) or decode(p, **how))
+    (folder / "campaign.toml").write_text(CAMPAIGN.replace(".tif", ".dng"))
+    tags = [
+        (50706, "B", 4, (1, 4, 0, 0), True), (50708, "s", 0, "Case", True), (33421, "H", 2, (2, 2), True),
+        (33422, "B", 4, (0, 1, 1, 2), True), (50714, "H", 1, 64, True), (50717, "I", 1, 4095, True),
+        (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),
+        (50778, "H", 1, 21, True), (50728, "2I", 3, (1, 1, 1, 1, 1, 1), True),
+    ]  # fmt: skip
+    for name, values in GOOD.items():
+        path = put(folder, name, values).rename(folder / name.replace(".tif", ".dng"))
+        tifffile.imwrite(path, values, photometric=32803, extratags=tags, metadata=None)
+    assert set(verdicts(after(session, FAR)).values()) == {"green"}
+    assert len(decoded) == len(GOOD)
 
 
 def test_a_folder_without_a_campaign_is_guessed(tmp_path):

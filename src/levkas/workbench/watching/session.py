@@ -38,7 +38,7 @@ from levkas.quality.frame_checks import (
 )
 from levkas.readers.envi import open_envi
 from levkas.readers.facts import Facts
-from levkas.readers.frames import read_facts, read_frame
+from levkas.readers.frames import kind_of, read_facts, read_frame
 from levkas.workbench.watching.cache import MeasureCache
 from levkas.workbench.watching.files import (
     FolderListing,
@@ -329,11 +329,13 @@ class WatchedSession:
         camera = self.listing.campaign.cameras[file.camera]
         known = _Known(stamp, tried=now)
         try:
+            # A camera raw has its levels only when it is decoded: read first, it is decoded once.
+            raw = read_frame(file.path) if kind_of(file.path) == "raw" else None
             known.facts = read_facts(file.path)
             known.key = self._key(file, known)
             known.measures = self.cache.get(known.key)
             if known.measures is None:
-                known.measures = self.cache.put(known.key, _measure(file, camera, known.facts))
+                known.measures = self.cache.put(known.key, _measure(file, camera, known.facts, raw))
         except InternalError:
             raise
         except (Refused, OSError) as refused:
@@ -478,8 +480,10 @@ def _why(refused: Exception) -> str:
     return str(refused)
 
 
-def _measure(file: WatchedFile, camera: Camera, facts: Facts) -> FrameMeasures:
-    """Read a frame, of a scan some lines, and measure it."""
+def _measure(
+    file: WatchedFile, camera: Camera, facts: Facts, values: np.ndarray | None
+) -> FrameMeasures:
+    """Read a frame that was not read yet, of a scan some lines, and measure it."""
     white = file.role == "white"
     pattern, full = _pattern_of(camera, file, facts), _full_of(camera, facts)
     if facts.kind == "envi":
@@ -496,7 +500,8 @@ def _measure(file: WatchedFile, camera: Camera, facts: Facts) -> FrameMeasures:
         pages = [read_frame(file.path, page=k)[::thin] for k in range(facts.pages)]
         values = np.stack([page if page.ndim == 2 else page[..., 0] for page in pages], -1)
         return _with_height(measure_frame(values, full=full, white=white), facts.shape[0])
-    return measure_frame(read_frame(file.path), full=full, pattern=pattern, white=white)
+    values = read_frame(file.path) if values is None else values
+    return measure_frame(values, full=full, pattern=pattern, white=white)
 
 
 def _with_height(measures: FrameMeasures, height: int) -> FrameMeasures:
