@@ -17,7 +17,7 @@ from levkas.building.tasks import Stages
 from levkas.core.machine import keep_memory
 
 if TYPE_CHECKING:
-    from levkas.building.tasks import Write
+    from levkas.building.tasks import ReferenceMemory, Write
     from levkas.stages.template_cache import TemplateCache
 
     Layer = tuple[str, str]
@@ -36,11 +36,16 @@ class Executor:
 
     warnings: tuple[str, ...] = ()
 
-    def __init__(self, outcomes: Outcomes, templates: TemplateCache) -> None:
+    def __init__(
+        self,
+        outcomes: Outcomes,
+        templates: TemplateCache,
+        memory: ReferenceMemory | None = None,
+    ) -> None:
         self._outcomes, self._records = outcomes, outcomes.records
         self._graph, self._lost = outcomes.graph, outcomes.lost
         self._stages = Stages(
-            outcomes.campaign, outcomes.places, outcomes.records, templates, outcomes.graph
+            outcomes.campaign, outcomes.places, outcomes.records, templates, outcomes.graph, memory
         )
         self._held = self._stages.held
         self._checked: set[Key] = set()
@@ -66,6 +71,7 @@ class Executor:
                     self._held.let_go()
                 for step in self._written():
                     yield note(step)
+                self._held.remember()
             finally:
                 self._hasher.shutdown(wait=False, cancel_futures=True)
 

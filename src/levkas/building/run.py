@@ -52,6 +52,7 @@ from levkas.stages.written import Written
 
 if TYPE_CHECKING:
     from levkas.building.cluster_executor import ClusterExecutor
+    from levkas.building.tasks import ReferenceMemory
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
 
@@ -69,6 +70,8 @@ def build(
     cluster: str | None = None,
     workers: int | None = None,
     insecure: bool = False,
+    pages: bool = True,
+    memory: ReferenceMemory | None = None,
 ) -> Iterator[Step]:
     """Build the database of a campaign, yielding each stage as it begins and as it ends.
 
@@ -92,6 +95,10 @@ def build(
         Processes of this machine that do the tasks; 0: this one, whatever the variable says.
     insecure : bool
         Go on where the scheduler is another machine's and the connection is not encrypted.
+    pages : bool
+        False: layers alone; a later build writes pages and catalogue.
+    memory : ReferenceMemory, optional
+        Of a process that builds again and again: holds the reference from one build to the next.
 
     Yields
     ------
@@ -136,8 +143,11 @@ def build(
         digests = records.hashes.of_frame if len(plan.names) > 1 else None
         templates = TemplateCache(places.kept / "templates", digests)
         outcomes = Outcomes(campaign, places, records, plan.graph)
-        with _executor(where, outcomes, templates) as executor:
-            steps = _steps(plan, outcomes, executor, templates, removed, whole=not objects)
+        with _executor(where, outcomes, templates, memory) as executor:
+            if pages:
+                steps = _steps(plan, outcomes, executor, templates, removed, whole=not objects)
+            else:
+                steps = _steps_of_layers(plan, outcomes, executor)
             yield from _numbered(steps, plan.graph, total)
         if not objects:
             templates.remove_all_but(_used_templates(records))
@@ -192,11 +202,14 @@ def _chosen(cluster: str | None, workers: int | None, insecure: bool) -> Where |
 
 @contextmanager
 def _executor(
-    where: Where | None, outcomes: Outcomes, templates: TemplateCache
+    where: Where | None,
+    outcomes: Outcomes,
+    templates: TemplateCache,
+    memory: ReferenceMemory | None,
 ) -> Iterator[Executor | ClusterExecutor]:
     """Yield what does the tasks of captures."""
     if where is None:
-        yield Executor(outcomes, templates)
+        yield Executor(outcomes, templates, memory)
         return
     from levkas.building.cluster import connected
 
@@ -246,6 +259,18 @@ def _steps(
     step = _catalogue(plan, outcomes, whole=whole, stale=stale)
     warnings = (*campaign.without_effect, *executor.warnings, *step.warnings)
     yield replace(step, output=places.output, warnings=warnings)
+
+
+def _steps_of_layers(
+    plan: Plan, outcomes: Outcomes, executor: Executor | ClusterExecutor
+) -> Iterator[Step]:
+    """Yield the steps of layers alone."""
+    for step in (step for steps in plan.lost().values() for step in steps):
+        yield outcomes.lose(
+            step, plan.refusals.get((step.key.object, step.key.camera, step.key.setup))
+        )
+    tasks = [task for task in plan.graph.values() if task.capture is not None]
+    yield from _done(executor, tasks, lambda _: iter(()))
 
 
 def _done(

@@ -21,7 +21,7 @@ from levkas.core.threads import made_ahead
 from levkas.database.catalogue import ESTIMATED, MEASURED, SPLICED, Entry
 from levkas.database.credits import Credits
 from levkas.database.layout import SIGMA, STEP, LayerId, layer_name
-from levkas.database.preview import write_preview
+from levkas.database.preview import encode_png, write_preview
 from levkas.database.spectral_tiff import (
     THREADS,
     PageSpool,
@@ -196,6 +196,13 @@ def write_tiffs(base: Path, layer: Layer, rows: Cube | CubeRows) -> list[Path]:
             tiffs.write_rows(block)
             del block
         return tiffs.finish(layer)
+
+
+def render_layer(rows: Cube, *, encoded: bool = False, white: float | None = None) -> bytes:
+    """Return the picture of a layer, PNG, as `write_layer` draws it."""
+    picture = _Picture(rows, find_rendering(rows.bands, encoded=encoded), white)
+    picture.paint(rows.values)
+    return encode_png(picture.rgb, description=picture.description)
 
 
 class _Picture:

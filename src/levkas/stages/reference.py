@@ -143,6 +143,12 @@ class ReferenceFrame:
                 self._release()
         return self._prepared
 
+    def serve(self, campaign: Campaign, places: Places, captures: Sequence[Capture]) -> bool:
+        """Serve the captures of a later build, made of the same; False where these need what was let go."""
+        self.campaign, self.places, self.captures = campaign, places, captures
+        self.capture = captures[0]
+        return self._tiled is None and self._anchor_suffices()
+
     def registered(self, own: Registration) -> None:
         """Take the reference camera's own registration; its single bands go."""
         self._own = own
@@ -154,12 +160,15 @@ class ReferenceFrame:
             self._prepared.release()
 
     def _release(self) -> None:
-        if any(capture.tiles for capture in self.captures):
-            return  # tiles are registered to parts of all bands
-        keys = [self.campaign.registration_of(capture.camera) for capture in self.captures]
-        if self._prepared is not None and all(method_of(one).prepared for one in keys):
+        if self._prepared is not None and self._anchor_suffices():
             self._prepared.freeze(self.registration().transforms)
             self.images = [self._prepared.anchor]
+
+    def _anchor_suffices(self) -> bool:
+        """Whether no capture is registered to single bands: tiles are, to parts of all of them."""
+        keys = (self.campaign.registration_of(capture.camera) for capture in self.captures)
+        tiled = any(capture.tiles for capture in self.captures)
+        return not tiled and all(method_of(one).prepared for one in keys)
 
     def registration(self) -> Registration:
         """Return the reference camera's own registration, from this run or from its record."""

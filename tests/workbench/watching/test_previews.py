@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import time
-from multiprocessing import SimpleQueue
+from queue import SimpleQueue
 
 import pytest
 
 from levkas.building import build
+from levkas.building.claiming import places_of
+from levkas.building.plan import read_plan
+from levkas.building.tasks import ReferenceMemory
 from levkas.workbench.watching import WatchedSession
 from levkas.workbench.watching.cache import MeasureCache
 from levkas.workbench.watching.previews import RegisteredPreviews, build_objects, objects_to_build
@@ -34,6 +37,14 @@ def iter_of(news):
         yield news.get()
 
 
+def bytes_of(folder):
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
 @pytest.mark.slow
 def test_what_was_built_meanwhile_is_what_a_build_makes(session, make_plates, tmp_path):
     state = session.settle()
@@ -43,19 +54,65 @@ def test_what_was_built_meanwhile_is_what_a_build_makes(session, make_plates, tm
     layers, problems = build_objects(str(root), names, news)
     assert {layer["camera"] for layer in layers} == set(session.campaign.cameras)
     assert problems == []
-    assert sorted(early["camera"] for early in iter_of(news)) == sorted(
-        layer["camera"] for layer in layers
-    )
-    assert {step.state for step in build(root) if step.key.stage != "catalogue"} <= {"fresh"}
+    early = list(iter_of(news))
+    assert [(one["camera"], one["verdict"]) for one in early if one["picture"] is None] == [
+        (one["camera"], one["verdict"]) for one in early if one["picture"] is not None
+    ]
+    assert {one["camera"]: one["verdict"] for one in early} == {
+        one["camera"]: one["verdict"] for one in layers
+    }
+    again = [
+        step for step in build(root) if step.key.stage in ("calibrate", "register", "resample")
+    ]
+    assert {step.state for step in again} == {"fresh"}
     alone = make_plates(tmp_path / "alone")
     list(build(alone))
-    for path in sorted((root / "database").rglob("*.tif")):
-        assert (
-            path.read_bytes()
-            == (alone / "database" / path.relative_to(root / "database")).read_bytes()
-        )
+    assert bytes_of(root / "database") == bytes_of(alone / "database")
     previews = RegisteredPreviews(session)
-    previews.layers = {(la["object"], la["camera"], ""): la for la in layers}
+    previews._show(*early)
+    previews._show(*layers)
     first = layers[0]
-    assert previews.picture_of(first["object"], first["camera"], "").startswith(b"\x89PNG")
+    shown = previews.picture_of(first["object"], first["camera"], "")
+    assert (
+        shown
+        == places_of(session.campaign)
+        .layer(first["object"], first["camera"], "", kind=".png")
+        .read_bytes()
+    )
     assert previews.picture_of("../..", first["camera"], "") is None
+
+
+@pytest.mark.slow
+def test_the_reference_is_calibrated_once_though_cameras_come_one_by_one(
+    make_plates, tmp_path, monkeypatch
+):
+    """Each build but the first would calibrate it again; another campaign or another frame of it does so."""
+    from levkas.stages import calibrate
+
+    root, done, develop = make_plates(tmp_path / "plates"), [], calibrate.develop
+    monkeypatch.setattr(
+        calibrate,
+        "develop",
+        lambda capture, *a: done.append(capture.camera) or develop(capture, *a),
+    )
+    plan = read_plan(root)
+    reference = plan.campaign.reference.camera
+    late = next(one for one in plan.captures if one.camera != reference)
+    contents = {f.path: f.path.read_bytes() for f in late.sensors[0].object}
+    for path in contents:
+        path.unlink()
+    memory = ReferenceMemory()
+    list(build(root, objects=[late.object], pages=False, memory=memory))
+    for path, data in contents.items():
+        path.write_bytes(data)
+    done.clear()
+    list(build(root, objects=[late.object], pages=False, memory=memory))
+    assert done == [late.camera]
+    list(build(root))
+    alone = make_plates(tmp_path / "alone")
+    list(build(alone))
+    assert bytes_of(root / "database") == bytes_of(alone / "database")
+    toml, frame = root / "campaign.toml", memory.frame
+    toml.write_text(toml.read_text() + "\n[registration]\nstop = 0.9\n")
+    list(build(root, objects=[late.object], pages=False, memory=memory))
+    assert frame is not None and memory.frame is not frame

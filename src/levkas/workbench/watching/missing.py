@@ -30,11 +30,14 @@ class Missing:
     what : str
         What to capture, in a few words.
     why : str
+    object : str
+        That has frames, and lacks some of a camera.
     """
 
     kind: str
     what: str
     why: str
+    object: str = ""
 
 
 def find_missing(
@@ -119,9 +122,13 @@ def _captures(
     for name, frames in sorted(by_object.items(), key=lambda item: natural(item[0])):
         have = {f.file.band for f in frames}
         if lost := sorted(bands - have, key=natural):
-            yield Missing("capture", f"{who}: {name}, {_listed(lost)}", "other bands are there")
+            yield Missing(
+                "capture", f"{who}: {name}, {_listed(lost)}", "other bands are there", name
+            )
         if lost := sorted(sensors - {f.file.sensor for f in frames}, key=natural):
-            yield Missing("capture", f"{who}: {name}, {_listed(lost)}", "other sensors are there")
+            yield Missing(
+                "capture", f"{who}: {name}, {_listed(lost)}", "other sensors are there", name
+            )
         yield from _shots(who, name, frames)
 
 
@@ -153,7 +160,7 @@ def _shots(who: str, name: str, frames: Sequence[FrameState]) -> Iterator[Missin
         if count < usual:
             where = " ".join(part for part in (name, tile, sensor, band) if part)
             why = f"{counted(count, 'shot')} of {usual}"
-            yield Missing("capture", f"{who}: {where}", why)
+            yield Missing("capture", f"{who}: {where}", why, name)
 
 
 def _dark_times(

@@ -9,6 +9,7 @@ import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import import_module
 from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any
@@ -20,38 +21,55 @@ from levkas.core.problems import Refused
 if TYPE_CHECKING:
     from multiprocessing.queues import SimpleQueue
 
+    from levkas.building.tasks import ReferenceMemory
     from levkas.campaign.campaign import Campaign
     from levkas.workbench.watching.session import SessionState, WatchedSession
 
-QUIET_S = 3.0
-"""How long no frame of an object may have come before it is built: frames of a stack come faster."""
-LOOK_S, NEWS_S = 0.5, 0.1
+QUIET_S, INCOMPLETE_S = 2.0, 20.0
+"""How long no frame of an object may have come before it is built; and one that lacks declared bands, sensors or shots."""
+LOOK_S, NEWS_S = 0.25, 0.1
+SHOWN = ("register", "resample")
+"""Stages after which a layer is shown."""
 
 
 def build_objects(
     folder: str, names: list[str], news: SimpleQueue[dict[str, Any]] | None = None
 ) -> tuple[list[dict[str, Any]], list[str]]:
-    """Build some objects of a campaign; return its layers, and the problems as sentences.
+    """Build the layers of some objects of a campaign; return them, and the problems as sentences.
 
-    A layer is put into `news` as soon as it is written: pages and catalogue come after it.
+    A layer is put into `news` when it is registered, with its picture on a coarse grid, and again when it is written. Pages and catalogue are left to `levkas build`: they take
+    longer than a layer, and the next one would wait for them.
     """
     from levkas.building import build, summarise
     from levkas.building.layer_verdicts import layer_verdicts
 
-    news, steps = news or _news, []
-    try:
-        output = places_of(load_campaign(folder)).output
-        for step in build(folder, objects=names, workers=0):
-            steps.append(step)
-            if news is not None and step.finished and step.key.stage == "resample":
-                own = [s for s in steps if s.key.layer == step.key.layer]
-                own = [s for s in own if s.key.object == step.key.object]
-                for layer in layer_verdicts(summarise(own, output)):
-                    news.put(layer)
-        report = summarise(steps, output)
-    except Refused as refused:
-        return [], [str(problem) for problem in refused.problems]
-    return layer_verdicts(report), [str(problem) for problem in report.problems]
+    news, layers, problems = news or _news, list[dict[str, Any]](), list[str]()
+    for name in names:
+        steps = []
+        try:
+            output = places_of(load_campaign(folder)).output
+            for step in build(folder, objects=[name], workers=0, pages=False, memory=_memory()):
+                steps.append(step)
+                if news is not None and step.finished and step.key.stage in SHOWN:
+                    own = [s for s in steps if s.key.layer == step.key.layer]
+                    picture = _memory().pictures.pop(step.key, None)
+                    for layer in layer_verdicts(summarise(own, output)):
+                        news.put({**layer, "picture": picture})
+            report = summarise(steps, output)
+        except Refused as refused:
+            problems += [str(problem) for problem in refused.problems]
+        else:
+            layers += [one for one in layer_verdicts(report) if one["object"] == name]
+            problems += [str(problem) for problem in report.problems]
+    return layers, list(dict.fromkeys(problems))
+
+
+@cache
+def _memory() -> ReferenceMemory:
+    """Return what this process holds from one build to the next."""
+    from levkas.building.tasks import ReferenceMemory
+
+    return ReferenceMemory()
 
 
 _news: SimpleQueue[dict[str, Any]] | None = None
@@ -62,7 +80,7 @@ def _begin(news: SimpleQueue[dict[str, Any]]) -> None:
     """Load what a build needs before there is one: it takes longer than a small layer."""
     global _news
     _news = news
-    for name in ("executor", "report_pages", "tasks"):
+    for name in ("executor", "tasks"):
         import_module(f"levkas.building.{name}")
     for name in ("calibrate", "register", "resample"):
         import_module(f"levkas.stages.{name}")
@@ -112,6 +130,7 @@ class RegisteredPreviews:
     state: SessionState | None = None
 
     def __post_init__(self) -> None:
+        self._coarse: dict[tuple[str, str, str], bytes] = {}
         self._ended = threading.Event()
         self._built: dict[str, tuple[object, ...]] = {}
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -130,6 +149,8 @@ class RegisteredPreviews:
         campaign = self.session.campaign
         if campaign is None or (name, camera, setup) not in self.layers:
             return None
+        if (coarse := self._coarse.get((name, camera, setup))) is not None:
+            return coarse
         path = places_of(campaign).layer(name, camera, setup, kind=".png")
         return path.read_bytes() if path.is_file() else None
 
@@ -152,7 +173,9 @@ class RegisteredPreviews:
                 quiet = quiet + LOOK_S if ready == known else 0.0
                 known = ready
                 due = [name for name, files in ready.items() if self._built.get(name) != files]
-                if not due or quiet < QUIET_S:
+                lacking = {item.object for item in state.missing}
+                due = [n for n in due if quiet >= (INCOMPLETE_S if n in lacking else QUIET_S)]
+                if not due:
                     continue
                 built = pool.submit(build_objects, str(self.session.watch.root), due)
                 while not built.done() or not news.empty():
@@ -167,5 +190,10 @@ class RegisteredPreviews:
     def _show(self, *layers: dict[str, Any]) -> None:
         for layer in layers:
             key = layer["object"], layer["camera"], layer.get("setup") or ""
+            picture = layer.pop("picture", None)
+            if picture is not None:
+                self._coarse[key] = picture
+            else:
+                self._coarse.pop(key, None)
             self.layers[key] = {**layer, "built": self.version}
         self.version += 1
