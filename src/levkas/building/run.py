@@ -70,8 +70,6 @@ def build(
     cluster: str | None = None,
     workers: int | None = None,
     insecure: bool = False,
-    pages: bool = True,
-    memory: ReferenceMemory | None = None,
 ) -> Iterator[Step]:
     """Build the database of a campaign, yielding each stage as it begins and as it ends.
 
@@ -95,10 +93,6 @@ def build(
         Processes of this machine that do the tasks; 0: this one, whatever the variable says.
     insecure : bool
         Go on where the scheduler is another machine's and the connection is not encrypted.
-    pages : bool
-        False: layers alone; a later build writes pages and catalogue.
-    memory : ReferenceMemory, optional
-        Of a process that builds again and again: holds the reference from one build to the next.
 
     Yields
     ------
@@ -143,14 +137,54 @@ def build(
         digests = records.hashes.of_frame if len(plan.names) > 1 else None
         templates = TemplateCache(places.kept / "templates", digests)
         outcomes = Outcomes(campaign, places, records, plan.graph)
-        with _executor(where, outcomes, templates, memory) as executor:
-            if pages:
-                steps = _steps(plan, outcomes, executor, templates, removed, whole=not objects)
-            else:
-                steps = _steps_of_layers(plan, outcomes, executor)
+        with _executor(where, outcomes, templates) as executor:
+            steps = _steps(plan, outcomes, executor, templates, removed, whole=not objects)
             yield from _numbered(steps, plan.graph, total)
         if not objects:
             templates.remove_all_but(_used_templates(records))
+        records.hashes.save()
+
+
+def build_layers(path: str | Path, objects: list[str], memory: ReferenceMemory) -> Iterator[Step]:
+    """Build the layers of some objects in this process, and leave pages and catalogue to `build`.
+
+    Parameters
+    ----------
+    path : path
+        A campaign's folder or its campaign.toml.
+    objects : list of str
+    memory : ReferenceMemory
+        Of this process, which builds again and again: holds the reference from one time to the next, and what is registered as pictures.
+
+    Yields
+    ------
+    step : Step
+
+    Raises
+    ------
+    Refused
+        As of `build`.
+    """
+    from levkas.core.sweeping import sweep
+
+    campaign = load_campaign(path)
+    places = places_of(campaign)
+    whole = plan_of(campaign)
+    plan = whole.of(objects)
+    claim(campaign, places, whole.captures, whole.names)
+    with building(places.kept, workers=False):
+        for folder in (places.output, places.kept):
+            sweep(folder)
+        session = hashes_of_session(campaign.root)
+        records = BuildRecords(places.kept, places.output, session=session)
+        digests = records.hashes.of_frame if len(whole.names) > 1 else None
+        templates = TemplateCache(places.kept / "templates", digests)
+        outcomes = Outcomes(campaign, places, records, plan.graph)
+        for step in (step for steps in plan.lost().values() for step in steps):
+            refused = plan.refusals.get((step.key.object, step.key.camera, step.key.setup))
+            yield outcomes.lose(step, refused)
+        tasks = [task for task in plan.graph.values() if task.capture is not None]
+        yield from Executor(outcomes, templates, memory).run(tasks)
         records.hashes.save()
 
 
@@ -202,14 +236,11 @@ def _chosen(cluster: str | None, workers: int | None, insecure: bool) -> Where |
 
 @contextmanager
 def _executor(
-    where: Where | None,
-    outcomes: Outcomes,
-    templates: TemplateCache,
-    memory: ReferenceMemory | None,
+    where: Where | None, outcomes: Outcomes, templates: TemplateCache
 ) -> Iterator[Executor | ClusterExecutor]:
     """Yield what does the tasks of captures."""
     if where is None:
-        yield Executor(outcomes, templates, memory)
+        yield Executor(outcomes, templates)
         return
     from levkas.building.cluster import connected
 
@@ -259,18 +290,6 @@ def _steps(
     step = _catalogue(plan, outcomes, whole=whole, stale=stale)
     warnings = (*campaign.without_effect, *executor.warnings, *step.warnings)
     yield replace(step, output=places.output, warnings=warnings)
-
-
-def _steps_of_layers(
-    plan: Plan, outcomes: Outcomes, executor: Executor | ClusterExecutor
-) -> Iterator[Step]:
-    """Yield the steps of layers alone."""
-    for step in (step for steps in plan.lost().values() for step in steps):
-        yield outcomes.lose(
-            step, plan.refusals.get((step.key.object, step.key.camera, step.key.setup))
-        )
-    tasks = [task for task in plan.graph.values() if task.capture is not None]
-    yield from _done(executor, tasks, lambda _: iter(()))
 
 
 def _done(

@@ -10,6 +10,7 @@ import pytest
 from levkas.building import build
 from levkas.building.claiming import places_of
 from levkas.building.plan import read_plan
+from levkas.building.run import build_layers
 from levkas.building.tasks import ReferenceMemory
 from levkas.workbench.watching import WatchedSession
 from levkas.workbench.watching.cache import MeasureCache
@@ -102,11 +103,11 @@ def test_the_reference_is_calibrated_once_though_cameras_come_one_by_one(
     for path in contents:
         path.unlink()
     memory = ReferenceMemory()
-    list(build(root, objects=[late.object], pages=False, memory=memory))
+    list(build_layers(root, [late.object], memory))
     for path, data in contents.items():
         path.write_bytes(data)
     done.clear()
-    list(build(root, objects=[late.object], pages=False, memory=memory))
+    list(build_layers(root, [late.object], memory))
     assert done == [late.camera]
     list(build(root))
     alone = make_plates(tmp_path / "alone")
@@ -114,5 +115,5 @@ def test_the_reference_is_calibrated_once_though_cameras_come_one_by_one(
     assert bytes_of(root / "database") == bytes_of(alone / "database")
     toml, frame = root / "campaign.toml", memory.frame
     toml.write_text(toml.read_text() + "\n[registration]\nstop = 0.9\n")
-    list(build(root, objects=[late.object], pages=False, memory=memory))
+    list(build_layers(root, [late.object], memory))
     assert frame is not None and memory.frame is not frame

@@ -40,15 +40,16 @@ def build_objects(
     A layer is put into `news` when it is registered, with its picture on a coarse grid, and again when it is written. Pages and catalogue are left to `levkas build`: they take
     longer than a layer, and the next one would wait for them.
     """
-    from levkas.building import build, summarise
+    from levkas.building import summarise
     from levkas.building.layer_verdicts import layer_verdicts
+    from levkas.building.run import build_layers
 
     news, layers, problems = news or _news, list[dict[str, Any]](), list[str]()
     for name in names:
         steps = []
         try:
             output = places_of(load_campaign(folder)).output
-            for step in build(folder, objects=[name], workers=0, pages=False, memory=_memory()):
+            for step in build_layers(folder, [name], _memory()):
                 steps.append(step)
                 if news is not None and step.finished and step.key.stage in SHOWN:
                     own = [s for s in steps if s.key.layer == step.key.layer]
