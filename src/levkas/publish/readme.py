@@ -77,7 +77,7 @@ def render_readme(publication: Publication, root: Path, text: str) -> str:
 
 def _open_table(*_: object) -> str:
     """A table that is wider than a phone is scrolled by itself, also with the keyboard."""
-    return '<div class="scroll" role="region" tabindex="0" aria-label="Table"><table>\n'
+    return '<div class="scroll" role="group" tabindex="0" aria-label="Table"><table>\n'
 
 
 def pages_beside(root: Path) -> list[tuple[str, str]]:
