@@ -46,7 +46,8 @@ export class ViewBar {
         this.byTouch.value = !this.byTouch.value;
       },
     );
-    const screen = quiet("⛶", "The whole screen for the picture (W)", () => this.toggleScreen());
+    const screen = quiet("", "The whole screen for the picture (W)", () => this.toggleScreen());
+    screen.classList.add("screen"); // drawn, as few fonts have a sign for it
     screen.hidden = !document.fullscreenEnabled;
     this.percent.addEventListener("click", () => this.showPixels());
     host.append(out, this.percent, closer, fit, turn, overview, touch, screen);
