@@ -66,8 +66,8 @@ SCALES = (0.1, 0.2, 0.4)
 MEGAPIXELS = (1, 10, 50, 100)
 FORMS = {
     "TIFF": ("tif", {}),
-    "TIFF, deflate": ("tif", {"compression": "zlib", "predictor": True, "rowsperstrip": 64}),
-    "DNG, lossless JPEG": ("dng", {}),
+    "deflate": ("tif", {"compression": "zlib", "predictor": True, "rowsperstrip": 64}),
+    "DNG": ("dng", {}),
 }
 """Formats: their suffixes, and how tifffile writes them."""
 SIZES = (10, 100, 1000, 10000)
@@ -158,7 +158,7 @@ def faults(folder, results):
     record(
         results,
         "watching",
-        {"planted faults that are named": 100 * found / tried, "a planted fault, median": middle},
+        {"planted faults named": 100 * found / tried, "a fault, median": middle},
     )
 
 
@@ -181,7 +181,7 @@ def alarms(folder, results):
         for frame in some[:4]:
             print(f"    {frame.what}: {frame.findings[0].text}", flush=True)
     print(f"{alarmed} of {count} sound frames")
-    record(results, "watching", {"false alarms of sound frames": 100 * alarmed / count})
+    record(results, "watching", {"false alarms, simulated": 100 * alarmed / count})
 
 
 def noise(shape, seed, level):
@@ -235,7 +235,7 @@ def put_dng(path, codes, tile=512):
 def write_frame(path, shape, seed, level, form):
     """Write a grey frame of 12 bits in one of `FORMS`."""
     codes = noise(shape, seed, level)
-    if form.startswith("DNG"):
+    if form == "DNG":
         put_dng(path, codes)
     else:
         tifffile.imwrite(path, codes, metadata=None, **FORMS[form][1])
@@ -344,7 +344,7 @@ def previews(folder, results):
             f"scale {scale}: {last}, {count} frames of {size:.2f} Mpx: {seconds:.1f} s, {layer['verdict']}",
             flush=True,
         )
-        found[f"a preview of a scan of {size:.2f} M values"] = seconds
+        found[f"scan preview, {size:.2f} M values"] = seconds
     record(results, "watching", found)
 
 

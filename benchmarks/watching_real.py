@@ -161,7 +161,7 @@ def main():
     print(
         f"{total} frames of {len(GUESSED) + len(DECLARED)} sessions, {alarmed} with findings, {false} false"
     )
-    record(options.results, "watching", {"false alarms on real captures": 100 * false / total})
+    record(options.results, "watching", {"false alarms, real": 100 * false / total})
 
 
 if __name__ == "__main__":
