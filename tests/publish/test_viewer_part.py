@@ -82,3 +82,18 @@ def test_without_built_pages_the_viewer_is_left_out_and_that_is_said(database, m
     assert not (output / "index.html").exists() and validate(output).ok
     said = [step.what for step in steps if step.part == "viewer" and step.what]
     assert len(said) == 1 and "left out" in said[0] and "hatch_build.py" in said[0]
+
+
+def test_the_first_page_has_the_links_by_which_machines_find_licence_identifier_and_record():
+    from levkas.publish.viewer.pages import About, render_sheet
+
+    about = About("Icons", licence_url="https://example.org/by", doi="https://doi.org/10.5072/1")
+    more = [{"label": "RO-Crate", "href": "ro-crate-metadata.json"}]
+    head = render_sheet(about, [], more).partition("</head>")[0]
+    assert '<link rel="cite-as" href="https://doi.org/10.5072/1">' in head
+    assert '<link rel="license" href="https://example.org/by">' in head
+    assert (
+        '<link rel="describedby" type="application/ld+json" href="ro-crate-metadata.json">' in head
+    )
+    assert '<link rel="type" href="https://schema.org/Dataset">' in head
+    assert "cite-as" not in render_sheet(About("Icons"), [])

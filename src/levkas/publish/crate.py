@@ -55,7 +55,53 @@ KINDS = {
     f"{FOLDER}/{CAMPAIGN}": "what the campaign declares: put beside the raw frames, `levkas build` gives the database",
     f"{FOLDER}/{EDITS}": "corrections by hand",
     f"{FOLDER}/{BUILT}": "SHA-256 of every file of the database that was built from the declarations",
+    "manifest-sha256.txt": "SHA-256 and size of every file",
+    "catalogue.csv": "all layers: bands, size, sampling, quantity, verdict, hash",
+    "splits.csv": "which objects to learn from, to choose with and to test on",
+    "database.toml": "what the campaign says of the database",
+    "object.toml": "what is known of the object",
+    PROVENANCE: "inputs, parameters and products of every stage, with their hashes",
+    "camera.json": "what was measured of the camera",
+    "sensitivity.csv": "spectral sensitivities: wavelength in nm, a column a channel",
+    "spd.csv": "spectrum of the light: wavelength in nm, power",
+    "report.html": "report as a page",
+    "gamut.png": "CIELAB gamut of the layers, three views",
+    "gamut.csv": "CIELAB gamut of the layers, by cells",
+    "index.html": "pages to look at the database",
+    "README.md": "what this is, how to cite and to read it, what the numbers mean",
+    "README.html": "what this is, how to cite and to read it, what the numbers mean, as a page",
+    "CITATION.cff": "how to cite it, Citation File Format",
+    "datacite.json": "DataCite metadata, as a DOI is registered with",
+    ".estimate.json": "model, source layers and uncertainty budget of an estimated layer",
+    ".tif": "calibrated values, a float32 page a band after a render",
+    ".png": "render of the layer, sRGB",
 }
+"""What a file is by the end of its name, the first that fits."""
+WITHIN = {
+    "registration": "record of the registration: map, errors, verdict",
+    "charts": "what was measured of the chart",
+    FOLDER: "table that the campaign names",
+}
+"""What any other file of a folder is."""
+FOLDERS = {
+    "objects": "layers, flags, uncertainty and records of every object",
+    "cameras": "what is known of every camera",
+    "setups": "what is known of every lighting",
+    "charts": "colour charts, calibrated on native pixels",
+    "zarr": "the layers of every object as Zarr v3",
+    "registration": "how each camera was registered",
+    "native": "calibrated, not resampled: a file a sensor",
+    "analysis": "pictures computed from the layers",
+    "colour": "which colours occur",
+    "declarations": "what the campaign declares: to build the database again",
+    "iiif": "manifests and tiles for viewers of the IIIF Presentation and Image API 3",
+    "viewer": "pictures and spectra that the pages show",
+    "medium": "the medium edition: a database of its own, at most 640 x 480 pixels",
+}
+"""What a folder is by its name; of another one, what it is in."""
+LEVKAS = "https://doi.org/10.3390/computation7030047"
+"""Where Levkas is described: the paper whose system it implements, until it has an address of its own."""
+LIBRARIES = "pkg:pypi/"
 
 Entity = dict[str, Any]
 
@@ -77,7 +123,7 @@ def describe_crate(publication: Publication) -> dict[str, Any]:
         "about": {"@id": "./"},
     }
     entities["./"] = {"@id": "./", "@type": "Dataset", "conformsTo": {"@id": PROCESS}, **root}
-    profile = {"@type": "CreativeWork", "name": "Process Run Crate", "version": "0.5"}
+    profile = {"@type": ["CreativeWork", "Profile"], "name": "Process Run Crate", "version": "0.5"}
     entities[PROCESS] = {"@id": PROCESS, **profile}
     graph = [_singled(entity) for entity in sorted(entities.values(), key=_order)]
     return {"@context": [f"{PROFILE}/context", TERMS], "@graph": graph}
@@ -135,6 +181,8 @@ def _describe_root(publication: Publication, entities: dict[str, Entity]) -> Ent
             kind: facts.contact,
         }
         root["contactPoint"] = {"@id": "#contact"}
+        answering = (root.get("publisher") or people[0])["@id"]
+        entities[answering]["contactPoint"] = {"@id": "#contact"}
     for address in facts.related:
         entities.setdefault(address, {"@id": address, "@type": "ScholarlyArticle", "name": address})
     optional = {
@@ -161,6 +209,7 @@ def _describe_files(publication: Publication, entities: dict[str, Entity]) -> li
             entity = _file(publication, root, name)
         else:
             entity = {"@id": f"{quote(whole)}/", "@type": "Dataset", "name": _name_of_whole(whole)}
+            entity["description"] = _describe_folder(whole)
             if whole.split("/")[-1].endswith(".zarr"):
                 entity["encodingFormat"] = "application/vnd+zarr"
         if entity["@id"] not in entities:
@@ -187,9 +236,15 @@ def _name_of_whole(folder: str) -> str:
     return names.get(last, f"{last.removesuffix('.zarr')}: all layers as Zarr v3")
 
 
+def _describe_folder(folder: str) -> str:
+    name, outer = Path(folder).name, Path(folder).parent.name
+    return FOLDERS.get(name) or f"{name.removesuffix('.zarr')}: {FOLDERS.get(outer, 'files')}"
+
+
 def _file(publication: Publication, root: Path, name: str) -> Entity:
     path = root / name
-    ending = next((e for e in KINDS if name.endswith(e)), path.suffix)
+    inside = WITHIN.get(Path(name).parent.name) or WITHIN.get(name.partition("/")[0])
+    what = next((what for end, what in KINDS.items() if name.endswith(end)), inside)
     entity: Entity = {
         "@id": quote(name),
         "@type": "File",
@@ -197,8 +252,8 @@ def _file(publication: Publication, root: Path, name: str) -> Entity:
         "contentSize": str(path.stat().st_size),
         "encodingFormat": FORMATS.get(path.suffix, "application/octet-stream"),
     }
-    if ending in KINDS:
-        entity["description"] = KINDS[ending]
+    if what:
+        entity["description"] = what
     if name in publication.hashes:
         entity["sha256"] = publication.hashes[name]
     return entity
@@ -220,6 +275,7 @@ def _nest(entities: dict[str, Entity], files: list[str]) -> None:
         entity = entities.setdefault(
             folder, {"@id": folder, "@type": "Dataset", "name": folder.rstrip("/")}
         )
+        entity.setdefault("description", _describe_folder(folder.rstrip("/")))
         entity["hasPart"] = [{"@id": part} for part in sorted(parts)]
 
 
@@ -271,7 +327,6 @@ VERBS = {
     "register": "Registered to the reference band",
     "resample": "Resampled once, on to the grid",
 }
-LIBRARY = "#library-"
 
 
 def describe_steps(publication: Publication, entities: dict[str, Entity]) -> list[Entity]:
@@ -338,8 +393,9 @@ def describe_tools(entities: dict[str, Entity]) -> None:
         "@type": "SoftwareApplication",
         "name": "Levkas",
         "version": __version__,
+        "url": LEVKAS,
     }
-    libraries = {i for i in entities if i.startswith(LIBRARY)}
+    libraries = {i for i in entities if i.startswith(LIBRARIES)}
     if libraries:
         program["softwareRequirements"] = [{"@id": i} for i in sorted(libraries)]
     entities[program["@id"]] = program
@@ -359,14 +415,13 @@ def _step(
             "@type": "SoftwareApplication",
             "name": "Levkas",
             "version": record["levkas"],
+            "url": LEVKAS,
         },
     )
     for library, version in record.get("libraries", {}).items():
-        _add(
-            entities,
-            f"{LIBRARY}{library}-{version}",
-            {"@type": "SoftwareApplication", "name": library, "version": version},
-        )
+        address = f"{LIBRARIES}{quote(library)}/{quote(version)}/"
+        facts = {"name": library, "version": version, "url": address}
+        _add(entities, address, {"@type": "SoftwareApplication", **facts})
     inputs = [
         _input(entities, file, sha)
         for file, sha in step["inputs"].items()
@@ -395,7 +450,7 @@ def _input(entities: dict[str, Entity], file: str, sha: str) -> Entity:
     declared = f"{FOLDER}/{quote(file)}"
     if entities.get(declared, {}).get("sha256") == sha:
         return {"@id": declared}
-    document = {"@type": "DigitalDocument", "name": file, "sha256": sha}
+    document = {"@type": ["CreativeWork", "DigitalDocument"], "name": file, "sha256": sha}
     return _add(entities, f"#input-{sha[:16]}", document)
 
 

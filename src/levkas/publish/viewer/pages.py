@@ -15,6 +15,7 @@ from urllib.parse import quote
 from levkas import __version__
 from levkas.pages.page import render_page
 from levkas.publish.citation import cite
+from levkas.publish.metadata import DOI
 from levkas.registration.record import DECISIONS
 
 if TYPE_CHECKING:
@@ -113,6 +114,8 @@ class About:
     citation: str = ""
     description: str = ""
     version: str = ""
+    doi: str = ""
+    """Its address, https://doi.org/…"""
 
     def to_dict(self) -> dict[str, Any]:
         """Return what a page needs."""
@@ -130,6 +133,7 @@ def about_of(facts: PublicationFacts) -> About:
         citation=cite(facts),
         description=facts.description,
         version=facts.version,
+        doi=DOI + facts.doi if facts.doi else "",
     )
 
 
