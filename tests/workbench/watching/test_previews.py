@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from queue import SimpleQueue
 
+import numpy as np
 import pytest
 
 from levkas.building import build
@@ -117,3 +118,35 @@ def test_the_reference_is_calibrated_once_though_cameras_come_one_by_one(
     toml.write_text(toml.read_text() + "\n[registration]\nstop = 0.9\n")
     list(build_layers(root, [late.object], memory))
     assert frame is not None and memory.frame is not frame
+
+
+@pytest.mark.slow
+def test_a_build_after_a_disorderly_session_has_the_bytes_of_a_batch_build(make_plates, tmp_path):
+    """Frames come in any order, every third half at first or as another's, with copies that go away; layers are built in between."""
+    alone, root = make_plates(tmp_path / "alone"), make_plates(tmp_path / "plates")
+    frames = sorted(f for c in read_plan(root).captures for f in _files_of(c))
+    whole = {path: path.read_bytes() for path in frames}
+    for path in frames:
+        path.unlink()
+    rng = np.random.default_rng(4)
+    session = WatchedSession(root, MeasureCache(tmp_path / "cache"))
+    late = []
+    for k in rng.permutation(len(frames)):
+        data, other = whole[frames[k]], whole[frames[rng.integers(len(frames))]]
+        late += [frames[k]] if k % 3 < 2 else []
+        frames[k].write_bytes((data[: len(data) // 2], other, data)[k % 3])
+        list(session.poll())
+    for name in objects_to_build(session.campaign, session.state()):
+        list(build_layers(root, [name], ReferenceMemory()))
+    for path in late:
+        path.write_bytes(whole[path])
+    state = session.settle()
+    assert not any(frame.verdict == "waiting" for frame in state.frames)
+    build_objects(str(root), list(objects_to_build(session.campaign, state)), SimpleQueue())
+    list(build(root))
+    list(build(alone))
+    assert bytes_of(root / "database") == bytes_of(alone / "database")
+
+
+def _files_of(capture):
+    return {f.path for s in capture.sensors for f in (*s.object, *s.dark, *s.white)}
