@@ -1,8 +1,7 @@
 """The rules of RO-Crate 1.1, checked without a network: structure, root, references, files.
 
 Those that its specification calls MUST, and the one that we add: every file is described, itself or
-by a folder that is described as a whole. `ask_validator` asks roc-validator, where that is installed
-and can fetch its contexts.
+by a folder that is described as a whole. `ask_validator` asks roc-validator.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ PROFILE = "https://w3id.org/ro/crate/"
 DATE = re.compile(r"\d{4}(-\d\d(-\d\d(T\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:?\d\d)?)?)?)?")
 NO_URI = re.compile(r"""[\s<>"{}|\\^`]""")
 REQUIRED = ("name", "description", "datePublished", "license")
-SECONDS = 120
-PROFILES = ("ro-crate-1.3", "process-run-crate")
+PROFILES = (("ro-crate-1.3",), ("process-run-crate", "-nh"))
+"""Of roc-validator; its Process Run Crate is asked alone, for it inherits a rule that RO-Crate is 1.1."""
 
 Entity = dict[str, Any]
 
@@ -216,32 +215,45 @@ def _wrong(path: Path, field: str, why: str, found: Any = None) -> Problem:
 # --- another opinion ------------------------------------------------------------------------------
 
 
-def ask_validator(folder: str | Path) -> tuple[bool | None, str]:
-    """Ask roc-validator, in a process of its own.
+OFFLINE = """
+import importlib.resources, requests
+from requests.adapters import HTTPAdapter
+
+CONTEXT = (importlib.resources.files("rocrate") / "data/ro-crate.jsonld").read_bytes()
+
+def send(self, request, **options):
+    answer = requests.Response()
+    answer.request, answer.url = request, request.url
+    known = request.url.endswith("/ro/crate/1.3/context")
+    answer.status_code, answer._content = (200, CONTEXT) if known else (404, b"")
+    answer.headers["Content-Type"] = "application/ld+json"
+    return answer
+
+HTTPAdapter.send = send
+from rocrate_validator.cli import cli
+cli()
+"""
+"""The program of roc-validator, with the context of RO-Crate 1.3 that `rocrate` brings along in the network's place."""
+
+
+def ask_validator(folder: str | Path, report: Path) -> list[str]:
+    """Ask roc-validator, in a process of its own and without a network, for what is required.
 
     Returns
     -------
-    valid : bool or None
-        None where it could not say.
-    text : str
-        Its words, or why it could not say: not installed, or its contexts cannot be fetched.
+    found : list of str
+        Rule, entity and words of every finding.
     """
-    from importlib.util import find_spec
-
-    if find_spec("rocrate_validator") is None:
-        return None, "roc-validator is not installed; the rules were checked by Levkas alone"
-    run = "from rocrate_validator.cli import cli; cli()"
-    command = [sys.executable, "-c", run, "-y", "validate", "--no-paging"]
-    for profile in PROFILES:
-        command += ["--profile-identifier", profile]
-    command += [str(folder)]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, check=False)
-    except (OSError, subprocess.TimeoutExpired) as error:
-        return None, f"roc-validator did not answer: {error}"
-    said = done.stdout + done.stderr
-    if done.returncode != 0 and re.search(
-        r"Connection|resolve|timed out|Max retries|URLError|offline", said
-    ):
-        return None, "roc-validator cannot fetch its contexts here: it needs a network"
-    return done.returncode == 0, said.strip()[-2000:]
+    found: list[str] = []
+    for profile, *alone in PROFILES:
+        command = [sys.executable, "-c", OFFLINE, "-y", "validate", "--no-paging", "--no-cache"]
+        command += ["-l", "required", "-f", "json", "-o", str(report), "-p", profile, *alone]
+        done = subprocess.run([*command, str(folder)], capture_output=True, text=True, check=False)
+        assert report.is_file(), done.stdout + done.stderr
+        read = parse_json(report.read_text(encoding="utf-8"))
+        assert sum(read["statistics"]["total_checks_by_severity"].values()) > 3, read["statistics"]
+        for issue in read["issues"]:
+            rule = issue["check"]["identifier"]
+            found.append(f"{rule} {issue['violatingEntity']}: {issue['message']}")
+        report.unlink()
+    return found
