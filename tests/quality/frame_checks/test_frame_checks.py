@@ -251,6 +251,29 @@ def test_shots_are_compared_with_the_first_of_their_stack_and_not_with_the_one_b
     assert drifting == {"06 shot"}  # the third has the light of the first again
 
 
+@pytest.mark.parametrize(
+    ("name", "role", "codes"),
+    [
+        ("01 dark", "dark", expose(lit_dark(0.4), 1)),
+        ("03 white", "white", expose(0.98, 3, lamp=1.6)),
+        ("03 white", "white", expose(PANEL, 3)),
+        ("05 shot", "object", expose(PANEL, 5, lamp=1.8)),
+    ],
+    ids=["lit dark", "clipped white", "white that is the painting", "clipped shot"],
+)
+def test_a_frame_after_one_to_capture_again_is_not_compared_with_it(name, role, codes):
+    found = judge({**GOOD, name: frame(name, role, codes)}.values())
+    assert worst(found[name]) == "stop"
+    blamed = {n: [(f.check, f.text) for f in some] for n, some in found.items() if some}
+    assert set(blamed) == {name}, blamed
+
+
+def test_of_three_whites_the_noisy_one_is_named_and_not_the_two_others():
+    noisy = frame("03 white", "white", expose(0.98, 3, noise=6))
+    found = judge({**GOOD, "03 white": noisy}.values())
+    assert {n for n, some in found.items() for f in some if f.check == "noise"} == {"03 white"}
+
+
 @pytest.mark.parametrize("tiles", [("", ""), ("r0c0", "r0c1")])
 def test_tiles_are_scenes_of_their_own(tiles):
     """The second tile shows the panel 30 px further and softer: as a shot it has moved and is out of focus."""

@@ -225,6 +225,7 @@ class _Companions:
     def __init__(self, frames: Sequence[FrameOfSet], rules: SetRules) -> None:
         self.frames, self.rules = frames, rules
         self.place = {frame.name: i for i, frame in enumerate(frames)}
+        self._sound: dict[str, bool] = {}
         by: dict[tuple[object, ...], list[FrameOfSet]] = defaultdict(list)
         for frame in frames:
             by["role", frame.role].append(frame)
@@ -318,10 +319,10 @@ class _Companions:
             white=self._nearest(frame, "white") if frame.role == "object" else None,
             scene=self._nearest(frame, "object") if frame.role == "white" else None,
             before=before,
-            first=stack[0] if stack[0] is not frame else None,
+            first=next((f for f in stack if f is frame or self._is_sound(f)), frame),
             best=best,
             twin=twins[0] if twins[0] is not frame else None,
-            like=like,
+            like=tuple(f for f in like if self._is_sound(f)),
             dark_times=self.dark_times if lit else (),
             settings=tuple(self._differing(frame)),
             same_band=same_band,
@@ -343,14 +344,27 @@ class _Companions:
         return next((one for one in found if one is not None and one is not frame), None), False
 
     def _before(self, frame: FrameOfSet, frames: Sequence[FrameOfSet]) -> FrameOfSet | None:
+        """Return the last frame before it that is sound by itself: a clipped white shows no drift of the next."""
         places = [self.place[f.name] for f in frames] if len(frames) < 3 else _Places(self, frames)
         at = bisect_left(places, self.place[frame.name])
-        return frames[at - 1] if at else None
+        return next(
+            (f for f in (frames[i] for i in range(at - 1, -1, -1)) if self._is_sound(f)), None
+        )
+
+    def _is_sound(self, frame: FrameOfSet) -> bool:
+        """Whether nothing that a frame shows by itself makes it one to capture again."""
+        if frame.name not in self._sound:
+            found = _findings_alone(frame, self)
+            self._sound[frame.name] = all(one.severity != "stop" for one in found)
+        return self._sound[frame.name]
 
     def _nearest(self, frame: FrameOfSet, role: str) -> FrameOfSet | None:
-        """Return the frame of a role and the same band, or that serves all, that is nearest in time."""
+        """Return the sound frame of a role and the same band, or that serves all, that is nearest in time."""
         for band in dict.fromkeys((frame.band, "")):
-            frames = self.by["band", role, band]
+            if ("sound", role, band) not in self.by:
+                every = self.by["band", role, band]
+                self.by["sound", role, band] = [f for f in every if self._is_sound(f)]
+            frames = self.by["sound", role, band]
             at = (
                 bisect_left([f.at for f in frames], frame.at)
                 if len(frames) < 64
@@ -450,6 +464,21 @@ def _usual_settings(frames: Sequence[FrameOfSet]) -> Mapping[ComparedFact, dict[
     return usual
 
 
+def _findings_alone(frame: FrameOfSet, companions: _Companions) -> list[Finding]:
+    """Return what is wrong with the light of a frame by itself."""
+    own, black, rules = frame.measures, companions.black, companions.rules
+    if rules.plain:
+        return []
+    if frame.role == "dark":
+        return light.check_dark(own, black=frame.black, scale=companions.scale)
+    found: list[Finding] = []
+    if not (rules.brackets and frame.role != "white"):
+        found += light.check_exposure(
+            own, frame.role, frame.names, black=black, full=frame.full, exposure_s=frame.exposure_s
+        )
+    return found + (light.check_white_frame(own, black=black) if frame.role == "white" else [])
+
+
 def _findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[Finding]:
     """Return what is wrong with one frame, the gravest first."""
     found = [] if rules.plain else [*_settings(frame, beside, rules)]
@@ -483,7 +512,7 @@ def _lit_findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[F
         found += picture.check_glare(own, beside.white.measures, black=black, ratio_of_times=ratio)
     if rules.scanned:
         return found
-    if beside.first is not None:
+    if beside.first is not None and beside.first is not frame:
         found += light.check_stack(own, beside.first.measures, black=black)
     if beside.before is not None:
         found += picture.check_moved(

@@ -320,7 +320,9 @@ def noise_ratio(
     alike = [one for one in others if one.noise.shape == frame.noise.shape]
     if not alike:
         return 1.0
-    own, typical = _per_light(frame, black), np.median([_per_light(o, black) for o in alike], 0)
+    own, of_others = _per_light(frame, black), [_per_light(o, black) for o in alike]
+    # Of three, the odd one out is not the one that the two others are compared with.
+    typical = np.median([own, *of_others] if len(alike) > 1 else of_others, 0)
     sure = np.isfinite(own) & np.isfinite(typical)
     sure &= np.min([one.noise for one in (frame, *alike)], 0) > QUIET_COUNTS
     if not same_light:
