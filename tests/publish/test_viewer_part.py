@@ -1,5 +1,6 @@
 """The viewer as a part of a publication."""
 
+import json
 import re
 from urllib.parse import unquote
 
@@ -44,6 +45,40 @@ def test_every_page_leads_to_what_stands_beside_it_and_the_medium_edition_has_pa
     for name in ("iiif/icon1/manifest.json", "ro-crate-preview.html", "medium/index.html"):
         assert f"../../../{name}" in text
     assert "medium edition" in (folder / "medium/index.html").read_text(encoding="utf-8")
+
+
+FACTS = """
+[publication]
+publisher = "Museum </script> of Levkas"
+doi = "10.5281/zenodo.1234567"
+
+[[publication.creators]]
+name = "Painter, Ada"
+orcid = "0000-0002-1825-0097"
+"""
+
+
+def test_the_landing_page_alone_has_a_record_for_search_engines(database, publish):
+    try:
+        read_built("sheet.js")
+    except ScreenMissing:
+        pytest.skip("the pages are not built: run `make frontend`")
+    from levkas.database.manifest import write_manifest
+
+    path = database / "database.toml"
+    path.write_text(path.read_text(encoding="utf-8") + FACTS, encoding="utf-8")
+    write_manifest(database)
+    folder = publish(database, iiif=False, url="https://example.org/icons/")
+    head = (folder / "index.html").read_text(encoding="utf-8").partition("</head>")[0]
+    (text,) = re.findall(r'<script type="application/ld\+json">(.*?)</script>', head)
+    record = json.loads(text)
+    assert record["@context"] == "https://schema.org/" and record["@type"] == "Dataset"
+    assert record["@id"] == "https://doi.org/10.5281/zenodo.1234567"
+    assert record["license"] == "https://creativecommons.org/licenses/by/4.0/"
+    assert record["creator"][0]["@id"] == "https://orcid.org/0000-0002-1825-0097"
+    assert record["publisher"]["name"] == "Museum </script> of Levkas"
+    assert record["distribution"][0]["contentUrl"] == "https://example.org/icons/catalogue.csv"
+    assert "ld+json" not in (folder / "medium/index.html").read_text(encoding="utf-8")
 
 
 def test_a_report_leads_to_the_viewer_once_there_is_one(database, publish):

@@ -173,13 +173,12 @@ def _describe_root(publication: Publication, entities: dict[str, Entity]) -> Ent
     if facts.doi:
         root["identifier"] = DOI + facts.doi
     if facts.contact:
-        kind = "email" if "@" in facts.contact else "name"
         entities["#contact"] = {
             "@id": "#contact",
             "@type": "ContactPoint",
             "contactType": "about the data",
-            kind: facts.contact,
-        }
+            "name": facts.contact,
+        } | ({"email": facts.contact} if "@" in facts.contact else {})
         root["contactPoint"] = {"@id": "#contact"}
         answering = (root.get("publisher") or people[0])["@id"]
         entities[answering]["contactPoint"] = {"@id": "#contact"}

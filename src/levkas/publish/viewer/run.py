@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from levkas.pages.screen import ScreenMissing, read_built
 from levkas.publish.annotations import Annotations, annotations_of
+from levkas.publish.landing import describe_landing
 from levkas.publish.publication import LOCAL
 from levkas.publish.viewer.objects import (
     UP,
@@ -46,7 +47,8 @@ def write_part(publication: Publication) -> Iterator[str]:
     def write(name: str, data: bytes) -> None:
         publication.write_bytes(name, data)
 
-    about, root = about_of(publication.facts), publication.root
+    root = publication.root
+    about = replace(about_of(publication.facts), record=describe_landing(publication))
     notes = annotations_of(publication)
     yield from write_viewer(root, write, about, beside=_beside(publication), notes=notes)
     _link_reports(publication)
@@ -58,7 +60,7 @@ def write_part(publication: Publication) -> Iterator[str]:
             write(f"{place}/{name}", data)
 
         above = [("Full edition", "../index.html")]
-        about = replace(about, title=f"{about.title}, medium edition")
+        about = replace(about, title=f"{about.title}, medium edition", record={})
         yield from write_viewer(medium, write_below, about, beside=above, notes=notes)
 
 
