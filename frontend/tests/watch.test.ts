@@ -145,3 +145,10 @@ test("the list to file has what is missing and each fault with what to do", () =
   expect(asText(news([]), [])).toContain("nothing is missing");
   expect(sentence("é")).toBe("É.");
 });
+
+test("of frames of the same time the one that is listed last is the last", () => {
+  const session = new Session();
+  session.take(news([frame("dark", "green", 1), frame("white", "stop", 1)]));
+  expect(session.newest?.name).toBe("white");
+  expect(gravest([frame("a", "look", 1), frame("b", "look", 1)])?.name).toBe("b");
+});

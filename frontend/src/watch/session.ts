@@ -69,7 +69,7 @@ export class Session {
     if (this.newest && !this.frames.has(this.newest.name)) this.newest = null;
     const judged = news.frames.filter(({ verdict }) => verdict !== "waiting");
     // Of some that come together the gravest is shown; of the frames that were there, the last.
-    const shown = this.begun ? gravest(judged) : [...judged].sort((a, b) => b.at - a.at)[0];
+    const shown = this.begun ? gravest(judged) : lastFirst(judged)[0];
     if (shown) this.newest = shown;
     else if (this.newest) this.newest = this.frames.get(this.newest.name) ?? null;
     const fresh = this.begun ? judged : [];
@@ -80,7 +80,7 @@ export class Session {
   /** Frames that are not well, the gravest first, of equals the last first. */
   faults(): Frame[] {
     const some = [...this.frames.values()].filter(({ findings }) => findings.length);
-    return some.sort((a, b) => rank(a) - rank(b) || b.at - a.at);
+    return lastFirst(some).sort((a, b) => rank(a) - rank(b));
   }
 
   /** Frames by camera, setup and what they show. */
@@ -98,13 +98,18 @@ export class Session {
   }
 }
 
+/** Frames by time, the last first; of the same time the one that is listed last. */
+function lastFirst(frames: Frame[]): Frame[] {
+  return [...frames].reverse().sort((a, b) => b.at - a.at);
+}
+
 function rank(frame: Frame): number {
   return ORDER.indexOf(frame.verdict);
 }
 
 /** The frame with the gravest verdict, of equals the last; undefined of none. */
 export function gravest(frames: Frame[]): Frame | undefined {
-  return [...frames].sort((a, b) => rank(a) - rank(b) || b.at - a.at)[0];
+  return lastFirst(frames).sort((a, b) => rank(a) - rank(b))[0];
 }
 
 /** A sentence as it stands alone. */
