@@ -62,7 +62,9 @@ def test_the_spectrum_goes_over_where_noise_is_least_and_values_are_those_of_the
     overlap = step.overlap
     assert overlap.decision == "accept" and not overlap.reasons
     assert overlap.range_nm == (950, 1000) and abs(overlap.gain - 1) < 0.003
-    assert overlap.at_nm == 965  # 0.001 + 0.01 exp((w - 1000)/15) is 0.0017 at 960, 0.0024 at 970
+    assert (
+        overlap.at_nm == 975
+    )  # 0.0024 sqrt(10) at 970 is less than 0.002 sqrt(15), 0.0036 sqrt(10) at 980 more
     opened = levkas.open(root)["icon1"]
     both, sources = opened["both"], [opened["vnir"], opened["swir"]]
     waves = both.wavelength.values

@@ -48,7 +48,9 @@ def look(
             f"Written: {written}" if written else "Nothing was written. Use --write to write it."
         )
         left = counted(len(proposal.unknown), "thing") if proposal.unknown else "nothing"
-        typer.echo(f"{outcome}\nLeft unknown: {left}.", err=True)
+        count = len(proposal.left_out)
+        out = f" Left out: {counted(count, 'thing')}, with reasons above." if count else ""
+        typer.echo(f"{outcome}\nLeft unknown: {left}.{out}", err=True)
 
 
 @refusing("build")

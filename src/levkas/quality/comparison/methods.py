@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from levkas.campaign.methods import METHODS
 from levkas.geometry.transforms import Affine, Composed, Homography, invert
 from levkas.registration.bands import area_average, stretch
 from levkas.registration.features import KeyPoints, find_key_points
@@ -94,6 +95,8 @@ COMPARED: dict[str, ComparedMethod] = {
     ),
     "ants": ComparedMethod("ANTs SyN", _PEERS + "intensities", "ants", "ants", "antspyx"),
 }
+COMPARED |= {name: ComparedMethod(name) for name in METHODS if name not in COMPARED}
+"""Last those of installed packages."""
 
 
 def find_peers() -> None:

@@ -145,11 +145,11 @@ def _load(method: str) -> None:
     """Register a little noise, so that compiled code is in memory before the clock runs."""
     from scipy.ndimage import gaussian_filter
 
-    from levkas.registration import BandImage, RegistrationRefused, register
+    from levkas.registration import BandImage, register
 
     noise = gaussian_filter(np.random.default_rng(1).standard_normal((2, 200, 240)), (0, 1.5, 1.5))
     bands = [BandImage.of(label, 1 + v - v.min()) for label, v in zip("ab", noise, strict=True)]
-    with suppress(RegistrationRefused):
+    with suppress(Refused):
         register(bands, [*bands], reference_band="a", method=method)
 
 
@@ -160,12 +160,12 @@ def _register(name: str, given: tuple[Any, ...]) -> tuple[dict[str, Map], str, s
         pair, camera = given
         answer = getattr(import_module(method.module), method.function)(pair)
         return spread(camera, pair.whole(answer.found)), answer.decision, answer.note
-    from levkas.registration import RegistrationRefused, register
+    from levkas.registration import register
 
     ours, theirs, options = given
     try:
         found = register(ours, theirs, **options)
-    except RegistrationRefused as refused:
+    except Refused as refused:
         raise NoAnswer("; ".join(p.message for p in refused.problems)) from refused
     return (
         dict(found.transforms),
