@@ -5,6 +5,7 @@
     python benchmarks/watching.py frames FOLDER      seconds from the last byte of a frame to its verdict, 1 to 100 Mpx
     python benchmarks/watching.py previews FOLDER    seconds from the last frame of a camera to its registered layer
     python benchmarks/watching.py many FOLDER        the same in a session of 10 to 10,000 frames, and the memory it takes
+    python benchmarks/watching.py builds FOLDER      a build after such a session beside one without: the same bytes (LEVKAS_FRAMES, default 10,000)
 
 Each takes `--results FILE`. FOLDER is a new one for what is simulated.
 """
@@ -13,6 +14,9 @@ import argparse
 import os
 import re
 import resource
+import shutil
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -21,6 +25,7 @@ import tifffile
 from results import add_option, record
 
 from levkas.campaign.campaign import load_campaign
+from levkas.core.digests import hash_tree
 from levkas.readers.frames import read_facts
 from levkas.simulation import simulate_campaign
 from levkas.simulation.live import (
@@ -298,20 +303,63 @@ def many(folder, results):
     record(results, "watching", {"memory of 10,000 frames": memory})
 
 
+def builds(folder, _results):
+    """Build after a disorderly session, watched five times on its way, and without one; print whether the databases are the same."""
+    count, home, alone = (
+        int(os.environ.get("LEVKAS_FRAMES", "10000")),
+        home_of(folder / "watched"),
+        folder / "alone",
+    )
+    targets = ["dark", "white", *(f"icon{n}" for n in range(18))]
+    names = [(targets[k % 20], 400 + 10 * (k // 20 % 25), k // 500) for k in range(count)]
+    late = []
+    for part in np.array_split(np.random.default_rng(2).permutation(count), 5):
+        for k in part:
+            late += _come(home, names[k], int(k))
+        _levkas(folder / "cache", "watch", home, "--once")
+    for path, data in late:
+        path.write_bytes(data)
+    watching = _levkas(folder / "cache", "watch", home, "--once")
+    shutil.copytree(home, alone)
+    after, without = (
+        _levkas(folder / cache, "build", one) for cache, one in (("cache", home), ("none", alone))
+    )
+    same = hash_tree(home / "database") == hash_tree(alone / "database")
+    print(
+        f"{count} frames: last look {watching:.0f} s, build {after:.0f} s, without a session {without:.0f} s, the same bytes: {same}"
+    )
+    if not same:
+        raise SystemExit("the databases differ")
+
+
+def _levkas(cache, *words):
+    """Run a command with a cache folder of its own; return its seconds."""
+    start = time.monotonic()
+    where = {**os.environ, "XDG_CACHE_HOME": str(cache)}
+    program = [sys.executable, "-c", "from levkas.cli import main; main()"]
+    done = subprocess.run(
+        [*program, *map(str, words)], env=where, capture_output=True, text=True, check=False
+    )
+    if words[0] == "build" and done.returncode:  # a look ends with 1 where a frame says stop
+        raise RuntimeError(done.stderr)
+    return time.monotonic() - start
+
+
 def _come(home, name, k):
     """Write a frame: one in fifty half at first, in 50 late, in 50 replaced by another, in 50 twice; return what comes later."""
     target, band, shot = name
     path = home / "raw" / f"{target}_{band}nm_{shot:02}.tif"
-    put(home, path.name, (120, 160), k)
+    level = {"dark": 64, "white": 3000}.get(target, 1500)
+    put(home, path.name, (120, 160), k, level)
     data, fate = path.read_bytes(), k % 50
     if fate == 0:
         path.write_bytes(data[: len(data) // 2])
     elif fate == 1:
         path.unlink()
     elif fate == 2:
-        put(home, path.name, (120, 160), k + len(home.name))
+        put(home, path.name, (120, 160), k + len(home.name), level)
     elif fate == 3:
-        put(home, f"{target}_{band}nm_{50 + shot}.tif", (120, 160), k)
+        put(home, f"{target}_{band}nm_{50 + shot}.tif", (120, 160), k, level)
     return [(path, data)] if fate < 3 else []
 
 
@@ -363,9 +411,11 @@ def _until_shown(session, layers, campaign, cameras, most_s=600):
 
 
 def main():
-    """Run one of the five."""
+    """Run one of the six."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=["faults", "alarms", "frames", "many", "previews"])
+    parser.add_argument(
+        "what", choices=["faults", "alarms", "frames", "many", "builds", "previews"]
+    )
     parser.add_argument("folder", type=Path)
     add_option(parser)
     options = parser.parse_args()
