@@ -31,9 +31,9 @@ def spectra(wavelengths, shift=0):
     return (level[..., None] * (0.8 + wavelengths / 4000) * (1 - dip)).astype(np.float32)
 
 
-def write(root, camera, wavelengths, values, sigma, rng, quantity="reflectance"):
+def write(root, camera, wavelengths, values, sigma, rng, quantity="reflectance", bad=()):
     noisy = (values + rng.normal(0, 1, values.shape) * sigma).astype(np.float32)
-    bands = tuple(Band(f"{w:g} nm", w, 12.0) for w in wavelengths)
+    bands = tuple(Band(f"{w:g} nm", w, 12.0, w in bad) for w in wavelengths)
     sigmas = np.broadcast_to(sigma, values.shape).astype(np.float32)
     cube = Cube(noisy, np.zeros(values.shape, np.uint8), sigmas, bands, quantity)
     return write_layer(root, Layer("icon1", camera, px_per_mm=5.0), cube)[0]
@@ -76,6 +76,17 @@ def test_the_spectrum_goes_over_where_noise_is_least_and_values_are_those_of_the
     assert np.abs(both.values - spectra(waves)).mean() < 0.004
     assert (both.attrs["kind"], both.attrs["splice"]["from"]) == ("spliced", ["vnir", "swir"])
     assert validate(root).ok
+
+
+def test_bad_bands_are_not_compared_and_bands_in_any_order_come_out_rising(make):
+    root, rng, down = make(), np.random.default_rng(5), VNIR[::-1]
+    values = spectra(down)
+    values[..., down == 980] *= 3  # a bad band that says nothing
+    entry = write(root, "vnir", down, values, 0.002, rng, bad=(980.0,))
+    write_catalogue(root, [entry, *(e for e in levkas.open(root).catalogue if e.camera == "swir")])
+    (step,) = splice(root, "vnir", "swir", "both")
+    assert step.overlap.decision == "accept" and 980 not in step.overlap.wavelengths_nm
+    assert np.all(np.diff(levkas.open(root)["icon1"]["both"].wavelength.values) > 0)
 
 
 def test_of_two_that_begin_together_the_noisier_keeps_a_band(make):

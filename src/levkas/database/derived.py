@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,23 @@ from levkas.database.store import write_index
 if TYPE_CHECKING:
     from levkas.core.cube import Cube, CubeRows
     from levkas.database.reader import Database
+
+
+@dataclass(frozen=True)
+class DerivedStep:
+    """One object whose layer was written."""
+
+    label: str
+    done: int
+    total: int
+    files: tuple[Path, ...]
+    finished: bool = True
+    state: str = "done"
+
+    @property
+    def line(self) -> str:
+        """The step as a line of a log."""
+        return f"{self.done}/{self.total} {self.label}"
 
 
 def write_derived(

@@ -20,7 +20,7 @@ from levkas.core.cube import Band, Cube, CubeRows, band_labels
 from levkas.core.problems import Problem, closest_match
 from levkas.database.catalogue import MEASURED, SPLICED, DatabaseRefused
 from levkas.database.credits import Credits
-from levkas.database.derived import check_new_layer, write_derived
+from levkas.database.derived import DerivedStep, check_new_layer, write_derived
 from levkas.database.layers import Layer
 from levkas.database.layout import LayerId
 from levkas.database.manifest import write_manifest
@@ -83,22 +83,11 @@ class SpectralOverlap:
         }
 
 
-@dataclass(frozen=True)
-class SplicedStep:
-    """One object whose layer was written."""
+@dataclass(frozen=True, kw_only=True)
+class SplicedStep(DerivedStep):
+    """One object whose layer was written, and what its sources showed where both see."""
 
-    label: str
-    done: int
-    total: int
     overlap: SpectralOverlap
-    files: tuple[Path, ...]
-    finished: bool = True
-    state: str = "done"
-
-    @property
-    def line(self) -> str:
-        """The step as a line of a log."""
-        return f"{self.done}/{self.total} {self.label}"
 
 
 def splice(
@@ -146,7 +135,11 @@ def splice(
         _require_agreement(root, name, pair, overlap, level=level)
         files = _write(opened, layer, pair, overlap, level=level)
         yield SplicedStep(
-            f"{name}/{layer} {_said(overlap, pair, level=level)}", done, len(chosen), overlap, files
+            f"{name}/{layer} {_said(overlap, pair, level=level)}",
+            done,
+            len(chosen),
+            files,
+            overlap=overlap,
         )
     write_manifest(root)
 
@@ -199,15 +192,16 @@ def _ordered(database: Database, name: str, sources: Sequence[str]) -> Pair:
     found = []
     for key in (LayerId.parse(name, source) for source in sources):
         array = database[name][key.camera, key.setup]
-        if array.attrs.get("quantity") != "reflectance" or np.isnan(_waves(array)).any():
+        unknown = np.count_nonzero(np.isnan(_waves(array)))
+        if array.attrs.get("quantity") != "reflectance" or unknown or len(_usable(array)) < 2:
             raise DatabaseRefused(
                 Problem(
                     "E_QUANTITY",
                     f"{name}/{key.name} cannot be spliced",
                     str(database.path / f"{key.path}.tif"),
-                    found=f"{array.attrs.get('quantity')}, "
-                    f"{np.count_nonzero(np.isnan(_waves(array)))} bands without a wavelength",
-                    expected="reflectance in bands of known wavelength",
+                    found=f"{array.attrs.get('quantity')}, {len(_usable(array))} bands that are not bad, "
+                    f"{unknown} without a wavelength",
+                    expected="reflectance in two or more bands of known wavelength",
                     fix="Declare a white, and `wavelengths` of the camera.",
                 )
             )
@@ -218,6 +212,13 @@ def _ordered(database: Database, name: str, sources: Sequence[str]) -> Pair:
 
 def _waves(layer: LayerArray) -> np.ndarray:
     return np.asarray(layer.wavelength.values, float)
+
+
+def _usable(layer: LayerArray) -> np.ndarray:
+    """Return the places of the bands that are not bad, by rising wavelength."""
+    bad = layer.attrs.get("bad_bands") or ()
+    order = np.argsort(_waves(layer), kind="stable").tolist()
+    return np.array([i for i in order if str(layer.band.values[i]) not in bad], int)
 
 
 # --- the overlap ------------------------------------------------------------------------------
@@ -239,7 +240,7 @@ def judge_overlap(
     DatabaseRefused
         Where `at` lies outside both layers, or leaves one without a band.
     """
-    ours, theirs = _waves(short), _waves(long)
+    ours, theirs = (_waves(layer)[_usable(layer)] for layer in (short, long))
     low, high = max(ours.min(), theirs.min()), min(ours.max(), theirs.max())
     between = np.flatnonzero((ours >= low) & (ours <= high))
     if not len(between):
@@ -247,8 +248,7 @@ def judge_overlap(
         why = f"no wavelength is seen by both: {ours.max():g} nm is the last of one, {theirs.min():g} nm the first of the other"
         return SpectralOverlap(None, (), (), nan, nan, nan, 0, middle, "warn", (why,))
     step = max(1, int(sqrt(short.shape[0] * short.shape[1] / SAMPLES)))
-    mine = _sample(short, step, ours, ours[between])
-    other = _sample(long, step, theirs, ours[between])
+    mine, other = (_sample(layer, step, ours[between]) for layer in (short, long))
     bright = ((s.values > LEAST_VALUE).all(1) for s in (mine, other))
     good = np.logical_and.reduce([mine.sound, other.sound, *bright])
     count = int(np.count_nonzero(good))
@@ -322,11 +322,11 @@ class _Sample:
     sound: np.ndarray
 
 
-def _sample(layer: LayerArray, step: int, waves: np.ndarray, wanted: np.ndarray) -> _Sample:
-    """Return every `step`-th pixel each way, interpolated linearly between the bands around each wanted wavelength."""
-    order = np.argsort(waves, kind="stable")
-    after = np.clip(np.searchsorted(waves[order], wanted), 1, len(waves) - 1)
-    left, right = order[after - 1], order[after]
+def _sample(layer: LayerArray, step: int, wanted: np.ndarray) -> _Sample:
+    """Return every `step`-th pixel each way, interpolated linearly between the usable bands around each wanted wavelength."""
+    waves, places = _waves(layer), _usable(layer)
+    after = np.clip(np.searchsorted(waves[places], wanted), 1, len(places) - 1)
+    left, right = places[after - 1], places[after]
     share = (wanted - waves[left]) / (waves[right] - waves[left])
     used = np.unique([left, right])
     left, right = np.searchsorted(used, left), np.searchsorted(used, right)
@@ -414,9 +414,10 @@ def _write(
 ) -> tuple[Path, ...]:
     (short_id, short), (long_id, long) = pair
     gain = overlap.gain if level and not isnan(overlap.gain) else 1.0
+    orders = [np.argsort(_waves(layer), kind="stable") for layer in (short, long)]
     picked = [
-        np.flatnonzero(_waves(short) < overlap.at_nm),
-        np.flatnonzero(_waves(long) >= overlap.at_nm),
+        orders[0][_waves(short)[orders[0]] < overlap.at_nm],
+        orders[1][_waves(long)[orders[1]] >= overlap.at_nm],
     ]
     bands = _bands((short, long), picked)
     keys, scale = (short_id, long_id), short.attrs.get("px_per_mm")

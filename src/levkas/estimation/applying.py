@@ -7,7 +7,6 @@ model, source layers and training paintings; it is never called a measurement, a
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from math import nan, sqrt
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from levkas.core.digests import hash_file
 from levkas.core.machine import steady_libraries
 from levkas.database.catalogue import ESTIMATED
 from levkas.database.credits import Credits
-from levkas.database.derived import check_new_layer, write_derived
+from levkas.database.derived import DerivedStep, check_new_layer, write_derived
 from levkas.database.layers import Layer
 from levkas.database.layout import LayerId
 from levkas.database.manifest import write_manifest
@@ -38,26 +37,9 @@ SAMPLED = 4 * SAMPLES
 """Pixels of a lattice among which those are chosen at which slopes are taken."""
 
 
-@dataclass(frozen=True)
-class AppliedStep:
-    """One painting whose layer was written."""
-
-    label: str
-    done: int
-    total: int
-    files: tuple[Path, ...]
-    finished: bool = True
-    state: str = "done"
-
-    @property
-    def line(self) -> str:
-        """The step as a line of a log."""
-        return f"{self.done}/{self.total} {self.label}"
-
-
 def apply_model(
     database: str | Path, model: str | Path, layer: str, *, objects: Sequence[str] = ()
-) -> Iterator[AppliedStep]:
+) -> Iterator[DerivedStep]:
     """Write an estimated layer for every painting that has the model's source layers.
 
     Parameters
@@ -89,7 +71,7 @@ def apply_model(
     stored.require_channels(channels, Path(model))
     for done, name in enumerate(chosen, 1):
         files = _apply_to(opened, name, layer, stored, Path(model))
-        yield AppliedStep(
+        yield DerivedStep(
             f"{name}/{layer} estimated from {'+'.join(stored.sources)}", done, len(chosen), files
         )
     write_manifest(root)
