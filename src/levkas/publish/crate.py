@@ -73,6 +73,7 @@ KINDS = {
     "CITATION.cff": "how to cite it, Citation File Format",
     "datacite.json": "DataCite metadata, as a DOI is registered with",
     ".estimate.json": "model, source layers and uncertainty budget of an estimated layer",
+    ".splice.json": "source layers, overlap and uncertainty budget of a spliced layer",
     ".tif": "calibrated values, a float32 page a band after a render",
     ".png": "render of the layer, sRGB",
 }
@@ -101,7 +102,8 @@ FOLDERS = {
 """What a folder is by its name; of another one, what it is in."""
 LEVKAS = "https://doi.org/10.3390/computation7030047"
 """Where Levkas is described: the paper whose system it implements, until it has an address of its own."""
-LIBRARIES = "pkg:pypi/"
+PACKAGES = "pkg:pypi/"
+"""Scheme of package URLs (purl)."""
 
 Entity = dict[str, Any]
 
@@ -394,7 +396,7 @@ def describe_tools(entities: dict[str, Entity]) -> None:
         "version": __version__,
         "url": LEVKAS,
     }
-    libraries = {i for i in entities if i.startswith(LIBRARIES)}
+    libraries = {i for i in entities if i.startswith(PACKAGES)}
     if libraries:
         program["softwareRequirements"] = [{"@id": i} for i in sorted(libraries)]
     entities[program["@id"]] = program
@@ -418,7 +420,7 @@ def _step(
         },
     )
     for library, version in record.get("libraries", {}).items():
-        address = f"{LIBRARIES}{quote(library)}/{quote(version)}/"
+        address = f"{PACKAGES}{quote(library)}@{quote(version)}"
         facts = {"name": library, "version": version, "url": address}
         _add(entities, address, {"@type": "SoftwareApplication", **facts})
     inputs = [
