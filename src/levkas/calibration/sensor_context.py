@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
@@ -64,9 +63,14 @@ class Averages(Protocol):
     """Templates that are kept from one average to the next, as `stages.template_cache` does."""
 
     def template(
-        self, frames: Sequence[FrameRef], average: Callable[[], Template], **parameters: object
+        self,
+        frames: Sequence[FrameRef],
+        average: Callable[[], Template],
+        *,
+        level: np.ndarray | float | None,
+        **parameters: object,
     ) -> Template:
-        """Return the template of some frames, as it is kept or by `average`."""
+        """Return the template of some frames above a level, as it is kept or by `average`."""
 
 
 @dataclass(frozen=True)
@@ -314,7 +318,7 @@ class SensorContext:
                 exposure=exposure_of(frames[0]),
                 bits=self.camera.bits,
                 overrule=self.camera.overrule,
-                level=_digest(level),
+                level=level,
                 **({"dark": (self.step, self.period)} if dark else {}),
             )
         if frames[0] in self.sensor.white:
@@ -449,12 +453,6 @@ class SensorContext:
             self.measured.setdefault(CLIPPED_DARKS, {})[name] = {
                 "zeros": float(np.mean(dark.black))
             }
-
-
-def _digest(level: np.ndarray | float | None) -> str:
-    return (
-        "" if level is None else hashlib.sha256(np.asarray(level, np.float32).tobytes()).hexdigest()
-    )
 
 
 def exposure_of(frame: FrameRef) -> float | None:

@@ -355,12 +355,12 @@ def develop_mosaic(context: SensorContext) -> Noted:
     shots = average_shots(context, sensor.object, darks)
     whites = whites_of(context, sensor.white, darks)
     require_same_size(context, shots[0].mean.shape, darks, whites)
-    white = white_of(context, sensor.white, darks)
+    white = white_of(context, whites, darks)
     require_white(context, white, darks, [band.label for band in sensor.bands])
     noise = noise_of(context, shots, [white] * len(shots), darks)
     exposed = expose(context, shots, darks, noise)
     if exposed.shot.above_dark:
-        white = white_of(context, sensor.white, darks, noise=noise, merged=True)
+        white = white_of(context, whites, darks, noise=noise, merged=True)
     area = white_area_of(context, exposed.shot, white, darks)
     notes = [check_scaling(context, exposed, white, (shots, whites), darks), exposed.note]
     notes += area.notes
@@ -501,7 +501,7 @@ def _band(
     require_same_size(context, shots[0].mean.shape, darks, whites)
     exposed = expose(context, shots, darks, noise)
     white = white_of(
-        *(context, frames, darks), noise=noise, merged=exposed.shot.above_dark, band=label
+        *(context, whites, darks), noise=noise, merged=exposed.shot.above_dark, band=label
     )
     require_white(context, white, darks, [label])
     doubt = check_scaling(context, exposed, white, (shots, whites), darks)
@@ -587,7 +587,8 @@ def _noise_of_bands(context: SensorContext) -> tuple[NoiseModel | None, WhiteAre
         alike = [f for f in frames if exposure_of(f) == exposure_of(frames[0])]
         own = context.darks(_of_band(context.sensor.dark, label))
         shots += average_shots(context, alike, own)
-        white = white_of(context, _of_band(context.sensor.white, label), own, band=label)
+        whites_of_band = whites_of(context, _of_band(context.sensor.white, label), own)
+        white = white_of(context, whites_of_band, own, band=label)
         require_same_size(context, shots[-1].mean.shape, own, [white] if white else [])
         whites.append(white)
         areas.append(white_area_of(context, shots[-1], white, own))

@@ -133,7 +133,7 @@ def _describe_choice(merged: Merged, shots: Sequence[Template]) -> str:
 
 def white_of(
     context: SensorContext,
-    frames: Sequence[FrameRef],
+    whites: list[Template],
     darks: list[Template],
     *,
     noise: NoiseModel | None = None,
@@ -142,17 +142,14 @@ def white_of(
 ) -> Template | None:
     """The white of one exposure, the best one; or several of them merged, above dark; or the light by a chart.
 
-    `band` is named where each has frames of its own.
+    `whites` are those of `whites_of`; `band` is named where each has frames of its own.
     """
     if context.light is not None:
         height, width = context.facts.shape[:2]
         labels = [band] if band else [one.label for one in context.sensor.bands]
         return context.light.white((height, width), labels)
-    if not frames:
-        return None
-    whites = whites_of(context, frames, darks)
-    if len(whites) == 1:
-        return whites[0]
+    if len(whites) < 2:
+        return whites[0] if whites else None
     return _merge(context, whites, darks, noise).template if merged else best_exposure(whites)
 
 

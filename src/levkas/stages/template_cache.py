@@ -40,15 +40,21 @@ class TemplateCache:
         self.used: set[str] = set()
 
     def template(
-        self, frames: Sequence[FrameRef], average: Callable[[], Template], **parameters: object
+        self,
+        frames: Sequence[FrameRef],
+        average: Callable[[], Template],
+        *,
+        level: np.ndarray | float | None = None,
+        **parameters: object,
     ) -> Template:
-        """Return the template of some frames, from the templates or by `average`.
+        """Return the template of some frames above a level without light, from the templates or by `average`.
 
         Frames that serve one object alone are not kept. A file that was damaged on the disk fails its checksum and is averaged anew.
         """
         if self.digests is None or all(frame.object for frame in frames):
             return average()
-        digest = hashlib.sha256(repr((sorted(parameters.items()), made_with("template"))).encode())
+        known = {**parameters, "level": _digest(level)}
+        digest = hashlib.sha256(repr((sorted(known.items()), made_with("template"))).encode())
         for frame in frames:
             content = [*self.digests(frame.path).values()]
             digest.update(f"{content}:{frame.page}:{frame.exposure_s};".encode())
@@ -67,6 +73,12 @@ class TemplateCache:
         for path in sorted(self.folder.glob("*.npz")):
             if path.name not in names:
                 remove(path)
+
+
+def _digest(level: np.ndarray | float | None) -> str:
+    return (
+        "" if level is None else hashlib.sha256(np.asarray(level, np.float32).tobytes()).hexdigest()
+    )
 
 
 def _read(path: Path) -> Template:
