@@ -135,7 +135,8 @@ class Uncertain:
     @property
     def sigma(self) -> np.ndarray:
         """Standard uncertainty of each value, (n,)."""
-        return np.sqrt(np.diag(self.covariance))
+        rows = np.array([*self.parts.values()]).reshape(-1, len(self.values))
+        return np.sqrt(np.einsum("pk,pk->k", rows, rows))
 
     def pick(self, places: Sequence[int]) -> Uncertain:
         """Return some of the numbers, (m,)."""

@@ -265,7 +265,7 @@ def mean_of_region(
     if noise is not None:
         spread = np.where(sound, noise, 0.0).astype(float)
         sigma = np.sqrt(np.square(spread).sum((0, 1)) / np.maximum(count, 1))
-        random = np.array([_of_mean(spread[..., k], correlation) for k in range(len(count))])
+        random = _of_mean(spread, correlation)
     wavelengths = np.array([band.wavelength for band in bands])
     return MeanSpectrum(
         *([band.label for band in bands], mean, random, wavelengths),
@@ -298,21 +298,18 @@ def _slopes(values: np.ndarray, sound: np.ndarray) -> list[np.ndarray]:
     ]
 
 
-def _of_mean(sigma: np.ndarray, correlation: np.ndarray) -> float:
-    """Return the standard deviation of a mean of pixels, (h, w), 0 of those that do not count; neighbours share noise."""
-    count = np.count_nonzero(sigma)
-    if not count:
-        return 0.0
+def _of_mean(sigma: np.ndarray, correlation: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of means of pixels, (h, w, n), 0 of those that do not count, (n,); neighbours share noise."""
     reach = len(correlation) // 2
-    wide = np.pad(sigma, reach)
-    height, width = sigma.shape
-    total = 0.0
+    wide = np.pad(sigma, ((reach, reach), (reach, reach), (0, 0)))
+    height, width, bands = sigma.shape
+    total = np.zeros(bands)
     for dy, dx in _lags(reach):
         share = correlation[dy + reach, dx + reach]
         if share:
             moved = wide[reach + dy : reach + dy + height, reach + dx : reach + dx + width]
-            total += float(share) * float(np.vdot(sigma, moved))
-    return float(np.sqrt(max(total, 0.0))) / count
+            total += share * np.einsum("yxk,yxk->k", sigma, moved)
+    return np.sqrt(np.maximum(total, 0.0)) / np.maximum(np.count_nonzero(sigma, (0, 1)), 1)
 
 
 def _lags(reach: int) -> Iterator[tuple[int, int]]:

@@ -374,7 +374,8 @@ def _weighted(one: Uncertain, weights: np.ndarray) -> Uncertain:
     lost = (weights[:, ~np.isfinite(one.values)] > 0).any(1)
     made = weights @ values
     made[lost] = np.nan
-    return Uncertain(made, {key: weights @ np.nan_to_num(row) for key, row in one.parts.items()})
+    parts = np.nan_to_num([*one.parts.values()]).reshape(-1, len(values)) @ weights.T
+    return Uncertain(made, dict(zip(one.parts, parts, strict=True)))
 
 
 def _centre(layer: PatchMeans, k: int, sensitivities: Sensitivities) -> float:
