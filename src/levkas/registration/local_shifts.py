@@ -188,6 +188,8 @@ def _warp(start, stop, image, lattice, out):  # type: ignore[no-untyped-def]
     flat, width = image.reshape(-1), out.shape[1]
     last = lattice.shape[0] - 1
     nodes = np.empty((lattice.shape[1], 2))
+    first = np.empty(width, np.int64)
+    u, v = np.empty((4, width), np.float32), np.empty((4, width), np.float32)
     for i in range(start, stop):
         fy = i / LATTICE_PX
         ly = min(int(fy), last)
@@ -196,28 +198,42 @@ def _warp(start, stop, image, lattice, out):  # type: ignore[no-untyped-def]
         for n in range(len(nodes)):
             nodes[n, 0] = (1 - ty) * lattice[ly, n, 0] + ty * lattice[my, n, 0]
             nodes[n, 1] = (1 - ty) * lattice[ly, n, 1] + ty * lattice[my, n, 1]
-        for left in range(0, width, LATTICE_PX):
-            n = left // LATTICE_PX
-            _warp_span(flat, h, w, nodes[n], nodes[min(n + 1, len(nodes) - 1)], out[i, left:])
+        _place_row(nodes, h, w, first, u, v)
+        for j in range(width):
+            if first[j] < 0:
+                continue
+            total = np.float32(0.0)
+            for r in range(4):
+                p = np.uintp(first[j] + r * w)  # unsigned: no index counts from the end
+                line = u[0, j] * flat[p] + u[1, j] * flat[p + np.uintp(1)]
+                more = u[2, j] * flat[p + np.uintp(2)] + u[3, j] * flat[p + np.uintp(3)]
+                total += v[r, j] * (line + more)
+            out[i, j] = total
 
 
-@njit(cache=True)
-def _warp_span(image, h, w, near, far, out):  # type: ignore[no-untyped-def]
-    """Fill up to `LATTICE_PX` pixels whose places lie on a straight line from `near` to `far`."""
-    slope_x, slope_y = (far[0] - near[0]) / LATTICE_PX, (far[1] - near[1]) / LATTICE_PX
-    for j in range(min(LATTICE_PX, len(out))):
-        x, y = near[0] + j * slope_x, near[1] + j * slope_y
-        if not (x >= 1.0 and y >= 1.0 and x < w - 2.0 and y < h - 2.0):
-            continue
-        x0, y0 = int(x), int(y)
-        u = spline_weights(np.float32(x - x0))
-        v = spline_weights(np.float32(y - y0))
-        total = np.float32(0.0)
-        for r in range(4):
-            p = (y0 - 1 + r) * w + x0 - 1
-            line = u[0] * image[p] + u[1] * image[p + 1]
-            total += v[r] * (line + (u[2] * image[p + 2] + u[3] * image[p + 3]))
-        out[j] = total
+@njit
+def _place_row(nodes, h, w, first, u, v):  # type: ignore[no-untyped-def]
+    """Fill, for the pixels of a row, the first of four by four samples, -1 outside, and the weights of columns and rows.
+
+    Places lie on a straight line from node to node. The loops over pixels have no branches, so that several go at once.
+    """
+    width = len(first)
+    x_part, y_part = np.empty(width, np.float32), np.empty(width, np.float32)
+    for left in range(0, width, LATTICE_PX):
+        n = left // LATTICE_PX
+        m = min(n + 1, len(nodes) - 1)
+        x, y = nodes[n]
+        slope_x, slope_y = (nodes[m, 0] - x) / LATTICE_PX, (nodes[m, 1] - y) / LATTICE_PX
+        for j in range(min(LATTICE_PX, width - left)):
+            here, there = x + j * slope_x, y + j * slope_y
+            inside = here >= 1.0 and there >= 1.0 and here < w - 2.0 and there < h - 2.0
+            x0 = np.floor(here) if inside else 1.0
+            y0 = np.floor(there) if inside else 1.0
+            first[left + j] = np.int64((y0 - 1) * w + x0 - 1) if inside else -1
+            x_part[left + j], y_part[left + j] = here - x0, there - y0
+    for j in range(width):
+        u[0, j], u[1, j], u[2, j], u[3, j] = spline_weights(x_part[j])
+        v[0, j], v[1, j], v[2, j], v[3, j] = spline_weights(y_part[j])
 
 
 @njit(inline="always")
@@ -246,12 +262,16 @@ def reduce(image: np.ndarray, n: int) -> np.ndarray:
 
 @njit(cache=True)
 def _reduce(start, stop, image, n, out):  # type: ignore[no-untyped-def]
+    sums = np.empty(out.shape[1] * n)
     for i in range(start, stop):
+        sums[:] = 0.0
+        for a in range(n):
+            for j in range(len(sums)):
+                sums[j] += image[i * n + a, j]
         for j in range(out.shape[1]):
             total = 0.0
-            for a in range(n):
-                for b in range(n):
-                    total += image[i * n + a, j * n + b]
+            for b in range(n):
+                total += sums[j * n + b]
             out[i, j] = total / (n * n)
 
 
@@ -277,51 +297,51 @@ def highpass(image: np.ndarray) -> np.ndarray:
     its slow part the residual of a prediction is nearly white, which least squares takes for granted.
     """
     image = np.ascontiguousarray(image, np.float32)
-    across, share, out = (np.zeros(image.shape, np.float32) for _ in range(3))
-    in_threads(_average_rows, image.shape[0], image, _TAPS, across, share)
-    in_threads(_average_columns, image.shape[0], image, _TAPS, across, share, out)
+    across, share, out = (np.empty(image.shape, np.float32) for _ in range(3))
+    in_threads(_average_rows, image.shape[0], image, across, share)
+    in_threads(_average_columns, image.shape[0], image, across, share, out)
     return out
 
 
 def highpass_rows(image: np.ndarray) -> np.ndarray:
     """Return `highpass` along rows alone: no row has anything of its neighbours."""
     image = np.ascontiguousarray(image, np.float32)
-    across, share = (np.zeros(image.shape, np.float32) for _ in range(2))
-    in_threads(_average_rows, image.shape[0], image, _TAPS, across, share)
+    across, share = (np.empty(image.shape, np.float32) for _ in range(2))
+    in_threads(_average_rows, image.shape[0], image, across, share)
     across /= np.maximum(share, np.float32(1e-6), out=share)
     return np.asarray(np.subtract(image, across, out=across))
 
 
-_TAPS = np.exp(-0.5 * (np.arange(-8, 9) / HIGHPASS_PX) ** 2)
+_REACH = 8
+_TAPS = np.exp(-0.5 * (np.arange(-_REACH, _REACH + 1) / HIGHPASS_PX) ** 2)
 _TAPS = (_TAPS / _TAPS.sum()).astype(np.float32)
 
 
 @njit(cache=True)
-def _average_rows(start, stop, image, taps, across, share):  # type: ignore[no-untyped-def]
+def _average_rows(start, stop, image, across, share):  # type: ignore[no-untyped-def]
     w = image.shape[1]
-    reach = len(taps) // 2
+    value, mask = np.zeros((2, w + 2 * _REACH), np.float32)
     for i in range(start, stop):
-        value = np.zeros(w + 2 * reach, np.float32)
-        mask = np.zeros(w + 2 * reach, np.float32)
         for j in range(w):
-            if np.isfinite(image[i, j]):
-                value[j + reach] = image[i, j]
-                mask[j + reach] = 1.0
-        for k in range(len(taps)):
-            for j in range(w):
-                across[i, j] += taps[k] * value[j + k]
-                share[i, j] += taps[k] * mask[j + k]
+            known = np.isfinite(image[i, j])
+            value[j + _REACH] = image[i, j] if known else np.float32(0.0)
+            mask[j + _REACH] = np.float32(known)
+        for j in range(w):
+            total = weight = np.float32(0.0)
+            for k in range(2 * _REACH + 1):
+                total += _TAPS[k] * value[j + k]
+                weight += _TAPS[k] * mask[j + k]
+            across[i, j], share[i, j] = total, weight
 
 
 @njit(cache=True)
-def _average_columns(start, stop, image, taps, across, share, out):  # type: ignore[no-untyped-def]
+def _average_columns(start, stop, image, across, share, out):  # type: ignore[no-untyped-def]
     h, w = image.shape
-    reach = len(taps) // 2
     for i in range(start, stop):
         total = np.zeros(w, np.float32)
         weight = np.zeros(w, np.float32)
-        for k in range(max(0, i - reach), min(h, i + reach + 1)):
-            tap = taps[k - i + reach]
+        for k in range(max(0, i - _REACH), min(h, i + _REACH + 1)):
+            tap = _TAPS[k - i + _REACH]
             for j in range(w):
                 total[j] += tap * across[k, j]
                 weight[j] += tap * share[k, j]

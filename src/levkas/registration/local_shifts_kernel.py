@@ -125,15 +125,21 @@ def sum_products(start, stop, target, images, known, cell, cover, out):  # type:
     number, slots = cover
     lines = out[0]
     k, h, w = images.shape
-    sums = np.empty((3, w), np.float32)
+    # Rows one by one: of a slice of several the compiler does not know that its pixels lie side by side.
+    plain, along, down = np.empty(w, np.float32), np.empty(w, np.float32), np.empty(w, np.float32)
     for r in range(start, stop):
         for a in range(k):
-            sums[:] = np.float32(0.0)
+            for sums in (plain, along, down):
+                sums[:] = np.float32(0.0)
             for i in range(max(r * cell, 1), min((r + 1) * cell, h - 1)):
-                _add_products(target[i], images[a, i - 1 : i + 2], sums)
+                above, image, below = images[a, i - 1], images[a, i], images[a, i + 1]
+                _add_products(target[i], above, image, below, plain, along, down)
             for c in range(number.shape[1]):
                 if number[r, c] == cell * cell:
-                    _gather(sums, c * cell, cell, a, k, lines[r, c])
+                    line, left = lines[r, c], c * cell
+                    line[3 + a] = _sum(plain, left, cell)
+                    line[3 + k + a] = _sum(along, left, cell) * 0.5
+                    line[3 + 2 * k + a] = _sum(down, left, cell) * 0.5
         for c in range(number.shape[1]):
             if number[r, c] == cell * cell:
                 _ramps(target, cell, r, c, lines[r, c], k)
@@ -142,9 +148,7 @@ def sum_products(start, stop, target, images, known, cell, cover, out):  # type:
 
 
 @njit
-def _add_products(target, rows, sums):  # type: ignore[no-untyped-def]
-    above, image, below = rows[0], rows[1], rows[2]
-    plain, along, down = sums[0], sums[1], sums[2]
+def _add_products(target, above, image, below, plain, along, down):  # type: ignore[no-untyped-def]
     for j in range(1, len(target) - 1):
         t = target[j]
         plain[j] += t * image[j]
@@ -153,12 +157,11 @@ def _add_products(target, rows, sums):  # type: ignore[no-untyped-def]
 
 
 @njit
-def _gather(sums, left, cell, a, k, line):  # type: ignore[no-untyped-def]
-    for n in range(3):
-        value = 0.0
-        for j in range(left, left + cell):
-            value += sums[n, j]
-        line[3 + n * k + a] = value if n == 0 else value * 0.5
+def _sum(values, left, count):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for j in range(left, left + count):
+        total += values[j]
+    return total
 
 
 @njit
