@@ -33,7 +33,7 @@ def test_the_predicted_error_is_the_worst_bands_and_unknown_where_nothing_confir
     tmp_path,
 ):
     path = write_record(tmp_path, unsupported=[[10, 20, 5, 4]], off=[[30, 30, 2, 2]])
-    error = predict_error(tmp_path, "a", read_registration(path), (60, 40))
+    error = predict_error(read_registration(path), (60, 40))
     assert error.shape == (40, 60)
     unknown = np.zeros((40, 60), bool)
     unknown[:4, :5] = unknown[10:12, 20:22] = True

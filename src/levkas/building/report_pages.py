@@ -278,7 +278,7 @@ def _layer(
         description=str(resampled.get("description", "")) or counted(len(capture.bands), "band"),
         figures=[*([] if removal else drawn), *draw_tiles(record, resampled.get("seams", ()))],
         history=drawn if removal else [],
-        maps=draw_maps(places.output, capture.object, record, tiff, quantity) if shown else [],
+        maps=draw_maps(record, tiff, quantity) if shown else [],
         links=_links_of_layer(campaign, places, capture),
         recorded=registered.get("recorded", ""),
         ssim_map=f"data:image/png;base64,{ssim_map}" if ssim_map else "",
@@ -416,6 +416,8 @@ def close_ups(places: Places, captures: Sequence[Capture]) -> list[CloseUps]:
     groups = []
     for camera in dict.fromkeys(c.camera for c in captures):
         mine = [c for c in captures if c.camera == camera]
+        if len(mine) < 2:
+            continue
         paths = [places.layer(c.object, c.camera, c.setup, kind=".png") for c in mine]
         shown = [(c, _read(path)) for c, path in zip(mine, paths, strict=True) if path.is_file()]
         if len(shown) < 2 or len({picture.shape for _, picture in shown}) > 1:

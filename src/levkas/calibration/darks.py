@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from levkas.calibration.templates import CalibrationRefused, Template, bands_alike, pick_bands
+from levkas.calibration.templates import (
+    CalibrationRefused,
+    Template,
+    bands_alike,
+    level_of,
+    pick_bands,
+)
 from levkas.core.problems import Problem
 
 SAME_TIME = 0.01  # relative: EXIF rounds 1/60 s to 0.017 s now and then
@@ -56,6 +63,12 @@ class MatchedDark:
         return self.share * float(np.median(self.variance)) / max(read_variance, 1e-12)
 
     parts: tuple[tuple[Template, float], ...] = ()
+
+    @cached_property
+    def level(self) -> float:
+        """`level_of` the mean, counts."""
+        dark = self.parts[0][0] if self.parts else None
+        return dark.level if dark is not None and dark.mean is self.mean else level_of(self.mean)
 
 
 def dark_correlation(one: MatchedDark, other: MatchedDark) -> float:

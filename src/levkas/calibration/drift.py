@@ -354,14 +354,16 @@ def _explained(
     """Return the share of the variance over time that the lamp explains, in the bright pixels of its worst channel."""
     if stack.variance is None:
         return 0.0
-    above = stack.mean if level is None else stack.mean - level
+    under = np.zeros_like(stack.mean, shape=1) if level is None else level
     common = np.var(shots.levels, axis=0, ddof=1) - shots.error**2
     shares = [0.0]
-    for light, spread, of_lamp in zip(
-        _channels(above, period), _channels(stack.variance, period), common, strict=True
+    frames = stack.mean, np.broadcast_to(under, stack.mean.shape), stack.variance
+    for *planes, of_lamp in zip(
+        *(_channels(frame, period) for frame in frames), common, strict=True
     ):
-        step = max(1, int(np.sqrt(light.size / SAMPLE)))
-        light, spread = light[::step, ::step].ravel(), spread[::step, ::step].ravel()
+        step = max(1, int(np.sqrt(planes[0].size / SAMPLE)))
+        lit, dark, spread = (plane[::step, ::step].ravel() for plane in planes)
+        light = lit - dark
         known = np.isfinite(light) & np.isfinite(spread)
         light, spread = light[known].astype(np.float64), np.maximum(spread[known], 1e-9)
         if not light.size or not of_lamp > 0:

@@ -15,7 +15,7 @@ import numpy as np
 
 from levkas.calibration.clipped_darks import unclip_means
 from levkas.calibration.darks import MatchedDark, dark_correlation, dark_under, match_dark
-from levkas.calibration.noise_fit import HIDES, PRIOR, WORKED_OUT, NoiseModel, level_of
+from levkas.calibration.noise_fit import HIDES, PRIOR, WORKED_OUT, NoiseModel
 from levkas.calibration.templates import (
     CalibrationRefused,
     Template,
@@ -133,7 +133,7 @@ def flat_field(
         require_dark(white, white_under, noise, lit=True)
     if noise is not None and not shot.above_dark:
         read = noise.read_under(under) - noise.step**2 / 12
-        level = level_of(under.mean)
+        level = under.level
         shot = unclip_means(
             shot, level, gain=noise.gain, read_variance=read, step=noise.step or 1.0
         )
@@ -325,13 +325,13 @@ def require_dark(
     """
     if not under.stretch:
         return
-    level, variance = level_of(under.mean), 1.0
+    level, variance = under.level, 1.0
     current = max(level, 0.0)
     if noise is not None:
         variance = noise.read_variance
         current = min(current, variance / max(noise.gain, 1e-12))
         if lit:
-            variance += noise.gain * max(level_of(frame.mean) - level, 0.0)
+            variance += noise.gain * max(frame.level - level, 0.0)
     wrong, sigma = abs(under.stretch) * current, float(np.sqrt(variance))
     if wrong <= sigma:
         return

@@ -20,7 +20,7 @@ import numpy as np
 
 from levkas.calibration.patterns import channel_table, split
 from levkas.calibration.shot_noise import Groups, find_flattening
-from levkas.calibration.templates import Template, gaps_of
+from levkas.calibration.templates import MANY_PIXELS, Template, gaps_of
 
 if TYPE_CHECKING:
     from levkas.calibration.darks import MatchedDark
@@ -29,7 +29,6 @@ WORKED_OUT = 1e9  # degrees of freedom of a variance that was derived, not sampl
 PRIOR = 60.0  # a noise model weighs as much as this many degrees of freedom of a stack
 HIDES = 0.25  # of step²: more noise than that shows all of rounding (B < 3e-6 step²)
 TERMS = 12  # of the series of B: its error is below 0.4 % of step²
-MANY_PIXELS = 200_000  # of one stack that are looked at
 MOST_FREEDOM = 2e4  # of a group: a misfit of 1 % in a full one does not rule the line
 LEVELS = 24  # groups of equal size by signal, a stack
 MANY_BLACK = 0.02  # a dark with more zeros than this was clipped, and its spread is not noise
@@ -82,7 +81,7 @@ class NoiseModel:
         """
         if self.level is None or not dark.count:
             return self.read_variance
-        more = self.gain * (level_of(dark.mean) - self.level)
+        more = self.gain * (dark.level - self.level)
         return max(self.read_variance + more, self.step**2 / 12)
 
 
@@ -136,11 +135,6 @@ def _rounded() -> tuple[np.ndarray, np.ndarray]:
     noise = np.linspace(0, HIDES, 500)
     whole = noise + 1 / 12
     return whole, whole - hidden_rounding(noise, 1.0)
-
-
-def level_of(dark: np.ndarray) -> float:
-    """Return the median of a dark, of many pixels about `MANY_PIXELS`."""
-    return float(np.median(dark.ravel()[:: max(1, dark.size // MANY_PIXELS)]))
 
 
 def fit_noise_of_frames(
@@ -239,7 +233,7 @@ def fit_noise(
     Then one weighted line, three rounds. PRNU never enters; lamp flicker does.
     """
     darks = [dark] * len(stacks) if dark is None or isinstance(dark, Template) else list(dark)
-    levels = [None if d is None else level_of(d.mean) for d in darks]
+    levels = [None if d is None else d.level for d in darks]
     lowest = min((level for level in levels if level is not None), default=None)
     groups: list[tuple[float, ...]] = []
     for stack, under, level in zip(stacks, darks, levels, strict=True):
@@ -334,10 +328,10 @@ def fit_noise_single(
     rows, columns = (1, 1) if pattern is None else channel_table(pattern).shape
     groups: list[tuple[float, ...]] = []
     darks = [dark] * len(shots) if dark is None or isinstance(dark, Template) else list(dark)
-    lowest = min((level_of(d.mean) for d in darks if d is not None), default=None)
+    lowest = min((d.level for d in darks if d is not None), default=None)
     for shot, white, under in zip(shots, whites, darks, strict=True):
         level = np.asarray(black, np.float32) if under is None else under.mean
-        warm = 0.0 if under is None or lowest is None else level_of(under.mean) - lowest
+        warm = 0.0 if under is None or lowest is None else under.level - lowest
         planes = _ratio_planes(shot, white, level, gaps_of(shot, white, under))
         # A dark that was clipped has no noise that it adds.
         noisy = under is not None and under.fit is None and np.mean(under.black) <= MANY_BLACK
@@ -382,8 +376,10 @@ def _groups(
     `smooth`: of the smoother half alone, by neighbours this period of a mosaic away, so that a camera that trembles adds nothing.
     """
     thin = np.s_[:: max(1, stack.mean.size // MANY_PIXELS)]
-    level = np.broadcast_to(black if dark is None else dark.mean, stack.mean.shape).flat[thin]
-    signal = stack.mean.ravel()[thin].astype(float) - level
+    level = np.asarray(black if dark is None else dark.mean)
+    if level.size > 1:
+        level = np.broadcast_to(level, stack.mean.shape).ravel()[thin]
+    signal = stack.mean.ravel()[thin].astype(float) - level.ravel()
     spread = np.asarray(stack.variance).ravel()[thin].astype(float)
     clipped = stack.black.ravel()[thin]
     keep = np.isfinite(signal) & np.isfinite(spread) & ~stack.saturated.ravel()[thin]
@@ -411,12 +407,14 @@ def _groups(
 def _roughness(plane: np.ndarray, period: tuple[int, int], thin: slice) -> np.ndarray:
     """Return how much the neighbours of its phase of each pixel of `thin` differ, counts; infinite at the border."""
     (height, width), (down, across) = plane.shape[:2], period
-    y, x, *band = np.unravel_index(np.arange(0, plane.size, thin.step), plane.shape)
-    rough = np.full(len(y), np.inf, np.float32)
+    values, bands = plane.ravel(), plane.size // (height * width)
+    at = np.arange(0, plane.size, thin.step)
+    y, x = np.divmod(at // bands, width)
+    rough = np.full(len(at), np.inf, np.float32)
     inside = (y >= down) & (y < height - down) & (x >= across) & (x < width - across)
-    y, x, *band = (index[inside] for index in (y, x, *band))
-    rough[inside] = np.abs(plane[y + down, x, *band] - plane[y - down, x, *band])
-    rough[inside] += np.abs(plane[y, x + across, *band] - plane[y, x - across, *band])
+    at, row, column = at[inside], down * width * bands, across * bands
+    rough[inside] = np.abs(values[at + row] - values[at - row])
+    rough[inside] += np.abs(values[at + column] - values[at - column])
     return rough
 
 

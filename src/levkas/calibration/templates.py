@@ -7,6 +7,7 @@ sums are whole numbers, so the result does not depend on the order of the shots 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from levkas.core.threads import in_threads
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+MANY_PIXELS = 200_000  # of a frame whose median is asked for
 MOST_SHOTS = 65536  # beyond this n² · 65535² no longer fits 64 bits
 
 
@@ -125,6 +127,16 @@ class Template:
         arrays += [] if self.variance is None else [self.variance]
         if len({a.shape for a in arrays}) != 1:
             raise ValueError(f"template has arrays of shapes {[a.shape for a in arrays]}")
+
+    @cached_property
+    def level(self) -> float:
+        """`level_of` the mean, counts."""
+        return level_of(self.mean)
+
+
+def level_of(frame: np.ndarray) -> float:
+    """Return the median of a frame, of many pixels about `MANY_PIXELS`."""
+    return float(np.median(frame.ravel()[:: max(1, frame.size // MANY_PIXELS)]))
 
 
 def bands_alike(*templates: Template | None) -> list[np.ndarray] | None:
@@ -337,7 +349,7 @@ def close_gaps(template: Template) -> Template:
     ([[1.0, 2.0, 3.0]], [[False, True, False]])
     """
     arrays = [a for a in (template.mean, template.variance) if a is not None]
-    if all(np.isfinite(np.sum(a, dtype=np.float64)) for a in arrays):
+    if all(np.isfinite(np.sum(a)) for a in arrays):
         return template  # a sum takes no memory, and is finite only where all are
     lost = ~np.isfinite(template.mean)
     if template.variance is not None:

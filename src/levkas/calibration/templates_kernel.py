@@ -8,8 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from levkas.core.compiled import njit
-
-ROWS = 64
+from levkas.core.threads import in_threads
 
 
 @njit(cache=True)
@@ -44,12 +43,18 @@ def finish_codes(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and variance of one shot from exact sums of `count` shots."""
     mean, variance = np.empty(total.shape, np.float32), np.empty(total.shape, np.float32)
-    for top in range(0, len(total), ROWS):
-        rows = slice(top, top + ROWS)
-        sums = total[rows].astype(np.uint64)
-        mean[rows] = sums / count
-        variance[rows] = (squares[rows] * np.uint64(count) - sums * sums) / (count * (count - 1.0))
+    in_threads(_finish, len(total), total, squares, count, mean, variance)
     return mean, variance
+
+
+@njit(cache=True)
+def _finish(start, stop, total, squares, count, mean, variance):  # type: ignore[no-untyped-def]
+    freedom = count * (count - 1.0)
+    for y in range(start, stop):
+        for x in range(total.shape[1]):
+            sums = np.uint64(total[y, x])
+            mean[y, x] = np.float64(sums) / count
+            variance[y, x] = np.float64(squares[y, x] * np.uint64(count) - sums * sums) / freedom
 
 
 def finish_reals(

@@ -295,15 +295,12 @@ def position_sigma_at(records: Records, frame: Frame, points: np.ndarray) -> np.
 
 
 def predict_error(
-    database: str | Path, name: str, record: Mapping[str, Any], size: tuple[int, int], step: int = 1
+    record: Mapping[str, Any], size: tuple[int, int], step: int = 1
 ) -> np.ndarray | None:
     """Return the error of a registration over the grid as its own evidence predicts it.
 
     Parameters
     ----------
-    database : path
-    name : str
-        The object.
     record : mapping
         Of one layer.
     size : (width, height)
@@ -325,8 +322,8 @@ def predict_error(
     if not known:
         return None
     x, y = np.meshgrid(*(np.arange(0.0, side, step) for side in size))
-    grid = Records(database_of(database), name).pixels(Frame())
-    places = grid.from_reference.inverse(np.stack([x.ravel(), y.ravel()], 1))
+    grid = from_dict(record["grid"].get("transform", record["grid"]))
+    places = grid(np.stack([x.ravel(), y.ravel()], 1))
     worst = np.max([Sigma.from_dict(table)(places) for table in known], axis=0)
     worst[beyond_checks(record, places)] = np.nan
     return np.asarray(worst.reshape(x.shape))

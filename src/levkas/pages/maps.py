@@ -125,14 +125,14 @@ def sigma_map(path: Path) -> tuple[np.ndarray, Legend]:
 
 
 def registration_map(
-    database: Path, item: str, record: Mapping[str, Any], size: tuple[int, int]
+    record: Mapping[str, Any], size: tuple[int, int]
 ) -> tuple[np.ndarray, Legend] | None:
     """Return the predicted error of a registration over the grid, px of the reference.
 
     The worst band's; grey where nothing confirms the map. None where the record has none.
     """
     step = math.ceil(math.sqrt(size[0] * size[1] / MOST_PLACES))
-    worst = predict_error(database, item, record, size, step)
+    worst = predict_error(record, size, step)
     if worst is None:
         return None
     most = float(np.nanmax(worst, initial=0.0, where=np.isfinite(worst)))
@@ -189,16 +189,11 @@ class ReportMap:
         return ", ".join("rgb({} {} {})".format(*colour) for colour in SCALE)
 
 
-def draw_maps(
-    database: Path, name: str, record: Mapping[str, Any], tiff: Path, quantity: str
-) -> list[ReportMap]:
+def draw_maps(record: Mapping[str, Any], tiff: Path, quantity: str) -> list[ReportMap]:
     """Return the maps of one layer: predicted error, sigma and flags, those that there are.
 
     Parameters
     ----------
-    database : Path
-    name : str
-        The object.
     record : mapping
         Of the layer's registration.
     tiff : Path
@@ -212,7 +207,7 @@ def draw_maps(
     preview = tiff.with_suffix(".png")
     if len(outline := object_outline(record)) and preview.is_file():
         maps.append(_draw_outline(preview, record, outline))
-    error = predict_error(database, name, record, size, step)
+    error = predict_error(record, size, step)
     if error is not None and np.isfinite(error).any() and np.nanmax(error) > 0:
         most, top = (float(np.nanpercentile(error, q)) for q in (ERROR_PERCENTILE, 100))
         legend = Legend(least="0", most=f"{most:.2g} px{' or more' if top > most else ''}")

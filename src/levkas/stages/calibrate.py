@@ -35,6 +35,7 @@ from levkas.core.cube import Cube, Flag
 from levkas.core.files import remove, together
 from levkas.core.problems import Problem, Refused, gathered
 from levkas.core.threads import each
+from levkas.core.transpose import transpose
 from levkas.database.credits import credits_of
 from levkas.readers.frames import UnreadableCapture, read_facts
 from levkas.stages.above_white import count_above, describe_above, require_light
@@ -482,7 +483,8 @@ def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, start: int) -> N
     """Copy planes to a cube's bands from `start` on, in one passage over its memory."""
     for y in range(0, len(cube), ROWS):
         rows = np.stack([plane[y : y + ROWS] for plane in planes])
-        cube[y : y + ROWS, :, start : start + len(planes)] = np.moveaxis(rows, 0, 2)
+        turned = transpose(rows.reshape(len(planes), -1))
+        cube[y : y + ROWS, :, start : start + len(planes)] = turned.reshape(*rows.shape[1:], -1)
 
 
 def _band(

@@ -13,10 +13,11 @@ from levkas.calibration.clipped_darks import MANY_ZEROS
 from levkas.calibration.darks import level_under
 from levkas.calibration.drift import black_between, black_in_white, lamp_between
 from levkas.calibration.flatfield import pair_darks
-from levkas.calibration.noise_fit import level_of, smooth_groups
+from levkas.calibration.noise_fit import smooth_groups
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.sensor_context import DARK_OFFSET, FLATTENING
 from levkas.calibration.shot_noise import Groups, find_dark_offset, find_flattening
+from levkas.calibration.templates import level_of
 from levkas.calibration.whites import reflectance_table
 from levkas.stages.capture_statistics import (
     BLACK_WANDER,
@@ -32,6 +33,7 @@ from levkas.stages.capture_statistics import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from levkas.calibration.darks import MatchedDark
     from levkas.calibration.drift import LampChange
     from levkas.calibration.flatfield import Calibrated
     from levkas.calibration.noise_fit import NoiseModel
@@ -200,13 +202,13 @@ def _note_shares(
     notes = context.measured.setdefault(NOISE, {})
     per_count = _per_count(context, shot, dark, white, board)
     for label, phase in _phases(board).items():
-        signal = _signal(shot, under.mean, phase)
+        signal = _signal(shot, under, phase)
         of_dark, of_other = (d.share * noise.read_under(d) for d in (under, white_under))
         counts = {PHOTONS: _variance_of(shot, phase, noise, signal)}
         if white is None:
             counts[DARK_FRAMES] = of_dark
         else:
-            light = _signal(white, white_under.mean, phase)
+            light = _signal(white, white_under, phase)
             ratio = signal / light
             if white_under is under:
                 of_dark, of_other = (1 - ratio) ** 2 * of_dark, 0.0
@@ -217,9 +219,15 @@ def _note_shares(
         }
 
 
-def _signal(frames: Template, under: np.ndarray, phase: Phase) -> float:
+def _signal(frames: Template, under: MatchedDark, phase: Phase) -> float:
     """Return the middling counts of a band above what is under them."""
-    return max(level_of(_phase(frames.mean, phase)) - level_of(_phase(under, phase)), 1e-9)
+    return max(_level(frames, phase) - _level(under, phase), 1e-9)
+
+
+def _level(frames: Template | MatchedDark, phase: Phase) -> float:
+    """Return the middling counts of a band."""
+    part = _phase(frames.mean, phase)
+    return frames.level if part.size == frames.mean.size else level_of(part)
 
 
 def _variance_of(frames: Template, phase: Phase, noise: NoiseModel, signal: float) -> float:
@@ -268,6 +276,6 @@ def _per_count(
     pair = pair_darks(shot, dark or None, white, context.black_level)
     scale, found = reflectance_table(board, shot) * pair[2], {}
     for label, phase in _phases(board).items():
-        lit, under = (level_of(_phase(one.mean, phase)) for one in (white, pair[1]))
+        lit, under = (_level(one, phase) for one in (white, pair[1]))
         found[label] = float(level_of(_phase(scale, phase)) / max(lit - under, 1e-9))
     return found

@@ -233,7 +233,7 @@ def _maps(source: Source, size: tuple[int, int]) -> Iterator[LayerPicture]:
         if found:
             note = "SSIM against the reference camera; gold and glare differ between cameras"
             yield LayerPicture("ssim", "Similarity (SSIM)", "map", found[0], note, legend=found[1])
-    predicted = registration_map(source.database, source.object, source.record, size)
+    predicted = registration_map(source.record, size)
     if predicted:
         note = "predicted error of the registration; grey where the map was not checked"
         yield LayerPicture(
