@@ -7,6 +7,7 @@ import tifffile
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.campaign.discovery.find_captures import find_captures, find_charts
 from levkas.core.problems import Refused
+from levkas.readers import frames
 
 TARGETS = 'dark = "dark"\nwhite = "white"\n'
 SESSIONS = """[campaign]
@@ -39,8 +40,8 @@ def find(folder, text, targets=TARGETS):
     return {c.object: c.sensors[0] for c in captures}, refusals
 
 
-def names(frames):
-    return [f"{f.path.parent.name}/{f.path.name}" for f in frames]
+def names(refs):
+    return [f"{f.path.parent.name}/{f.path.name}" for f in refs]
 
 
 def test_a_white_in_the_folder_of_an_object_serves_this_object_alone(tmp_path):
@@ -238,3 +239,27 @@ def test_the_name_of_no_object_that_is_there_is_refused_where_nothing_else_serve
     assert not found
     with pytest.raises(Refused, match="Icon1"):
         raise refusals["icon1", "cam", ""]
+
+
+def test_a_dark_of_all_objects_that_cannot_be_read_is_opened_once(tmp_path, monkeypatch):
+    touch(tmp_path, *(f"{n}_550nm.tif" for n in ("dark", "white", "icon1", "icon2", "icon3")))
+    (tmp_path / "dark_550nm.tif").write_bytes(b"II*\0 nothing else")
+    opened = []
+    read_facts = frames.read_facts
+    monkeypatch.setattr(frames, "read_facts", lambda p: opened.append(p.name) or read_facts(p))
+    text = FLAT.replace("shot", "wavelength").replace("}.tif", "}nm.tif")
+    found, refusals = find(tmp_path, text.replace('bands = ["grey"]\n', ""))
+    assert not refusals
+    assert [names(sensor.dark) for sensor in found.values()] == [
+        [f"{tmp_path.name}/dark_550nm.tif"]
+    ] * 3
+    assert opened == ["dark_550nm.tif"]
+
+
+def test_frames_of_a_setup_and_of_none_stand_in_the_order_of_their_paths(tmp_path):
+    touch(tmp_path, "b10/icon1_1.tif", "icon1_2.tif", "b10/icon1_3.tif", "a/icon1_9.tif")
+    touch(tmp_path, "dark_1.tif", "white_1.tif")
+    patterns = '"{target}_{shot}.tif", "a/{target}_{shot}.tif", "{setup}/{target}_{shot}.tif"'
+    found, _ = find(tmp_path, re.sub("files = .*", f"files = [{patterns}]", FLAT))
+    shown = [f.path.relative_to(tmp_path).as_posix() for f in found["icon1"].object]
+    assert shown == ["a/icon1_9.tif", "b10/icon1_1.tif", "b10/icon1_3.tif", "icon1_2.tif"]

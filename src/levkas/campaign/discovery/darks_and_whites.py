@@ -58,13 +58,13 @@ class Templates:
         """Return the frames of a dark, white or chart by its names: of the first setup that has any."""
         for setup in setups:
             for serving in (self.name, ""):
-                if found := self._frames(names, setup, serving):
+                if groups := self._by_band(kind, names, setup, serving):
                     if not serving and (others := self._served(names, setup)):
                         self.remarks.append(
                             f"no {kind} of {self.name} alone was found, as there is of "
                             f"{', '.join(others)}: the {kind} that serves all is used"
                         )
-                    return self._nearest(kind, found)
+                    return self._nearest(kind, groups)
         return []
 
     def missing(self, kind: str, names: Sequence[str]) -> Problem:
@@ -91,6 +91,19 @@ class Templates:
             or "Add the frames.",
         )
 
+    def _by_band(
+        self, kind: str, names: Sequence[str], setup: str, serving: str
+    ) -> list[list[FoundFile]]:
+        """Return the frames of each band, of darks also of each exposure: the same for all whom they serve."""
+        key = kind, tuple(names), self.camera.name, self.sensor, setup, serving
+        if key not in self.index.templates:
+            groups: dict[object, list[FoundFile]] = {}
+            for file in self._frames(names, setup, serving):
+                time = self._exposure(file) if kind == "dark" else None
+                groups.setdefault((file.wavelength, file.band, time), []).append(file)
+            self.index.templates[key] = list(groups.values())
+        return self.index.templates[key]
+
     def _frames(self, names: Iterable[str], setup: str, serving: str) -> list[FoundFile]:
         files = [
             f
@@ -105,13 +118,11 @@ class Templates:
 
     # --- the nearest in time ------------------------------------------------------------------
 
-    def _nearest(self, kind: str, found: list[FoundFile]) -> list[FoundFile]:
+    def _nearest(self, kind: str, groups: Sequence[list[FoundFile]]) -> list[FoundFile]:
         """Return of each band's frames those that were captured nearest to the object, before and after it."""
-        groups: dict[object, list[FoundFile]] = {}
-        for file in found:
-            time = self._exposure(file) if kind == "dark" else None
-            groups.setdefault((file.wavelength, file.band, time), []).append(file)
-        chosen = [self._nearest_stacks(kind, group) for group in groups.values()]
+        if all(len(group) == 1 for group in groups):
+            return [file for (file,) in groups]
+        chosen = [self._nearest_stacks(kind, group) for group in groups]
         if remarks := [remark for _, remark in chosen if remark]:
             self.remarks.append(remarks[0])  # of the other bands it is much the same
         return in_natural_order(file for files, _ in chosen for file in files)

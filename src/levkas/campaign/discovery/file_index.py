@@ -353,13 +353,14 @@ def _without_data_of_headers(found: list[FoundFile]) -> list[FoundFile]:
 
 @dataclass
 class FileIndex:
-    """Frames of a campaign by camera and setup, with facts, targets and bands that are looked up once."""
+    """Frames of a campaign by camera and setup, with facts, targets, bands and templates that are looked up once."""
 
     campaign: Campaign
     folders: FolderListings
     frames: dict[tuple[str, str], list[FoundFile]] = field(default_factory=dict)
     broken: dict[tuple[str, str], Refused] = field(default_factory=dict)
     objects: list[str] = field(default_factory=list)
+    templates: dict[tuple[object, ...], list[list[FoundFile]]] = field(default_factory=dict)
     _facts: dict[Path, Facts] = field(default_factory=dict)
     _by_target: dict[tuple[str, str], dict[tuple[str, str], list[FoundFile]]] = field(
         default_factory=dict
@@ -443,7 +444,7 @@ def _scan_camera(index: FileIndex, name: str, camera: Camera) -> None:
         elif own is not None or by_setup.get(setup):
             index.frames[name, setup] = by_setup.get(setup, [])
         by_setup.pop(setup, None)
-    index.frames[default] = [f for found in by_setup.values() for f in found]
+    index.frames[default] = [f for f in index.frames[default] if f.setup in by_setup]
     unnamed = sorted(value for value in by_setup if value)
     if len(unnamed) > 1:
         index.broken[default] = CaptureRefused(

@@ -42,7 +42,6 @@ from levkas.campaign.discovery.file_index import (
     FoundFile,
     declared_targets,
     files_of_other_case,
-    in_natural_order,
     nearest,
     patterns_of,
     scan_folders,
@@ -374,7 +373,7 @@ def _sensor(
     """Return the frames of one sensor of an object, with its bands, darks and whites."""
     label = sensor.name if sensor else ""
 
-    found = in_natural_order(index.of(name, camera.name, setup))
+    found = index.of(name, camera.name, setup)
     found = [f for f in found if f.sensor == label and tile in (None, f.tile)]
     if not found:
         whose = f"{name} {tile}" if tile else name
@@ -436,8 +435,9 @@ def _chart_frames(
 
 def _ref(found: FoundFile) -> FrameRef:
     """Return a found file as a frame; an empty text is a band that is not known."""
-    values = {k: v for k, v in vars(found).items() if k not in ("pattern", "band")}
-    return FrameRef(**values, band=found.band or None)
+    f, band = found, found.band or None
+    named = f.path, f.target, f.sensor, band, f.wavelength, f.exposure_s, f.shot, f.setup
+    return FrameRef(*named, object=f.object, tile=f.tile)
 
 
 def _frames_and_bands(

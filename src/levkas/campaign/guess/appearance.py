@@ -236,9 +236,12 @@ def find_warmth(groups: Sequence[CameraGroup], samples: Samples) -> dict[str, fl
     Returns
     -------
     warmth : dict
-        Object → logarithm of its mean reflectance at 620 nm over that at 460 nm.
+        Object → logarithm of its mean reflectance at 620 nm over that at 460 nm; none where the names of all files
+        have a wavelength: of a mosaic it tells red from blue, and they are none.
     """
     warmth: dict[str, float] = {}
+    if not any(f.sensor or not f.number("wavelength") for g in groups for f in g.objects):
+        return warmth
     for group in groups:
         by_target = group.by_target()
         roles = {f.target: f.role for f in group.frames}
