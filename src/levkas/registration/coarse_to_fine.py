@@ -314,7 +314,7 @@ class SensorTask:
         band, reference = self.bands[best], self.reference.principal_image(step)
         own = self.images[band.label]
         white = (
-            whiteness(self.reference.white_noise(step)),
+            self.reference.whiteness(step),
             whiteness(self.resample(band, whole, step, white_noise(own.shape))),
         )
         target = self.resample(band, whole, step, own)

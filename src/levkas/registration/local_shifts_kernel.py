@@ -140,10 +140,9 @@ def sum_products(start, stop, target, images, known, cell, cover, out):  # type:
                     line[3 + a] = _sum(plain, left, cell)
                     line[3 + k + a] = _sum(along, left, cell) * 0.5
                     line[3 + 2 * k + a] = _sum(down, left, cell) * 0.5
+        _add_ramps(target, cell, r, number[r], lines[r])
         for c in range(number.shape[1]):
-            if number[r, c] == cell * cell:
-                _ramps(target, cell, r, c, lines[r, c], k)
-            elif number[r, c] > 0:
+            if 0 < number[r, c] < cell * cell:
                 _masked_cell(target, images, known, cell, r, c, slots[r, c], out)
 
 
@@ -165,18 +164,26 @@ def _sum(values, left, count):  # type: ignore[no-untyped-def]
 
 
 @njit
-def _ramps(target, cell, r, c, line, k):  # type: ignore[no-untyped-def]
+def _add_ramps(target, cell, r, number, lines):  # type: ignore[no-untyped-def]
+    """Add the sums of the target, times 1, u and v, and of its square in the whole cells of a row of cells."""
+    w = target.shape[1]
+    plain, down, square = np.zeros(w), np.zeros(w), np.zeros(w)
     for i in range(r * cell, (r + 1) * cell):
-        total = ramp = square = 0.0
-        for j in range(c * cell, (c + 1) * cell):
-            t = np.float64(target[i, j])
-            total += t
-            ramp += t * (j + 0.5)
-            square += t * t
-        line[0] += total
-        line[1] += ramp / cell
-        line[2] += total * ((i + 0.5) / cell)
-        line[3 + 3 * k] += square
+        v, row = (i + 0.5) / cell, target[i]
+        for j in range(w):
+            t = np.float64(row[j])
+            plain[j] += t
+            down[j] += t * v
+            square[j] += t * t
+    for c in range(len(number)):
+        if number[c] < cell * cell:
+            continue
+        total, left = 0.0, c * cell
+        for j in range(left, left + cell):
+            total += plain[j] * (j + 0.5)
+        line = lines[c]
+        line[0], line[1] = _sum(plain, left, cell), total / cell
+        line[2], line[-1] = _sum(down, left, cell), _sum(square, left, cell)
 
 
 @njit

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -347,8 +347,7 @@ def select_model(
     comparison = ModelComparison(judged, spatial_folds(judged.points, terms.apart, weighted.points))
     for model in models:
         least, fit = MODELS[model]
-        # A spline before parallax needs the same fits again.
-        comparison.add(model, least, _Once(fit) if model == PARALLAX else fit)
+        comparison.add(model, least, fit)
     if standing is not None and comparison.is_withstood_by(standing):
         return SelectedModel(None, standing, comparison.scores, weighted, weights, terms)
     bends = not (terms.coarse or terms.stiff) and len(observations) >= SETTINGS.least_spline
@@ -394,6 +393,8 @@ class ModelComparison:
 
     def add(self, spec: ModelSpec, least: int, *fits: Fit) -> Candidate:
         """Try one more model, richer than those before; of several ways to fit it the best is used."""
+        # The best is wanted again without each fold, and so is what lies under a spline; others with all folds.
+        fits = tuple(map(lru_cache(1 + SETTINGS.every**2), fits))
         tried = [Candidate(spec, least, fit, self._held_out_error(least, fit)) for fit in fits]
         found = min(tried, key=lambda one: one.score)
         if not self.candidates or found.score < self.best.score * (1 - SETTINGS.gain):
@@ -446,19 +447,6 @@ class ModelComparison:
             for weight, one in close
             if weight > 0
         )
-
-
-class _Once:
-    """A fit that is made once for the same observations."""
-
-    def __init__(self, fit: Fit) -> None:
-        self._fit = fit
-        self._made: dict[int, tuple[Observations, Transform]] = {}
-
-    def __call__(self, observations: Observations) -> Transform:
-        if id(observations) not in self._made:
-            self._made[id(observations)] = observations, self._fit(observations)
-        return self._made[id(observations)][1]
 
 
 def _misfit(observations: Observations, model: Transform) -> tuple[float, float]:

@@ -33,7 +33,7 @@ NORMAL = 1.38
 MOST_SCALED = 1000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Observations:
     """Positions of reference points in the target, with their information.
 

@@ -35,7 +35,7 @@ from levkas.registration.local_shifts import (
     reduce,
     smoothing_warp,
 )
-from levkas.registration.marks import white_noise
+from levkas.registration.marks import white_noise, whiteness
 from levkas.registration.record import RegistrationRefused
 
 #: Principal components of reflectance, and of its logarithm; how many of the first are added blurred.
@@ -253,6 +253,7 @@ class ReferenceStack:
         picks = np.linspace(0, len(stack) - 1, min(len(stack), LEAST_BANDS)).astype(int)
         self.has_colours = has_colours([stack[k] for k in picks])
         self._predictors: dict[int, Predictor] = {}
+        self._whiteness: dict[int, float] = {}
         self._lock = RLock()  # sensors are registered side by side
 
     @property
@@ -272,10 +273,14 @@ class ReferenceStack:
         image = self.palette.images[0]
         return np.asarray(image if step == 1 else reduce(image, step))
 
-    def white_noise(self, step: int = 1) -> np.ndarray:
-        """Return white noise of a camera's px as it is in `principal_image`, (h, w)."""
-        noise = smoothing_warp(white_noise(self.shape), Affine.identity(), self.shape, step=1)
-        return np.asarray(noise if step == 1 else reduce(noise, step))
+    def whiteness(self, step: int = 1) -> float:
+        """Return the `whiteness` of a camera's noise as it is in `principal_image`."""
+        with self._lock:
+            if step not in self._whiteness:
+                noise = white_noise(self.shape)
+                noise = smoothing_warp(noise, Affine.identity(), self.shape, step=1)
+                self._whiteness[step] = whiteness(noise if step == 1 else reduce(noise, step))
+            return self._whiteness[step]
 
     def release(self) -> None:
         """Free the predictors, which are larger than what they are computed from."""

@@ -260,11 +260,11 @@ def predict(predictors: np.ndarray, image: np.ndarray) -> np.ndarray:
         used = known & np.isfinite(goal)
         if used.sum() < 8 * count:
             continue
-        gram = part[:, used] @ part[:, used].T
+        shown = part if used.all() else part[:, used]
+        gram = shown @ shown.T
         gram += SETTINGS.ridge * np.trace(gram) / count * np.eye(count) + 1e-30 * np.eye(count)
-        gains = np.linalg.solve(gram, part[:, used] @ goal[used])
-        block = np.full(goal.shape, np.nan, np.float32)
-        block[known] = gains @ part[:, known]
+        gains = np.linalg.solve(gram, shown @ goal[used])
+        block = np.where(known, gains @ part, np.nan)
         out[top:bottom, left:right] = block.reshape(bottom - top, right - left)
     return out
 
