@@ -201,6 +201,8 @@ def _judged(scene: np.ndarray, lit: np.ndarray, sound: np.ndarray, marked: np.nd
 
     parts, count = label(binary_dilation(marked, iterations=int(SCALES[0][1])))
     numbers = np.arange(1, count + 1)
+    if not count:
+        return _Specks(parts, numbers, numbers)
     square, common = np.full(count, 1e-12), np.zeros(count)
     for of_object, of_white in zip(_slopes(scene), _slopes(lit), strict=True):
         weight = _weights(np.minimum(of_object**2, (of_object - of_white) ** 2), sound, BESIDE)

@@ -120,13 +120,17 @@ def sensel_noise(
     >>> sensel_noise(flat, none, flat / 1250, np.array([[0, 1], [1, 2]]))[1]
     (0.02, 25.0)
     """
-    rows, columns = (np.arange(n) % p for n, p in zip(values.shape, table.shape, strict=True))
+    rows, columns = table.shape
     good = ~is_flagged(flags, LOST) & np.isfinite(values) & np.isfinite(variance)
     found = []
     for channel in range(int(table.max()) + 1):
-        mine = good & (table == channel)[np.ix_(rows, columns)]
-        noise = np.sqrt(variance[mine].astype(float))
-        ratio = values[mine] / np.maximum(noise, 1e-12)
+        phases = [np.s_[y::rows, x::columns] for y, x in np.argwhere(table == channel)]
+        level, spread = (
+            np.concatenate([plane[phase][good[phase]] for phase in phases])
+            for plane in (values, variance)
+        )
+        noise = np.sqrt(spread.astype(float))
+        ratio = level / np.maximum(noise, 1e-12)
         known = noise.size > 0 and bool(noise.any())
         found.append(
             (float(np.median(noise)), float(np.median(ratio))) if known else (np.nan, np.nan)
