@@ -120,14 +120,14 @@ def _widths(part, widest):
     return min(max(1.0, part[8]), widest), min(max(1.0, part[9]), widest)
 
 
-@njit
+@njit(forceinline=True)
 def _inside(x, y, source):
     """Return whether a place is on the area of a pixel of the source."""
     width = source.values.shape[1]
     return -0.5 <= x <= width - 0.5 and -0.5 <= y <= source.height - 0.5
 
 
-@njit
+@njit(forceinline=True)
 def _keys(d):
     """Keys's cubic, a = -0.5, at distance `d` in taps."""
     d = abs(d)
@@ -148,14 +148,14 @@ def _cubic(t):
     )
 
 
-@njit
+@njit(forceinline=True)
 def _reach(place, scale, size):
     """Return the first tap on an axis and one past the last; those beyond the image are left out."""
     first = max(floor(place - 2.0 * scale) + 1, 0)
     return first, min(floor(place + 2.0 * scale), size - 1) + 1
 
 
-@njit
+@njit(forceinline=True)
 def _weigh(place, scale, first, count, u):
     """Write the weights of the taps of one axis to `u`; the kernel is `scale` times as wide.
 
@@ -182,7 +182,7 @@ def _weigh(place, scale, first, count, u):
         u[i] = u[i] / total - shift * tent * (d - lean)
 
 
-@njit
+@njit(forceinline=True)
 def _axis(place, scale, size, u):
     """Write the weights of one place on one axis; return the first tap and how many there are."""
     first, stop = _reach(place, scale, size)
@@ -202,7 +202,7 @@ def _largest(u, count):
     return largest
 
 
-@njit
+@njit(forceinline=True)
 def _any_suspect(suspect, x, columns, y, rows):
     """Return the flags that pixels of a box have in any band."""
     found = np.uint8(0)
@@ -353,54 +353,54 @@ def _sum_cubic(plane, x, y, weights, out, spot):
         out[spot[0], spot[1], k] = (v0 * a + v1 * b) + (v2 * c + v3 * d)
 
 
-@njit
+@njit(forceinline=True)
 def _sum_box(plane, box, weights, squared, out, spot):
     """Sum the taps of a box of any size, all bands of a pixel, by weights or `squared` ones."""
-    (x0, columns, y0, rows), (row, x) = box, spot
+    (left, columns, top, rows), (row, x) = box, spot
     u, v, sums = weights
+    if plane.shape[2] == 1:
+        total = 0.0
+        for r in range(rows):
+            for k in range(columns):
+                weight = v[r] * u[k]
+                weight = weight * weight if squared else weight
+                total += weight * plane[top + r, left + k, 0]
+        out[row, x, 0] = total
+        return
     sums[:] = 0.0
     for r in range(rows):
         for k in range(columns):
             weight = v[r] * u[k]
             weight = weight * weight if squared else weight
             for b in range(plane.shape[2]):
-                sums[b] += weight * plane[y0 + r, x0 + k, b]
+                sums[b] += weight * plane[top + r, left + k, b]
     for b in range(plane.shape[2]):
         out[row, x, b] = sums[b]
 
 
 @njit
-def _shared_pixel(source, result, at, spot, done, weights):
-    """Resample all bands of a pixel with care; values are there already if `done`.
+def _leave_out_all(result, spot):
+    """Write that there is nothing in any band of a pixel."""
+    for b in range(result.values.shape[2]):
+        _leave_out(result, spot[0], spot[1], b, OUTSIDE)
 
-    Returns 1 where a source row is needed that is not held.
-    """
-    bands = source.values.shape[2]
-    if not _inside(at[0], at[1], source):
-        for b in range(bands):
-            _leave_out(result, spot[0], spot[1], b, OUTSIDE)
-        return 0
+
+@njit
+def _mark_pixel(source, result, at, spot, weights):
+    """Hand flags on to all bands of a pixel, and do those with care that lack a tap; values are there."""
     x0, columns = _axis(at[0], at[2], source.values.shape[1], weights[0])
     y0, rows = _axis(at[1], at[3], source.height, weights[1])
     y0 -= source.top
-    if y0 < 0 or y0 + rows > source.values.shape[0]:
-        return 1
-    box, out = (x0, columns, y0, rows), result.values
-    if not done:
-        _sum_box(source.values, box, weights, False, out, spot)
-        if result.variance.size:
-            _sum_box(source.variance, box, weights, True, result.variance, spot)
     suspect = np.uint8(0)
     if source.suspect.size:
-        suspect = _any_suspect(source.suspect, *box)
+        suspect = _any_suspect(source.suspect, x0, columns, y0, rows)
         if suspect and not suspect & OUTSIDE:
-            near = _nearest(at[0], at[1], source)
+            box, near = (x0, columns, y0, rows), _nearest(at[0], at[1], source)
             _pass_flags(source.flags, result.flags, box, near, spot, weights)
-    for b in range(bands):
-        not_finite = not np.isfinite(out[spot[0], spot[1], b])
+    for b in range(source.values.shape[2]):
+        not_finite = not np.isfinite(result.values[spot[0], spot[1], b])
         if not_finite or suspect & OUTSIDE:
             _gather(source, result, at, spot, b, not_finite, weights)
-    return 0
 
 
 @njit(cache=True)
@@ -411,31 +411,44 @@ def resample_rows(start, stop, nodes, source, result):
     """
     values, variance, out, noise = source.values, source.variance, result.values, result.variance
     suspect, top, inner = source.suspect, source.top, _inner(source)
-    weights, part = _scratch(nodes.widest, values.shape[2]), np.empty(nodes.table.shape[2])
-    absent = 0
+    u, v, sums = _scratch(nodes.widest, values.shape[2])
+    part, absent = np.empty(nodes.table.shape[2]), 0
     # Segment by segment from top to bottom: what the rows share of the source stays in the cache.
     for x0 in range(0, nodes.width, nodes.segment):
         for y in range(start, stop):
             _mix(nodes, y, x0 // nodes.segment, part)
             wide_x, wide_y = _widths(part, nodes.widest)
+            row = y - result.first
             for x in range(x0, min(x0 + nodes.segment, nodes.width)):
                 px, py = _follow(part, float(x - x0))
-                fx, fy, spot = int(px), int(py) - top, (y - result.first, x)
-                fast = wide_x == wide_y == 1.0 and _is_inner(fx, fy, inner)
-                care = not fast
-                if fast:
-                    u, v = _cubic(px - fx), _cubic(py - top - fy)
-                    _sum_cubic(values, fx, fy, (*u, *v), out, spot)
+                fx, fy = int(px), int(py) - top
+                if wide_x == wide_y == 1.0 and _is_inner(fx, fy, inner):
+                    left, columns, high, rows = fx - 1, 4, fy - 1, 4
+                    across, down = _cubic(px - fx), _cubic(py - top - fy)
+                    _sum_cubic(values, fx, fy, (*across, *down), out, (row, x))
                     if noise.size:
-                        squares = (*_squares(u), *_squares(v))
-                        _sum_cubic(variance, fx, fy, squares, noise, spot)
-                    not_finite = 0
-                    for b in range(values.shape[2]):
-                        not_finite += out[spot[0], x, b] - out[spot[0], x, b] != 0
-                    care = not_finite > 0
-                    if suspect.size:
-                        care |= _any_suspect(suspect, fx - 1, 4, fy - 1, 4) != 0
+                        squares = (*_squares(across), *_squares(down))
+                        _sum_cubic(variance, fx, fy, squares, noise, (row, x))
+                elif _inside(px, py, source):
+                    left, columns = _axis(px, wide_x, values.shape[1], u)
+                    high, rows = _axis(py, wide_y, source.height, v)
+                    high -= top
+                    if high < 0 or high + rows > values.shape[0]:
+                        absent += 1
+                        continue
+                    box = left, columns, high, rows
+                    _sum_box(values, box, (u, v, sums), False, out, (row, x))
+                    if noise.size:
+                        _sum_box(variance, box, (u, v, sums), True, noise, (row, x))
+                else:
+                    _leave_out_all(result, (row, x))
+                    continue
+                care = False
+                for b in range(values.shape[2]):
+                    care |= out[row, x, b] - out[row, x, b] != 0
+                if suspect.size:
+                    care |= _any_suspect(suspect, left, columns, high, rows) != 0
                 if care:
                     at = px, py, wide_x, wide_y
-                    absent += _shared_pixel(source, result, at, spot, fast, weights)
+                    _mark_pixel(source, result, at, (row, x), (u, v, sums))
     return absent
