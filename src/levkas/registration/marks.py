@@ -22,7 +22,7 @@ much noise, √((1 − n₁)(1 − n₂)): Spearman's correction for attenuation
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -145,28 +145,25 @@ class Marks:
 
 @dataclass(frozen=True)
 class _Detail:
-    """Fine detail and what separates it from drawing and noise, each (h, w), float32, of one picture."""
+    """Fine detail and what separates it from noise, each (h, w), float32, of one picture."""
 
     fine: np.ndarray
     laplacian: np.ndarray
-    drawing: np.ndarray
     valid: np.ndarray
     contrast: float
 
     @classmethod
     def of(cls, image: np.ndarray) -> _Detail:
         """Separate the scales of a picture, (h, w), NaN where invalid, some rows at a time."""
-        height, known = len(image), np.isfinite(image)
+        known = np.isfinite(image)
         spread = float(image[known].std()) if known.any() else 0.0
-        fine, laplacian, drawing = (np.empty(image.shape, np.float32) for _ in range(3))
+        fine, laplacian = (np.empty(image.shape, np.float32) for _ in range(2))
         valid = np.empty(image.shape, bool)
-        for start in range(0, height, ROWS):
-            stop, above = min(start + ROWS, height), max(start - REACH, 0)
-            parts = _separate(image[above : stop + REACH])
-            inner = slice(start - above, stop - above)
-            for whole, part in zip((fine, laplacian, drawing, valid), parts, strict=True):
-                whole[start:stop] = part[inner]
-        return cls(fine, laplacian, drawing, valid, spread)
+        for rows, around, inner in _row_blocks(len(image)):
+            parts = _separate(image[around])
+            for whole, part in zip((fine, laplacian, valid), parts, strict=True):
+                whole[rows] = part[inner]
+        return cls(fine, laplacian, valid, spread)
 
     def contrast_in(self, where: np.ndarray) -> float:
         """Return fine detail at the places of a mask, (h, w), over the contrast of the whole picture; both robust to outlines."""
@@ -220,13 +217,15 @@ def compare_marks(
     (1.0, True, (False, False))
     """
     height, width = (min(n) for n in zip(reference.shape, target.shape, strict=True))
-    first, second = (_Detail.of(image[:height, :width]) for image in (reference, target))
+    images = [image[:height, :width] for image in (reference, target)]
+    first, second = (_Detail.of(image) for image in images)
     both = first.valid & second.valid & where[:height, :width]
     if both.sum() < SETTINGS.window**2:
         return None
     ground = both.copy()
-    for one in (first, second):
-        ground &= one.drawing <= np.quantile(one.drawing[both], SETTINGS.ground)
+    for image in images:
+        drawing = _drawing(image)
+        ground &= drawing <= np.quantile(drawing[both], SETTINGS.ground)
     if not ground.any():
         return None
     a, b = (_normalised(one.fine, ground) for one in (first, second))
@@ -305,22 +304,44 @@ def describe_want_of_marks(record: Mapping[str, Any] | None) -> str:
     )
 
 
-def _separate(image: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return fine detail, Laplacian, drawing and what is valid; of `REACH` rows at the edges only where the picture ends there."""
+def _row_blocks(height: int) -> Iterator[tuple[slice, slice, slice]]:
+    """Yield blocks of rows, the same with `REACH` more on either side, and where in these the block is."""
+    for start in range(0, height, ROWS):
+        stop, above = min(start + ROWS, height), max(start - REACH, 0)
+        yield slice(start, stop), slice(above, stop + REACH), slice(start - above, stop - above)
+
+
+def _values(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a picture with 0 where it is invalid, and 1 where it is valid, (h, w) float32."""
+    weight = np.isfinite(image).astype(np.float32)
+    return np.where(weight > 0, image, 0).astype(np.float32), weight
+
+
+def _separate(image: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return fine detail, Laplacian and what is valid; of `REACH` rows at the edges only where the picture ends there."""
     import cv2
 
-    weight = np.isfinite(image).astype(np.float32)
-    values = np.where(weight > 0, image, 0).astype(np.float32)
+    values, weight = _values(image)
     sharp, soft = (_smooth(values, weight, sigma) for sigma in SETTINGS.fine)
-    coarse = _smooth(values, weight, SETTINGS.drawing)
-    slope = np.hypot(*(cv2.Sobel(coarse, cv2.CV_32F, *axis) / 8 for axis in ((1, 0), (0, 1))))
-    ridge = np.abs(coarse - _smooth(values, weight, 2.5 * SETTINGS.drawing)) / SETTINGS.drawing
     return (
         (sharp - soft) * weight,
         cv2.filter2D(values, -1, LAPLACIAN),
-        cv2.dilate(np.maximum(slope, ridge), np.ones((3, 3))),
         cv2.erode(weight, np.ones((5, 5)), borderValue=1) > 0,
     )
+
+
+def _drawing(image: np.ndarray) -> np.ndarray:
+    """Return how much the smoothed structure of a picture changes, (h, w), some rows at a time."""
+    import cv2
+
+    drawing = np.empty(image.shape, np.float32)
+    for rows, around, inner in _row_blocks(len(image)):
+        values, weight = _values(image[around])
+        coarse = _smooth(values, weight, SETTINGS.drawing)
+        slope = np.hypot(*(cv2.Sobel(coarse, cv2.CV_32F, *axis) / 8 for axis in ((1, 0), (0, 1))))
+        ridge = np.abs(coarse - _smooth(values, weight, 2.5 * SETTINGS.drawing)) / SETTINGS.drawing
+        drawing[rows] = cv2.dilate(np.maximum(slope, ridge), np.ones((3, 3)))[inner]
+    return drawing
 
 
 def _smooth(values: np.ndarray, weight: np.ndarray, sigma: float) -> np.ndarray:

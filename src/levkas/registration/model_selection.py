@@ -265,7 +265,7 @@ class SelectedModel:
     @property
     def total_information(self) -> float:
         """All information together, 1/px², by how windows scatter about the model."""
-        return float(np.trace(self.observations.information, axis1=1, axis2=2).sum())
+        return _total(self.observations)
 
     def held_out(self) -> np.ndarray:
         """Return how far each window, (n,), reference px, lies from a fit without its block; NaN without one."""
@@ -368,6 +368,16 @@ def select_model(
         () if terms.coarse else comparison.alternatives(SETTINGS.near),
         best.fit, partial(comparison.alternatives, SETTINGS.far),
     )  # fmt: skip
+
+
+def scattered_information(observations: Observations, terms: SelectionTerms) -> float:
+    """Return the `total_information` of the model that would be selected: it is the same for all of them."""
+    fit = MODELS[terms.models(len(observations))[-1]][1]
+    return _total(_reweight(observations, fit, terms.fixed)[1])
+
+
+def _total(observations: Observations) -> float:
+    return float(np.trace(observations.information, axis1=1, axis2=2).sum())
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -196,14 +197,10 @@ def fit_linear(observations: Observations, design: np.ndarray) -> np.ndarray:
     return _solve_normal(normal, right)
 
 
-def _solve_normal(
-    normal: np.ndarray, right: np.ndarray, ridge: np.ndarray | None = None
-) -> np.ndarray:
+def _solve_normal(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Return (terms, 2) that solve normal equations, (2, terms, 2, terms) and (2, terms)."""
     terms = right.shape[1]
     matrix = normal.reshape(2 * terms, 2 * terms)
-    if ridge is not None:
-        matrix = matrix + np.kron(np.eye(2), ridge)
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     scaled = matrix * scale[:, None] * scale
     try:
@@ -325,11 +322,13 @@ def fit_spline(
     weight = price * np.trace(observations.information, axis1=1, axis2=2).sum() / (rows * columns)
     bending = weight * (roughness(rows, columns) + 1e-3 * np.eye(rows * columns))
     normal, right = np.zeros((2, rows * columns, 2, rows * columns)), np.zeros((2, rows * columns))
+    normal[0, :, 0], normal[1, :, 1] = bending, bending
     spline_sums(whole, bx, by, _native(plain), shift, columns, normal, right)
-    solved = _solve_normal(normal, right, bending)
+    solved = _solve_normal(normal, right)
     return Composed(SplineShift(origin, spacing, solved.reshape(rows, columns, 2)), under)
 
 
+@lru_cache(maxsize=8)
 def roughness(rows: int, columns: int) -> np.ndarray:
     """Return the matrix, (rows x columns, rows x columns), by which coefficients of a lattice give the sum of squares of their second differences."""
 

@@ -31,7 +31,7 @@ from levkas.registration.measured_bands import (
     is_smooth_in_wavelength,
     measured_bands,
 )
-from levkas.registration.model_selection import SelectionTerms, select_model
+from levkas.registration.model_selection import SelectionTerms, scattered_information
 from levkas.registration.models import Observations
 from levkas.registration.predictors import (
     cell_px,
@@ -252,7 +252,7 @@ def _information(windows: WindowShifts) -> float:
         return 0.0
     points, one = windows.centres[used], np.broadcast_to(np.eye(2), (int(used.sum()), 2, 2))
     observed = Observations(points, points - windows.shift[used], one, windows.information[used])
-    return select_model(observed, SelectionTerms(spacing=1.0, coarse=True)).total_information
+    return scattered_information(observed, SelectionTerms(coarse=True))
 
 
 def _explained(windows: WindowShifts) -> float:
