@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from itertools import chain
 from math import ceil, prod
 from pathlib import Path
@@ -401,15 +400,15 @@ def _colours_of(page: Any) -> str | None:
 def _describe(page: Any, shape: tuple[int, ...]) -> dict[str, Any]:
     """Return the levels, pattern, exposure, date, camera and band of a page, as fields of Facts."""
     tags = page.tags
-    named: dict[str, Any] = {}  # tifffile would look through all tags for each name
-    for tag in tags.values():
-        named.setdefault(tag.name, tag)
-    exif = value_of(named, "ExifTag")
+    exif = value_of(tags, "ExifTag")
     exif = exif if isinstance(exif, dict) else {}
+
+    codes = {tag.name: tag.code for tag in reversed(list(tags.values()))}
 
     def find(name: str) -> Any:
         both = (name, f"{name} ")  # tifffile has a blank in the name of ExposureIndex
-        found = (get(each) for get in (partial(value_of, named), exif.get) for each in both)
+        own = (value_of(tags, codes[each]) for each in both if each in codes)
+        found = chain(own, (exif[each] for each in both if each in exif))
         return next((value for value in found if value is not None), None)
 
     whites = numbers_of(tags, "WhiteLevel")

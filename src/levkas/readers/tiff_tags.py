@@ -13,6 +13,10 @@ RATIONAL = (5, 10)  # types of tags
 def value_of(tags: Any, name: str | int) -> Any:
     """Return a tag's value, None where it is absent or cannot be read."""
     try:
+        if isinstance(name, str):  # for which tifffile would look through all tags
+            from tifffile import TIFF
+
+            name = next((code for code in TIFF.TAGS.getall(name, []) if code in tags), -1)
         return tags[name].value if name in tags else None
     except Exception:  # a damaged directory leads tifffile to many kinds of errors
         return None

@@ -11,11 +11,11 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from levkas.campaign.discovery.captures import CaptureRefused
+from levkas.campaign.discovery.captures import CaptureRefused, FrameRef
 from levkas.campaign.discovery.patterns import Pattern, natural, ways_to_read
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import TextRefused, read_text
@@ -196,6 +196,13 @@ class FoundFile:
     object: str = ""
     tile: str = ""
 
+    @cached_property
+    def ref(self) -> FrameRef:
+        """The file as a frame; an empty text is a band that is not known."""
+        named = self.path, self.target, self.sensor, self.band or None, self.wavelength
+        read = self.exposure_s, self.shot, self.setup
+        return FrameRef(*named, *read, object=self.object, tile=self.tile)
+
 
 def find_files(
     root: Path,
@@ -325,8 +332,8 @@ def _walk(
                 yield from _walk(pattern, folders, folder / name, index, deeper, been, spelled)
     elif index == len(pattern.segments) - 1:
         for name in folders.files(folder):
-            if pattern.fits_segment(index, spelled(name)):
-                yield folder / name, text + spelled(name)
+            if pattern.fits_segment(index, described := spelled(name)):
+                yield folder / name, text + described
     else:
         plain = spelled is composed and not re.search(r"[{*]", segment)
         for name in (segment,) if plain else folders.folders(folder):

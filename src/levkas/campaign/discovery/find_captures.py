@@ -381,8 +381,8 @@ def _sensor(
     campaign = index.campaign
     templates = Templates(index, camera, label, setup, found)
     names = {"dark": campaign.darks_of(camera), "white": campaign.whites_of(camera)}
-    darks = [_ref(f) for f in templates.of("dark", names["dark"], [setup, ""])]
-    whites = [_ref(f) for f in templates.of("white", names["white"], [setup])]
+    darks = [f.ref for f in templates.of("dark", names["dark"], [setup, ""])]
+    whites = [f.ref for f in templates.of("white", names["white"], [setup])]
     missing = [
         templates.missing(kind, names[kind])
         for kind, got in (("dark", darks), ("white", whites))
@@ -433,18 +433,11 @@ def _chart_frames(
     return frames
 
 
-def _ref(found: FoundFile) -> FrameRef:
-    """Return a found file as a frame; an empty text is a band that is not known."""
-    f, band = found, found.band or None
-    named = f.path, f.target, f.sensor, band, f.wavelength, f.exposure_s, f.shot, f.setup
-    return FrameRef(*named, object=f.object, tile=f.tile)
-
-
 def _frames_and_bands(
     index: FileIndex, camera: Camera, sensor: SensorKeys | None, found: list[FoundFile], setup: str
 ) -> tuple[list[FrameRef], Rows | None, tuple[Band, ...]]:
     """Return the frames of the object with their bands, the mosaic's pattern, and the bands."""
-    frames, first = [_ref(f) for f in found], found[0].path
+    frames, first = [f.ref for f in found], found[0].path
     pattern = sensor.pattern if sensor else camera.pattern
     bands_in = camera.traits.bands_in
     names = (sensor.bands if sensor else ()) or (camera.bands if bands_in == "pattern" else ())

@@ -137,7 +137,9 @@ def match_pieces(pieces: Sequence[Piece], text: str) -> dict[str, str] | None:
 
     def enter(index: int, start: int, values: dict[str, str]) -> None:
         """Go on with a piece at a place, unless it failed there."""
-        tried = failed.get(_state(free[index], index, text, start, values))
+        tried = None
+        if failed:
+            tried = failed.get(_state(free[index], index, text, start, values))
         if tried is not None and tried <= start:
             return
         kind, name = pieces[index]

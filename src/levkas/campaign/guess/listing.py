@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 from levkas.campaign.discovery.file_index import DEEPEST, FolderListings, composed, walk_folders
@@ -21,7 +22,7 @@ FEW = 3
 class CaptureFile:
     """One capture: its file, the folders it lies in below the root, their accents composed, and its facts.
 
-    Facts that are `borrowed` are those of files like it: its header was not read.
+    Facts that are `borrowed` are those of a file like it, whose path they have: its header was not read.
     """
 
     path: Path
@@ -44,7 +45,7 @@ class CaptureFile:
         """Whether it is of a format that stacks of maps have, and nothing else."""
         return self.facts.kind in STACKS.values()
 
-    @property
+    @cached_property
     def signature(self) -> tuple[object, ...]:
         """Common facts of one sensor's frames: size (of a scan the width), channels, type of number; of maps their format."""
         shape = self.facts.shape
@@ -94,12 +95,13 @@ def list_captures(root: str | Path) -> Listing:
         folder = listing.root.joinpath(*above)
         composed_above = tuple(map(composed, above))
         paths += [(composed_above, folder / name) for name in names]
-    headers = {p.with_suffix("") for _, p in paths if p.suffix.lower() in (".hdr", ".rpl")}
+    headers = {p.with_suffix("") for _, p in paths if p.name.lower().endswith((".hdr", ".rpl"))}
     known: dict[tuple[object, ...], list[Facts]] = {}
+    lent: dict[tuple[object, ...], Facts] = {}
     for folders, path in paths:
         suffix = path.suffix.lower()
         name = "/".join((*folders, path.name))
-        of_header = path in headers or path.with_suffix("") in headers
+        of_header = headers and (path in headers or path.with_suffix("") in headers)
         if of_header and suffix not in IMAGES and suffix not in STACKS:
             continue  # the data of an ENVI header, or of a Ripple stack
         stack = _facts_of_stack(path) if suffix in STACKS or suffix == ".mat" else None
@@ -113,8 +115,10 @@ def list_captures(root: str | Path) -> Listing:
         alike = known.setdefault((folders, suffix), [])
         spared = len(alike) >= FEW and (suffix in SUFFIXES or len(paths) > MOST_READ)
         if spared and all(f.shape == alike[0].shape for f in alike):
-            facts = replace(alike[0], path=path, exposure_s=None, captured=None)
-            listing.captures.append(CaptureFile(path, folders, facts, borrowed=True))
+            key = folders, suffix
+            if key not in lent:
+                lent[key] = replace(alike[0], exposure_s=None, captured=None)
+            listing.captures.append(CaptureFile(path, folders, lent[key], borrowed=True))
             continue
         try:
             facts = _facts_of_image(path)

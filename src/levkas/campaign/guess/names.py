@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 
 from levkas.campaign.discovery.file_index import composed
@@ -92,17 +92,17 @@ class NamedFile:
 
     def number(self, kind: str) -> str | None:
         """Return the number of the wavelength or exposure, as in the path."""
-        tokens = self._of_kind(kind)
-        return tokens[0].number if tokens else None
+        return next((token.number for token in self._of_kind(kind)), None)
 
     def with_role(self, role: str) -> NamedFile:
         """Return the file with another role."""
         return replace(self, role=role)
 
-    def _of_kind(self, kind: str) -> list[Token]:
-        return [t for segment in self.segments for t in segment if t.kind == kind]
+    def _of_kind(self, kind: str) -> Iterator[Token]:
+        return (t for segment in self.segments for t in segment if t.kind == kind)
 
 
+@cache
 def _tokens_of_folder(name: str) -> tuple[Token, ...]:
     """Return a folder as one word, but for a target in it, a date, a wavelength, an exposure, or a sensor's number."""
     for mark, kind in ((TARGET, "target"), (OBJECT, "object")):

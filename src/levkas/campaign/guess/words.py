@@ -252,6 +252,7 @@ def _split(text: str, pattern: str) -> list[tuple[str, str]]:
     return found
 
 
+@cache
 def _typed(text: str, gap: str) -> Token:
     for kind, pattern in _KINDS.items():
         found = pattern.fullmatch(text)
