@@ -96,7 +96,7 @@ def edge_blur(plane: np.ndarray, left_out: np.ndarray | None = None) -> tuple[fl
     plane = np.nan_to_num(np.asarray(plane, np.float32))
     if min(plane.shape) < 32:
         return float("nan"), 0
-    first, second, third = (_slope(plane, sigma) for sigma in (FIRST, SECOND, THIRD))
+    first = _slope(plane, FIRST)
     edge = min(16, min(plane.shape) // 4)  # what lies beyond the frame is not known
     usable = np.zeros(plane.shape, bool)
     usable[edge:-edge, edge:-edge] = True
@@ -111,8 +111,9 @@ def edge_blur(plane: np.ndarray, left_out: np.ndarray | None = None) -> tuple[fl
         return float("nan"), 0
     crest = (first == cv2.dilate(first, np.ones((3, 3), np.uint8))) & (first >= slope)
     crest &= usable
-    ratio = first[crest].astype(float) / np.maximum(second[crest], 1e-12)
-    onward = second[crest] / np.maximum(third[crest], 1e-12)
+    second, third = (_slope(plane, sigma, crest) for sigma in (SECOND, THIRD))
+    ratio = first[crest].astype(float) / np.maximum(second, 1e-12)
+    onward = second / np.maximum(third, 1e-12)
     steps = (ratio > 1.001) & (ratio < SECOND / FIRST) & (onward < NEIGHBOURS * THIRD / SECOND)
     count = int(np.count_nonzero(steps))
     if count < LEAST_EDGES:
@@ -128,8 +129,8 @@ def _noise_slope(plane: np.ndarray) -> float:
     return float(np.median(np.abs(fine))) / 0.6745 / np.sqrt(1.5)
 
 
-def _slope(plane: np.ndarray, sigma: float) -> np.ndarray:
-    """Magnitude of the gradient of a plane behind a Gaussian, per px."""
+def _slope(plane: np.ndarray, sigma: float, at: Any = np.s_[:]) -> np.ndarray:
+    """Magnitude of the gradient of a plane behind a Gaussian, per px, in the places `at`."""
     import cv2
 
     reach = int(4 * sigma + 0.5)
@@ -142,4 +143,4 @@ def _slope(plane: np.ndarray, sigma: float) -> np.ndarray:
         cv2.sepFilter2D(plane, cv2.CV_32F, kernel_x, kernel_y, borderType=border)
         for kernel_x, kernel_y in ((edge, bell), (bell, edge))
     )
-    return np.hypot(along, down)
+    return np.hypot(along[at], down[at])
