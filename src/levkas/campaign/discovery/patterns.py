@@ -14,6 +14,7 @@ from levkas.readers.wavelengths import LENGTHS, bare_centre
 MOST_STEPS = 200_000
 """Steps for one name; only repeated placeholders with many readings of the first come near it."""
 _DIGITS = re.compile(r"\d+")
+_NUMERALS = re.compile("([0-9]+)")
 _OPEN = re.compile(r"(?<![^\W_])")
 _CLOSED = re.compile(r"(?![^\W_])")
 
@@ -392,6 +393,7 @@ def _place_in_grid(row: str | None, column: str | None) -> str:
     return "".join(f"{axis}{int(n)}" for axis, n in (("r", row), ("c", column)) if n is not None)
 
 
+@lru_cache(maxsize=4096)
 def _nanometres(number: str, pattern: str) -> float:
     """Return a wavelength in a name, nm: in the unit behind ``{wavelength}``, else by what is plausible.
 
@@ -423,7 +425,7 @@ def natural(text: str) -> tuple[tuple[int, int, str], ...]:
     >>> sorted(["b10", "b9", "a"], key=natural)
     ['a', 'b9', 'b10']
     """
-    parts = re.split(r"([0-9]+)", text)
+    parts = _NUMERALS.split(text)
     return tuple((0, int(p), p) if i % 2 else (1, 0, p) for i, p in enumerate(parts) if p)
 
 
