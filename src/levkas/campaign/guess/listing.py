@@ -97,7 +97,7 @@ def list_captures(root: str | Path) -> Listing:
         paths += [(composed_above, folder / name) for name in names]
     headers = {p.with_suffix("") for _, p in paths if p.name.lower().endswith((".hdr", ".rpl"))}
     known: dict[tuple[object, ...], list[Facts]] = {}
-    lent: dict[tuple[object, ...], Facts] = {}
+    borrowed_facts: dict[tuple[object, ...], Facts] = {}
     for folders, path in paths:
         suffix = path.suffix.lower()
         name = "/".join((*folders, path.name))
@@ -116,9 +116,9 @@ def list_captures(root: str | Path) -> Listing:
         spared = len(alike) >= FEW and (suffix in SUFFIXES or len(paths) > MOST_READ)
         if spared and all(f.shape == alike[0].shape for f in alike):
             key = folders, suffix
-            if key not in lent:
-                lent[key] = replace(alike[0], exposure_s=None, captured=None)
-            listing.captures.append(CaptureFile(path, folders, lent[key], borrowed=True))
+            if key not in borrowed_facts:
+                borrowed_facts[key] = replace(alike[0], exposure_s=None, captured=None)
+            listing.captures.append(CaptureFile(path, folders, borrowed_facts[key], borrowed=True))
             continue
         try:
             facts = _facts_of_image(path)
