@@ -104,7 +104,7 @@ def _mix(nodes, y, segment, part):
             part[c] += weight * table[first + i, segment, c]
 
 
-@njit
+@njit(forceinline=True)
 def _follow(part, t):
     """Return where the map is at `t` px along its segment, (x, y)."""
     x = part[0] + t * (part[1] + t * (part[2] + t * part[3]))
@@ -136,7 +136,7 @@ def _keys(d):
     return 2.0 + d * (d * (2.5 - 0.5 * d) - 4.0) if d < 2.0 else 0.0
 
 
-@njit
+@njit(forceinline=True)
 def _cubic(t):
     """Weights of Keys's cubic for pixels -1, 0, 1, 2 from `t` in [0, 1]."""
     square = t * t
@@ -226,12 +226,12 @@ def _inner(source):
     return 1, width - 2, max(1, 1 - source.top), min(held, source.height - source.top) - 2
 
 
-@njit
+@njit(forceinline=True)
 def _is_inner(x, y, inner):
     return inner[0] <= x < inner[1] and inner[2] <= y < inner[3]
 
 
-@njit
+@njit(forceinline=True)
 def _squares(u):
     return u[0] * u[0], u[1] * u[1], u[2] * u[2], u[3] * u[3]
 
@@ -336,7 +336,7 @@ def _pass_flags(flags, out, box, near, spot, weights):
         out[row, x, b] = mark | flags[near[1], near[0], b] | (NEAR if mark else np.uint8(0))
 
 
-@njit
+@njit(forceinline=True)
 def _sum_cubic(plane, x, y, weights, out, spot):
     """Sum the 4 x 4 taps about (x, y), all bands of a pixel."""
     u0, u1, u2, u3, v0, v1, v2, v3 = weights
@@ -421,14 +421,15 @@ def resample_rows(start, stop, nodes, source, result):
             row = y - result.first
             for x in range(x0, min(x0 + nodes.segment, nodes.width)):
                 px, py = _follow(part, float(x - x0))
-                fx, fy = int(px), int(py) - top
+                fx, fy, marks = int(px), int(py) - top, np.uint8(0)
                 if wide_x == wide_y == 1.0 and _is_inner(fx, fy, inner):
-                    left, columns, high, rows = fx - 1, 4, fy - 1, 4
                     across, down = _cubic(px - fx), _cubic(py - top - fy)
                     _sum_cubic(values, fx, fy, (*across, *down), out, (row, x))
                     if noise.size:
                         squares = (*_squares(across), *_squares(down))
                         _sum_cubic(variance, fx, fy, squares, noise, (row, x))
+                    if suspect.size:
+                        marks = _any_suspect(suspect, fx - 1, 4, fy - 1, 4)
                 elif _inside(px, py, source):
                     left, columns = _axis(px, wide_x, values.shape[1], u)
                     high, rows = _axis(py, wide_y, source.height, v)
@@ -440,14 +441,14 @@ def resample_rows(start, stop, nodes, source, result):
                     _sum_box(values, box, (u, v, sums), False, out, (row, x))
                     if noise.size:
                         _sum_box(variance, box, (u, v, sums), True, noise, (row, x))
+                    if suspect.size:
+                        marks = _any_suspect(suspect, *box)
                 else:
                     _leave_out_all(result, (row, x))
                     continue
-                care = False
+                care = marks != 0
                 for b in range(values.shape[2]):
                     care |= out[row, x, b] - out[row, x, b] != 0
-                if suspect.size:
-                    care |= _any_suspect(suspect, left, columns, high, rows) != 0
                 if care:
                     at = px, py, wide_x, wide_y
                     _mark_pixel(source, result, at, (row, x), (u, v, sums))
