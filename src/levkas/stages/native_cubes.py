@@ -15,7 +15,7 @@ from levkas.core.disk import require_space
 from levkas.core.files import make_folder
 from levkas.core.machine import memory_bound
 from levkas.core.problems import Problem, Refused
-from levkas.core.rounding import round_root, round_values
+from levkas.core.rounding import round_root, round_sigma, round_values
 from levkas.database.layers import Layer, write_tiffs
 from levkas.database.spectral_tiff import read_tiff_pages
 from levkas.geometry.resample import warp
@@ -261,7 +261,7 @@ def _pictures(cube: Cube) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 class PackedSigma:
-    """Sigma of a cube in half of its memory until resampling needs it: of its 8 significant bits, `round_root`, the lower half of a float32 has none.
+    """Sigma of a cube in half of its memory until resampling needs it: the lower half of a float32 has none of its 8 significant bits.
 
     Examples
     --------
@@ -271,10 +271,10 @@ class PackedSigma:
     """
 
     def __init__(self, sigma: np.ndarray) -> None:
-        self._upper = _halves(np.ascontiguousarray(sigma, "<f4")).copy()
+        self._upper = _halves(np.ascontiguousarray(round_sigma(sigma), "<f4")).copy()
 
     def unpack(self) -> np.ndarray:
-        """Return sigma as it was, float32, in memory of its own."""
+        """Return sigma, rounded as `round_sigma` does, float32, in memory of its own."""
         sigma = np.zeros(self._upper.shape, "<f4")
         _halves(sigma)[...] = self._upper
         return sigma
