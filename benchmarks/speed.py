@@ -4,7 +4,7 @@
 
 FOLDER keeps the simulated campaign, the band files that `look` reads and the sources of COMMIT (default: the last but one) for the
 next run. Both codes are measured in turns, each from an empty database; the least of the rounds counts, as nothing makes a
-program faster than it is. Where time goes is sampled every 10 ms over threads that do not wait, by the package whose code,
+program faster than it is; the first one compiles. Where time goes is sampled every 10 ms over threads that do not wait, by the package whose code,
 or library on its behalf, runs. The floor is to read every raw frame and to write every published layer once.
 Ten minutes with the preset `small`; compare times within a run only.
 """
@@ -214,6 +214,8 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=8, help="right pairs, and as many impostors")
     parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args()
+    if given.rounds < 2:
+        parser.error("--rounds: 2 at least, as the first one compiles")
     folder = (given.folder or Path(tempfile.mkdtemp())).resolve()
     if given.measure:
         given.measure.write_text(json.dumps(measure(folder, given.pairs)))
