@@ -380,7 +380,7 @@ def bands_by_name(
     labels = dict(zip(keys, names, strict=True))
     ranks = {key: i for i, key in enumerate(keys)}
     ordered = sorted(frames, key=lambda f: (ranks[_sure(f)], f.exposure_s or 0.0))
-    return [f.of_band(labels[_sure(f)]) for f in ordered], bands
+    return [replace(f, band=labels[_sure(f)]) for f in ordered], bands
 
 
 def label_templates(
@@ -405,7 +405,7 @@ def label_templates(
         if key is None or frame.page is not None:
             result.append(frame)
         elif key in labels:
-            result.append(frame.of_band(labels[key]))
+            result.append(replace(frame, band=labels[key]))
     return result
 
 

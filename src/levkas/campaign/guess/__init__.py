@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,9 +15,6 @@ if TYPE_CHECKING:
 __all__ = ["LookRefused", "look", "write_campaign"]
 
 FILE = "campaign.toml"
-MANY = 50_000
-"""New objects after which unused ones that refer to each other are looked for: of twenty thousand files there are a
-million objects, and looking each time that there are 700 more took a tenth of all time."""
 
 
 def look(folder: str | Path) -> Proposal:
@@ -40,21 +36,12 @@ def look(folder: str | Path) -> Proposal:
     LookRefused
         Where there is no image that can be read.
     """
-    if (absent := missing_path(Path(folder))) is not None:
-        raise LookRefused(absent)
-    rarely = gc.get_threshold()
-    gc.set_threshold(MANY, *rarely[1:])
-    try:
-        return _look(folder)
-    finally:
-        gc.set_threshold(*rarely)
-
-
-def _look(folder: str | Path) -> Proposal:
     from levkas.campaign.guess.listing import list_captures
     from levkas.campaign.guess.proposal import propose
     from levkas.readers.frames import EXPECTED
 
+    if (absent := missing_path(Path(folder))) is not None:
+        raise LookRefused(absent)
     listing = list_captures(folder)
     if not listing.captures:
         others = ", ".join(f"{n} {suffix}" for suffix, n in listing.others.most_common(5))
