@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 REACH = 2.0
 """Of the kernel, source px."""
+TAPS = 16
+"""Values of the source that one of the grid is a sum of, where the kernel is not widened."""
 PLANES = 16
 """Bands with maps of their own that are held as planes at a time: a cache line of float32."""
 BLOCK_BYTES = 1 << 26
@@ -387,7 +389,7 @@ def _resample(
         parts = in_threads(
             lambda a, b, y=start, n=nodes: loops.resample_rows(y + a, y + b, n, source, result),
             stop - start,
-            worth=warped.values[0].size * (stop - start),
+            worth=TAPS * warped.values[0].size * (stop - start),
         )
         absent += sum(parts)
     return absent
