@@ -7,16 +7,23 @@ import numpy as np
 _SAME_SIZE = {1: np.uint8, 2: np.uint16, 4: np.int32, 8: np.float64}
 
 
-def transpose(matrix: np.ndarray) -> np.ndarray:
-    """Return the transpose of a matrix, C order, bit for bit, byte order kept.
+def transpose(matrix: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+    """Return the transpose of a matrix, bit for bit, byte order kept.
 
     Parameters
     ----------
     matrix : ndarray, (a, b), of any type
+    out : ndarray, (b, a), of the same type, optional
+        Written to, and returned; also a part of a larger array whose rows lie apart.
 
     Returns
     -------
     ndarray, (b, a)
+
+    Raises
+    ------
+    ValueError
+        Where `out` is of another shape or type.
 
     Examples
     --------
@@ -25,8 +32,21 @@ def transpose(matrix: np.ndarray) -> np.ndarray:
     """
     import cv2
 
+    if out is None:
+        out = np.empty(matrix.shape[::-1], matrix.dtype)
+    if out.shape != matrix.shape[::-1] or out.dtype != matrix.dtype:
+        raise ValueError(
+            f"the transpose of {matrix.shape} {matrix.dtype} was to be written to {out.shape} {out.dtype}"
+        )
     kind = _SAME_SIZE.get(matrix.dtype.itemsize)
-    if kind is None or not matrix.size:
-        return np.ascontiguousarray(matrix.T)
-    turned = cv2.transpose(np.ascontiguousarray(matrix).view(kind))
-    return turned.reshape(matrix.shape[::-1]).view(matrix.dtype)
+    if kind is None or not matrix.size or not (_has_rows(matrix) and _has_rows(out)):
+        out[...] = matrix.T
+    else:
+        cv2.transpose(matrix.view(kind), dst=out.view(kind))
+    return out
+
+
+def _has_rows(matrix: np.ndarray) -> bool:
+    """Return whether the numbers of a row lie side by side, and rows one after another."""
+    apart, step = matrix.strides
+    return bool(step == matrix.itemsize and apart >= matrix.shape[1] * step)

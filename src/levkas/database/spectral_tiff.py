@@ -295,10 +295,8 @@ def encode_strips(rows: np.ndarray, start: int, stop: int) -> list[bytes]:
 
 def _turned(values: np.ndarray, start: int, stop: int) -> np.ndarray:
     """Return bands `start` to `stop` of (height, width, bands) as (bands, height, width)."""
-    planes = np.empty((stop - start, *values.shape[:2]), values.dtype)
-    for y, row in enumerate(values[:, :, start:stop]):
-        planes[:, y] = transpose(row)
-    return planes
+    planes = transpose(values[:, :, start:stop].reshape(-1, stop - start))
+    return planes.reshape(-1, *values.shape[:2])
 
 
 def write_stiff(

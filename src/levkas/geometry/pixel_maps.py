@@ -20,6 +20,8 @@ from levkas.core.threads import each
 from levkas.geometry.depth_step import DepthStepShift
 
 if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
     from levkas.geometry.transforms import Transform
 
 TOLERANCE_PX = 1e-4
@@ -244,39 +246,69 @@ def _coarsest(nodes: np.ndarray, x: np.ndarray, y: np.ndarray) -> float:
     return scale
 
 
-def lagrange(places: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return first node, (n,), and weights, (n, 6), for `places` among `count` equidistant nodes."""
+def lagrange(places: np.ndarray, count: int) -> csr_array:
+    """Return weights, (n, count), that interpolate `places` among `count` equidistant nodes, 1 apart, by six of them each."""
+    from scipy.sparse import csr_array
+
     first = np.clip(np.floor(places).astype(int) - NODES // 2 + 1, 0, count - NODES)
     weights = np.ones((len(places), NODES))
     for i in range(NODES):
         for j in range(NODES):
             if j != i:
                 weights[:, i] *= (places - first - j) / (i - j)
-    return first, weights
+    nodes = (first[:, None] + np.arange(NODES)).ravel()
+    ends = np.arange(0, len(nodes) + 1, NODES)
+    return csr_array((weights.ravel(), nodes, ends), shape=(len(places), count))
 
 
 def _table(nodes: np.ndarray, shape: tuple[int, int], segment: int) -> np.ndarray:
     """Lay cubics along the segments of each row of nodes, through four places of each."""
-    from levkas.geometry.pixel_maps_kernel import segments
-
     (height, width), (rows, columns) = shape, nodes.shape[:2]
     count = ceil(width / segment)
-    places = np.arange(3 * count + 1) * (segment / 3) * ((columns - 1) / (width - 1))
-    first, weights = lagrange(places, columns)
-    return segments(nodes, first, weights, segment, (height - 1) / (rows - 1))
+    thirds = np.arange(3 * count + 1) * (segment / 3) * ((columns - 1) / (width - 1))
+    along = lagrange(thirds, columns) @ nodes.transpose(1, 0, 2).reshape(columns, -1)
+    along = along.reshape(-1, rows, 2).transpose(1, 0, 2)
+    return _lay_segments(along, segment, (height - 1) / (rows - 1))
+
+
+def _lay_segments(along: np.ndarray, length: int, step_y: float) -> np.ndarray:
+    """Return (rows, segments, 10): a cubic along each segment of each row of nodes, and the scales.
+
+    `along`, (rows, 3 segments + 1, 2), are places at thirds of the segments, `length` px long; rows are `step_y` px apart.
+    """
+    p, q, u, v = along[:, :-1:3], along[:, 1::3], along[:, 2::3], along[:, 3::3]
+    table = np.empty((*p.shape[:2], 10))
+    table[..., 0:8:4] = p
+    slopes = (
+        (18 * q - 11 * p - 9 * u + 2 * v) / (2 * length),
+        4.5 * (2 * p - 5 * q + 4 * u - v) / length**2,
+        4.5 * (3 * q - p - 3 * u + v) / length**3,
+    )
+    for k, slope in enumerate(slopes, 1):
+        # What is left of rounding would make a copy of whole pixels an interpolation.
+        table[..., k:8:4] = np.where(np.abs(slope) * length**k >= 1e-9, slope, 0.0)
+    row, middle = np.arange(len(along)), (q + u) / 2
+    above, below = np.maximum(row - 1, 0), np.minimum(row + 1, len(along) - 1)
+    down = (middle[below] - middle[above]) / ((below - above) * step_y)[:, None, None]
+    table[..., 8:] = np.hypot((v - p) / length, down)
+    return table
 
 
 def _evaluate(
     table: np.ndarray, shape: tuple[int, int], segment: int, x: np.ndarray, y: np.ndarray
 ) -> np.ndarray:
     """Return where a table puts a raster of whole grid px, (rows x columns, 2)."""
-    from levkas.geometry.pixel_maps_kernel import follow
+    which, within = np.divmod(x.astype(int), segment)
+    cubics = _between_rows(table, y, shape[0])[:, which, :8].reshape(len(y), len(x), 2, 4)
+    t, (a, b, c, d) = within[:, None], np.moveaxis(cubics, -1, 0)
+    return np.asarray(a + t * (b + t * (c + t * d))).reshape(-1, 2)
 
-    rows = table.shape[0]
-    first, weights = lagrange(y * ((rows - 1) / (shape[0] - 1)), rows)
-    found = np.empty((len(y), len(x), 2))
-    follow(table, first, weights, *np.divmod(x.astype(int), segment), found)
-    return found.reshape(-1, 2)
+
+def _between_rows(table: np.ndarray, y: np.ndarray, height: int) -> np.ndarray:
+    """Return a table's segments at grid rows `y` of `height`, as the table has them."""
+    rows = len(table)
+    weights = lagrange(y * ((rows - 1) / (height - 1)), rows)
+    return np.asarray(weights @ table.reshape(rows, -1)).reshape(len(y), *table.shape[1:])
 
 
 def exact_table(lattice: Lattice, shape: tuple[int, int], start: int, stop: int) -> np.ndarray:
@@ -326,10 +358,8 @@ def row_reach(
         y = exact_table(lattice, shape, start, stop)[:, :, 4]
         y = y[y != FAR]
         return (float(y.min()), float(y.max())) if y.size else (np.nan, np.nan)
-    rows = len(lattice.table)
-    first, weights = lagrange(np.arange(start, stop) * ((rows - 1) / (shape[0] - 1)), rows)
-    nodes = lattice.table[first[:, None] + np.arange(NODES), :, 4:8]
-    a, b, c, d = np.moveaxis(np.einsum("rk,rkts->rts", weights, nodes), -1, 0)
+    down = lattice.table[:, :, 4:8]
+    a, b, c, d = np.moveaxis(_between_rows(down, np.arange(start, stop), shape[0]), -1, 0)
     n = lattice.segment
     # A cubic stays between the least and the largest of its Bézier points.
     ends = (a, a + b * n / 3, a + 2 * b * n / 3 + c * n**2 / 3, a + n * (b + n * (c + n * d)))

@@ -1,4 +1,4 @@
-"""Compiled loops of maps: splines, polynomials, and the cubics along rows that stand for a map."""
+"""Compiled loops of maps: splines and polynomials."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -190,49 +190,3 @@ def spline_sums(first, across, down, weight, goal, columns, normal, right):
                 for a in range(2):
                     for b in range(2):
                         normal[a, one, b, other] += both * weight[n, a, b]
-
-
-def segments(
-    nodes: np.ndarray, first: np.ndarray, weights: np.ndarray, length: int, step_y: float
-) -> np.ndarray:
-    """Return (rows, segments, 10): a cubic along each segment of each row of nodes, and the scales.
-
-    `first` and `weights`, (3 segments + 1) and (…, taps), interpolate the nodes of a row at thirds
-    of the segments, `length` px long; rows are `step_y` px apart.
-    """
-    along = np.zeros((len(nodes), len(first), 2))
-    for t in range(weights.shape[1]):
-        along += weights[:, t, None] * nodes[:, first + t]
-    p, q, u, v = along[:, :-1:3], along[:, 1::3], along[:, 2::3], along[:, 3::3]
-    table = np.empty((*p.shape[:2], 10))
-    table[..., 0:8:4] = p
-    slopes = (
-        (18 * q - 11 * p - 9 * u + 2 * v) / (2 * length),
-        4.5 * (2 * p - 5 * q + 4 * u - v) / length**2,
-        4.5 * (3 * q - p - 3 * u + v) / length**3,
-    )
-    for k, slope in enumerate(slopes, 1):
-        # What is left of rounding would make a copy of whole pixels an interpolation.
-        table[..., k:8:4] = np.where(np.abs(slope) * length**k >= 1e-9, slope, 0.0)
-    row, middle = np.arange(len(nodes)), (q + u) / 2
-    above, below = np.maximum(row - 1, 0), np.minimum(row + 1, len(nodes) - 1)
-    down = (middle[below] - middle[above]) / ((below - above) * step_y)[:, None, None]
-    table[..., 8:] = np.hypot((v - p) / length, down)
-    return table
-
-
-@njit(cache=True)
-def follow(table, first, weights, which, along, found):
-    """Fill (rows, columns, 2): the cubics of a table, between its rows by `weights` from `first` on."""
-    taps, part = weights.shape[1], np.empty(8)
-    for r in range(len(first)):
-        for n in range(len(which)):
-            for k in range(8):
-                total = 0.0
-                for t in range(taps):
-                    total += weights[r, t] * table[first[r] + t, which[n], k]
-                part[k] = total
-            t = float(along[n])
-            for a in range(2):
-                c = part[4 * a : 4 * a + 4]
-                found[r, n, a] = c[0] + t * (c[1] + t * (c[2] + t * c[3]))

@@ -339,8 +339,7 @@ def _planes(cube: np.ndarray) -> np.ndarray:
     planes = np.empty((bands, rows, width), cube.dtype)
 
     def turn(start: int, stop: int) -> None:
-        part = transpose(cube[start:stop].reshape(-1, bands))
-        planes[:, start:stop] = part.reshape(bands, -1, width)
+        transpose(cube[start:stop].reshape(-1, bands), planes[:, start:stop].reshape(bands, -1))
 
     in_threads(turn, rows, worth=cube.size)
     return planes
@@ -348,11 +347,10 @@ def _planes(cube: np.ndarray) -> np.ndarray:
 
 def _interleave(planes: np.ndarray, cube: np.ndarray) -> None:
     """Write planes, (bands, rows, width), to the bands of a cube."""
-    bands, rows, width = planes.shape
+    bands, rows, _ = planes.shape
 
     def turn(start: int, stop: int) -> None:
-        part = transpose(planes[:, start:stop].reshape(bands, -1))
-        cube[start:stop] = part.reshape(-1, width, bands)
+        transpose(planes[:, start:stop].reshape(bands, -1), cube[start:stop].reshape(-1, bands))
 
     in_threads(turn, rows, worth=cube.size)
 
