@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from levkas.core.cube import Band
     from levkas.database.described import Pixels
+    from levkas.database.pixel_frames import Records
 
 Of = Literal["mean", "difference", "ratio", "delta_e"]
 PROVENANCE = "provenance.json"
@@ -169,11 +170,16 @@ def budget_variables(budget: LayerBudget, band: xarray.DataArray) -> dict[str, x
 
 
 def position_sigmas(
-    root: Path, layer: LayerId, labels: Sequence[str], places: np.ndarray
+    root: Path,
+    layer: LayerId,
+    labels: Sequence[str],
+    places: np.ndarray,
+    records: Records | None = None,
 ) -> np.ndarray:
     """Return how well the place of each band is known at (p, 2) px of the grid, by the layer's registration, (p, n) px; NaN where it is not.
 
-    Of a layer that was made from others it is that of the least known of its sources, in its reference channel.
+    Of a layer that was made from others it is that of the least known of its sources, in its reference channel. `records` are those of
+    its object, where they are read for several layers.
     """
     from levkas.database.pixel_frames import Frame, MappingRefused, Records, position_sigma_at
 
@@ -181,7 +187,7 @@ def position_sigmas(
         return _of_sources(root, layer, read_json(record).get("from", ()), labels, places)
     found = np.full((len(places), len(labels)), np.nan)
     try:
-        records = Records(root, layer.object)
+        records = records or Records(root, layer.object)
         corners = records.pixels(Frame()).from_reference.inverse(np.array([[0.0, 0], [1, 0]]))
         for k, label in enumerate(labels):
             frame = Frame(layer.camera, layer.setup, label)

@@ -91,6 +91,13 @@ def new_figure(width: float = WIDTH, height: float = HEIGHT, **layout: Any) -> F
 
 def to_svg(figure: Figure, label: str) -> str:
     """Return a figure as an SVG element; `label` is for screen readers."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    FigureCanvasSVG(figure)  # by which text is measured
+    if (layout := figure.get_layout_engine()) is not None:
+        # `savefig` would draw the whole figure twice to have it laid out once.
+        layout.execute(figure)
+        figure.set_layout_engine(None)
     target = io.StringIO()
     nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     figure.savefig(target, format="svg", transparent=True, metadata=nothing)

@@ -18,6 +18,7 @@ from scipy.interpolate import CubicSpline
 
 from levkas.calibration.error_sources import COVERAGE, MeanSpectrum, Uncertain, join
 from levkas.database.described import LayerRows
+from levkas.database.pixel_frames import MappingRefused, Records
 from levkas.database.region_uncertainty import (
     LayerBudget,
     mean_of_region,
@@ -220,6 +221,7 @@ def measure_patches(
     *,
     at: Transform | None = None,
     owner: str = "",
+    records: Records | None = None,
 ) -> PatchMeans:
     """Return what a layer has on patches.
 
@@ -233,13 +235,15 @@ def measure_patches(
         Pixels of the patches → pixels of the layer, where these are others.
     owner : str
         Of what errors of a camera belong to, where several databases are compared.
+    records : Records, optional
+        Of the layer's object, as of `position_sigmas`.
     """
     labels = [band.label for band in rows.bands]
     places = places[np.lexsort((places[:, 0], places[:, 1]))]
     corners = places[:, None] + SETTINGS.side * CORNERS - 0.5
     if at is not None:
         corners = at(corners.reshape(-1, 2)).reshape(corners.shape)
-    known = position_sigmas(rows.root, rows.layer, labels, corners.mean(1))
+    known = position_sigmas(rows.root, rows.layer, labels, corners.mean(1), records)
     means, numbers = [], []
     for some in (places[:, 1] == top for top in np.unique(places[:, 1])):
         height = rows.shape[0]
@@ -342,7 +346,7 @@ def compare_layers(
     ratios, expected = np.full((2, len(first.places), len(bands)), np.nan)
     for p, (one, other) in enumerate(zip(first.numbers, second.numbers, strict=True)):
         predicted = _weighted(one, weights)
-        between = np.nan_to_num(_weighted(one, lines).values - predicted.values)
+        between = np.nan_to_num(_weighted_values(one, lines) - predicted.values)
         for k, size in zip(bands.tolist(), np.diag(between), strict=True):
             predicted.parts["between bands", "", k] = size
         own = Uncertain(other.values[bands], {k: v[bands] for k, v in other.parts.items()})
@@ -370,12 +374,15 @@ def compare_layers(
 
 def _weighted(one: Uncertain, weights: np.ndarray) -> Uncertain:
     """Return weighted sums of bands; NaN where one that counts is."""
-    values = np.where(np.isfinite(one.values), one.values, 0.0)
-    lost = (weights[:, ~np.isfinite(one.values)] > 0).any(1)
-    made = weights @ values
-    made[lost] = np.nan
-    parts = np.nan_to_num([*one.parts.values()]).reshape(-1, len(values)) @ weights.T
-    return Uncertain(made, dict(zip(one.parts, parts, strict=True)))
+    parts = np.nan_to_num([*one.parts.values()]).reshape(-1, len(one.values)) @ weights.T
+    return Uncertain(_weighted_values(one, weights), dict(zip(one.parts, parts, strict=True)))
+
+
+def _weighted_values(one: Uncertain, weights: np.ndarray) -> np.ndarray:
+    known = np.isfinite(one.values)
+    made = weights @ np.where(known, one.values, 0.0)
+    made[(weights[:, ~known] > 0).any(1)] = np.nan
+    return made
 
 
 def _centre(layer: PatchMeans, k: int, sensitivities: Sensitivities) -> float:
@@ -443,8 +450,11 @@ def agreement_in(
     places = choose_patches(opened[0])
     if len(places) < SETTINGS.least:
         return ()
+    records = None
+    with suppress(MappingRefused):  # of a layer without a registration no place is known
+        records = Records(root, opened[0].layer.object)
     measured = [
-        measure_patches(rows, places, budgets.get(rows.layer.name, LayerBudget()))
+        measure_patches(rows, places, budgets.get(rows.layer.name, LayerBudget()), records=records)
         for rows in opened
     ]
     return compare_all(measured, sensitivities)
