@@ -14,6 +14,7 @@ import numpy as np
 
 from levkas.core.compiled import njit
 from levkas.core.machine import tile_rows
+from levkas.core.threads import in_threads
 
 MANTISSA = 23
 VALUE_DROP = MANTISSA - 15
@@ -84,21 +85,34 @@ def _rounded(
     sigma: np.ndarray | None = None,
 ) -> np.ndarray:
     result = np.empty(values.shape, np.float32) if out is None else out
+    in_threads(_round_rows, len(values), values, result, (drop, root), sigma)
+    return result
+
+
+def _round_rows(
+    start: int,
+    stop: int,
+    values: np.ndarray,
+    result: np.ndarray,
+    how: tuple[int, bool],
+    sigma: np.ndarray | None,
+) -> None:
+    drop, root = how
     half, keep = np.uint32(1 << (drop - 1)), np.uint32(0xFFFFFFFF << drop & 0xFFFFFFFF)
     step = tile_rows(ROWS, len(values))
-    for row in range(0, len(values), step):  # a cube's worth of temporaries is too much
-        part, into = values[row : row + step], result[row : row + step]
+    for row in range(start, stop, step):  # a cube's worth of temporaries is too much
+        rows = slice(row, min(row + step, stop))
+        part, into = values[rows], result[rows]
         rounded = into if into.flags.c_contiguous else np.empty(into.shape, np.float32)
-        if rounded is not part:
+        if result is not values or rounded is not into:
             rounded[...] = part
         if sigma is None:
             _round(rounded.reshape(-1), half, keep, root)
         else:
-            noise = np.ascontiguousarray(sigma[row : row + step], np.float32)
+            noise = np.ascontiguousarray(sigma[rows], np.float32)
             _round_to_noise(rounded.reshape(-1), noise.reshape(-1), half, keep)
         if rounded is not into:
             into[...] = rounded
-    return result
 
 
 @njit(cache=True)

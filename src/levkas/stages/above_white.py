@@ -11,6 +11,7 @@ from levkas.calibration.whites import LIT
 from levkas.core.compiled import njit
 from levkas.core.cube import Cube, Flag
 from levkas.core.problems import Problem
+from levkas.core.threads import in_threads
 
 ABOVE = 1.02
 """Reflectance: a board of 0.99 in the picture stays below with its noise. At 1.01 noise counts, at 1.03 a light that is
@@ -61,19 +62,21 @@ def count_above(cube: Cube) -> np.ndarray:
     >>> count_above(cube).ravel().tolist()
     [1, 3, 1, 3, 1, 0, 0, 0, 2, 2]
     """
-    counts = np.zeros((COUNTS, len(cube.bands)), np.int64)
-    if cube.quantity == "reflectance":
-        sigma = np.zeros((0, 0, 0), np.float32) if cube.sigma is None else cube.sigma
-        _count(cube.values, sigma, cube.flags, np.uint8(LEFT_OUT), np.uint8(Flag.GLARE), counts)
-    return counts
+    if cube.quantity != "reflectance":
+        return np.zeros((COUNTS, len(cube.bands)), np.int64)
+    sigma = np.zeros((0, 0, 0), np.float32) if cube.sigma is None else cube.sigma
+    marks = np.uint8(LEFT_OUT), np.uint8(Flag.GLARE)
+    parts = in_threads(_count, len(cube.values), cube.values, sigma, cube.flags, *marks)
+    return np.asarray(sum(parts))
 
 
 @njit(cache=True)
-def _count(values, sigma, flags, left_out, glare, counts):  # type: ignore[no-untyped-def]
-    """Add what `count_above` returns; without sigma it is 0, and nothing is counted below the dark."""
-    height, width, bands = values.shape
+def _count(start, stop, values, sigma, flags, left_out, glare):  # type: ignore[no-untyped-def]
+    """Return what `count_above` does of some rows; without sigma it is 0, and nothing is counted below the dark."""
+    width, bands = values.shape[1:]
+    counts = np.zeros((COUNTS, bands), np.int64)
     total, spread, known = np.zeros(bands), np.zeros(bands), np.zeros(bands, np.int64)
-    for y in range(height):
+    for y in range(start, stop):
         for x in range(width):
             glares = 0
             for b in range(bands):
@@ -100,6 +103,7 @@ def _count(values, sigma, flags, left_out, glare, counts):  # type: ignore[no-un
             if sigma.size and x % ROW == ROW - 1:
                 _count_dark_rows(total, spread, known, counts)
         total[:], spread[:], known[:] = 0, 0, 0  # what is left of a row is no stretch
+    return counts
 
 
 @njit

@@ -34,7 +34,7 @@ from levkas.calibration.wiener_mosaic import correlate_channels, wiener_method
 from levkas.core.cube import Cube, Flag
 from levkas.core.files import remove, together
 from levkas.core.problems import Problem, Refused, gathered
-from levkas.core.threads import each
+from levkas.core.threads import each, in_threads
 from levkas.core.transpose import transpose
 from levkas.database.credits import credits_of
 from levkas.readers.frames import UnreadableCapture, read_facts
@@ -479,12 +479,17 @@ def _put_in_order(measured: dict[str, Any], labels: Sequence[str]) -> None:
             measured[name] = {label: value[label] for label in labels if label in value}
 
 
-def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, start: int) -> None:
-    """Copy planes to a cube's bands from `start` on, in one passage over its memory."""
-    for y in range(0, len(cube), ROWS):
-        rows = np.stack([plane[y : y + ROWS] for plane in planes])
-        turned = transpose(rows.reshape(len(planes), -1))
-        cube[y : y + ROWS, :, start : start + len(planes)] = turned.reshape(*rows.shape[1:], -1)
+def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, band: int) -> None:
+    """Copy planes to a cube's bands from `band` on, in one passage over its memory."""
+
+    def lay(start: int, stop: int, into: np.ndarray) -> None:
+        for y in range(start, stop, ROWS):
+            part = slice(y, min(y + ROWS, stop))
+            rows = np.stack([plane[part] for plane in planes])
+            turned = transpose(rows.reshape(len(planes), -1))
+            into[part] = turned.reshape(*rows.shape[1:], -1)
+
+    in_threads(lay, len(cube), cube[..., band : band + len(planes)])
 
 
 def _band(
@@ -581,21 +586,25 @@ def _noise_of_bands(context: SensorContext) -> tuple[NoiseModel | None, WhiteAre
     """
     bands = context.sensor.bands
     chosen = sorted({len(bands) // 4, len(bands) // 2, (3 * len(bands)) // 4})
-    shots, whites, darks = [], [], list[Template]()
-    areas = []
-    for i in chosen:
-        label = bands[i].label
-        frames = [f for f in context.sensor.object if f.band == label]
-        alike = [f for f in frames if exposure_of(f) == exposure_of(frames[0])]
-        own = context.darks(_of_band(context.sensor.dark, label))
-        shots += average_shots(context, alike, own)
-        whites_of_band = whites_of(context, _of_band(context.sensor.white, label), own)
-        white = white_of(context, whites_of_band, own, band=label)
-        require_same_size(context, shots[-1].mean.shape, own, [white] if white else [])
-        whites.append(white)
-        areas.append(white_area_of(context, shots[-1], white, own))
-        darks += own if any(f.band for f in context.sensor.dark) or not darks else []
-    return noise_of(context, shots, whites, darks), joined_area(areas)
+    found = each(partial(_white_of_band, context), [bands[i].label for i in chosen])
+    shots, whites, sets, areas = zip(*found, strict=True)
+    own_darks = any(f.band for f in context.sensor.dark)
+    darks = [dark for some in (sets if own_darks else sets[:1]) for dark in some]
+    return noise_of(context, [*shots], [*whites], darks), joined_area(areas)
+
+
+def _white_of_band(
+    context: SensorContext, label: str
+) -> tuple[Template, Template | None, list[Template], WhiteArea]:
+    """Return shot, white and darks of one band at its first exposure, and where the white shows the board."""
+    frames = [f for f in context.sensor.object if f.band == label]
+    alike = [f for f in frames if exposure_of(f) == exposure_of(frames[0])]
+    darks = context.darks(_of_band(context.sensor.dark, label))
+    (shot,) = average_shots(context, alike, darks)
+    whites = whites_of(context, _of_band(context.sensor.white, label), darks)
+    white = white_of(context, whites, darks, band=label)
+    require_same_size(context, shot.mean.shape, darks, [white] if white else [])
+    return shot, white, darks, white_area_of(context, shot, white, darks)
 
 
 def developer_of(camera: Camera) -> Callable[[SensorContext], Noted]:

@@ -18,6 +18,8 @@ from levkas.calibration.stated_exposures import require_black, require_exposures
 from levkas.colour.srgb import counts_white, find_rendering
 from levkas.core.cube import UNRELIABLE, Band, Cube, CubeRows, is_flagged
 from levkas.core.rounding import round_root
+from levkas.core.threads import each, made_ahead
+from levkas.core.transpose import transpose
 from levkas.readers.frames import read_facts
 from levkas.registration.bands import BandImage
 from levkas.stages.above_white import COUNTS, count_above, describe_above, require_light
@@ -218,7 +220,7 @@ class Scan:
         """
         calibration, pictures = ScanPass(self), Pictures(self.shape, self.bands, self.factor)
         middle = Middle(self.shape, self.bands)
-        for cube in calibration.blocks():
+        for cube in made_ahead(calibration.blocks()):
             pictures.add(cube)
             middle.add(cube)
             yield cube
@@ -279,15 +281,15 @@ class Scan:
 class ScanPass:
     """One pass over lines of a scan, which counts what frames lost and what denoising takes away.
 
-    `lost` are the values of each band, (bands,), that are no finite numbers, `above` what `count_above` gives, `sums` and `counts`
-    are of the values that are.
+    `lost` are the values of each band, (bands,), that are no finite numbers, and 0 in the cubes; `above` is what `count_above` gives,
+    `sums` are of all `count` values of each band.
     """
 
     def __init__(self, scan: Scan) -> None:
         self._scan = scan
         self.lost = np.zeros(scan.shape[2], np.int64)
         self.above = np.zeros((COUNTS, scan.shape[2]), np.int64)
-        self.sums, self.counts = np.zeros((2, scan.shape[2]))
+        self.sums, self.count = np.zeros(scan.shape[2]), 0
         self._projecting = Projecting(scan.subspace) if scan.subspace else None
 
     def blocks(self) -> Iterator[Cube]:
@@ -297,9 +299,8 @@ class ScanPass:
             cube = self._scan._finished(block.flat, self._projecting)
             self.above += count_above(cube)
             for line in cube.values:  # one by one: sums do not depend on how lines come in
-                known = np.isfinite(line)
-                self.sums += line.sum(0, where=known, dtype=float)
-                self.counts += known.sum(0)
+                self.sums += line.sum(0, dtype=float)
+                self.count += len(line)
             yield cube
             del cube  # its memory is that of the lines, which may have been done with
 
@@ -308,7 +309,7 @@ class ScanPass:
         scan = self._scan
         if scan.quantity != "reflectance":
             return
-        levels = self.sums / np.maximum(self.counts, 1)
+        levels = self.sums / max(self.count, 1)
         strip = (
             scan.source.strips[0].strip if isinstance(scan.source, JoinedStrips) else scan.source
         )
@@ -339,34 +340,45 @@ class Pictures:
     def __init__(self, shape: tuple[int, int, int], bands: Sequence[Band], factor: int) -> None:
         self._bands, self._factor = bands, factor
         size = (shape[0] // factor, shape[1] // factor)
-        self._sums = np.zeros((len(bands), *size), np.float32)
-        self._counts: np.ndarray = np.zeros(self._sums.shape, np.uint16)
+        self._sums = np.empty((len(bands), *size), np.float32)
+        self._counts = np.empty(self._sums.shape, np.uint16)
         self._line = 0
+        self._rest: list[tuple[np.ndarray, np.ndarray]] = []
 
     def add(self, cube: Cube) -> None:
         """Take the next lines."""
-        factor, width = self._factor, self._sums.shape[2]
-        shape = (width, factor, cube.values.shape[2])
-        for values, flags in zip(cube.values, cube.flags, strict=True):
-            row = self._line // factor
-            self._line += 1
-            if row >= self._sums.shape[1]:
-                return
-            good = ~is_flagged(flags[: width * factor], UNRELIABLE)
-            filled = np.where(good, values[: width * factor], np.float32(0)).reshape(shape)
+        factor, (_, rows, width) = self._factor, self._sums.shape
+        wide = slice(width * factor)
+        good = ~is_flagged(cube.flags[:, wide], UNRELIABLE)
+        filled = np.where(good, cube.values[:, wide], np.float32(0))
+        self._rest += zip(filled, good, strict=True)
+        first = self._line // factor
+        self._line += len(filled)
+        shape = (width, factor, filled.shape[2])
+        count = min(self._line // factor, rows) - first
+        sums = np.zeros((count, width, filled.shape[2]), np.float32)
+        counts = np.zeros(sums.shape, np.uint16)
+        for row in range(count):
             # Line by line and sample by sample: the sums do not depend on how lines come in.
-            for k in range(factor):
-                self._sums[:, row] += filled[:, k].T
-            self._counts[:, row] += good.reshape(shape).sum(1, dtype=np.uint16).T
+            for values, known in self._rest[row * factor : (row + 1) * factor]:
+                for k in range(factor):
+                    sums[row] += values.reshape(shape)[:, k]
+                    counts[row] += known.reshape(shape)[:, k]
+        self._rest = self._rest[count * factor :]
+        for found, into in ((sums, self._sums), (counts, self._counts)):
+            turned = transpose(found.reshape(-1, found.shape[2]))
+            into[:, first : first + count] = turned.reshape(len(turned), count, width)
 
     def images(self) -> list[BandImage]:
         """Return the pictures, in the memory of the sums: nothing can be added any more."""
-        made, least = [], self._factor**2 / 2
-        for band, sums, counts in zip(self._bands, self._sums, self._counts, strict=True):
+        least = self._factor**2 / 2
+
+        def image(band: Band, sums: np.ndarray, counts: np.ndarray) -> BandImage:
             values = np.divide(sums, np.maximum(counts, 1), out=sums)
             valid = (counts >= least) & (not band.bad)
-            made.append(BandImage(band.label, band.wavelength, values, valid))
-        return made
+            return BandImage(band.label, band.wavelength, values, valid)
+
+        return each(image, self._bands, self._sums, self._counts)
 
 
 def open_scan(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Scan:

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from levkas.core.threads import each
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -69,10 +71,11 @@ def band_sharpness(
     1.6
     """
     middle = middle_of((values.shape[0], values.shape[1]))
-    return [
-        Sharpness(label, *edge_blur(values[middle][..., i], _of(left_out, middle, i)))
-        for i, label in enumerate(labels)
-    ]
+
+    def sharpness(band: int, label: str) -> Sharpness:
+        return Sharpness(label, *edge_blur(values[middle][..., band], _of(left_out, middle, band)))
+
+    return each(sharpness, range(len(labels)), labels)
 
 
 def middle_of(shape: tuple[int, int]) -> tuple[slice, slice]:
