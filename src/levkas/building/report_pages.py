@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from functools import partial
+from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
@@ -531,7 +531,9 @@ def _frames(campaign: Campaign, capture: Capture, inputs: dict[str, str]) -> lis
     return frames
 
 
+@cache
 def _libraries() -> dict[str, str]:
+    """Return the versions of the libraries that are installed; read once, as it takes 50 ms."""
     found = {}
     for name in sorted(LIBRARIES + LIBRARIES_OF_PAGES):
         try:
