@@ -112,6 +112,7 @@ def steady_libraries() -> Iterator[None]:
     another on a busy machine. That number is one for the whole process: hence one at a time.
     """
     import cv2
+    import scipy.linalg  # noqa: F401  # it brings linear algebra of its own, which is held only if it is there already
     from threadpoolctl import threadpool_limits
 
     with _alone, threadpool_limits(limits=1, user_api="blas"):

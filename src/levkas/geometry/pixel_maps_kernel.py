@@ -174,19 +174,25 @@ def spline_sums(first, across, down, weight, goal, columns, normal, right):
     """Add up the normal equations of a cubic spline lattice: each point touches four by four knots.
 
     `first` (n, 2) whole places, `across` and `down` (n, 4) weights, `weight` (n, 2, 2), `goal` (n, 2);
-    `normal` (2, terms, 2, terms) and `right` (2, terms) are filled, terms row by row of `columns` knots.
+    `right` (terms,) is filled, and `normal`, of which row d has the products of each term with that d behind it:
+    terms row by row of `columns` knots, x and y of each in turns.
     """
     for n in range(len(first)):
+        p, q, r = weight[n, 0, 0], weight[n, 0, 1], weight[n, 1, 1]
+        x, y = p * goal[n, 0] + q * goal[n, 1], q * goal[n, 0] + r * goal[n, 1]
         for i in range(16):
-            one = (first[n, 1] + i // 4) * columns + first[n, 0] + i % 4
+            one = 2 * ((first[n, 1] + i // 4) * columns + first[n, 0] + i % 4)
             here = down[n, i // 4] * across[n, i % 4]
-            for a in range(2):
-                right[a, one] += here * (
-                    weight[n, a, 0] * goal[n, 0] + weight[n, a, 1] * goal[n, 1]
-                )
-            for k in range(16):
-                other = (first[n, 1] + k // 4) * columns + first[n, 0] + k % 4
+            right[one] += here * x
+            right[one + 1] += here * y
+            both = here * here
+            normal[0, one] += both * p
+            normal[1, one] += both * q
+            normal[0, one + 1] += both * r
+            for k in range(i + 1, 16):
+                apart = 2 * ((k // 4 - i // 4) * columns + k % 4 - i % 4)
                 both = here * down[n, k // 4] * across[n, k % 4]
-                for a in range(2):
-                    for b in range(2):
-                        normal[a, one, b, other] += both * weight[n, a, b]
+                normal[apart, one] += both * p
+                normal[apart + 1, one] += both * q
+                normal[apart - 1, one + 1] += both * q
+                normal[apart, one + 1] += both * r

@@ -490,7 +490,8 @@ def register_sensor(
         coarse = blocks.tolerance
     if task.one_scan:
         found.verification["scales"] = list(task.scales)
-    fine, marks = task.measure_fine(found), task.measure_marks(found)
+    measures = (task.measure_fine, task.measure_marks)
+    fine, marks = each(lambda measure: measure(found), measures)
     of_lines = {"line_displacement": lines, "line_correction": correction}
     for name, one in {**of_lines, "fine_displacement": fine, "marks": marks}.items():
         found.verification[name] = None if one is None else one.to_dict()

@@ -17,11 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from levkas.core.threads import in_threads
+from levkas.core.threads import each, in_threads
 from levkas.geometry.transforms import Affine, Composed, Inverse, Polynomial
 from levkas.registration.line_course import Course, LineShifts, find_course
 from levkas.registration.line_displacement_kernel import register_rows
@@ -249,19 +250,21 @@ def _measure_pictures(
     predicted = predict(predictors, there)
     to_grid = Composed(Inverse(transform), Affine.scaling(1 / step))
     back = smoothing_warp(predicted, to_grid, (image.shape[0], image.shape[1]))
-    found = []
-    for picture, lines, scene, scale in zip(
-        PICTURES, (image, predicted), (back, there), (native, np.full(2, float(step))), strict=True
-    ):
-        turned = (lines.T, scene.T)
-        for rows, (one, other) in zip(LINES, ((lines, scene), turned), strict=True):
-            shifts = _register_lines(one, other)
-            if shifts is not None:
-                sizes = scale if rows == "rows" else scale[::-1]
-                found.append(
-                    replace(_describe(shifts, sizes), picture=picture, lines=rows, step=step)
-                )
-    return found
+    pairs = {
+        "target": (image, back, native),
+        "reference": (predicted, there, np.full(2, float(step))),
+    }
+
+    def measured(picture: Picture, lines: Lines) -> LineDisplacement | None:
+        one, other, sizes = pairs[picture]
+        if lines == "columns":
+            one, other, sizes = one.T, other.T, sizes[::-1]
+        shifts = _register_lines(one, other)
+        if shifts is None:
+            return None
+        return replace(_describe(shifts, sizes), picture=picture, lines=lines, step=step)
+
+    return [one for one in each(measured, *zip(*product(PICTURES, LINES), strict=True)) if one]
 
 
 def _are_parallel(transform: Transform, shape: Sequence[int], step: int) -> bool:

@@ -392,7 +392,6 @@ def _correlate(a: np.ndarray, b: np.ndarray, ground: np.ndarray) -> tuple[float,
 
 def _slide(window: np.ndarray, over: np.ndarray) -> np.ndarray:
     """Return the sum of products of a window with every place of a larger picture that it fits in."""
-    shape = over.shape
-    product = np.conj(np.fft.rfft2(window, shape)) * np.fft.rfft2(over, shape)
-    rows, columns = (n - m + 1 for n, m in zip(shape, window.shape, strict=True))
-    return np.asarray(np.fft.irfft2(product, shape)[:rows, :columns])
+    import cv2
+
+    return np.asarray(cv2.matchTemplate(over, window, cv2.TM_CCORR))

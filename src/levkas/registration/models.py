@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -54,6 +54,19 @@ class Observations:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    @cached_property
+    def native(self) -> np.ndarray:
+        """Information in native px: J⁻ᵀ Λ J⁻¹, (n, 2, 2)."""
+        a, b, c, d = (self.jacobian[:, i, j] for i in (0, 1) for j in (0, 1))
+        determinant = a * d - b * c
+        p, q, r = (self.information[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
+        a, b, c, d = d / determinant, -b / determinant, -c / determinant, a / determinant
+        native = np.empty((len(self), 2, 2))
+        native[:, 0, 0] = a * a * p + 2 * a * c * q + c * c * r
+        native[:, 0, 1] = native[:, 1, 0] = a * b * p + (a * d + b * c) * q + c * d * r
+        native[:, 1, 1] = b * b * p + 2 * b * d * q + d * d * r
+        return native
 
     def part(self, mask: np.ndarray) -> Observations:
         """Return the observations that `mask` selects."""
@@ -182,18 +195,17 @@ def _inverse(
     return c / determinant, -b / determinant, a / determinant
 
 
-def fit_linear(observations: Observations, design: np.ndarray) -> np.ndarray:
-    """Return coefficients (terms, 2) of target ≈ design @ coefficients under full 2 x 2 weights."""
+def fit_linear(design: np.ndarray, weight: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Return coefficients (terms, 2) of target ≈ design @ coefficients under weights, (n, 2, 2)."""
     terms = design.shape[1]
-    weight = _native(observations)
-    normal = np.zeros((2, terms, 2, terms))
+    normal = np.empty((2, terms, 2, terms))
     right = np.zeros((2, terms))
     for a in range(2):
         for b in range(2):
             if b >= a:
                 normal[a, :, b] = design.T @ (design * weight[:, a, b][:, None])
                 normal[b, :, a] = normal[a, :, b]
-            right[a] += design.T @ (weight[:, a, b] * observations.target[:, b])
+            right[a] += design.T @ (weight[:, a, b] * target[:, b])
     return _solve_normal(normal, right)
 
 
@@ -210,24 +222,12 @@ def _solve_normal(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
     return solved.reshape(2, terms).T
 
 
-def _native(observations: Observations) -> np.ndarray:
-    """Information in native px: J⁻ᵀ Λ J⁻¹, (n, 2, 2)."""
-    a, b, c, d = (observations.jacobian[:, i, j] for i in (0, 1) for j in (0, 1))
-    determinant = a * d - b * c
-    p, q, r = (observations.information[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
-    a, b, c, d = d / determinant, -b / determinant, -c / determinant, a / determinant
-    cross = a * b * p + (a * d + b * c) * q + c * d * r
-    xx, yy = a * a * p + 2 * a * c * q + c * c * r, b * b * p + 2 * b * d * q + d * d * r
-    return np.stack([np.stack([xx, cross], 1), np.stack([cross, yy], 1)], 1)
-
-
 def fit_polynomial(observations: Observations, order: int) -> Polynomial:
     """Fit a polynomial of `order` in coordinates that are centred on the observations."""
     centre, spread = frame_of(observations.points)
     design = design_matrix(observations.points, order, centre, spread)
     offset = observations.target.mean(0)
-    shifted = replace(observations, target=observations.target - offset)
-    coefficients = fit_linear(shifted, design)
+    coefficients = fit_linear(design, observations.native, observations.target - offset)
     coefficients[0] += offset
     return Polynomial(order, centre, spread, coefficients)
 
@@ -241,7 +241,7 @@ def fit_similarity(observations: Observations) -> Affine:
     rows = np.stack(
         [np.stack([u, -v * sign, one, nil], 1), np.stack([v * sign, u, nil, one], 1)], 1
     )
-    weight = _native(observations)
+    weight = observations.native
     normal = np.einsum("nat,nab,nbs->ts", rows, weight, rows)
     right = np.einsum("nat,nab,nb->t", rows, weight, observations.target)
     a, b, x, y = np.linalg.lstsq(normal, right, rcond=1e-13)[0]
@@ -308,6 +308,8 @@ def fit_spline(
     observations: Observations, under: Transform, spacing: float, price: float
 ) -> Transform:
     """Fit a smooth displacement of the reference before `under`, bending at a `price`."""
+    from scipy.linalg import solveh_banded
+
     low, high = observations.points.min(0), observations.points.max(0)
     spacing = max(spacing, float((high - low).max()) / MOST_SPANS)
     columns, rows = np.maximum(np.ceil((high - low) / spacing), 1).astype(int) + 3
@@ -320,11 +322,9 @@ def fit_spline(
         observations, target=shift, jacobian=np.broadcast_to(np.eye(2), (len(shift), 2, 2))
     )
     weight = price * np.trace(observations.information, axis1=1, axis2=2).sum() / (rows * columns)
-    bending = weight * (roughness(rows, columns) + 1e-3 * np.eye(rows * columns))
-    normal, right = np.zeros((2, rows * columns, 2, rows * columns)), np.zeros((2, rows * columns))
-    normal[0, :, 0], normal[1, :, 1] = bending, bending
-    spline_sums(whole, bx, by, _native(plain), shift, columns, normal, right)
-    solved = _solve_normal(normal, right)
+    normal, right = weight * _bending(rows, columns), np.zeros(2 * rows * columns)
+    spline_sums(whole, bx, by, plain.native, shift, columns, normal, right)
+    solved = solveh_banded(normal, right, lower=True, overwrite_ab=True, check_finite=False)
     return Composed(SplineShift(origin, spacing, solved.reshape(rows, columns, 2)), under)
 
 
@@ -345,6 +345,20 @@ def roughness(rows: int, columns: int) -> np.ndarray:
         + np.kron(second(rows), np.eye(columns))
         + 2 * np.kron(first(rows), first(columns))
     )
+
+
+@lru_cache(maxsize=8)
+def _bending(rows: int, columns: int) -> np.ndarray:
+    """Return `roughness` for x and y of each coefficient in turns, its diagonals from the main one on, (6 columns + 8, 2 rows columns).
+
+    A thousandth of the coefficients' own squares is in it, so that it has an inverse.
+    """
+    whole = roughness(rows, columns) + 1e-3 * np.eye(rows * columns)
+    bands = np.zeros((6 * columns + 8, 2 * len(whole)))
+    for apart in range(2 * columns + 1):
+        line = np.diag(whole, -apart)
+        bands[2 * apart, : 2 * len(line)] = np.repeat(line, 2)
+    return bands
 
 
 def fit_parameters(

@@ -110,9 +110,10 @@ def _heights(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the heights, (n, k), that explain most along each direction, (n, 3), and how much, (n,)."""
     k = len(goal) // 3
-    square = np.einsum("iajb,na,nb->nij", inner.reshape(k, 3, k, 3), towards, towards)
-    side = np.einsum("ia,na->ni", goal.reshape(k, 3), towards)
-    square = square + RIDGE * np.eye(k) * np.einsum("nii->n", square)[:, None, None]
+    of_pairs = inner.reshape(k, 3, k, 3).transpose(1, 3, 0, 2).reshape(9, k * k)
+    square = ((towards[:, :, None] * towards[:, None]).reshape(-1, 9) @ of_pairs).reshape(-1, k, k)
+    side = towards @ goal.reshape(k, 3).T
+    square += RIDGE * np.eye(k) * square.trace(axis1=1, axis2=2)[:, None, None]
     found = -np.linalg.solve(square, side[..., None])[..., 0]
     return found, -np.einsum("ni,ni->n", found, side)
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform
 from levkas.registration.foreground import corners_of
 from levkas.registration.predictors import measure_shifts
@@ -252,20 +253,23 @@ def predict(predictors: np.ndarray, image: np.ndarray) -> np.ndarray:
         np.linspace(0, n, max(1, round(n / SETTINGS.block)) + 1).astype(int)
         for n in (height, width)
     )
-    blocks = [(*row, *column) for row in pairwise(rows) for column in pairwise(columns)]
-    for top, bottom, left, right in blocks:
+
+    def fill(top: int, bottom: int, left: int, right: int) -> None:
         part = predictors[:, top:bottom, left:right].reshape(count, -1).astype(np.float64)
         goal = image[top:bottom, left:right].reshape(-1).astype(np.float64)
         known = np.isfinite(part).all(0)
         used = known & np.isfinite(goal)
         if used.sum() < 8 * count:
-            continue
+            return
         shown = part if used.all() else part[:, used]
         gram = shown @ shown.T
         gram += SETTINGS.ridge * np.trace(gram) / count * np.eye(count) + 1e-30 * np.eye(count)
         gains = np.linalg.solve(gram, shown @ goal[used])
         block = np.where(known, gains @ part, np.nan)
         out[top:bottom, left:right] = block.reshape(bottom - top, right - left)
+
+    blocks = [(*row, *column) for row in pairwise(rows) for column in pairwise(columns)]
+    each(fill, *zip(*blocks, strict=True))
     return out
 
 
