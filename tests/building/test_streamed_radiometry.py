@@ -1,7 +1,11 @@
 """What is told of glare, focus and other lightings of a scan whose lines only pass by."""
 
+import base64
+import io
+
 import numpy as np
 import pytest
+from PIL import Image
 
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
@@ -166,3 +170,28 @@ def test_rows_of_another_setup_are_compared_with_the_default_ones(two_setups, ro
     flags = np.concatenate([block.flags for block in statistics.flagged(parts).blocks])
     np.testing.assert_array_equal(flags, whole.flags)
     assert statistics.glare == reported | {"inside": 96 * 120}
+
+
+@pytest.mark.parametrize("rows", [7, 64, 1000])
+def test_the_map_of_sigma_is_noted_alike_in_blocks_of_any_height(rows):
+    """A ramp of sigma from left to right, alike in all bands but one that knows none, and nowhere known in the first rows."""
+    height, width = 1000, 500
+    ramp = np.linspace(0.01, 0.02, width, dtype=np.float32)
+    sigma = np.broadcast_to(ramp[None, :, None], (height, width, 3)).copy()
+    sigma[..., 1], sigma[:60] = np.nan, np.nan
+    bands = tuple(Band(f"{nm} nm", nm) for nm in (500, 600, 700))
+    blocks = [
+        Cube(np.ones_like(part), np.zeros(part.shape, np.uint8), part, bands, "reflectance")
+        for part in (sigma[y : y + rows] for y in range(0, height, rows))
+    ]
+    statistics = LayerStatistics(step=16)
+    parts = CubeRows(iter(blocks), sigma.shape, bands, "reflectance", has_sigma=True)
+    list(statistics.flagged(parts).blocks)
+    noted = statistics.sigma_map()["sigma_map"]
+    levels = np.asarray(Image.open(io.BytesIO(base64.b64decode(noted["png"])))).astype(float)
+    assert levels.shape == (334, 167)  # every third pixel: 360 are the most
+    assert (levels[:20] == 0).all()
+    assert noted["least"] == pytest.approx(0.0101, abs=6e-5)
+    assert noted["most"] == pytest.approx(0.0199, abs=6e-5)
+    shown = noted["least"] + (levels[20:] - 1) / 254 * (noted["most"] - noted["least"])
+    np.testing.assert_allclose(shown, np.tile(ramp[::3], (314, 1)), atol=1.5e-4)

@@ -72,6 +72,7 @@ if TYPE_CHECKING:
     from levkas.database.layout import Places
 
     Budgets = Mapping[str, tuple[ErrorSource, ...]]
+    Registrations = Mapping[str, dict[str, Any]]
 
 
 FRAME = "frame "
@@ -101,9 +102,11 @@ def write_report(
     described = campaign.objects.get(name)
     make_folder(folder)
     budgets = {c.layer: _budget_of(campaign, records, c) for c in captures}
-    pairs = _agreement(campaign, places, records, captures, budgets)
+    registered = _registrations(places, captures)
+    pairs = _agreement(campaign, places, records, captures, budgets, registered)
     with together(partial(records.forget, Key(name, stage="report"))):
-        write_text(page, report_of(campaign, places, records, captures, steps, budgets, pairs))
+        html = report_of(campaign, places, records, captures, steps, budgets, registered, pairs)
+        write_text(page, html)
         write_text(
             facts, to_toml({"name": name, **(described.museum_facts() if described else {})})
         )
@@ -119,15 +122,17 @@ def report_of(
     captures: list[Capture],
     steps: list[Step],
     budgets: Budgets,
+    registrations: Registrations,
     pairs: Sequence[PairAgreement],
 ) -> str:
     """Return the HTML of an object's report; `pairs` are how its layers agree."""
     name = captures[0].object
-    layers = [
-        layer
+    made = (
+        _layer(campaign, places, records, c, budgets[c.layer], registrations[c.layer])
         for c in captures
-        if (layer := _layer(campaign, places, records, c, budgets[c.layer])) is not None
-    ]
+        if c.layer in registrations
+    )
+    layers = [layer for layer in made if layer is not None]
     facts = campaign.objects.get(name)
     lines = (
         [facts.creator, facts.date or "", facts.medium, facts.owner, facts.inventory]
@@ -146,7 +151,7 @@ def report_of(
         {"code": p.code, "text": written(campaign, p)} for step in refused for p in step.problems
     ]
     reference = campaign.reference
-    sampling = _sampling(places, captures)
+    sampling = _sampling(registrations.get(captures[0].layer))
     rows = radiometry_rows(records, captures)
     reported = {layer.name for layer in layers}
     lost = list(dict.fromkeys(step.key.layer for step in refused))
@@ -179,6 +184,12 @@ def report_of(
     )
 
 
+def _registrations(places: Places, captures: Sequence[Capture]) -> Registrations:
+    """Read the records of the layers of an object, by their names."""
+    paths = {c.layer: places.registration(c.object, c.layer) for c in captures}
+    return {layer: read_registration(path) for layer, path in paths.items() if path.is_file()}
+
+
 def _budget_of(
     campaign: Campaign, records: BuildRecords, capture: Capture
 ) -> tuple[ErrorSource, ...]:
@@ -198,6 +209,7 @@ def _agreement(
     records: BuildRecords,
     captures: Sequence[Capture],
     budgets: Budgets,
+    registrations: Registrations,
 ) -> tuple[PairAgreement, ...]:
     """Compare all layers of an object that hold reflectance, those of the reference first."""
     order = sorted(captures, key=lambda c: (c.camera != campaign.reference.camera, c.setup))
@@ -218,7 +230,7 @@ def _agreement(
             for band, one in zip(bands, found, strict=True)
             if one is not None
         }
-    return agreement_in(places.output, layers, known, weights)
+    return agreement_in(places.output, layers, known, weights, registrations)
 
 
 def _layer(
@@ -227,12 +239,11 @@ def _layer(
     records: BuildRecords,
     capture: Capture,
     budget: tuple[ErrorSource, ...],
+    record: dict[str, Any],
 ) -> LayerReport | None:
-    path = places.registration(capture.object, capture.layer)
     calibrated = records.notes(key_of(capture, "calibrate"))
-    if not path.is_file() or not calibrated:
+    if not calibrated:
         return None
-    record: dict[str, Any] = read_registration(path)
     registered, resampled = (
         records.notes(key_of(capture, "register")),
         records.notes(key_of(capture, "resample")),
@@ -278,7 +289,7 @@ def _layer(
         description=str(resampled.get("description", "")) or counted(len(capture.bands), "band"),
         figures=[*([] if removal else drawn), *draw_tiles(record, resampled.get("seams", ()))],
         history=drawn if removal else [],
-        maps=draw_maps(record, tiff, quantity) if shown else [],
+        maps=draw_maps(record, tiff, quantity, resampled.get("sigma_map")) if shown else [],
         links=_links_of_layer(campaign, places, capture),
         recorded=registered.get("recorded", ""),
         ssim_map=f"data:image/png;base64,{ssim_map}" if ssim_map else "",
@@ -391,9 +402,8 @@ def _band_rows(record: dict[str, Any]) -> list[list[str]]:
     return rows
 
 
-def _sampling(places: Places, captures: list[Capture]) -> str:
-    path = places.registration(captures[0].object, captures[0].layer)
-    millimetres = mm_per_px(read_registration(path)) if path.is_file() else None
+def _sampling(record: Mapping[str, Any] | None) -> str:
+    millimetres = None if record is None else mm_per_px(record)
     return "" if millimetres is None else f"{millimetres:.3f}"
 
 

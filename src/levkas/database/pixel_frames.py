@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import csv
 import io
-import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +27,7 @@ from levkas.geometry import from_dict
 from levkas.geometry.transforms import Affine, Inverse, Transform
 from levkas.readers.facts import check_memory
 from levkas.readers.orientation import UPRIGHT, describe_turn
+from levkas.registration.record import Sigma
 
 if TYPE_CHECKING:
     import xarray
@@ -281,8 +280,6 @@ def find_position_sigma(
 
 def position_sigma_at(records: Records, frame: Frame, points: np.ndarray) -> np.ndarray:
     """Return how well the position of a band is known at (n, 2) px of the grid, reference px; NaN where it is outside or unknown."""
-    from levkas.registration.record import Sigma
-
     grid, entry = records.pixels(Frame()), records.entry(frame)
     values = np.full(len(points), np.nan, np.float32)
     if "sigma" in entry:
@@ -314,19 +311,26 @@ def predict_error(
         One standard deviation of the worst band; NaN where nothing confirms the map, as outside the object's
         outline. None where the record has none.
     """
-    from levkas.registration.record import Sigma
-
     bands = record.get("bands", {}).values()
     tables = (band["sigma"] for band in bands if isinstance(band, dict) and band.get("sigma"))
-    known = list({json.dumps(table, sort_keys=True): table for table in tables}.values())
+    known = _largest([Sigma.from_dict(table) for table in tables])
     if not known:
         return None
     x, y = np.meshgrid(*(np.arange(0.0, side, step) for side in size))
     grid = from_dict(record["grid"].get("transform", record["grid"]))
     places = grid(np.stack([x.ravel(), y.ravel()], 1))
-    worst = np.max([Sigma.from_dict(table)(places) for table in known], axis=0)
+    worst = np.max([sigma(places) for sigma in known], axis=0)
     worst[beyond_checks(record, places)] = np.nan
     return np.asarray(worst.reshape(x.shape))
+
+
+def _largest(tables: Sequence[Sigma]) -> list[Sigma]:
+    """Return those tables that no other exceeds all over the same lattice: one interpolates to less than what exceeds it."""
+    found: list[Sigma] = []
+    for one in sorted(tables, key=lambda table: -float(table.values.sum())):
+        if not any(one.nowhere_exceeds(other) for other in found):
+            found.append(one)
+    return found
 
 
 def map_points(
@@ -435,9 +439,11 @@ def read_points(text: str, *, file: str | None = None) -> np.ndarray:
 
 
 class Records:
-    """The registration records of one object."""
+    """The registration records of one object; those that were read already may be given by the names of their layers."""
 
-    def __init__(self, database: Path, name: str) -> None:
+    def __init__(
+        self, database: Path, name: str, known: Mapping[str, dict[str, Any]] | None = None
+    ) -> None:
         absent = None if is_remote(database) else missing_path(database)
         if absent is not None:
             raise MappingRefused(absent)
@@ -458,7 +464,12 @@ class Records:
             )
         self.layers = {p.stem: p for p in sorted(self.folder.glob("*.json"))}
         check_inside(database, *self.layers.values())
-        self._load = cache(_load)
+        self._read = dict(known or {})
+
+    def _load(self, path: Path) -> dict[str, Any]:
+        if path.stem not in self._read:
+            self._read[path.stem] = _load(path)
+        return self._read[path.stem]
 
     def pixels(self, frame: Frame) -> FramePixels:
         """Return the maps and the size of one frame."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -189,7 +191,9 @@ class ReportMap:
         return ", ".join("rgb({} {} {})".format(*colour) for colour in SCALE)
 
 
-def draw_maps(record: Mapping[str, Any], tiff: Path, quantity: str) -> list[ReportMap]:
+def draw_maps(
+    record: Mapping[str, Any], tiff: Path, quantity: str, sigma: Mapping[str, Any] | None
+) -> list[ReportMap]:
     """Return the maps of one layer: predicted error, sigma and flags, those that there are.
 
     Parameters
@@ -197,9 +201,11 @@ def draw_maps(record: Mapping[str, Any], tiff: Path, quantity: str) -> list[Repo
     record : mapping
         Of the layer's registration.
     tiff : Path
-        The layer; flags and sigma lie beside it.
+        The layer; flags and preview lie beside it.
     quantity : str
         Of its values.
+    sigma : mapping, optional
+        Its map of sigma, as `levkas.stages.capture_statistics.LayerStatistics.sigma_map` notes it.
     """
     maps = []
     size = (int(record["grid"]["size"][0]), int(record["grid"]["size"][1]))
@@ -215,15 +221,25 @@ def draw_maps(record: Mapping[str, Any], tiff: Path, quantity: str) -> list[Repo
         maps.append(
             _small("Error of the registration", colour_scale(error, 0.0, most), legend, doubt)
         )
-    sigma, flags = (tiff.with_name(f"{tiff.stem}.{kind}.tif") for kind in ("sigma", "flags"))
-    if sigma.is_file():
-        picture, legend = sigma_map(sigma)
-        legend = Legend(least=legend.least, most=f"{legend.most} {quantity}".strip())
-        maps.append(_small("Sigma", picture[::step, ::step], legend))
-    if flags.is_file():
+    if sigma is not None:
+        levels = _levels(sigma["png"])
+        picture = colour_scale(np.where(levels, levels, np.nan), 1, 255)
+        legend = Legend(
+            least=f"{sigma['least']:.2g}", most=f"{sigma['most']:.2g} {quantity}".strip()
+        )
+        maps.append(_small("Sigma", picture, legend))
+    if (flags := tiff.with_name(f"{tiff.stem}.flags.tif")).is_file():
         numbers, palette, legend = flag_map(flags)
         maps.append(_small("Flags", palette[_block_maximum(numbers, step)], legend))
     return maps
+
+
+def _levels(png: str) -> np.ndarray:
+    """Return a grey picture, uint8 (h, w), of PNG as text."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(base64.b64decode(png))) as picture:
+        return np.asarray(picture)
 
 
 def _draw_outline(preview: Path, record: Mapping[str, Any], outline: np.ndarray) -> ReportMap:

@@ -255,6 +255,11 @@ class Sigma:
         lower = (1 - u) * table[row + 1, column] + u * table[row + 1, column + 1]
         return np.asarray((1 - v) * upper + v * lower)
 
+    def nowhere_exceeds(self, other: Sigma) -> bool:
+        """Return whether another one has the same lattice and is as large everywhere."""
+        alike = np.array_equal(self.x, other.x) and np.array_equal(self.y, other.y)
+        return alike and bool((self.values <= other.values).all())
+
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready record."""
         return {"x": self.x.tolist(), "y": self.y.tolist(), "sigma_px": self.values.tolist()}

@@ -423,6 +423,7 @@ class LayerStatistics:
     flags: np.ndarray = field(default_factory=lambda: np.zeros(256, np.int64))
     glare: dict[str, int] = field(default_factory=dict)
     thin: list[Cube] = field(default_factory=list)
+    sigma: list[np.ndarray] = field(default_factory=list)
     _rows: int = 0
 
     def flagged(self, rows: Cube | CubeRows) -> CubeRows:
@@ -434,6 +435,7 @@ class LayerStatistics:
         from levkas.database.grey import grey_of, grey_step
 
         step = grey_step(*shape)
+        apart = -(-max(shape) // LONGEST_SIGMA)
 
         for cube in blocks:
             first, self._rows = self._rows, self._rows + len(cube.values)
@@ -445,6 +447,8 @@ class LayerStatistics:
             self.mean.append(mean)
             self.valid.append(valid)
             self.flags += count_flags(cube.flags)
+            if cube.sigma is not None:
+                self.sigma.append(_mean_sigma(cube.sigma[-first % apart :: apart, ::apart]))
             yield cube
 
     def _thinned(self, cube: Cube, first: int) -> Cube:
@@ -470,6 +474,38 @@ class LayerStatistics:
         counts = one.quantity == "counts"
         found = scene_ranges(one.values, one.flags, one.sigma, one.labels, counts=counts)
         return [{name: as_number(value) for name, value in r._asdict().items()} for r in found]
+
+    def sigma_map(self) -> dict[str, Any]:
+        """Return sigma, mean over bands, of every so-many-th pixel a side, for the report: PNG text and the ends of its scale; nothing where noise is not known.
+
+        Levels 1 to 255 are `least` to `most`, the ends beyond which one pixel of a hundred lies; 0 is not known.
+        """
+        from levkas.database.preview import encode_png
+
+        mean = np.concatenate(self.sigma or [np.empty((0, 0))])
+        known = np.isfinite(mean)
+        if not known.any():
+            return {}
+        least, most = np.percentile(mean[known], ENDS_OF_SIGMA)
+        place = np.clip((mean - least) / max(most - least, 1e-12), 0, 1)
+        levels = np.where(known, 1 + np.round(254 * place), 0).astype(np.uint8)
+        picture = base64.b64encode(encode_png(levels)).decode("ascii")
+        return {"sigma_map": {"png": picture, "least": float(least), "most": float(most)}}
+
+
+LONGEST_SIGMA, BANDS_OF_SIGMA = 360, 24
+"""Longest side of the map of sigma that a layer's record holds, px, and the most bands of which it is the mean: it is smooth in wavelength."""
+ENDS_OF_SIGMA = (1.0, 99.0)
+"""Of the scale of that map, per cent of its pixels."""
+
+
+def _mean_sigma(sigma: np.ndarray) -> np.ndarray:
+    """Return the mean over every n-th of many bands, (h, w, bands) → (h, w); NaN where sigma is known in none."""
+    every = -(-sigma.shape[2] // BANDS_OF_SIGMA)
+    some = sigma[:, :, every // 2 :: every]
+    known = np.isfinite(some)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.sum(some, -1, dtype=float, where=known) / known.sum(-1))
 
 
 def _stacked(parts: Sequence[Cube]) -> Cube:

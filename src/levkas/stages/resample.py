@@ -193,6 +193,7 @@ def write_resampled(
         "entry": entry.to_row(),
         "glare": statistics.glare,
         "ranges": statistics.ranges(),
+        **statistics.sigma_map(),
     }
     warnings: tuple[str, ...] = ()
     if made.correlation is not None:

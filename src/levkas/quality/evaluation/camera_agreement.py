@@ -432,6 +432,7 @@ def agreement_in(
     layers: Sequence[LayerId],
     budgets: Mapping[str, LayerBudget],
     sensitivities: Mapping[str, Sensitivities],
+    registrations: Mapping[str, dict[str, Any]] | None = None,
 ) -> tuple[PairAgreement, ...]:
     """Compare the layers of one object of a database that hold reflectance; the first says where it is even.
 
@@ -442,6 +443,8 @@ def agreement_in(
     layers : sequence of LayerId
         The reference first.
     budgets, sensitivities : mapping by name of the layer
+    registrations : mapping by name of the layer, optional
+        Records that were read already.
     """
     opened = [LayerRows.open(root, layer) for layer in layers]
     opened = [rows for rows in opened if rows.quantity == "reflectance"]
@@ -452,7 +455,7 @@ def agreement_in(
         return ()
     records = None
     with suppress(MappingRefused):  # of a layer without a registration no place is known
-        records = Records(root, opened[0].layer.object)
+        records = Records(root, opened[0].layer.object, registrations)
     measured = [
         measure_patches(rows, places, budgets.get(rows.layer.name, LayerBudget()), records=records)
         for rows in opened
