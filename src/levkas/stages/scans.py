@@ -340,34 +340,25 @@ class Pictures:
     def __init__(self, shape: tuple[int, int, int], bands: Sequence[Band], factor: int) -> None:
         self._bands, self._factor = bands, factor
         size = (shape[0] // factor, shape[1] // factor)
-        self._sums = np.empty((len(bands), *size), np.float32)
-        self._counts = np.empty(self._sums.shape, np.uint16)
+        self._sums = np.zeros((len(bands), *size), np.float32)
+        self._counts: np.ndarray = np.zeros(self._sums.shape, np.uint16)
         self._line = 0
-        self._rest: list[tuple[np.ndarray, np.ndarray]] = []
 
     def add(self, cube: Cube) -> None:
         """Take the next lines."""
-        factor, (_, rows, width) = self._factor, self._sums.shape
-        wide = slice(width * factor)
-        good = ~is_flagged(cube.flags[:, wide], UNRELIABLE)
-        filled = np.where(good, cube.values[:, wide], np.float32(0))
-        self._rest += zip(filled, good, strict=True)
-        first = self._line // factor
-        self._line += len(filled)
-        shape = (width, factor, filled.shape[2])
-        count = min(self._line // factor, rows) - first
-        sums = np.zeros((count, width, filled.shape[2]), np.float32)
-        counts = np.zeros(sums.shape, np.uint16)
-        for row in range(count):
+        factor, width = self._factor, self._sums.shape[2]
+        shape = (width, factor, cube.values.shape[2])
+        for values, flags in zip(cube.values, cube.flags, strict=True):
+            row = self._line // factor
+            self._line += 1
+            if row >= self._sums.shape[1]:
+                return
+            good = ~is_flagged(flags[: width * factor], UNRELIABLE)
+            filled = np.where(good, values[: width * factor], np.float32(0)).reshape(shape)
             # Line by line and sample by sample: the sums do not depend on how lines come in.
-            for values, known in self._rest[row * factor : (row + 1) * factor]:
-                for k in range(factor):
-                    sums[row] += values.reshape(shape)[:, k]
-                    counts[row] += known.reshape(shape)[:, k]
-        self._rest = self._rest[count * factor :]
-        for found, into in ((sums, self._sums), (counts, self._counts)):
-            turned = transpose(found.reshape(-1, found.shape[2]))
-            into[:, first : first + count] = turned.reshape(len(turned), count, width)
+            for k in range(factor):
+                self._sums[:, row] += transpose(filled[:, k])
+            self._counts[:, row] += transpose(good.reshape(shape).sum(1, dtype=np.uint16))
 
     def images(self) -> list[BandImage]:
         """Return the pictures, in the memory of the sums: nothing can be added any more."""
