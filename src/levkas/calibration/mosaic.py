@@ -283,34 +283,50 @@ NEAR = np.uint8(Flag.NEAR.value)
 def _weigh(first_row, stop, planes, plan, out):  # type: ignore[no-untyped-def]
     """Fill rows with Σwv, flags and, where there is room for it, Σw²u², all (h, w, channels).
 
-    `planes` are values, flags, variance, and the rows with any flag.
+    `planes` are values, flags, variance, and the rows with any flag. Places of one kind, evenly apart, take each tap together.
     """
     values, flags, variance, marked = planes
     colours, noted, spread = out
     rows, columns, start, dy, dx, weight, _, channels, reach = plan
     height, width = values.shape
-    known, kinds = len(spread) > 0, 0
+    known = len(spread) > 0
+    kinds = 0
     for x in range(width):
         kinds = max(kinds, columns[x] + 1)
+    counts, firsts, steps = (
+        np.zeros(kinds, np.int64),
+        np.zeros(kinds, np.int64),
+        np.zeros(kinds, np.int64),
+    )
+    for x in range(width - 1, -1, -1):
+        kind = columns[x]
+        steps[kind] = max(firsts[kind] - x, 1)
+        firsts[kind], counts[kind] = x, counts[kind] + 1
+    total, squares = np.empty(width), np.empty(width)
     for y in range(first_row, stop):
         near = False
         for v in range(max(0, y - reach), min(height, y + reach + 1)):
             near |= marked[v]
-        for x in range(width):
-            first = (rows[y] * kinds + columns[x]) * channels
+        for kind in range(kinds):
+            count, first, step = counts[kind], firsts[kind], steps[kind]
             for k in range(channels):
-                begin, end = start[first + k], start[first + k + 1]
-                total = 0.0
-                for i in range(begin, end):
-                    total += weight[i] * values[y + dy[i], x + dx[i]]
-                colours[y, x, k] = total
-                if known:
-                    total = 0.0
-                    for i in range(begin, end):
-                        total += weight[i] * weight[i] * variance[y + dy[i], x + dx[i]]
-                    spread[y, x, k] = total
-                if near:
-                    noted[y, x, k] = _merge_flags(flags, y, x, plan, begin, end)
+                at = (rows[y] * kinds + kind) * channels + k
+                for j in range(count):
+                    total[j], squares[j] = 0.0, 0.0
+                for i in range(start[at], start[at + 1]):
+                    share, v, x = weight[i], y + dy[i], first + dx[i]
+                    for j in range(count):
+                        total[j] += share * values[v, x + j * step]
+                    if known:
+                        for j in range(count):
+                            squares[j] += share * share * variance[v, x + j * step]
+                for j in range(count):
+                    x = first + j * step
+                    colours[y, x, k] = total[j]
+                    if known:
+                        spread[y, x, k] = squares[j]
+                    if near:
+                        noted[y, x, k] = _merge_flags(flags, y, x, plan, start[at], start[at + 1])
 
 
 @njit
