@@ -400,7 +400,7 @@ def _posterior(
     Algorithm 2.1 of [rasmussen2006]_ for each combination of scales; that of the highest marginal
     likelihood is taken. Scales are compared on what was measured alone, which is less than all that is wanted.
     """
-    from scipy.linalg import solve_triangular
+    from scipy.linalg.lapack import dpotrf, dtrtrs
 
     plain = np.linalg.lstsq(selection, y, rcond=1e-3)[0]
     size = max(float(np.mean(plain**2)), float(np.median(noise)), 1e-10)
@@ -413,11 +413,10 @@ def _posterior(
     best, chosen = -np.inf, None
     for (across, within), share in [none, *product(bends, SETTINGS.smooth)]:
         for own in SETTINGS.own:
-            try:
-                factor = np.linalg.cholesky(still + size * (share * within + own * single))
-            except np.linalg.LinAlgError:
+            factor, failed = dpotrf(still + size * (share * within + own * single), lower=1)
+            if failed:
                 continue
-            white = solve_triangular(factor, y, lower=True, check_finite=False)
+            white, _ = dtrtrs(factor, y, lower=1)
             likelihood = -0.5 * (white @ white) - np.log(np.diag(factor)).sum()
             if likelihood > best:
                 best = likelihood
@@ -427,7 +426,7 @@ def _posterior(
     if chosen is None:
         return plain, np.full(selection.shape[1], size)
     factor, white, shared, whole = chosen
-    known = solve_triangular(factor, shared, lower=True, check_finite=False)
+    known, _ = dtrtrs(factor, shared, lower=1)
     return known.T @ white, np.maximum(whole - (known**2).sum(0), 0.0)
 
 

@@ -106,13 +106,18 @@ def _tabulate(images, known, cell, r, c, table):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def count_cover(start, stop, target, known, cell, number):  # type: ignore[no-untyped-def]
     """Count the pixels of each cell that predictors and target both know."""
+    count = np.zeros(target.shape[1], np.int32)
     for r in range(start, stop):
+        count[:] = 0
+        for i in range(r * cell, (r + 1) * cell):
+            row, there = target[i], known[i]
+            for j in range(len(count)):
+                count[j] += there[j] & np.isfinite(row[j])
         for c in range(number.shape[1]):
-            n = 0
-            for i in range(r * cell, (r + 1) * cell):
-                for j in range(c * cell, (c + 1) * cell):
-                    n += known[i, j] and np.isfinite(target[i, j])
-            number[r, c] = n
+            total = 0
+            for j in range(c * cell, (c + 1) * cell):
+                total += count[j]
+            number[r, c] = total
 
 
 @njit(cache=True)

@@ -238,12 +238,9 @@ def fit_similarity(observations: Observations) -> Affine:
     centre, spread = frame_of(observations.points)
     u, v = ((observations.points - centre) / spread).T
     one, nil = np.ones_like(u), np.zeros_like(u)
-    rows = np.stack(
-        [np.stack([u, -v * sign, one, nil], 1), np.stack([v * sign, u, nil, one], 1)], 1
-    )
-    weight = observations.native
-    normal = np.einsum("nat,nab,nbs->ts", rows, weight, rows)
-    right = np.einsum("nat,nab,nb->t", rows, weight, observations.target)
+    rows = np.stack([u, -v * sign, one, nil, v * sign, u, nil, one], 1).reshape(-1, 4)
+    weighted = (observations.native @ rows.reshape(-1, 2, 4)).reshape(-1, 4)
+    normal, right = rows.T @ weighted, observations.target.reshape(-1) @ weighted
     a, b, x, y = np.linalg.lstsq(normal, right, rcond=1e-13)[0]
     linear = np.array([[a, -b * sign], [b, a * sign]]) / spread
     return Affine(np.column_stack([linear, np.array([x, y]) - linear @ centre]))

@@ -32,6 +32,7 @@ ROUNDS, CONVERGED = 20, 1e-3
 DAMPING = 1e-5
 #: Directions that are tried over half a sphere in the first round, and halvings of the search from the best of them.
 DIRECTIONS, HALVINGS = 200, 8
+AROUND = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
 #: Of the heights along one direction, as a share of their squares.
 RIDGE = 1e-9
 #: Parameters of a homography with a lens.
@@ -97,7 +98,7 @@ def _direction(inner: np.ndarray, goal: np.ndarray, before: np.ndarray) -> np.nd
         best = tried[_heights(inner, goal, tried)[1].argmax()]
     size = 0.1
     for _ in range(HALVINGS):
-        around = best + size * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+        around = best + size * AROUND
         around /= np.linalg.norm(around, axis=1, keepdims=True)
         gains = _heights(inner, goal, around)[1]
         best = around[gains.argmax()]

@@ -136,18 +136,15 @@ def fuse_windows(windows: Sequence[WindowShifts]) -> tuple[np.ndarray, np.ndarra
     """
     shifts = np.stack([w.shift for w in windows])
     information = np.stack([w.information for w in windows])
-    weights = np.ones(shifts.shape[:2])
+    moments = np.einsum("bnac,bnc->bna", information, shifts)
+    p, q, r = information[..., 0, 0], information[..., 0, 1], information[..., 1, 1]
+    used, weights = p + r > 0, np.ones(shifts.shape[:2])
     for _ in range(SETTINGS.rounds if len(windows) > 2 else 1):
-        scaled = information * weights[..., None, None]
-        total = scaled.sum(0)
-        common = np.einsum(
-            "nab,nb->na",
-            np.linalg.inv(total + 1e-9 * np.eye(2)),
-            np.einsum("bnac,bnc->na", scaled, shifts),
-        )
-        apart = shifts - common
-        distance = np.einsum("bna,bnac,bnc->bn", apart, information, apart)
-        used = np.trace(information, axis1=2, axis2=3) > 0
+        total = np.einsum("bn,bnac->nac", weights, information)
+        moment = np.einsum("bn,bna->na", weights, moments)
+        common = solve_2x2(total + 1e-9 * np.eye(2), moment)
+        x, y = np.moveaxis(shifts - common, -1, 0)
+        distance = p * x * x + 2 * q * x * y + r * y * y
         typical = np.median(distance[used]) / CHI2_MEDIAN + 1e-12 if used.any() else 1.0
         weights = 1 / (1 + distance / (4 * typical))
     return common, total

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.core.threads import each
 from levkas.geometry.transforms import Composed, Inverse, solve_2x2
 from levkas.registration.bands import area_average, pull, region_mask
 from levkas.registration.foreground import nearest_within
@@ -233,17 +234,15 @@ def search_windows(
         theirs, theirs_valid, theirs_back = area_average(other, target[1], max(finer, 0.02))
         pulled = Composed(back, transform, Inverse(theirs_back))
         warped, warped_valid = pull(theirs, theirs_valid, pulled, ours.shape)
-        details.append((_band_pass(ours, ours_valid), _band_pass(warped, warped_valid)))
+        details.append(each(_band_pass, (ours, warped), (ours_valid, warped_valid)))
         shown = ours_valid & warped_valid
     a, b = _weighted([one for one, _ in details], [other for _, other in details])
     places = _places(shown, a, b)
     peak, shift = _search(a, b, places)
     chance = _chance(a, b, places)
     # Where some pigments invert, detail cancels itself out, its strength does not.
-    second_peak_ratio = min(
-        _second_peak_ratio(a, b),
-        _second_peak_ratio(*(np.stack([_strength(one) for one in stack]) for stack in (a, b))),
-    )
+    strengths = [np.stack([_strength(one) for one in stack]) for stack in (a, b)]
+    second_peak_ratio = min(each(_second_peak_ratio, (a, strengths[0]), (b, strengths[1])))
     centres = back(places + (SETTINGS.window - 1) / 2)
     scale = float(back.matrix[0, 0])
     return WindowSearch(centres, shift * scale, peak, chance, second_peak_ratio, scale)
