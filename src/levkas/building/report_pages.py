@@ -22,6 +22,7 @@ from levkas.core.files import make_folder, together, write_json, write_text
 from levkas.core.instructions import describe_instructions
 from levkas.core.problems import Refused
 from levkas.core.text import counted
+from levkas.core.threads import each
 from levkas.database.layout import LayerId
 from levkas.database.region_uncertainty import LayerBudget
 from levkas.database.registrations import (
@@ -103,9 +104,13 @@ def write_report(
     make_folder(folder)
     budgets = {c.layer: _budget_of(campaign, records, c) for c in captures}
     registered = _registrations(places, captures)
-    pairs = _agreement(campaign, places, records, captures, budgets, registered)
+    compare = partial(_agreement, campaign, places, records, captures, budgets, registered)
+    draw = partial(_drawn, campaign, places, records, captures, budgets, registered)
+    # Layers are compared in compiled code, and drawn under the interpreter's lock.
+    pairs, (layers, rows) = each(lambda make: make(), (compare, draw))
+    sampling = _sampling(registered.get(captures[0].layer))
+    html = report_of(campaign, places, captures, steps, layers, rows, sampling, pairs)
     with together(partial(records.forget, Key(name, stage="report"))):
-        html = report_of(campaign, places, records, captures, steps, budgets, registered, pairs)
         write_text(page, html)
         write_text(
             facts, to_toml({"name": name, **(described.museum_facts() if described else {})})
@@ -118,21 +123,15 @@ def write_report(
 def report_of(
     campaign: Campaign,
     places: Places,
-    records: BuildRecords,
     captures: list[Capture],
     steps: list[Step],
-    budgets: Budgets,
-    registrations: Registrations,
+    layers: list[LayerReport],
+    rows: list[RadiometryRow],
+    sampling: str,
     pairs: Sequence[PairAgreement],
 ) -> str:
-    """Return the HTML of an object's report; `pairs` are how its layers agree."""
+    """Return the HTML of an object's report; `pairs` are how its layers agree, `sampling` is in mm a pixel."""
     name = captures[0].object
-    made = (
-        _layer(campaign, places, records, c, budgets[c.layer], registrations[c.layer])
-        for c in captures
-        if c.layer in registrations
-    )
-    layers = [layer for layer in made if layer is not None]
     facts = campaign.objects.get(name)
     lines = (
         [facts.creator, facts.date or "", facts.medium, facts.owner, facts.inventory]
@@ -151,8 +150,6 @@ def report_of(
         {"code": p.code, "text": written(campaign, p)} for step in refused for p in step.problems
     ]
     reference = campaign.reference
-    sampling = _sampling(registrations.get(captures[0].layer))
-    rows = radiometry_rows(records, captures)
     reported = {layer.name for layer in layers}
     lost = list(dict.fromkeys(step.key.layer for step in refused))
     lost = [layer for layer in lost if layer and layer not in reported]
@@ -188,6 +185,24 @@ def _registrations(places: Places, captures: Sequence[Capture]) -> Registrations
     """Read the records of the layers of an object, by their names."""
     paths = {c.layer: places.registration(c.object, c.layer) for c in captures}
     return {layer: read_registration(path) for layer, path in paths.items() if path.is_file()}
+
+
+def _drawn(
+    campaign: Campaign,
+    places: Places,
+    records: BuildRecords,
+    captures: Sequence[Capture],
+    budgets: Budgets,
+    registrations: Registrations,
+) -> tuple[list[LayerReport], list[RadiometryRow]]:
+    """Return what the page says of each layer and of its radiometry, with plots and maps."""
+    made = (
+        _layer(campaign, places, records, c, budgets[c.layer], registrations[c.layer])
+        for c in captures
+        if c.layer in registrations
+    )
+    layers = [layer for layer in made if layer is not None]
+    return layers, radiometry_rows(records, captures)
 
 
 def _budget_of(
@@ -478,12 +493,13 @@ def provenance_of(
     steps = []
     for capture in captures:
         for key in keys_of(campaign, capture).values():
-            if step := _step(records, key):
-                frames = _frames(campaign, capture, step["inputs"])
-                measured = records.notes(key).get("measured", {})
-                rows = [row.to_dict() for row in budgets[capture.layer]]
-                own = {"frames": frames, **_white_of(measured), "uncertainty": rows}
-                steps.append(step | (own if key.stage == "calibrate" else {}))
+            if not (step := _step(records, key)):
+                continue
+            if key.stage == "calibrate":
+                step["frames"] = _frames(campaign, capture, step["inputs"])
+                step |= _white_of(records.notes(key).get("measured", {}))
+                step["uncertainty"] = [row.to_dict() for row in budgets[capture.layer]]
+            steps.append(step)
     return {
         "object": captures[0].object,
         "levkas": __version__,
