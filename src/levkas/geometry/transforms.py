@@ -355,7 +355,8 @@ class Polynomial:
 
 def frame_of(points: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the (centre, spread) that bring `points`, (n, 2), into [-1, 1]."""
-    low, high = (np.array([bound(x) for x in np.transpose(points)]) for bound in (np.min, np.max))
+    sides = np.ascontiguousarray(np.transpose(points))
+    low, high = sides.min(1), sides.max(1)
     return (low + high) / 2, float((high - low).max() / 2) or 1.0
 
 

@@ -393,10 +393,11 @@ def fit_parameters(
     linearise(places, goals, roots, best, residual, slopes)
     tried, after = np.empty_like(residual), np.empty_like(slopes)
     for _ in range(MOST_ROUNDS):
-        if not np.isfinite(slopes).all():
+        normal = slopes.T @ slopes
+        if not np.isfinite(normal).all():
             break
-        scale = 1 / np.maximum(np.sqrt((slopes * slopes).sum(0)), 1e-150)
-        normal = (slopes.T @ slopes) * scale[:, None] * scale
+        scale = 1 / np.maximum(np.sqrt(np.diag(normal)), 1e-150)
+        normal = normal * scale[:, None] * scale
         move = -scale * np.linalg.lstsq(normal, scale * (slopes.T @ residual), rcond=1e-13)[0]
         linearise(places, goals, roots, best + move, tried, after)
         before, now = float(residual @ residual), float(tried @ tried)

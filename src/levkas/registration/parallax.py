@@ -114,7 +114,8 @@ def _heights(
     of_pairs = inner.reshape(k, 3, k, 3).transpose(1, 3, 0, 2).reshape(9, k * k)
     square = ((towards[:, :, None] * towards[:, None]).reshape(-1, 9) @ of_pairs).reshape(-1, k, k)
     side = towards @ goal.reshape(k, 3).T
-    square += RIDGE * np.eye(k) * square.trace(axis1=1, axis2=2)[:, None, None]
+    diagonal = square.reshape(-1, k * k)[:, :: k + 1]
+    diagonal += RIDGE * diagonal.sum(1, keepdims=True)
     found = -np.linalg.solve(square, side[..., None])[..., 0]
     return found, -np.einsum("ni,ni->n", found, side)
 
