@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from levkas.core.compiled import njit
-from levkas.core.threads import in_threads
+from levkas.core.threads import each, in_threads
 from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Affine
 
@@ -49,19 +49,24 @@ def disagreement(values: np.ndarray, variance: np.ndarray, period: tuple[int, in
     >>> float(disagreement(3 * x + y, 0 * x, (2, 2)).max())  # a plane has no detail
     0.0
     """
-    total, count = np.zeros(values.shape, np.float32), np.zeros(values.shape, np.float32)
-    for axis, step in enumerate(period):
-        if values.shape[axis] <= 2 * step:
-            continue
+    axes = [axis for axis, step in enumerate(period) if values.shape[axis] > 2 * step]
+
+    def along(axis: int) -> np.ndarray:
+        step = period[axis]
         v, u = np.moveaxis(values, axis, 0), np.moveaxis(variance, axis, 0)
         rough = v[step:-step] - (v[2 * step :] + v[: -2 * step]) / 2
         noise = u[step:-step] + (u[2 * step :] + u[: -2 * step]) / 4
         found = rough * rough - noise
         found[~np.isfinite(found)] = 0
-        np.moveaxis(total, axis, 0)[step:-step] += found
-        np.moveaxis(count, axis, 0)[step:-step] += 1
+        return found
+
+    total, count = np.zeros(values.shape, np.float32), np.zeros(values.shape, np.float32)
+    for axis, found in zip(axes, each(along, axes), strict=True):
+        inner = slice(period[axis], -period[axis])
+        np.moveaxis(total, axis, 0)[inner] += found
+        np.moveaxis(count, axis, 0)[inner] += 1
     size = (2 * period[1] + 1, 2 * period[0] + 1)
-    smooth = [cv2.blur(a, size, borderType=cv2.BORDER_REFLECT_101) for a in (total, count)]
+    smooth = each(lambda a: cv2.blur(a, size, borderType=cv2.BORDER_REFLECT_101), (total, count))
     return np.maximum(smooth[0] / np.maximum(smooth[1], 1e-6), 0.0)
 
 

@@ -31,6 +31,7 @@ from levkas.calibration.patterns import thin_periods
 from levkas.calibration.response import ALIKE, CURVED, Response, SeriesFit, fit_series
 from levkas.calibration.templates import CalibrationRefused, Template, as_absent, close_gaps
 from levkas.core.problems import Problem
+from levkas.core.threads import made_ahead
 from levkas.readers.compared_facts import SCALE
 from levkas.readers.frames import Facts, read_facts, read_frame, read_plane, read_sample
 
@@ -351,7 +352,7 @@ class SensorContext:
     def _averaged(self, frames: Sequence[FrameRef], level: np.ndarray | float | None) -> Template:
         try:
             return average_steady(
-                lambda: self.read(frames),
+                lambda: made_ahead(self.read(frames)),
                 level,
                 period=self.period,
                 saturation=self.saturation,

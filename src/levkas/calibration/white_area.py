@@ -17,6 +17,7 @@ from levkas.calibration.patterns import channel_table
 from levkas.calibration.templates import CalibrationRefused, Template
 from levkas.calibration.white_detail import SCALES, BoardDetail, detail, find_board_detail, near
 from levkas.core.problems import Problem
+from levkas.core.threads import each
 
 MOST_PIXELS = 1_000_000  # of a frame that are looked at: larger ones are reduced
 SIDE, BLOCKS = 16, 10  # px of a block; blocks a side that a small frame has at least
@@ -120,7 +121,7 @@ def find_white_area(
     inside = _inside(lit)
     sound &= inside
     scene, lit = (_grown_over(plane, inside) for plane in (scene, lit))
-    of_object, of_white = (detail(plane, SCALES[0]).between for plane in (scene, lit))
+    of_object, of_white = each(lambda plane: detail(plane, SCALES[0]).between, (scene, lit))
     side = max(3, min(SIDE, min(reduced) // BLOCKS))
     state = _state(_blocks(of_object, of_white, sound, side))
     uncovered = _grown(state) if np.any(state > 0) else np.zeros_like(state, bool)

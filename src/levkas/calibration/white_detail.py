@@ -12,6 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from levkas.core.threads import each
+
 SCALES = ((1.0, 4.0), (4.0, 16.0))  # px: of texture and dust; of painted fields and blurred ones
 SMALL = 150  # px of the shorter side of a frame below which its fields are smaller too
 AROUND = 3.0  # px over which the object's detail is averaged before it weighs
@@ -82,14 +84,14 @@ def find_board_detail(scene: np.ndarray, lit: np.ndarray, sound: np.ndarray) -> 
     """
     scene, lit = _without_single_pixels(scene, lit)
     noise = _noise_of(lit)
-    of_object, of_white = (detail(plane, SCALES[0]) for plane in (scene, lit))
+    of_object, of_white = each(lambda plane: detail(plane, SCALES[0]), (scene, lit))
     marked = _standing_out(of_white.between, sound)
     specks = _judged(scene, lit, sound, marked)
     even = sound & ~near(marked)
     fine = _shares(of_object, of_white, even, SCALES[0], noise)
     small = min(1.0, min(lit.shape) / SMALL)
     fields = (SCALES[1][0] * small, SCALES[1][1] * small)
-    wide, of_fields = (detail(plane, fields) for plane in (scene, lit))
+    wide, of_fields = each(lambda plane: detail(plane, fields), (scene, lit))
     coarse = _shares(wide, of_fields, sound, fields, noise)
     picture = 0.0
     if coarse.much > MUCH and (coarse.sure or (fine.sure and fine.board > STRUCTURE**2)):

@@ -76,13 +76,16 @@ def each(work: Callable[..., Made], *items: Iterable[Any]) -> list[Made]:
 
 
 def made_ahead(items: Iterable[Made]) -> Iterator[Made]:
-    """Yield items in their order, each made by a thread while the one before is used.
+    """Yield items in their order, each made by a thread while the one before is used; within `each`, where others have work, as they come.
 
     Examples
     --------
     >>> list(made_ahead(n * n for n in range(3)))
     [0, 1, 4]
     """
+    if _is_one_of_several() or count_threads(MOST_THREADS) == 1:
+        yield from items
+        return
     making, end = iter(items), object()
     with ThreadPoolExecutor(1, thread_name_prefix="ahead") as ahead:
         coming: Future[Any] = ahead.submit(next, making, end)

@@ -64,43 +64,42 @@ def count_above(cube: Cube) -> np.ndarray:
     """
     if cube.quantity != "reflectance":
         return np.zeros((COUNTS, len(cube.bands)), np.int64)
-    sigma = np.zeros((0, 0, 0), np.float32) if cube.sigma is None else cube.sigma
+    known = cube.sigma is not None
+    sigma = cube.values if cube.sigma is None else cube.sigma
     marks = np.uint8(LEFT_OUT), np.uint8(Flag.GLARE)
-    parts = in_threads(_count, len(cube.values), cube.values, sigma, cube.flags, *marks)
+    parts = in_threads(_count, len(cube.values), cube.values, sigma, known, cube.flags, *marks)
     return np.asarray(sum(parts))
 
 
 @njit(cache=True)
-def _count(start, stop, values, sigma, flags, left_out, glare):  # type: ignore[no-untyped-def]
+def _count(start, stop, values, sigma, has_sigma, flags, left_out, glare):  # type: ignore[no-untyped-def]
     """Return what `count_above` does of some rows; without sigma it is 0, and nothing is counted below the dark."""
     width, bands = values.shape[1:]
     counts = np.zeros((COUNTS, bands), np.int64)
     total, spread, known = np.zeros(bands), np.zeros(bands), np.zeros(bands, np.int64)
+    share = np.float32(1) if has_sigma else np.float32(0)
     for y in range(start, stop):
         for x in range(width):
             glares = 0
             for b in range(bands):
                 glares += flags[y, x, b] & glare != 0
             of_surface = 2 * glares >= bands
-            for b in range(bands):
-                flag, value = flags[y, x, b], values[y, x, b]
-                if flag & left_out:
-                    continue
-                noise = sigma[y, x, b] if sigma.size else np.float32(0)
+            for b in range(bands):  # without a branch: several bands are counted at once
+                flag, value, noise = flags[y, x, b], values[y, x, b], share * sigma[y, x, b]
+                there = flag & left_out == 0
+                beside = there & ((not of_surface) | (flag & glare == 0))
                 above = value > ABOVE + SURE * noise
-                counts[2, b] += above
-                counts[3, b] += 1
-                if not (of_surface and flag & glare):
-                    counts[0, b] += above
-                    counts[1, b] += 1
-                counts[8, b] += value > 0
-                counts[9, b] += value > BRIGHT * noise
-                if sigma.size:
-                    counts[4, b] += value < -SURELY_BELOW * noise
-                    total[b] += value
-                    spread[b] += noise
-                    known[b] += 1
-            if sigma.size and x % ROW == ROW - 1:
+                counts[0, b] += beside & above
+                counts[1, b] += beside
+                counts[2, b] += there & above
+                counts[3, b] += there
+                counts[4, b] += there & has_sigma & (value < -SURELY_BELOW * noise)
+                counts[8, b] += there & (value > 0)
+                counts[9, b] += there & (value > BRIGHT * noise)
+                total[b] += value if there else np.float32(0)
+                spread[b] += noise if there else np.float32(0)
+                known[b] += there
+            if has_sigma and x % ROW == ROW - 1:
                 _count_dark_rows(total, spread, known, counts)
         total[:], spread[:], known[:] = 0, 0, 0  # what is left of a row is no stretch
     return counts
