@@ -287,7 +287,7 @@ def _weigh(first_row, stop, planes, plan, out):  # type: ignore[no-untyped-def]
     """
     values, flags, variance, marked = planes
     colours, noted, spread = out
-    rows, columns, start, dy, dx, weight, _, channels, reach = plan
+    rows, columns, start, _, _, _, _, channels, reach = plan
     height, width = values.shape
     known = len(spread) > 0
     kinds = 0
@@ -302,31 +302,43 @@ def _weigh(first_row, stop, planes, plan, out):  # type: ignore[no-untyped-def]
         kind = columns[x]
         steps[kind] = max(firsts[kind] - x, 1)
         firsts[kind], counts[kind] = x, counts[kind] + 1
-    total, squares = np.empty(width), np.empty(width)
+    sums = np.empty(width)
     for y in range(first_row, stop):
         near = False
         for v in range(max(0, y - reach), min(height, y + reach + 1)):
             near |= marked[v]
         for kind in range(kinds):
-            count, first, step = counts[kind], firsts[kind], steps[kind]
+            places = firsts[kind], steps[kind], counts[kind]
             for k in range(channels):
                 at = (rows[y] * kinds + kind) * channels + k
-                for j in range(count):
-                    total[j], squares[j] = 0.0, 0.0
-                for i in range(start[at], start[at + 1]):
-                    share, v, x = weight[i], y + dy[i], first + dx[i]
-                    for j in range(count):
-                        total[j] += share * values[v, x + j * step]
-                    if known:
-                        for j in range(count):
-                            squares[j] += share * share * variance[v, x + j * step]
-                for j in range(count):
-                    x = first + j * step
-                    colours[y, x, k] = total[j]
-                    if known:
-                        spread[y, x, k] = squares[j]
-                    if near:
-                        noted[y, x, k] = _merge_flags(flags, y, x, plan, start[at], start[at + 1])
+                _add_taps(values, y, places, plan, at, False, sums)
+                _lay(sums, places, colours[y, :, k])
+                if known:
+                    _add_taps(variance, y, places, plan, at, True, sums)
+                    _lay(sums, places, spread[y, :, k])
+                for j in range(counts[kind] if near else 0):
+                    x = firsts[kind] + j * steps[kind]
+                    noted[y, x, k] = _merge_flags(flags, y, x, plan, start[at], start[at + 1])
+
+
+@njit
+def _add_taps(plane, y, places, plan, at, squared, sums):  # type: ignore[no-untyped-def]
+    """Fill `sums` with Σwv of the taps `at` for some places of row `y`, first, step and count; of weights `squared`."""
+    first, step, count = places
+    for j in range(count):
+        sums[j] = 0.0
+    for i in range(plan.start[at], plan.start[at + 1]):
+        share = plan.weight[i] * plan.weight[i] if squared else plan.weight[i]
+        v, x = y + plan.dy[i], first + plan.dx[i]
+        for j in range(count):
+            sums[j] += share * plane[v, x + j * step]
+
+
+@njit
+def _lay(sums, places, row):  # type: ignore[no-untyped-def]
+    first, step, count = places
+    for j in range(count):
+        row[first + j * step] = sums[j]
 
 
 @njit
