@@ -4,6 +4,7 @@ import io
 import re
 import shutil
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -109,6 +110,29 @@ def test_a_refusal_and_what_follows_from_it_are_said_once(campaign):
     assert lines[at - 1] == "icon1/vis calibrate: refused"
     assert "550nm.tif" in lines[at + 1] and lines[at + 2].startswith("  do: ")
     assert "refused" in out and "E_" not in out
+
+
+def test_a_build_ends_with_the_verdict_of_each_layer_that_it_did(tmp_path):
+    """Two pictures of one panel, 3 px apart: one is the reference, the other is judged; what is fresh is not told again."""
+    rng = np.random.default_rng(4)
+    panel = cv2.GaussianBlur(rng.random((200, 240)).astype(np.float32), (0, 0), 2)
+    panel = np.uint8(255 * (panel - panel.min()) / np.ptp(panel))
+    for camera, left in (("photo", 3), ("infrared", 0)):
+        (tmp_path / camera).mkdir()
+        cv2.imwrite(str(tmp_path / camera / "icon1.png"), panel[:, left : left + 230])
+    (tmp_path / "campaign.toml").write_text(
+        '[campaign]\ntitle = "Two"\ndate = 2020-01-01\nreference = { camera = "photo" }\n'
+        '[cameras.photo]\nkind = "image"\nfiles = "photo/{target}.png"\n'
+        '[cameras.infrared]\nkind = "image"\nfiles = "infrared/{target}.png"\n'
+    )
+    status, out, _ = run("build", tmp_path)
+    lines = out.splitlines()
+    assert status == 0 and "icon1/photo: reference" in lines
+    judged = next(line for line in lines if line.startswith("icon1/infrared: "))
+    assert re.match(r".*(accepted|doubtful, please check), held-out error 0\.\d{3} px", judged)
+    assert lines[-1].endswith("database")
+    _, again, _ = run("build", tmp_path)
+    assert "reference" not in again
 
 
 def test_a_campaign_that_is_not_there_is_said_so(tmp_path):

@@ -1,7 +1,8 @@
-"""What a build says of every layer: its verdict, its errors and the reasons, for `build --json`."""
+"""What a build says of every layer: its verdict, its errors and the reasons."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,9 @@ from levkas.database.registrations import (
     unchecked_mm2,
     unchecked_share,
 )
+from levkas.pages.summary import describe_length
+from levkas.registration.advice import percent
+from levkas.registration.record import DECISIONS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,7 +31,7 @@ STAGES = ("calibrate", "register", "resample")
 
 
 def layer_verdicts(report: BuildReport) -> list[dict[str, Any]]:
-    """Return a row a layer: object, camera, setup, verdict, reasons, next step and errors.
+    """Return a row a layer: object, camera, setup, verdict, camera of the reference, reasons, next step and errors.
 
     A layer that was refused at any stage has ``"refuse"`` and that stage. Of the reference camera, to
     which the others are registered, there are no errors.
@@ -39,6 +43,37 @@ def layer_verdicts(report: BuildReport) -> list[dict[str, Any]]:
         if step.key.stage in STAGES:
             layers.setdefault((step.key.object, step.key.camera, step.key.setup), []).append(step)
     return [_row(report.output, *layer, steps) for layer, steps in sorted(layers.items())]
+
+
+def verdict_lines(report: BuildReport) -> list[str]:
+    """Return a line for each layer of which this build did a stage, and that was not refused: its verdict, error and doubts."""
+    done = {(s.key.object, s.key.layer) for s in report.stages if s.state == "done"}
+    new = tuple(s for s in report.stages if (s.key.object, s.key.layer) in done)
+    return [
+        f"{row['object']}/{layer_name(row['camera'], row['setup'])}: {describe_verdict(row)}"
+        for row in layer_verdicts(replace(report, stages=new))
+        if row["verdict"] not in ("refuse", "")
+    ]
+
+
+def describe_verdict(row: Mapping[str, Any]) -> str:
+    """Return the verdict of one row of `layer_verdicts` in words.
+
+    >>> row = {"camera": "nir", "setup": "", "reference": "vis", "verdict": "accept", "reasons": [], "checked_share": 0.97}
+    >>> describe_verdict(row | {"held_out_px": 0.0631, "held_out_mm": 0.0765})
+    'accepted, held-out error 0.063 px = 0.076 mm, checked over 97 % of the layer'
+    >>> describe_verdict({"camera": "vis", "setup": "", "reference": "vis", "verdict": "accept", "reasons": []})
+    'reference'
+    """
+    px, mm, checked = (row.get(key) for key in ("held_out_px", "held_out_mm", "checked_share"))
+    leads = row["verdict"] == "accept" and row["camera"] == row["reference"] and not row["setup"]
+    parts = [DECISIONS["reference" if leads else row["verdict"]]]
+    if px is not None:
+        parts.append(f"held-out error {describe_length(px, mm / px if mm and px else None)}")
+    if checked is not None:
+        parts.append(f"checked over {percent(checked)} of the layer")
+    doubts = row["reasons"] if row["verdict"] == "warn" else []
+    return ": ".join([", ".join(parts), *(["; ".join(doubts)] if doubts else [])])
 
 
 def _row(output: Path, name: str, camera: str, setup: str, steps: Sequence[Step]) -> dict[str, Any]:
@@ -63,6 +98,7 @@ def _row(output: Path, name: str, camera: str, setup: str, steps: Sequence[Step]
     verdict = record.get("verdict", {})
     return row | {
         "verdict": verdict.get("decision", ""),
+        "reference": record.get("reference", {}).get("camera", ""),
         "reasons": list(verdict.get("reasons", [])),
         "next_step": verdict.get("next_step", ""),
         "method": record.get("method", ""),

@@ -100,10 +100,13 @@ def build(
         insecure=insecure,
     )
     report = summarise(draw_steps(steps, as_json))
-    if as_json:
-        from levkas.building.layer_verdicts import layer_verdicts
+    if as_json or any(step.state == "done" for step in report.stages):
+        from levkas.building.layer_verdicts import layer_verdicts, verdict_lines
 
-        report = replace(report, layers=tuple(layer_verdicts(report)))
+        if as_json:
+            report = replace(report, layers=tuple(layer_verdicts(report)))
+        else:
+            typer.echo("".join(f"{line}\n" for line in verdict_lines(report)), nl=False)
     finish("build", report, as_json)
 
 
