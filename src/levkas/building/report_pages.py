@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from functools import cache, partial
-from importlib.metadata import PackageNotFoundError, version
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -58,7 +57,7 @@ from levkas.readers.frames import files_of
 from levkas.registration.advice import percent
 from levkas.registration.marks import describe_want_of_marks
 from levkas.stages.budget import budget_of
-from levkas.stages.sources import LIBRARIES, LIBRARIES_OF_PAGES
+from levkas.stages.sources import LIBRARIES, LIBRARIES_OF_PAGES, library_version
 from levkas.stages.spectra import weights_of_bands
 
 if TYPE_CHECKING:
@@ -557,13 +556,6 @@ def _frames(campaign: Campaign, capture: Capture, inputs: dict[str, str]) -> lis
     return frames
 
 
-@cache
 def _libraries() -> dict[str, str]:
-    """Return the versions of the libraries that are installed; read once, as it takes 50 ms."""
-    found = {}
-    for name in sorted(LIBRARIES + LIBRARIES_OF_PAGES):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:  # another build of the same library: its version is not known
-            continue
-    return found
+    versions = {name: library_version(name) for name in sorted(LIBRARIES + LIBRARIES_OF_PAGES)}
+    return {name: version for name, version in versions.items() if version}

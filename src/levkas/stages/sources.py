@@ -70,7 +70,7 @@ def _hash(folders: tuple[str, ...], package: Path = HERE) -> str:
     for folder in folders:
         digest.update(_hash_folder(folder, package))
     names = LIBRARIES + (LIBRARIES_OF_PAGES if "pages" in folders else ())
-    digest.update(repr([(name, _version(name)) for name in names]).encode())
+    digest.update(repr([(name, library_version(name)) for name in names]).encode())
     return digest.hexdigest()[:16]
 
 
@@ -83,7 +83,8 @@ def _hash_folder(folder: str, package: Path) -> bytes:
 
 
 @cache  # each has to be read and parsed
-def _version(distribution: str) -> str:
+def library_version(distribution: str) -> str:
+    """Return the version of an installed library; empty where it is not known."""
     try:
         return version(distribution)
     except PackageNotFoundError:  # another build of the same library: its version is not known
