@@ -101,7 +101,9 @@ def test_another_version_of_a_library_changes_the_stages_that_use_it(
     before = {stage: code_version(stage) for stage in STAGES}
     number = sources.library_version
     sources._hash.cache_clear()
-    monkeypatch.setattr(sources, "library_version", lambda n: "0" if n == distribution else number(n))
+    monkeypatch.setattr(
+        sources, "library_version", lambda n: "0" if n == distribution else number(n)
+    )
     assert {stage for stage in STAGES if code_version(stage) != before[stage]} == stages
     sources._hash.cache_clear()
 
