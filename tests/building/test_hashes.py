@@ -2,6 +2,7 @@
 
 import os
 import sqlite3
+import time
 
 import pytest
 
@@ -58,6 +59,20 @@ def test_a_damaged_row_of_the_index_is_read_again(kept, change):
     hashes.take(frame, [*stamp_of(frame), "e" * 64])
     hashes.save()
     assert Hashes(index)(frame) == "e" * 64
+
+
+def test_a_hash_that_another_process_took_late_enough_counts_over_one_of_a_file_just_changed(
+    kept, monkeypatch
+):
+    frame, index = kept
+    hashes = Hashes(index, verify=True)
+    monkeypatch.setattr("levkas.building.hashes.is_old_enough", lambda stamp, now: False)
+    assert hashes(frame) == hash_file(frame)
+    hashes.take(frame, [*stamp_of(frame), "e" * 64])
+    monkeypatch.undo()
+    time.sleep(0.2)  # past the tick: a reading by `save` would be recorded
+    hashes.save()
+    assert hashes(frame) == Hashes(index)(frame) == "e" * 64
 
 
 @pytest.mark.parametrize(

@@ -122,7 +122,9 @@ class Hashes:
             self._known()[name] = entry
             if old_enough:
                 self._unsaved[name] = entry
+                self._recent.discard(name)
             else:
+                self._unsaved.pop(name, None)
                 self._recent.add(name)
 
     def unsaved(self) -> Change:
