@@ -20,11 +20,12 @@ env: $(READY)
 demo: $(USABLE)
 	$(BIN)/levkas demo demo
 
-# The tests to run before every commit; what was skipped, and why, stands at the end. `make test SLOW=1`: the slow ones too.
+# The tests to run before every commit; what was skipped, and why, stands at the end. `make test SLOW=1`: the slow ones too;
+# `make test TURN=2/5`: of those the third of five parts.
 test: pages
-	$(PYTEST) $(if $(SLOW),--durations=25,-m "not slow")
+	$(if $(TURN),LEVKAS_SLOW_TURN=$(TURN) )$(PYTEST) $(if $(SLOW)$(TURN),--durations=25,-m "not slow")
 
-# Faults at every step of a build, fuzzing, same bytes on any number of threads, long browser walks.
+# What takes more than three seconds: whole builds, faults at every step, same bytes on any number of threads, long browser walks.
 test-slow: pages
 	$(PYTEST) -m slow --durations=25
 

@@ -50,11 +50,21 @@ DURATIONS = Path(__file__).parent / "tests" / "durations.json"
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what is `exhaustive`, and put the longest files first: what starts last ends last, and leaves the other processes idle."""
+    """Leave out what is `exhaustive`, and slow tests of other turns; put the longest files first.
+
+    What starts last ends last, and leaves the other processes idle. LEVKAS_SLOW_TURN = 2/5 takes the third of five
+    parts of the slow tests; the cases of one test are in all of them.
+    """
+    left = set()
     if not os.environ.get("LEVKAS_EVERY_CASE"):
         left = {item for item in items if item.get_closest_marker("exhaustive")}
-        config.hook.pytest_deselected(items=[*left])
-        items[:] = [item for item in items if item not in left]
+    if turn := os.environ.get("LEVKAS_SLOW_TURN"):
+        number, turns = map(int, turn.split("/"))
+        slow = [item for item in items if item not in left and item.get_closest_marker("slow")]
+        slow.sort(key=lambda item: item.nodeid)
+        left |= set(slow) - set(slow[number % turns :: turns])
+    config.hook.pytest_deselected(items=[*left])
+    items[:] = [item for item in items if item not in left]
     seconds = json.loads(DURATIONS.read_text(encoding="utf-8"))
     items.sort(key=lambda item: -seconds.get(item.location[0], 0))
 

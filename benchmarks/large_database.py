@@ -16,15 +16,19 @@ import tempfile
 import time
 from pathlib import Path
 
-import cv2
-import numpy as np
+from levkas.core.instructions import hold_instructions
 
-from levkas.building import fingerprints
-from levkas.building.build_records import BuildRecords, Key
-from levkas.building.claiming import claim
-from levkas.building.fingerprints import Inputs
-from levkas.building.plan import read_plan
-from levkas.database.layout import Places
+hold_instructions()  # as the command line does, whose builds are measured: before NumPy is loaded
+
+import cv2  # noqa: E402
+import numpy as np  # noqa: E402
+
+from levkas.building import fingerprints  # noqa: E402
+from levkas.building.build_records import BuildRecords, Key  # noqa: E402
+from levkas.building.claiming import claim  # noqa: E402
+from levkas.building.fingerprints import Inputs  # noqa: E402
+from levkas.building.plan import read_plan  # noqa: E402
+from levkas.database.layout import Places  # noqa: E402
 
 CAMPAIGN = """
 [campaign]
@@ -90,7 +94,7 @@ def write_frames(root: Path, count: int) -> None:
     time.sleep(2.5)  # until their stamps are settled
 
 
-CLI = "from levkas.cli import app; app({arguments!r}, standalone_mode=False)"
+CLI = "import sys; from levkas.cli import main; sys.argv = ['levkas', *{arguments!r}]; main()"
 OPEN = "import levkas; db = levkas.open({root!r} + '/database'); list(db[next(iter(db))])"
 
 

@@ -114,6 +114,7 @@ def test_the_notebook_registers_two_cameras_on_arrays_alone(tmp_path, monkeypatc
     assert np.nanmedian(warped.variance) < np.median(found["colour"].sigma ** 2)
 
 
+@pytest.mark.slow
 def test_sampled_noise_lies_on_its_closed_form(script, tmp_path):
     figure = script("figure_3_noise").main(tmp_path / "3.png")
     assert decoded(tmp_path / "3.png").std() > 5
@@ -140,6 +141,7 @@ def test_the_grid_turns_the_icon_upright_and_leaves_the_table_out(script, tmp_pa
     assert np.corrcoef(again.ravel(), np.asarray(result).ravel())[0, 1] > 0.9
 
 
+@pytest.mark.slow
 def test_least_squares_goes_astray_until_the_outliers_are_cut(script, registration, tmp_path):
     figure = script("figure_9_registration").main(tmp_path / "9.png", registration)
     assert decoded(tmp_path / "9.png").std() > 5
@@ -208,6 +210,7 @@ def test_previews_of_all_cameras_stand_side_by_side(script, tmp_path):
     assert [int(axes.images[0].get_array()[0, 0, 0]) for axes in figure.axes] == [40, 130]
 
 
+@pytest.mark.slow
 def test_snr_grows_with_the_signal_and_the_blurring_filter_is_seen_through(script, tmp_path):
     figure = script("figure_15_snr").main(tmp_path / "15.png")
     assert decoded(tmp_path / "15.png").std() > 5

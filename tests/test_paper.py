@@ -156,6 +156,7 @@ def test_pictures_are_there_small_and_drawn_from_the_results(scripts):
     assert drawn == {key: value for key, value in measured.items() if value is not None}
 
 
+@pytest.mark.slow
 def test_the_panel_is_drawn_from_a_database(scripts, make_plates, tmp_path, monkeypatch):
     figures, plates = scripts[2], make_plates(tmp_path / "plates", ["one"])
     with (plates / "campaign.toml").open("a") as keys:

@@ -65,6 +65,7 @@ def test_a_frame_and_points_behind_such_a_link_are_refused_by_name(make_plates, 
     assert files == {str(folder / "infrared/one.png"), str(folder / "points/two_infrared.csv")}
 
 
+@pytest.mark.slow
 def test_a_link_in_a_circle_is_one_missing_frame(make_plates, tmp_path):
     folder = make_plates(tmp_path / "campaign", ["one", "two"])
     (folder / "infrared/old").symlink_to("old")

@@ -166,6 +166,7 @@ def test_a_white_whose_codes_go_on_above_the_saturation_is_of_another_mode():
     assert "shorter exposure" in clipped.fix
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [8, pytest.param(10, marks=pytest.mark.exhaustive)])
 def test_a_camera_that_samples_much_more_coarsely_is_refused_for_that(ratio):
     rng = np.random.default_rng(3)

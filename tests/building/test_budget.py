@@ -245,6 +245,7 @@ def test_bands_share_what_they_have_in_common_by_their_kind(tmp_path, kind, own)
     assert {name for name, row in rows.items() if not row.all_bands} == own
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("curve", [0.0, 0.002])
 def test_exposures_that_lie_on_a_line_give_the_budget_how_straight_it_is(tmp_path, curve):
     """At 3,500 of 4,095 counts a bend of 0.002 takes off 0.17 %: too little to be corrected, and not nothing."""
@@ -262,6 +263,7 @@ def test_exposures_that_lie_on_a_line_give_the_budget_how_straight_it_is(tmp_pat
         assert size == pytest.approx(curve * 3500 / 4095, rel=0.2, abs=2e-4)
 
 
+@pytest.mark.slow
 def test_values_in_counts_have_a_budget_of_what_needs_no_white(tmp_path):
     folder = tmp_path / "c"
     write_campaign(folder, "bands", Camera(SHAPE), scene(SHAPE)[0], whites=1)
@@ -286,6 +288,7 @@ def test_values_in_counts_have_a_budget_of_what_needs_no_white(tmp_path):
     assert read(folder).uncertainty(rectangle=REGION).attrs["not_known"]
 
 
+@pytest.mark.slow
 def test_darks_that_are_clipped_do_not_say_that_the_black_level_is_steady(tmp_path):
     folder = tmp_path / "c"
     write_campaign(folder, "bands", Camera(SHAPE, black=0.0), scene(SHAPE)[0], whites=2)

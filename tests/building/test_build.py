@@ -153,6 +153,7 @@ def test_a_second_build_writes_nothing(campaign):
     assert {p: p.stat().st_mtime_ns for p in (campaign / "database/objects").rglob("*")} == before
 
 
+@pytest.mark.slow
 def test_a_changed_parameter_redoes_only_what_depends_on_it_and_status_says_why(campaign):
     text = (campaign / "campaign.toml").read_text()
     (campaign / "campaign.toml").write_text(text + "[cameras.irr.registration]\nstop = 0.5\n")
@@ -206,6 +207,7 @@ def test_a_damaged_record_of_a_stage_is_not_believed(campaign):
     assert hash_tree(campaign / "database") == whole
 
 
+@pytest.mark.slow
 def test_the_same_input_gives_the_same_bytes_in_another_folder(finished, tmp_path):
     other = make(tmp_path / "elsewhere")
     assert summarise(build(other, output=tmp_path / "there")).ok
@@ -218,6 +220,7 @@ def test_raw_frames_are_never_changed(finished, tmp_path):
         assert hash_tree(fresh / part) == hash_tree(finished / part)
 
 
+@pytest.mark.slow
 def test_a_different_painting_is_refused_by_reason_and_nothing_of_it_is_written(campaign):
     tifffile.imwrite(campaign / "irr/panel.tif", views(77, MATRIX)[1])
     report = summarise(build(campaign))
@@ -231,12 +234,14 @@ def test_a_different_painting_is_refused_by_reason_and_nothing_of_it_is_written(
     assert "What was refused" not in page  # its own section says why
 
 
+@pytest.mark.slow
 def test_a_blank_picture_is_refused(campaign):
     tifffile.imwrite(campaign / "irr/panel.tif", np.full((280, 320), 128, np.uint8))
     report = summarise(build(campaign))
     assert states(report)["irr register"] == "refused" and report.problems[0].code.startswith("E_")
 
 
+@pytest.mark.slow
 def test_a_truncated_file_refuses_its_camera_and_the_other_object_is_built(tmp_path):
     folder = make(tmp_path / "two", ("one", "two"))
     path = folder / "irr/one.tif"
@@ -249,6 +254,7 @@ def test_a_truncated_file_refuses_its_camera_and_the_other_object_is_built(tmp_p
     assert list(levkas.open(folder / "database")["one"]) == ["photo"]
 
 
+@pytest.mark.slow
 def test_without_the_reference_picture_only_that_object_is_refused(tmp_path):
     folder = make(tmp_path / "two", ("one", "two"))
     (folder / "photo/one.png").unlink()

@@ -190,6 +190,7 @@ def lines_that_differ(one, other, name):
     return [line for line in difflib.unified_diff(*texts, n=0) if line[0] in "+-"][:12]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", [pytest.param(one, marks=marks(one)) for one in CHANGES])
 def test_building_on_ends_in_the_bytes_of_building_anew(campaign, what):
     for change in CHANGES[what]:
@@ -228,6 +229,7 @@ def test_sensors_and_setups_in_another_order_end_in_the_bytes_of_building_anew(
         assert differences(folder / "database", folder / "anew") == []
 
 
+@pytest.mark.slow
 def test_a_camera_that_comes_back_is_built_again_to_the_same_bytes(campaign):
     before = hash_tree(campaign / "database")
     text = (campaign / "campaign.toml").read_text()
@@ -296,6 +298,7 @@ def _refused_default(folder):
         )
 
 
+@pytest.mark.slow
 def test_status_of_a_second_setup_whose_default_one_is_refused(campaign):
     _refused_default(campaign)
     report = summarise(build(campaign))
@@ -315,6 +318,7 @@ def test_status_and_build_count_the_same_stages_and_build_says_where(campaign):
     assert sorted(map(str, looked["stages"])) == sorted(map(str, built["stages"]))
 
 
+@pytest.mark.slow
 def test_a_refusal_in_a_database_is_the_same_wherever_the_campaign_stands(campaign, tmp_path):
     cuts("colour/one.tif")(campaign)
     says(
@@ -337,6 +341,7 @@ def test_a_refusal_in_a_database_is_the_same_wherever_the_campaign_stands(campai
     assert "colour/one.tif" in page and str(tmp_path) not in page
 
 
+@pytest.mark.slow
 def test_the_page_of_an_object_follows_what_a_refusal_found(campaign):
     says('kind = "bands"\nfiles = "filters/', 'kind = "bands"\nfiles = "{setup}/')(campaign)
     renames("filters", "day")(campaign)
@@ -350,6 +355,7 @@ def test_the_page_of_an_object_follows_what_a_refusal_found(campaign):
     assert "day, night, noon" in (campaign / "database/objects/one/report.html").read_text()
 
 
+@pytest.mark.slow
 def test_templates_that_no_calibration_is_made_with_any_more_are_removed(campaign):
     folder = campaign / "database.kept" / "templates"
     before = {path.name for path in folder.iterdir()}

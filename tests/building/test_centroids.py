@@ -38,6 +38,7 @@ def campaign(make_plates, tmp_path):
     return folder
 
 
+@pytest.mark.slow
 def test_a_build_writes_centroids_of_broad_channels_and_knows_what_they_rest_on(campaign):
     report = summarise(list(build(campaign)))
     assert report.ok, report.problems

@@ -125,6 +125,7 @@ def write_reference(path, *, last=1000):
     path.write_text("\n".join([head, *rows]) + "\n")
 
 
+@pytest.mark.slow
 def test_a_build_makes_reflectance_by_the_chart_and_says_how_well(campaign):
     report = summarise(build(campaign))
     assert report.ok, report.problems
@@ -156,6 +157,7 @@ def test_a_build_makes_reflectance_by_the_chart_and_says_how_well(campaign):
     assert camera["measured"][""][""][KEY]["bands"].keys() == record["bands"].keys()
 
 
+@pytest.mark.slow
 def test_what_was_built_is_fresh_and_a_chart_that_changes_is_a_reason_to_redo(campaign, copy):
     assert summarise(build(copy)).ok
     assert {s.state for s in status(copy).stages} == {"fresh"}
@@ -176,6 +178,7 @@ def chart_rows(folder, made):
     return {row.unit: row.size for row in rows}
 
 
+@pytest.mark.slow
 def test_the_error_of_the_light_is_in_the_budget_and_no_mean_makes_it_smaller(copy):
     """Patches off by 6 %: the light is worse known than a pixel's noise."""
     rng = np.random.default_rng(3)
@@ -310,6 +313,7 @@ def test_a_mosaic_is_calibrated_through_its_sensitivities_or_by_its_greys_alone(
         assert made.measured[""][KEY]["bands"]["G"]["order"] == 0
 
 
+@pytest.mark.slow
 def test_a_mosaic_whose_channels_nobody_knows_is_scaled_by_greys_even_in_the_infrared(tmp_path):
     rng = np.random.default_rng(4)
     deep = np.array([[690.0, 700.0, 710.0], [720.0, 730.0, 690.0], [700.0, 710.0, 720.0]])
@@ -395,6 +399,7 @@ def test_wrong_tables_are_refused(copy, old, new, words):
     assert words in str(refused.value)
 
 
+@pytest.mark.slow
 def test_a_chart_of_another_size_is_refused(copy):
     for frame in (copy / "raw" / "macbeth").glob("*.tif"):
         tifffile.imwrite(frame, tifffile.imread(frame)[:-10])

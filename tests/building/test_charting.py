@@ -77,6 +77,7 @@ def campaign(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_chart_of_a_campaign_is_measured_from_two_shots(campaign):
     corners = np.array(CORNERS.split(","), float).reshape(4, 2)
     report = measure_charts(campaign, corners=corners)
@@ -101,6 +102,7 @@ def test_a_chart_of_a_campaign_is_measured_from_two_shots(campaign):
     assert "macbeth/vis" in report.text
 
 
+@pytest.mark.slow
 def test_the_command_reports_and_writes_a_page(campaign, tmp_path):
     page = tmp_path / "chart.html"
     result = CliRunner().invoke(
@@ -113,6 +115,7 @@ def test_the_command_reports_and_writes_a_page(campaign, tmp_path):
     assert "Chart: macbeth/vis" in html and html.count("<path") >= 24
 
 
+@pytest.mark.slow
 def test_a_chart_half_out_of_frame_is_refused_with_what_to_capture(campaign):
     beyond = ",".join(str(float(v) - 200 * (i % 2 == 0)) for i, v in enumerate(CORNERS.split(",")))
     result = CliRunner().invoke(app, ["chart", str(campaign), "--corners", beyond, "--json"])
@@ -129,6 +132,7 @@ def test_a_campaign_without_charts_and_an_unknown_camera_are_refused(campaign, t
             measure_charts(path, cameras=cameras)
 
 
+@pytest.mark.slow
 def test_a_build_writes_a_page_a_camera_and_leaves_it_alone_the_second_time(campaign):
     report = summarise(build(campaign))
     assert report.ok, report.problems
@@ -144,6 +148,7 @@ def test_a_build_writes_a_page_a_camera_and_leaves_it_alone_the_second_time(camp
     assert again[-1].done == again[-1].total
 
 
+@pytest.mark.slow
 def test_a_build_keeps_the_chart_the_light_and_what_was_measured_of_the_camera(campaign, tmp_path):
 
     folder = shutil.copytree(
@@ -185,6 +190,7 @@ def test_a_build_keeps_the_chart_the_light_and_what_was_measured_of_the_camera(c
     assert "400,0.2" in (database / "setups/proposed/spd.csv").read_text()
 
 
+@pytest.mark.slow
 def test_charts_of_a_published_database_are_measured_again(campaign, tmp_path):
     database = tmp_path / "published"
     report = summarise(build(campaign))
@@ -208,6 +214,7 @@ def test_charts_of_a_published_database_are_measured_again(campaign, tmp_path):
         measure_charts(database, objects=["painting"])
 
 
+@pytest.mark.slow
 def test_black_patches_of_eight_bits_have_no_more_signal_to_noise_than_rounding_leaves(tmp_path):
     rng = np.random.default_rng(5)
     scenes = {
@@ -272,6 +279,7 @@ def test_nothing_is_printed_on_the_output_where_nothing_was_measured(tmp_path):
     assert result.exit_code == 1 and result.stdout == "" and "E_CHART_MISSING" in result.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["image", "bands"])
 def test_a_campaign_of_charts_alone_is_built(campaign, tmp_path, kind):
     if kind == "image":
@@ -350,6 +358,7 @@ def edged(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_edges_that_a_campaign_names_are_measured_reported_and_kept(edged):
     built = summarise(build(edged))
     assert built.ok, built.problems
@@ -429,6 +438,7 @@ def test_edges_of_a_finished_photograph_are_said_to_be_encoded(tmp_path):
     assert "colour misregistration, largest" in result.stdout and ": 0.00 px" in result.stdout
 
 
+@pytest.mark.slow
 def test_a_build_names_stray_light_on_a_chart_and_a_page_without_one_says_that_it_was_not_measured(
     campaign, tmp_path
 ):

@@ -88,6 +88,7 @@ def test_a_build_goes_on_in_its_own_database_also_moved(campaign, tmp_path):
     assert summarise(build(moved)).ok and validate(moved / "database").ok
 
 
+@pytest.mark.slow
 def test_a_first_build_that_was_killed_at_once_is_gone_on_with(campaign):
     shutil.rmtree(campaign / "database")
     shutil.rmtree(campaign / "database.kept")

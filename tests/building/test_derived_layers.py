@@ -53,6 +53,7 @@ def folder(make_plates, tmp_path):
     return folder
 
 
+@pytest.mark.slow
 def test_a_layer_made_from_others_goes_when_its_source_is_built_again_or_its_object_leaves(folder):
     database = folder / "database"
     report = summarise(build(folder))

@@ -174,6 +174,7 @@ def test_it_is_said_where_no_series_can_tell(tmp_path):
     assert any("the linearity is unknown" in w for w in made.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("whites", [(1.0,), (0.25, 1.0)], ids=["one white", "merged whites"])
 def test_a_black_level_that_is_known_is_subtracted_once(tmp_path, kind, whites):
@@ -217,6 +218,7 @@ def test_a_dark_of_another_time_is_refused_where_nothing_tells_its_current(tmp_p
         assert cube.values[..., 0][dim].mean() == pytest.approx(SCENE[dim].mean(), rel=0.005)
 
 
+@pytest.mark.slow
 def test_the_black_level_of_an_exposure_series_serves_to_scale_a_dark(tmp_path):
     panel = (0.25, 0.5, 1.0)
     more = {"panel": panel, "white": (1.0,), "darks": (0.25,), "current": 60.0}

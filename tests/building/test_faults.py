@@ -417,6 +417,7 @@ def spread(count, points):
     return sorted({int(n) for n in np.linspace(1, count, points)})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "kind"),
     [

@@ -59,6 +59,7 @@ def test_no_pixel_is_read_for_it(folder, tmp_path):
     assert Key("two", "infrared", "", "resample") in tasks_of(folder)
 
 
+@pytest.mark.slow
 def test_it_is_drawn_with_the_state_of_every_task(make_plates, tmp_path):
     folder = make_plates(tmp_path / "campaign", ["one"])
     drawn = CliRunner().invoke(app, ["status", str(folder), "--graph"]).output

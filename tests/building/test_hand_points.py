@@ -115,6 +115,7 @@ def test_a_file_that_is_not_there_and_a_use_of_nothing_are_refused(tmp_path):
         campaign(tmp_path, '[registration]\nuse = "seeds"\n')
 
 
+@pytest.mark.slow
 def test_a_build_measures_check_points_and_starts_from_seeds_to_what_was_planted(tmp_path):
     """An X-ray on its side with check points; the planted error of one is found, and it fits nothing."""
     import cv2

@@ -107,6 +107,7 @@ def test_two_builds_write_one_index(tmp_path):
     assert both.known(tmp_path / "0") and both.known(tmp_path / "1")
 
 
+@pytest.mark.slow
 def test_a_catalogue_of_many_layers_is_read(tmp_path):
     """More than 16 MiB, by long names."""
     long = "x" * 200

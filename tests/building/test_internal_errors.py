@@ -57,6 +57,7 @@ def planted(make_plates, folder, names, method="mirhashemi2019"):
     return folder
 
 
+@pytest.mark.slow
 def test_whatever_a_method_raises_refuses_its_capture_and_leaves_a_report(
     make_plates, faulty, tmp_path
 ):
@@ -95,6 +96,7 @@ def test_whatever_a_method_raises_refuses_its_capture_and_leaves_a_report(
     assert {path.parts[-3] for path in folder.rglob("*.error.txt")} == {"four"}
 
 
+@pytest.mark.slow
 def test_whatever_calibration_raises_refuses_its_capture(make_plates, tmp_path, monkeypatch):
     folder = make_plates(tmp_path / "campaign")
     develop = calibrate.develop_image
@@ -111,6 +113,7 @@ def test_whatever_calibration_raises_refuses_its_capture(make_plates, tmp_path, 
     assert summarise(build(folder)).ok
 
 
+@pytest.mark.slow
 def test_whatever_a_reader_raises_names_the_file_and_refuses_its_capture(
     make_plates, tmp_path, monkeypatch
 ):
@@ -147,6 +150,7 @@ def broken(*args, **options):
     raise TypeError("a page that cannot be drawn")
 
 
+@pytest.mark.slow
 def test_a_page_or_the_catalogue_that_cannot_be_made_is_refused_and_the_rest_is_there(
     make_every_kind, tmp_path, monkeypatch
 ):

@@ -96,6 +96,7 @@ def test_a_second_build_does_nothing_and_status_agrees(built):
     assert _files(built) == before
 
 
+@pytest.mark.slow
 def test_what_changes_in_one_object_is_told_of_the_others_and_redone(built):
     path = built / "infrared" / "two.png"
     picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
@@ -121,6 +122,7 @@ def test_one_object_alone_is_built_as_with_all_of_them(built, tmp_path):
         assert (alone / "objects" / "one" / name).read_bytes() == whole[f"objects/one/{name}"]
 
 
+@pytest.mark.slow
 def test_a_capture_that_cannot_be_read_leaves_the_others_their_adjustment(built):
     (built / "infrared" / "two.png").write_bytes(b"no picture")
     steps = list(build(built))
@@ -134,6 +136,7 @@ def test_a_capture_that_cannot_be_read_leaves_the_others_their_adjustment(built)
     assert steps[-1].done == steps[-1].total
 
 
+@pytest.mark.slow
 def test_without_its_reference_an_object_is_refused_once_and_the_others_go_on(built):
     (built / "photo" / "two.png").write_bytes(b"no picture")
     states = _states(build(built))

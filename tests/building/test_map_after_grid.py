@@ -1,11 +1,13 @@
 """Points mapped after `[grid]` changed: by the database as it is, and by the new grid once it is built."""
 
 import numpy as np
+import pytest
 
 from levkas.building import build, status, summarise
 from levkas.database.pixel_frames import map_points
 
 
+@pytest.mark.slow
 def test_points_are_mapped_by_the_grid_that_was_built(make_plates, tmp_path):
     folder = make_plates(tmp_path / "campaign", ["one"])
     assert summarise(build(folder)).ok

@@ -63,6 +63,7 @@ def test_the_key_makes_the_calibration_stale_and_no_other_stage_of_a_capture(pla
         assert stages <= {"calibrate", "camera"}, done
 
 
+@pytest.mark.slow
 def test_a_layer_registered_later_is_that_of_a_build_in_one_go(plate, tmp_path):
     folder = plate[0]
     keys = (folder / "campaign.toml").read_text()
@@ -107,6 +108,7 @@ def test_what_reads_native_pixels_alone_names_the_key(plate):
     assert "native = true" in problem.fix and "campaign.toml" in problem.fix
 
 
+@pytest.mark.slow
 def test_a_refused_capture_is_shown_on_the_page_as_it_was_recorded(make_plates, tmp_path):
     folder = make_plates(tmp_path / "campaign", ("one",))
     (path,) = folder.glob("infrared/one.*")

@@ -20,6 +20,7 @@ def test_pixels_that_are_not_interpolated_share_nothing():
     assert found[found.shape[0] // 2, found.shape[1] // 2] == 1 and found.sum() == pytest.approx(1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scale", "shift", "turn"), [(1.0, 0.5, 0.0), (0.4, 0.2, 0.1), (1.7, 0.3, 0.2)]
 )

@@ -66,6 +66,7 @@ def calibrated(campaign):
     return next(step.state for step in stages if step.key.stage == "calibrate")
 
 
+@pytest.mark.slow
 def test_each_sensor_has_the_weights_of_its_own_channels(campaign):
     assert calibrated(campaign) == "done"
     native = campaign / "database" / "objects" / "panel" / "native"
@@ -85,6 +86,7 @@ def test_each_sensor_has_the_weights_of_its_own_channels(campaign):
         assert np.abs(made - other).max() > 0.02
 
 
+@pytest.mark.slow
 def test_other_sensitivities_make_the_layer_stale(campaign):
     calibrated(campaign)
     assert calibrated(campaign) == "fresh"

@@ -1,5 +1,7 @@
 """A campaign is published from its database: what `--check` says of it is what `publish` does."""
 
+import pytest
+
 from levkas.building import build
 from levkas.core.problems import Refused
 from levkas.publish.run import check, publish
@@ -13,6 +15,7 @@ def refusals(folder):
     return set()
 
 
+@pytest.mark.slow
 def test_the_check_of_a_campaign_refuses_what_publish_refuses(make_plates, tmp_path):
     folder = make_plates(tmp_path / "campaign", ["one"])
     path = folder / "campaign.toml"

@@ -95,6 +95,7 @@ def test_another_exposure_in_the_manifest_is_noticed(campaign):
     assert not why(campaign, "scan")
 
 
+@pytest.mark.slow
 def test_another_exposure_in_the_pattern_is_noticed(campaign):
     path = campaign / "campaign.toml"
     for old in (campaign / "scan").iterdir():

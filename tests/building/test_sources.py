@@ -52,6 +52,7 @@ def test_the_packages_of_the_numbers_import_nothing_else_of_levkas():
     assert others == set()
 
 
+@pytest.mark.slow
 def test_every_library_is_in_the_fingerprint_or_known_to_have_no_effect():
     roots = {module.partition(".")[0] for _, module in modules(PAGES)}
     others = roots - {*sys.stdlib_module_names, "levkas", ""}
@@ -108,6 +109,7 @@ def test_another_version_of_a_library_changes_the_stages_that_use_it(
     sources._hash.cache_clear()
 
 
+@pytest.mark.slow
 def test_other_instruction_sets_make_every_stage_stale_that_computes(plates):
     free = {k: v for k, v in os.environ.items() if k not in (*HELD, "OPENCV_CPU_DISABLE")}
     script = "from levkas.cli import main; main()"

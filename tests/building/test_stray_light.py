@@ -83,6 +83,7 @@ def test_a_trap_gives_the_budget_its_stray_light(veiled):
         assert size == pytest.approx(PLANTED, rel=0.35)
 
 
+@pytest.mark.slow
 def test_what_a_build_advises_leaves_less_than_a_third_of_stray_light_of_another_form(
     veiled, tmp_path
 ):

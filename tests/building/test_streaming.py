@@ -63,6 +63,7 @@ def test_pictures_are_block_means_of_what_is_there(scan_and_cube, monkeypatch):
     assert np.allclose(image.values[sound], blocks.mean((1, 3))[sound], atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quarter", [False, True], ids=["upright", "on its side"])
 def test_rows_are_resampled_as_the_whole_is(scan_and_cube, monkeypatch, tmp_path, quarter):
     scan, cube = scan_and_cube
@@ -191,6 +192,7 @@ def registers():
     return registered
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("white", "tiles"),
     [(True, ("", "23")), pytest.param(False, ("", "23", "whole"), marks=pytest.mark.exhaustive)],

@@ -116,6 +116,7 @@ def shift_of(left, truth):
     return np.linalg.lstsq(slopes, -left[inner].ravel(), rcond=None)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "x, y",
     [
@@ -137,6 +138,7 @@ def test_strips_are_joined_to_a_twentieth_of_a_pixel(tmp_path, x, y):
     assert sum("strips 1 and 2" in text for text in native.warnings) == 1
 
 
+@pytest.mark.slow
 def test_no_seam_is_seen_and_sigma_of_the_overlap_holds(tmp_path):
     scene = paint(soft=3.0)
     folder = write_campaign(tmp_path / "c", [strip(scene, 0, 0), strip(scene, 110.37, 0.4)])
@@ -153,6 +155,7 @@ def test_no_seam_is_seen_and_sigma_of_the_overlap_holds(tmp_path):
     assert not cube.flags[rows, 4:-4].any()
 
 
+@pytest.mark.slow
 def test_strips_whole_pixels_apart_keep_their_values(tmp_path):
     scene = paint()
     parts = [strip(scene, 0, 2), strip(scene, 118, 6)]
@@ -171,6 +174,7 @@ def test_strips_whole_pixels_apart_keep_their_values(tmp_path):
     assert (joined.flags[:4, 150:] & Flag.OUTSIDE).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind, most", [("slope", 0.03), ("wobble", 0.05)])
 def test_a_stage_that_runs_askew_or_wobbles_is_followed(tmp_path, kind, most):
     scene = paint(3)
@@ -191,6 +195,7 @@ def test_a_stage_that_runs_askew_or_wobbles_is_followed(tmp_path, kind, most):
     assert np.sqrt(np.mean(np.square(found), 0)).max() < most
 
 
+@pytest.mark.slow
 def test_three_strips_are_joined_and_streamed_to_the_same_bytes(tmp_path, monkeypatch):
     scene = paint(4)
     places = [(0, 0), (112.37, 1.3), (223.9, -0.6)]

@@ -186,6 +186,7 @@ files = "macro/{target}_{tile}.tif"
         assert off.max() < 0.15, target
 
 
+@pytest.mark.slow
 def test_tiles_are_levelled_by_recorded_gains_only_where_that_is_asked(tmp_path):
     make(tmp_path)
     keys, infrared = KEYS.split("[cameras.infrared]")
@@ -271,6 +272,7 @@ def test_of_a_large_mosaic_some_bands_are_held_or_a_coarser_overview(built, monk
     np.testing.assert_allclose(ratio, ratio.mean(), rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_other_tiles_are_registered_to_a_mosaic_too_large_to_be_held(tmp_path, monkeypatch):
     from levkas.stages import tiles
 

@@ -143,6 +143,7 @@ def test_where_all_is_fresh_nothing_at_all_is_written(plates):
     assert standing(output) == before
 
 
+@pytest.mark.slow
 def test_where_all_is_fresh_no_heavy_module_is_loaded(plates):
     folder, output = plates
     heavy = ("cv2", "numba", "rawpy", "tifffile", "zarr", "scipy")

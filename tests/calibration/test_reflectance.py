@@ -22,6 +22,7 @@ def shots(light, count, seed=0, shape=(60, 80)):
     return list(counts.round().clip(0, 4095).astype(np.uint16))
 
 
+@pytest.mark.slow
 def test_a_mosaic_has_the_values_flags_and_sigma_of_a_build(tmp_path):
     for _ in levkas.simulate_campaign(
         tmp_path / "icon", preset="small", scale=0.15, cameras=["d80"]

@@ -335,6 +335,7 @@ def test_small_files_of_twenty_thousand_pixels_square_end_in_a_refusal(tmp_path)
         assert "status" in each["of"] or " MB from " in each["output"], each
 
 
+@pytest.mark.slow
 def test_look_reads_a_part_of_a_large_frame_that_is_allowed(tmp_path):
     """With $LEVKAS_MEMORY the suspicion ends, and a frame of 800 MB is sampled in a quarter of that."""
     page_of_zeros(tmp_path / "icon.tif", 20_000, compression=8)
@@ -352,6 +353,7 @@ def test_look_names_a_large_frame_and_goes_on_with_the_others(tmp_path):
     assert "large.tif: the file is far smaller than its decoded frame" in looked.output
 
 
+@pytest.mark.slow
 def test_a_frame_that_does_not_fit_in_memory_is_refused_with_its_size_and_the_bound(
     tmp_path, monkeypatch
 ):
@@ -380,6 +382,7 @@ def test_doctor_says_how_much_memory_a_command_takes(monkeypatch):
     assert "a command takes up to 3.5 GB (by LEVKAS_MEMORY)" in run("doctor").output
 
 
+@pytest.mark.slow
 def test_parts_of_a_large_frame_are_those_of_the_whole(tmp_path):
     from levkas.readers.frames import read_frame, read_sample
 

@@ -128,6 +128,7 @@ ODD = {
 }
 
 
+@pytest.mark.slow
 def test_a_registration_record_with_a_part_that_is_none_is_refused_by_its_name(database):
     path = database / RECORD
     whole = path.read_text()

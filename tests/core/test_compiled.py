@@ -45,6 +45,7 @@ def put(folder: Path, number: int, name: str, when: int) -> None:
     os.utime(folder / "using.py", (1_000_000_000, 1_000_000_000))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param("Pair", marks=pytest.mark.slow), "Renamed"])
 def test_code_of_an_older_source_is_compiled_again(tmp_path, name):
     """What is inlined from another file, and a class of an argument that has another name now."""

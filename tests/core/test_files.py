@@ -280,6 +280,7 @@ json_values = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(json_values)
 def test_json_is_read_as_it_was_written(value):

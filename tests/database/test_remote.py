@@ -88,6 +88,7 @@ def test_a_spectrum_costs_three_requests_at_most(remote, database):
     np.testing.assert_array_equal(spectrum, here)
 
 
+@pytest.mark.slow
 def test_all_layers_and_what_stands_beside_them_are_those_of_the_folder(remote, database):
     here, there = levkas.open(database)["icon 1é"], levkas.open(remote[0])["icon 1é"]
     assert list(here) == list(there) == ["d80", ("d80", "45-degree"), "vis"]
@@ -138,6 +139,7 @@ def test_a_missing_shard_is_refused_and_never_read_as_empty(web, database, tmp_p
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["500", "cut", "short"])
 def test_one_bad_answer_of_twenty_is_asked_for_again(remote, database, fault):
     address, server = remote
@@ -167,6 +169,7 @@ def test_a_store_that_always_answers_badly_is_refused_and_gives_no_pixel(remote,
         levkas.open(address)["icon 1é"]["vis"].values  # noqa: B018
 
 
+@pytest.mark.slow
 def test_a_file_that_is_replaced_while_it_is_read_is_refused(s3, database):
     for path in sorted(p for p in database.rglob("*") if p.is_file()):
         s3.client.upload_file(str(path), "museum", path.relative_to(database).as_posix())
@@ -324,6 +327,7 @@ def test_a_server_without_ranges_is_refused(serving, database):
         levkas.open(serving(plain))
 
 
+@pytest.mark.slow
 def test_evaluate_export_and_map_read_an_address(remote, database, tmp_path):
     address, _ = remote
     run = CliRunner().invoke

@@ -89,12 +89,14 @@ def test_bad_bands_are_not_compared_and_bands_in_any_order_come_out_rising(make)
     assert np.all(np.diff(levkas.open(root)["icon1"]["both"].wavelength.values) > 0)
 
 
+@pytest.mark.slow
 def test_of_two_that_begin_together_the_noisier_keeps_a_band(make):
     (step,) = splice(make(swir=np.arange(400.0, 1701.0, 15.0)), "vnir", "swir", "both")
     waves = levkas.open(step.files[0].parents[2])["icon1"]["both"].wavelength.values
     assert step.overlap.decision == "accept" and waves[0] == 400 and waves[-1] == 1690
 
 
+@pytest.mark.slow
 def test_a_step_is_measured_said_and_levelled_where_that_is_asked_for(make):
     root = make(gain=1.05)
     (step,) = splice(root, "vnir", "swir", "both")
@@ -113,6 +115,7 @@ def test_a_step_is_measured_said_and_levelled_where_that_is_asked_for(make):
     assert levelled.attrs["splice"]["levelled_by"] == step.overlap.gain
 
 
+@pytest.mark.slow
 def test_layers_that_contradict_each_other_are_not_spliced_unless_levelled(make):
     root = make(gain=1.3)
     with pytest.raises(Refused, match=r"\+30\.\d%|\+29\.\d%"):
@@ -128,6 +131,7 @@ def test_a_shift_of_two_pixels_shows_as_a_spread_beyond_the_noise(make):
     assert step.overlap.spread > 5 * step.overlap.noise
 
 
+@pytest.mark.slow
 def test_without_common_wavelengths_nothing_shows_that_they_agree(make):
     (step,) = splice(make(swir=SWIR[8:]), "vnir", "swir", "both")
     assert (
@@ -163,6 +167,7 @@ def test_counts_are_refused(make):
         list(splice(make(quantity="counts"), "vnir", "swir", "both"))
 
 
+@pytest.mark.slow
 def test_the_command_prints_what_was_found(make):
     root = make(gain=1.05)
     result = CliRunner().invoke(app, ["splice", str(root), "vnir", "swir", "both"])
@@ -172,6 +177,7 @@ def test_the_command_prints_what_was_found(make):
     assert json.loads(result.stdout)["overlaps"]["icon1"]["decision"] == "warn"
 
 
+@pytest.mark.slow
 def test_the_viewer_says_what_was_spliced_and_what_the_overlap_showed(make):
     from levkas.publish.viewer.objects import find_items, write_object
 

@@ -70,6 +70,7 @@ def test_a_layer_without_sigma_or_centres_is_opened_too(tmp_path):
     assert data["values"].attrs["quantity"] == "counts"
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(
     st.tuples(st.integers(1, 60), st.integers(1, 40), st.integers(1, 20)),
@@ -153,6 +154,7 @@ def test_a_new_layer_drops_the_index_and_takes_the_place_of_the_old(tmp_path):
     assert hash_tree(root) == first
 
 
+@pytest.mark.slow
 def test_one_flipped_bit_is_always_found(tmp_path):
     root, cube = tmp_path / "a.zarr", cube_of(40, 50, 4)
     write_layer_store(root, "cam", cube)

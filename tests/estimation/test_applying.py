@@ -45,6 +45,7 @@ def test_an_estimated_layer_is_near_the_measured_one_and_never_called_one(own_pa
     assert validate(own_paintings).ok
 
 
+@pytest.mark.slow
 def test_a_model_fitted_in_python_predicts_what_the_command_writes(own_paintings, models, tmp_path):
     model = levkas.estimate(own_paintings, "rgb", "vis", method="wiener")
     model.save(tmp_path / "mine.npz")
@@ -116,6 +117,7 @@ def test_the_record_names_model_sources_and_training(own_paintings, models):
     assert record["in training"] and len(record["model"]["sha256"]) == 64
 
 
+@pytest.mark.slow
 def test_an_estimate_never_replaces_a_measurement_nor_is_estimated_to(own_paintings, models):
     with pytest.raises(Refused, match="must not replace it") as refused:
         list(apply_model(own_paintings, models / "rgb_wiener.npz", "cam2"))

@@ -6,6 +6,7 @@ import pytest
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_kernels")
 def test_the_example_draws_the_errors_of_every_camera(paintings, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(EXAMPLES))

@@ -79,6 +79,7 @@ def test_differences_of_the_budget_have_intervals_over_the_same_draws(whole):
         assert half < np.hypot(budget.interval(method, "shift 1"), budget.interval(method, "real"))
 
 
+@pytest.mark.slow
 def test_linear_methods_are_fitted_to_every_pixel_of_paint(paintings):
     """The pseudo-inverse of all training pixels, worked out apart."""
     report = report_of(paintings, sources=["rgb"], methods=["pseudo-inverse"], models=True)
@@ -119,6 +120,7 @@ def test_an_exposure_breaks_what_is_not_homogeneous(whole):
     assert rows["wiener"]["exposure 0.5"] > rows["wiener"]["real"]
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_report_whatever_the_threads(paintings, monkeypatch):
     found = []
     for threads in ("1", "2"):
@@ -130,17 +132,20 @@ def test_the_same_seed_gives_the_same_report_whatever_the_threads(paintings, mon
     assert one.tables() == other.tables()
 
 
+@pytest.mark.slow
 def test_layers_together_have_the_channels_of_both(paintings):
     report = report_of(paintings, sources=["rgb,cam2"], methods=["wiener"])
     assert report.sources[0].channels == 6 and report.sources[0].name == "rgb+cam2"
 
 
+@pytest.mark.slow
 def test_a_model_of_one_camera_is_tried_on_another(paintings):
     report = report_of(paintings, sources=["rgb", "cam2"], split="camera", methods=["wiener"])
     (source,) = report.sources
     assert len(source.split.folds) == 6 and source.split.folds[0].name == "rgb → cam2, icon1"
 
 
+@pytest.mark.slow
 def test_a_model_of_one_lighting_errs_under_another(paintings):
     """Red and blue were scaled by 1.1 and 0.9 under the other lighting."""
     split = report_of(paintings, sources=["rgb"], split="lighting", methods=["wiener"])
@@ -184,6 +189,7 @@ def test_suggestions_name_what_was_meant(paintings):
     assert "Did you mean 'painting'?" in command(paintings, "--split", "paintings").stderr
 
 
+@pytest.mark.slow
 def test_fewer_samples_than_coefficients_are_refused_by_the_method(paintings, monkeypatch):
     monkeypatch.setattr("levkas.estimation.experiment.TRAINING_PIXELS", 4)
     with pytest.raises(Refused) as refused:
@@ -191,6 +197,7 @@ def test_fewer_samples_than_coefficients_are_refused_by_the_method(paintings, mo
     assert refused.value.problems[0].code == "E_TOO_FEW_SAMPLES"
 
 
+@pytest.mark.slow
 def test_the_command_ranks_every_method_where_none_is_named(paintings):
     ran = command(paintings, "--from", "rgb", "--test", "icon1", "--no-budget", "--json")
     assert ran.exit_code == 0, ran.stderr
@@ -200,6 +207,7 @@ def test_the_command_ranks_every_method_where_none_is_named(paintings):
     assert max(errors.values()) < 0.2
 
 
+@pytest.mark.slow
 def test_the_command_writes_page_json_tables_maps_and_models(paintings, tmp_path):
     out = tmp_path / "out"
     ran = command(paintings, "--from", "rgb", "--method", "wiener", "--json", "-o", out)

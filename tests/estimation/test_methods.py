@@ -227,6 +227,7 @@ def test_sigma_is_carried_through_the_logit_link(rng):
     assert 0.9 < inside.mean() <= 1
 
 
+@pytest.mark.slow
 def test_the_interval_of_the_gaussian_process_holds_what_was_held_out(rng):
     """Paintings differ in their noise-free colours: whole ones are held out."""
     paintings = [smooth(np.random.default_rng(seed), count=250, noise=0.02) for seed in range(6)]
@@ -278,6 +279,7 @@ def test_responses_that_do_not_vary_give_the_mean_spectrum(name, rng):
     np.testing.assert_allclose(found[0], training.spectra.mean(0), atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("groups", [np.zeros(300, int), np.arange(300) // 299])
 def test_groups_that_hold_nearly_everything_do_no_harm(groups, rng):
     training = replace(smooth(rng, noise=0.01), groups=groups)

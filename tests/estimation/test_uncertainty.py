@@ -86,6 +86,7 @@ def share_of_difference(made, truth):
     return share_within(made.pick([3, 9]).through(lambda v: v[:1] - v[1:]), truth[3] - truth[9])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "pixels"),
     [("wiener", 1), pytest.param("matern", 10_000, marks=pytest.mark.slow)],
@@ -103,6 +104,7 @@ def test_the_interval_of_an_estimated_spectrum_holds_the_truth(method, pixels):
     assert np.mean(held, 0) == pytest.approx(0.95, abs=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "same", "pixels"),
     [

@@ -183,6 +183,7 @@ def test_a_database_without_native_pixels_is_refused_with_the_key_that_keeps_the
     assert not list((tmp_path / "out").glob("*.ome.zarr"))
 
 
+@pytest.mark.slow
 def test_native_pixels_are_calibrated_where_the_campaign_is_given(make_plates, tmp_path):
     from levkas.building import build
 

@@ -19,6 +19,7 @@ def run(*words):
     return CliRunner().invoke(app, ["plan", *map(str, words)])
 
 
+@pytest.mark.slow
 def test_light_is_told_in_lines_and_as_one_object(rewritten):
     path = rewritten()
     said = run("light", path, "--optimise")
@@ -75,6 +76,7 @@ def test_a_report_of_a_matte_object_without_cameras_has_what_there_is(rewritten,
     assert "What shines" not in page and "Cameras" not in page and "Evenness" in page
 
 
+@pytest.mark.slow
 def test_text_from_a_setup_file_is_escaped_in_the_report(rewritten, tmp_path):
     from levkas.planning import load_setup
 

@@ -187,6 +187,7 @@ def test_what_frames_or_sensor_cannot_give_is_refused(requested, tmp_path):
         planned([nameless])
 
 
+@pytest.mark.slow
 def test_the_command_plans_writes_its_page_and_its_record(requested, tmp_path):
     page = tmp_path / "series.html"
     names = [str(p) for p in requested]

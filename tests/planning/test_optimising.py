@@ -59,6 +59,7 @@ def test_rougher_gilding_shines_more_and_gains_less_by_low_lamps(bench):
     assert gains[0] > 2 > 1.5 > gains[1]
 
 
+@pytest.mark.slow
 def test_the_answer_does_not_hang_on_one_weight(bench):
     """Each weight halved and doubled."""
     judge, angles = judged(bench), []

@@ -163,6 +163,7 @@ def test_roc_validator_finds_nothing_that_is_required_but_a_broken_rule(folder, 
     assert any("MUST have a `url`" in one for one in found)
 
 
+@pytest.mark.slow
 def test_a_provenance_that_describes_no_steps_is_refused(database, publish):
     path = database / "objects/icon1/provenance.json"
     for record in ({"steps": [{}]}, {"steps": 3}, {"steps": ["a"]}):

@@ -59,6 +59,7 @@ def published(campaign, publish):
     return publish(campaign, iiif=False, editions="full")
 
 
+@pytest.mark.slow
 def test_raw_frames_elsewhere_and_the_declarations_give_the_same_bytes(
     campaign, published, tmp_path
 ):

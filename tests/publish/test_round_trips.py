@@ -47,6 +47,7 @@ def same(one, other):
     assert numbers and np.array_equal(np.signbit(one[one == 0]), np.signbit(other[other == 0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("zarr", [True, False])
 @settings(max_examples=25, deadline=None)
 @given(cube=cubes(), scale=st.just(float("nan")) | st.floats(0.01, 100))

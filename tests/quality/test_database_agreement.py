@@ -69,6 +69,7 @@ def test_two_sessions_of_one_panel_agree_and_nothing_changed(databases):
     assert found["changes"]["share"] < 0.02
 
 
+@pytest.mark.slow
 def test_a_white_that_was_brighter_contradicts_and_is_no_change(databases, tmp_path):
     code, found = agree(databases, "dim", "-o", tmp_path / "out")
     assert code == 1 and not found["agrees"]

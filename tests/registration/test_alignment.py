@@ -94,6 +94,7 @@ def moved(transform, x, y):
     return Affine(transform.matrix + np.array([[0, 0, x], [0, 0, y]]))
 
 
+@pytest.mark.slow
 def test_a_declared_alignment_begins_where_key_points_find_nothing(studio, camera, front):
     hard, size = turned(137, 0.4)
     picture = studio.photograph(studio.paint(11), hard.inverse, size, seed=2, noise=0.2)
@@ -108,6 +109,7 @@ def test_a_declared_alignment_begins_where_key_points_find_nothing(studio, camer
     assert 1.0 < found.verdict.numbers["ccd2"]["align_apart_px"] < 3.0
 
 
+@pytest.mark.slow
 def test_the_first_sensor_begins_where_another_ones_alignment_puts_it(studio, camera, front):
     hard, size = turned(137, 0.4)
     picture = studio.photograph(studio.paint(11), hard.inverse, size, seed=2, noise=0.2)
@@ -118,6 +120,7 @@ def test_the_first_sensor_begins_where_another_ones_alignment_puts_it(studio, ca
     np.testing.assert_allclose(found.transforms["b"](points), hard(points), atol=0.4)
 
 
+@pytest.mark.slow
 def test_an_alignment_that_contradicts_the_pictures_is_named_and_moves_nothing(camera, front):
     for x, decision in ((0.0, "accept"), (100.0, "warn")):
         found = register(front, camera, reference_band="r", align={"ccd2": moved(TURN, x, 0.0)})
@@ -128,6 +131,7 @@ def test_an_alignment_that_contradicts_the_pictures_is_named_and_moves_nothing(c
     assert "sensor ccd2: The sensor lies 100.0 of its px" in found.verdict.reasons[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reference", ["a", pytest.param("b", marks=pytest.mark.exhaustive)])
 def test_other_sensors_of_the_reference_camera_are_checked_too(camera, reference):
     wrong = {"ccd2": moved(TURN, 30.0, 0.0)}

@@ -129,6 +129,7 @@ def test_the_same_painting_is_accepted(ours):
     assert found.verdict.numbers["sensor"]["verification"]["marks"]["correlation"] > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of", ["reference", "target"])
 def test_one_grey_picture_stored_as_three_has_the_verdict_of_one_band(ours, of):
     """A radiograph as an archive has it: the same panel, of which it shows cracks and half of the strokes."""

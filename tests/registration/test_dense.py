@@ -119,6 +119,7 @@ def test_ladder_takes_the_lens_for_a_lens_and_not_more_than_an_affine_for_an_aff
     assert error.mean() < 0.02
 
 
+@pytest.mark.slow
 def test_windows_that_share_pixels_do_not_vouch_for_a_richer_model():
     points, truth = lattice(18), Affine(np.array([[1.1, 0.02, 4], [-0.01, 1.09, 7]]))
     cell = float(np.ptp(np.unique(points[:, 0]))) / 17
@@ -297,6 +298,7 @@ def test_a_patchwork_whose_contrast_turns_here_and_there_is_found():
     assert np.median(np.linalg.norm(found.transform(points) - truth, axis=1)) < 2
 
 
+@pytest.mark.slow
 def test_unrelated_pictures_have_no_start():
     rng = RNG(9)
     a, b = (texture(rng, (260, 320), 2.0) for _ in range(2))

@@ -70,6 +70,7 @@ def test_a_blank_picture_has_no_key_points():
     assert len(find_key_points(blank, everywhere(blank))) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("detector", sorted(DETECTORS))
 def test_every_detector_matches_a_shifted_picture_or_says_why_not(scene, detector):
     a, b = picture(scene)[:-8, :-12], picture(scene)[8:, 12:]

@@ -113,6 +113,7 @@ def test_what_was_not_captured_from_the_same_place_takes_no_part():
     assert adjust_jointly(mine, [stranger]).companions == ()
 
 
+@pytest.mark.slow
 def test_the_order_of_the_companions_only_numbers_them():
     mine, *others = (sighting(k) for k in range(3))
     one, other = adjust_jointly(mine, others), adjust_jointly(mine, others[::-1])

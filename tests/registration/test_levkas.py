@@ -70,6 +70,7 @@ def errors(registration, truths):
     return result
 
 
+@pytest.mark.slow
 def test_planted_lens_and_magnification_are_recovered_in_every_band(pair):
     reference, target, truths = pair
     found = register(reference, target, reference_band="550 nm")
@@ -105,6 +106,7 @@ def test_another_painting_is_refused(pair):
     assert refused.value.problems[0].code in ("E_MATCHES", "E_WINDOWS", "E_FOLD")
 
 
+@pytest.mark.slow
 def test_blank_target_is_refused_by_name(pair):
     reference, _, _ = pair
     blank = [BandImage.of("R", np.full(SIZE, 0.5, np.float32))]
@@ -113,6 +115,7 @@ def test_blank_target_is_refused_by_name(pair):
     assert refused.value.problems[0].code == "E_MATCHES"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("moved", "measured"),
     [
@@ -150,6 +153,7 @@ def test_of_many_bands_some_are_measured_and_all_where_neighbours_do_not_tell_of
     assert found.verdict.decision == "accept"
 
 
+@pytest.mark.slow
 def test_plain_arrays_are_registered_as_their_bands_are():
     rng = np.random.default_rng(5)
     scene = ndimage.gaussian_filter(rng.random((200, 240)), 2)

@@ -452,6 +452,7 @@ def test_a_map_follows_a_wobbling_scan_and_its_reason_names_size_and_period(wobb
     assert len(drawn["along"]) == 240
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "planted",
     [
@@ -482,6 +483,7 @@ def test_rows_and_columns_that_are_displaced_both_are_named_and_one_of_them_is_f
     assert "every 29.9 columns" in said and "The map does not follow that" in said
 
 
+@pytest.mark.slow
 def test_sigma_holds_the_displacement_of_lines(painting, front):
     still = register(front, scan(painting))
     assert still.verdict.decision == "accept"
@@ -501,6 +503,7 @@ def test_observations_of_a_wobbling_scan_outlive_the_pictures(wobbling):
     assert np.abs(alone.base(places) - whole).max() < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("apart", "decision"), [(0.5, "warn"), (3.0, "refuse")])
 def test_interlaced_halves_are_never_accepted(painting, front, apart, decision):
     found = register(front, scan(painting, along(apart * (LINE % 2 - 0.5))))

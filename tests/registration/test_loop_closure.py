@@ -17,6 +17,7 @@ def view(studio, name, painting, mapping, *, claimed=None, seed=0):
     return LoopView(name, [BandImage.of("grey", picture)], "grey", claimed or mapping)
 
 
+@pytest.mark.slow
 def test_right_maps_close_and_a_wrong_one_shows_by_how_much(studio):
     painting = studio.paint(71)
     one = view(studio, "one", painting, shifted(1.02, 3.0, -2.0), seed=1)

@@ -117,6 +117,7 @@ def test_every_method_keeps_what_is_given_and_measures_check_points(pair, method
     assert len(errors) == 2 and max(errors) < 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["levkas", "mirhashemi2019"])
 def test_a_deleted_pair_is_not_used_and_says_so(pair, method):
     reference, target, _ = pair

@@ -38,6 +38,7 @@ def test_every_second_of_fifty_bands_is_measured_and_all_of_fewer():
     assert measured_bands(unknown) == list(range(COUNT))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "moved",
     [

@@ -109,6 +109,7 @@ def fine_camera(pigments):
     return ColourCamera.at(pigments, 520)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pattern", "method"),
     [pytest.param("RGGB", "malvar", marks=pytest.mark.slow), ("GBRG", "bilinear")],

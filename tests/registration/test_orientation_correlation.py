@@ -111,6 +111,7 @@ def test_other_outlines_have_no_pose(seed):
     assert match_by_directions([observed(visible, home, 1)], [observed(heat, home, 2)]) is None
 
 
+@pytest.mark.slow
 def test_pictures_without_edges_have_no_pose():
     flat = np.full((200, 260), 0.5, np.float32)
     assert match_by_directions([flat], [flat]) is None
@@ -128,6 +129,7 @@ def test_blocks_lie_where_they_were_moved_to():
     assert blocks.agreeing.mean() < 0.2
 
 
+@pytest.mark.slow
 def test_pictures_that_share_outlines_only_are_registered_and_doubted():
     visible, heat = scene(3)
     home, there = turned(0, 1), turned(4, 1.1)

@@ -10,6 +10,7 @@ from levkas.registration.reduced import reduce_target
 from levkas.registration.request import Request
 
 
+@pytest.mark.slow
 def test_a_macro_of_twelve_px_to_one_is_registered():
     rng = np.random.default_rng(5)
     picture = gaussian_filter(rng.standard_normal((220, 260)), 1.4)

@@ -42,6 +42,7 @@ def refusal(reference, target, **options):
     return refused.value.problems
 
 
+@pytest.mark.slow
 def test_pairs_of_which_two_in_five_are_wrong_register_what_the_pictures_alone_do_not(hard):
     reference, target, truth = hard
     assert refusal(reference, target)[0].code == "E_MATCHES"
@@ -54,6 +55,7 @@ def test_pairs_of_which_two_in_five_are_wrong_register_what_the_pictures_alone_d
     assert counted["given"] == 50 and 30 <= counted["agreeing"] <= 31 and counted["used"]
 
 
+@pytest.mark.slow
 def test_wrong_pairs_are_refused_as_no_pairs_are(hard):
     reference, target, _ = hard
     rng = np.random.default_rng(5)
@@ -65,6 +67,7 @@ def test_wrong_pairs_are_refused_as_no_pairs_are(hard):
     assert refusal(reference, target, given=given) == refusal(reference, target)
 
 
+@pytest.mark.slow
 def test_pairs_move_nothing_that_the_pictures_register_alone(studio):
     painting = studio.paint(3)
     truth = Affine(np.array([[0.99, 0.03, 4.0], [-0.03, 0.99, 7.0]]))
@@ -130,6 +133,7 @@ starts = "mine"
 """
 
 
+@pytest.mark.slow
 def test_a_matcher_of_an_installed_package_is_called_where_the_pictures_are_refused(tmp_path):
     body, printed = "return [[1, 2, 3]]", ["{'starts': 'mine'} 16", "E_METHOD registration.starts"]
     info = tmp_path / "site" / "mine-1.0.dist-info"

@@ -69,6 +69,7 @@ def test_any_rotation_and_the_mirror_are_found(studio, painting, front, degrees,
     assert found.verdict.decision != "refuse"
 
 
+@pytest.mark.slow
 def test_a_repeated_ornament_is_refused():
     rng = np.random.default_rng(5)
     tile = rng.uniform(0.2, 0.8, (31, 31))

@@ -57,6 +57,7 @@ def test_a_campaign_has_raw_files_truth_and_a_campaign_toml(tiny):
     assert frame.max() <= 4095
 
 
+@pytest.mark.slow
 def test_every_lighting_that_is_asked_for_has_frames_of_its_own(tmp_path):
     result = simulate(tmp_path / "four", cameras=["d80"], setups=["crossed", "d65"])
     facts = tomllib.loads(result.campaign.read_text())

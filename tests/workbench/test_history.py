@@ -226,6 +226,7 @@ STATES = st.builds(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(before=STATES, after=STATES)
 def test_a_step_leads_there_and_back_also_after_json(before, after):

@@ -209,6 +209,7 @@ def test_places_that_cannot_be_are_refused():
 STEPS = st.lists(st.tuples(st.sampled_from(sorted(OPERATIONS)), st.integers(0, 39)), max_size=25)
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(steps=STEPS)
 def test_undo_brings_back_every_state_and_redo_every_later_one(steps):

@@ -152,6 +152,7 @@ def test_a_tile_is_named_with_a_neighbour_where_it_is_of_the_reference(folder, f
         read_plan(folder)
 
 
+@pytest.mark.slow
 def test_four_clicks_in_either_picture_are_pairs_of_a_tile_beside_its_neighbour(folder, chromium):
     class Browser:
         def open(self, address):

@@ -132,6 +132,7 @@ def test_a_chart_through_several_filters_alone_is_a_campaign(tmp_path, pattern, 
     assert list((tmp_path / "database/charts").rglob("*.json"))
 
 
+@pytest.mark.slow
 def test_charts_alone_of_a_raw_camera_and_a_photograph_are_a_campaign(tmp_path):
     tags = [
         (33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes([0, 1, 1, 2]), True),
@@ -160,6 +161,7 @@ def test_charts_with_darks_and_whites_of_their_own_are_calibrated(tmp_path):
     assert white == pytest.approx(0.9 / light()[0, 30], rel=0.05)  # the chart was drawn evenly lit
 
 
+@pytest.mark.slow
 def test_a_target_may_be_chart_and_object_at_once(tmp_path):
     bands(tmp_path, ("dark", "white", "icon", "macbeth"))
     proposal = look(tmp_path)
@@ -171,6 +173,7 @@ def test_a_target_may_be_chart_and_object_at_once(tmp_path):
     assert (tmp_path / "database/charts/macbeth").is_dir()
 
 
+@pytest.mark.slow
 def test_previews_copies_and_leftovers_are_left_out_and_named(tmp_path):
     bands(tmp_path, ("dark", "white", "icon"))
     for nm in WAVES:
@@ -218,6 +221,7 @@ def test_flats_of_several_cameras_in_one_folder_find_theirs(tmp_path):
     assert not any("refused" in text for text in proposal.unknown)
 
 
+@pytest.mark.slow
 def test_numbered_captures_are_known_by_what_they_show(tmp_path):
     shown = [0 * light(), 0 * light(), light(), light(), *(painting(s) * light() for s in (1, 2))]
     for number, shares in enumerate(shown, 1):

@@ -389,6 +389,7 @@ def test_the_command_shows_and_writes_only_when_told(folder):
 # --- real captures, and a campaign by another generator ---------------------------------------
 
 
+@pytest.mark.slow
 def test_two_paintings_are_guessed_as_a_person_described_them(two_paintings):
     proposal = look(two_paintings / "raw")
     said = proposal.to_dict()

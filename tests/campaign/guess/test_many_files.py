@@ -50,6 +50,7 @@ def folder(tmp_path):
     return make
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind",
     [pytest.param(one, marks=[pytest.mark.slow] * (one not in ("numbers",))) for one in KINDS],

@@ -51,6 +51,7 @@ def test_a_campaign_with_such_a_name_is_refused_before_it_is_built(
     assert field in {problem.field for problem in refused.value.problems}
 
 
+@pytest.mark.slow
 def test_a_layer_whose_files_would_have_too_long_a_name_is_refused_by_name(make_plates, tmp_path):
     folder = make_plates(tmp_path / "campaign", ["日" * 80, "one"])
     report = summarise(build(folder))
@@ -58,6 +59,7 @@ def test_a_layer_whose_files_would_have_too_long_a_name_is_refused_by_name(make_
     assert "bytes together" in report.problems[0].expected
 
 
+@pytest.mark.slow
 def test_an_odd_name_survives_checksums_and_a_bag(make_plates, tmp_path):
     folder = make_plates(tmp_path / "campaign", [ODD])
     text = (folder / "campaign.toml").read_text()
@@ -76,6 +78,7 @@ def test_an_odd_name_survives_checksums_and_a_bag(make_plates, tmp_path):
         assert done.returncode == 0, done.stdout
 
 
+@pytest.mark.slow
 def test_a_foreign_file_that_a_bag_cannot_name_is_refused_by_its_name(make_plates, tmp_path):
     folder = make_plates(tmp_path / "campaign", ["one"])
     text = (folder / "campaign.toml").read_text()

@@ -78,6 +78,7 @@ def test_alike_is_light_and_what_is_not_to_be_trusted_is_grey(browser, viewer, a
     assert nameless(page) == [] and faint(page) == []
 
 
+@pytest.mark.slow
 def test_the_address_holds_the_map_and_another_place_is_taken_on_demand(browser, address):
     page = open_object(browser, address("file"))
     show_angle(page, 25, 25)

@@ -36,6 +36,7 @@ def value_of(viewer, camera, band, x, y):
 # --- levels ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["file", pytest.param("http", marks=pytest.mark.slow)])
 def test_levels_show_the_values_of_the_file_as_they_say(browser, viewer, address, how):
     fragment = "#a=vis/band-3&levels=0.1,0.45,1,0,vis/band-3"
@@ -58,6 +59,7 @@ def test_levels_show_the_values_of_the_file_as_they_say(browser, viewer, address
     assert page.locator("#caption").inner_text() == "vis, 540 nm"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", WIDTHS)
 def test_handles_are_dragged_and_moved_with_the_keyboard(browser, address, width):
     page = open_object(browser, address("file", fragment="#a=vis/colour"), width=width, height=844)
@@ -184,6 +186,7 @@ def test_opacity_mixes_b_over_a(browser, viewer, address):
     page.wait_for_function("() => location.hash.includes('opacity=1')")
 
 
+@pytest.mark.slow
 def test_a_level_curtain_shows_a_above_and_b_below(browser, viewer, address):
     page = open_object(browser, address("file", fragment="#a=vis/colour&b=vis/flags"))
     page.keyboard.press("Shift+C")
@@ -204,6 +207,7 @@ def test_a_level_curtain_shows_a_above_and_b_below(browser, viewer, address):
     assert again.locator(".curtain.level").count() == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_four_pictures_are_linked_and_each_says_what_it_is(browser, address, width, scheme):
@@ -253,6 +257,7 @@ def test_four_pictures_are_linked_and_each_says_what_it_is(browser, address, wid
     assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
+@pytest.mark.slow
 def test_the_label_says_what_is_on_the_screen_also_while_space_is_held(browser, address):
     fragment = "#a=vis/colour&b=nir/band-0&rate=0.5"
     page = open_object(browser, address("file", fragment=fragment))
@@ -282,6 +287,7 @@ def test_the_label_says_what_is_on_the_screen_also_while_space_is_held(browser, 
     assert page.evaluate("levkasViewer.stage.mode.value") == "side"
 
 
+@pytest.mark.slow
 def test_where_less_motion_is_asked_for_nothing_turns_by_itself(browser, address):
     fragment = "#a=vis/colour&b=nir/colour&mode=flicker&rate=8"
     page = open_object(browser, address("file", fragment=fragment), reduced_motion="reduce")
@@ -306,6 +312,7 @@ def test_where_less_motion_is_asked_for_nothing_turns_by_itself(browser, address
     assert page.evaluate("levkasViewer.stage.mode.value") == "flicker"
 
 
+@pytest.mark.slow
 def test_a_link_to_the_flicker_waits_for_a_person_to_start_it(browser, address):
     fragment = "#a=vis/colour&b=nir/colour&mode=flicker&rate=8"
     page = open_object(browser, address("file", fragment=fragment))
@@ -355,6 +362,7 @@ def test_the_ground_of_the_painting_is_a_neutral_grey(browser, address, scheme):
     assert np.ptp(pixel) == 0 and 60 < pixel[0] < 140
 
 
+@pytest.mark.slow
 def test_turning_turns_regions_pins_and_curtain_along(browser, viewer, address):
     fragment = "#a=vis/colour&b=vis/flags&kept=30,40,Here&region=rectangle;20.0 20.0 60.0 40.0;R"
     page = open_object(browser, address("file", fragment=fragment))
@@ -417,6 +425,7 @@ def test_the_overview_frames_what_is_in_view_and_leads_there(browser, address):
     page.wait_for_function("() => location.hash.includes('overview=0')")
 
 
+@pytest.mark.slow
 def test_zoom_has_buttons_and_a_figure_and_the_wheel(browser, address):
     page = open_object(browser, address("file"))
     settle(page)
@@ -460,6 +469,7 @@ def swipe(page, start, end, fingers=1, apart=0):
     session.detach()
 
 
+@pytest.mark.slow
 def test_a_thumb_scrolls_past_the_painting_and_two_fingers_move_it(browser, address):
     page = open_object(browser, address("file"), width=390, height=844, has_touch=True, is_mobile=True)  # fmt: skip
     settle(page)

@@ -16,6 +16,7 @@ def open_second(browser, address, **options):
     return page
 
 
+@pytest.mark.slow
 def test_the_pointer_of_another_pane_shows_where_there_is_another_pane_only(browser, address):
     page = open_second(browser, address)
     shown = "[...document.querySelectorAll('.pointer')].filter(one => one.checkVisibility()).length"

@@ -34,6 +34,7 @@ def test_the_frontend_asks_for_few_packages_and_for_exact_versions():
     assert all(re.fullmatch(r"\d+\.\d+\.\d+", version) for version in wanted.values())
 
 
+@pytest.mark.slow
 def test_the_unit_tests_of_the_frontend_pass(hook):
     node = hook.find_node()
     if node is None:

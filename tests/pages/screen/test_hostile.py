@@ -37,6 +37,7 @@ def page_of(name):
     return f"viewer/objects/{quote(name, safe='')}/index.html"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "how",
     [

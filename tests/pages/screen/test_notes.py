@@ -38,6 +38,7 @@ def texts(opened):
     return opened.locator("#notes textarea").evaluate_all("all => all.map(e => e.value)")
 
 
+@pytest.mark.slow
 def test_notes_are_written_on_places_and_shapes_kept_and_exported_as_annotations(
     browser, address, tmp_path
 ):
@@ -104,6 +105,7 @@ def test_notes_are_written_on_places_and_shapes_kept_and_exported_as_annotations
     assert other.locator("#notes .region-words").nth(1).inner_text().startswith("Ada, 20")
 
 
+@pytest.mark.slow
 def test_every_hostile_file_of_notes_is_refused_with_a_sentence_and_nothing_runs(
     browser, address, tmp_path
 ):
@@ -119,6 +121,7 @@ def test_every_hostile_file_of_notes_is_refused_with_a_sentence_and_nothing_runs
     assert opened.evaluate("Object.prototype.type ?? null") is None
 
 
+@pytest.mark.slow
 def test_sixty_hostile_texts_typed_or_imported_are_text_or_refused(browser, address, tmp_path):
     opened = open_object(browser, address("file"))
     kept = []

@@ -29,6 +29,7 @@ def choose_worst(page):
     page.wait_for_function("() => levkasWorkbench.store.selected.value >= 0")
 
 
+@pytest.mark.slow
 def test_a_loupe_shows_both_ends_of_the_pair_that_is_placed(bench, correctable):
     page, _ = bench
     assert page.locator(".loupe:visible").count() == 0
@@ -60,6 +61,7 @@ def test_a_loupe_shows_both_ends_of_the_pair_that_is_placed(bench, correctable):
     assert page.locator("#loupe").input_value() == "never"
 
 
+@pytest.mark.slow
 def test_marks_go_and_come_and_only_those_that_the_table_lists_are_there(bench):
     page, _ = bench
     with_marks = pixels(page, ".marks")
@@ -189,6 +191,7 @@ def test_a_pair_follows_arrows_that_are_pressed_faster_than_it_is_saved(bench):
     assert list(moved[4:]) == wanted
 
 
+@pytest.mark.slow
 def test_pictures_are_turned_by_quarters_and_stay_so(bench, browser, correctable):
     page, server = bench
     page.keyboard.press("t")
@@ -253,6 +256,7 @@ def test_before_there_is_a_map_one_picture_is_turned_by_itself(refused):
         assert 0 < at[0] < box["width"] and 0 < at[1] < box["height"]
 
 
+@pytest.mark.slow
 def test_a_refused_camera_gets_its_pairs_with_the_keyboard_alone(refused, correctable):
     page, server = refused
     keys = page.keyboard
@@ -320,6 +324,7 @@ def test_a_place_that_cannot_be_compared_is_no_check_point(bench):
     assert told(page, "session.value.summary.checks") == 0
 
 
+@pytest.mark.slow
 def test_differences_are_amplified_and_choosing_a_mode_moves_no_picture(bench):
     page, _ = bench
     tops = {}

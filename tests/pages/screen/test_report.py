@@ -140,6 +140,7 @@ def test_short_first_then_pictures_then_evidence_then_details(browser, tmp_path,
     assert all(inner <= outer for inner, outer in boxes)
 
 
+@pytest.mark.slow
 def test_nothing_flickers_by_itself_and_reduced_motion_stops_all_of_it(browser, tmp_path):
     path = written(tmp_path, [REFERENCE, COLOUR])
     for motion, moves in (("no-preference", True), ("reduce", False)):

@@ -35,6 +35,7 @@ def picture_of(page):
 MODES = ["single", "curtain", "opacity", "side", "grid", "difference", "flicker"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["file", pytest.param("http", marks=pytest.mark.slow)])
 def test_the_saved_picture_is_what_the_screen_shows_in_every_mode(browser, address, how):
     page = open_object(browser, address(how, fragment="#a=vis/colour&b=nir/colour&amplify=3"))
@@ -59,6 +60,7 @@ def test_the_saved_picture_is_what_the_screen_shows_in_every_mode(browser, addre
     assert np.abs(found["single"][100:500] - found["difference"][100:500]).mean() > 20
 
 
+@pytest.mark.slow
 def test_a_saved_picture_has_marks_scale_bar_and_words(browser, address, tmp_path):
     page = open_object(browser, address("file", fragment="#a=vis/light-a"))
     without, *_ = picture_of(page)
@@ -110,6 +112,7 @@ def shown_alone(browser, path):
     return np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB"), int)
 
 
+@pytest.mark.slow
 def test_every_plot_is_saved_as_svg_that_stands_alone_and_as_csv(browser, address, tmp_path):
     page = open_object(browser, address("file"), scheme="dark")
     click_pixel(page, 80, 60)

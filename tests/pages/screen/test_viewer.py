@@ -51,6 +51,7 @@ def rendered(viewer, camera, x, y):
     return open_pages(viewer / f"objects/icon1/icon1_{camera}.tif").read_render()[y, x].astype(int)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", FLIGHTS)
 def test_three_chosen_bands_are_red_green_and_blue(browser, viewer, address, how):
     page = open_object(browser, address(how))
@@ -329,6 +330,7 @@ def test_space_held_flickers_between_two_preloaded_pictures(browser, address, ho
     assert page.evaluate("levkasViewer.stage.flicker.running") is False
 
 
+@pytest.mark.slow
 def test_side_by_side_keeps_both_views_on_the_same_place(browser, address):
     page = open_object(browser, address("file"))
     page.keyboard.press("s")
@@ -348,6 +350,7 @@ def test_side_by_side_keeps_both_views_on_the_same_place(browser, address):
     np.testing.assert_allclose(*views, rtol=1e-3, atol=0.1)
 
 
+@pytest.mark.slow
 def test_a_picture_has_no_difference_from_itself(browser, address):
     page = open_object(browser, address("file", fragment="#a=vis/colour&b=vis/colour"))
     page.keyboard.press("d")
@@ -360,6 +363,7 @@ def test_a_picture_has_no_difference_from_itself(browser, address):
     assert shown_colour(page, 75, 65).max() > 20
 
 
+@pytest.mark.slow
 def test_digits_choose_layers_and_the_address_remembers(browser, address):
     page = open_object(browser, address("file"))
     page.keyboard.press("3")
@@ -487,6 +491,7 @@ def keep_places(page):
     page.wait_for_function("() => location.hash.includes('azurite')")
 
 
+@pytest.mark.slow
 def test_kept_places_stand_in_the_address_and_on_the_painting(browser, address):
     page = open_object(browser, address("file"))
     keep_places(page)
@@ -576,6 +581,7 @@ def region_numbers(page):
     ]
 
 
+@pytest.mark.slow
 def test_regions_have_the_numbers_of_the_database(browser, viewer, address):
     layer = levkas.open(viewer)["icon1"]["vis"]
     page = open_object(browser, address("file") + "#a=vis/colour")
@@ -653,6 +659,7 @@ def corners(page, *places):
         page.mouse.click(*page.evaluate(f"levkasViewer.stage.left.pageOf({place[0]}, {place[1]})"))
 
 
+@pytest.mark.slow
 def test_lengths_and_areas_are_in_millimetres_and_in_the_address(browser, address):
     page = open_object(browser, address("file"))
     page.keyboard.press("m")
@@ -706,6 +713,7 @@ def test_a_length_is_measured_with_the_keyboard_alone(browser, address):
     assert page.locator(".pins .pin-number.measure").inner_text() == "M1"
 
 
+@pytest.mark.slow
 def test_a_link_holds_rate_curtain_choices_and_range(browser, address):
     page = open_object(browser, address("file", fragment="#a=vis/colour&b=rgb/colour"))
     page.keyboard.press("c")

@@ -472,6 +472,7 @@ def test_everything_has_a_name_and_the_keyboard_is_enough(bench):
     page.wait_for_selector("#sum:has-text('all others are registered to')")
 
 
+@pytest.mark.slow
 def test_without_the_token_the_page_says_what_to_do(correctable, inspected, browser, tmp_path):
     server = inspected(correctable.make(tmp_path / "campaign"))
     page = browser.open(server.address.partition("#")[0])

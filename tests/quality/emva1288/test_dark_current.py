@@ -174,6 +174,7 @@ def test_line_scans_of_few_bands_are_measured(tmp_path, bands):
     assert channel.black.value == pytest.approx(100, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_line_scan_takes_the_dark_of_its_white(tmp_path):
     prnu = scan(tmp_path, 16, current=2_000.0, times=(0.02, 0.4))
     found = examine_with_seed(tmp_path)

@@ -211,6 +211,7 @@ def test_findings_hang_on_the_set_and_not_on_the_order_of_coming():
     assert growing.judge(frames[:-1]) == judge(frames[:-1])  # one was deleted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_frames_judged_as_they_come_and_go_are_judged_as_all_at_once(seed):
     """Objects and bands that a frame does not touch keep their findings: they must be those of a judge who sees all anew."""

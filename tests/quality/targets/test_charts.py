@@ -309,6 +309,7 @@ def test_a_measure_says_all_and_changes_no_input():
     assert lost == pytest.approx(10 * np.log10(3), abs=0.5)
 
 
+@pytest.mark.slow
 @needs_detector
 def test_a_chart_of_140_patches_is_found():
     chart, rng = CHARTS["ColorCheckerSG"], np.random.default_rng(6)

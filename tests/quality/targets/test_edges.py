@@ -225,6 +225,7 @@ def measured(cube, corners):
     return measure("chart", CLASSIC, [Sighting("", located, cube)], reference)
 
 
+@pytest.mark.slow
 def test_borders_of_a_leaning_chart_give_response_shift_and_noise_in_one_table():
     cube, corners = leaning_chart(5, noise=0.004, shift=0.4)
     found = measured(cube, corners)
@@ -242,12 +243,14 @@ def test_borders_of_a_leaning_chart_give_response_shift_and_noise_in_one_table()
     assert next(t["edge"] for t in found.to_dict()["edges"]).endswith("borders of grey patches")
 
 
+@pytest.mark.slow
 def test_a_chart_that_lies_straight_says_how_to_turn_it():
     found = measured(*leaning_chart(0.4))
     assert not found.edges.tables
     assert any("turn the chart by about 5" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_noise_of_lightness_is_what_was_planted():
     rng = np.random.default_rng(5)
     spectra = reference_of(CLASSIC).at(NM)

@@ -253,6 +253,7 @@ def apart(adjusted, windows, second):
     return np.linalg.norm(adjusted.maps(one, windows.first) - adjusted.maps(other, second), axis=1)
 
 
+@pytest.mark.slow
 def test_a_recessed_panel_is_followed_where_windows_left_out_show_it():
     recessed = photographed(
         lambda x, y: -10 * np.exp(-(x**2 + y**2) / 0.08), np.random.default_rng(8)
@@ -273,6 +274,7 @@ def test_a_recessed_panel_is_followed_where_windows_left_out_show_it():
     assert np.abs(moved).max() == pytest.approx(2.2, abs=0.8)  # 300 px of the stage, 10/1000 deep
 
 
+@pytest.mark.slow
 def test_a_flat_panel_stays_a_plane_and_a_step_in_it_is_in_the_misfit():
     windows, begin, second = photographed(lambda x, y: 0 * x, np.random.default_rng(9))
     terms, found = choose_terms(windows, begin)

@@ -133,6 +133,7 @@ def test_order_and_positions_change_nothing_but_the_work(mosaic):
     assert lazy.reads <= 3 * len(names)
 
 
+@pytest.mark.slow
 def test_pairs_by_hand_place_a_tile_that_key_points_do_not(mosaic):
     tiles, truth, _ = mosaic
     rng, clear = np.random.default_rng(4), tiles["r1c1"].values

@@ -300,6 +300,7 @@ objects = ["burst", "scene1", "stitch2d_ex"]
 """
 
 
+@pytest.mark.slow
 def test_real_captures_are_called_what_they_are(session, folder, real_data):
     """Tiles are sharp each for itself, though unlike; the white is one, whose corners lie beyond the filters and are full;
     the burst loses 1.8 % of its light at its fifth shot; the flat has less light than scene and burst."""
