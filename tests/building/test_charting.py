@@ -385,7 +385,7 @@ def test_edges_that_a_campaign_names_are_measured_reported_and_kept(edged):
 
 
 def test_edges_of_a_cube_are_named_on_the_command_line_and_refused_by_name(edged, tmp_path):
-    build(edged)
+    assert summarise(build(edged)).ok
     cube = str(next((edged / "database/charts/sfr").glob("*vis.tif")))
     page = tmp_path / "edge.html"
     good = ["chart", cube, "--kind", "edges", "--edge", "45,90,60,85", "-o", str(page)]
