@@ -4,6 +4,7 @@ import importlib
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
+from itertools import cycle
 from pathlib import Path
 
 from levkas.core.instructions import hold_instructions
@@ -52,20 +53,21 @@ DURATIONS = Path(__file__).parent / "tests" / "durations.json"
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out what is `exhaustive`, and slow tests of other turns; put the longest files first.
 
-    What starts last ends last, and leaves the other processes idle. LEVKAS_SLOW_TURN = 2/5 takes the third of five
-    parts of the slow tests; the cases of one test are in all of them.
+    What starts last ends last, and leaves the other processes idle. LEVKAS_SLOW_TURN = 2/5 takes the slow tests of the third of five
+    parts of the files, which take about as long as each other.
     """
+    seconds = json.loads(DURATIONS.read_text(encoding="utf-8"))
     left = set()
     if not os.environ.get("LEVKAS_EVERY_CASE"):
         left = {item for item in items if item.get_closest_marker("exhaustive")}
     if turn := os.environ.get("LEVKAS_SLOW_TURN"):
         number, turns = map(int, turn.split("/"))
-        slow = [item for item in items if item not in left and item.get_closest_marker("slow")]
-        slow.sort(key=lambda item: item.nodeid)
-        left |= set(slow) - set(slow[number % turns :: turns])
+        slow = [item for item in items if item.get_closest_marker("slow")]
+        files = sorted({item.location[0] for item in slow}, key=lambda f: (-seconds.get(f, 0), f))
+        turn_of = dict(zip(files, cycle([*range(turns), *reversed(range(turns))])))
+        left |= {item for item in slow if turn_of[item.location[0]] != number % turns}
     config.hook.pytest_deselected(items=[*left])
     items[:] = [item for item in items if item not in left]
-    seconds = json.loads(DURATIONS.read_text(encoding="utf-8"))
     items.sort(key=lambda item: -seconds.get(item.location[0], 0))
 
 

@@ -4,6 +4,7 @@ import ast
 import itertools
 import re
 from collections import defaultdict
+from functools import cache
 from pathlib import Path
 
 import levkas
@@ -30,11 +31,13 @@ def name_of(path):
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-TREES = {name_of(path): ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
+@cache
+def trees():
+    return {name_of(path): ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
 
 
 def functions():
-    for module, tree in TREES.items():
+    for module, tree in trees().items():
         for node in ast.walk(tree):
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
                 yield module, node
@@ -65,11 +68,11 @@ def is_command(node):
 
 
 def imports_of(module):
-    for node in ast.walk(TREES[module]):
+    for node in ast.walk(trees()[module]):
         if isinstance(node, ast.ImportFrom) and node.module:
             for alias in node.names:
                 full = f"{node.module}.{alias.name}"
-                yield full if full in TREES else node.module
+                yield full if full in trees() else node.module
         elif isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
 
@@ -95,7 +98,7 @@ def test_no_function_takes_more_than_can_be_kept_in_mind():
 
 
 def test_imports_close_no_circle():
-    graph = {m: {t for t in imports_of(m) if t in TREES and t != m} for m in TREES}
+    graph = {m: {t for t in imports_of(m) if t in trees() and t != m} for m in trees()}
     assert list(circles(graph)) == []
 
 
@@ -125,7 +128,7 @@ def circles(graph):
 
 def test_a_class_name_means_one_thing():
     homes = defaultdict(list)
-    for module, tree in TREES.items():
+    for module, tree in trees().items():
         for node in tree.body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 homes[node.name].append(module)
@@ -158,7 +161,7 @@ def words_of(name):
 def test_names_and_record_keys_are_the_fields_words():
     spoken = {
         f"{module}: {name}"
-        for module, tree in TREES.items()
+        for module, tree in trees().items()
         for name in names_of(tree)
         if words_of(name) & SPEECH
     }

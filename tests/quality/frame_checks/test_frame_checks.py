@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +72,8 @@ def frame(name: str, role: str, codes: np.ndarray, **more: object) -> FrameOfSet
     return FrameOfSet(name=name, role=role, target=target, measures=measures, **given)  # type: ignore[arg-type]
 
 
-def session() -> dict[str, FrameOfSet]:
+@cache
+def good_frames() -> dict[str, FrameOfSet]:
     """Return a good session: two darks, two whites, three shots of the panel, a white after it."""
     frames = [
         *(frame(f"0{k} dark", "dark", expose(0.0, k)) for k in (1, 2)),
@@ -82,9 +84,12 @@ def session() -> dict[str, FrameOfSet]:
     return {one.name: one for one in frames}
 
 
-GOOD = session()
-WARM = FrameJudge()
-WARM.judge(GOOD.values())
+@cache
+def warm_judge() -> FrameJudge:
+    """Return a judge that knows the good frames."""
+    judge_ = FrameJudge()
+    judge_.judge(good_frames().values())
+    return judge_
 
 
 def blob(size: int) -> np.ndarray:
@@ -107,60 +112,60 @@ def lit_dark(level: float) -> np.ndarray:
 
 
 CASES = {
-    "white at full scale, a little": ("exposure", "08 white", expose(0.98, 8, lamp=1.21), {}),
-    "white at full scale": ("exposure", "08 white", expose(0.98, 8, lamp=1.6), {}),
-    "white without light for the scale": ("exposure", "08 white", expose(0.98, 8, lamp=0.05), {}),
-    "object at full scale, a little": ("exposure", "07 shot", expose(blob(60) * 1.05, 7), {}),
-    "object at full scale": ("exposure", "07 shot", expose(PANEL, 7, lamp=1.8), {}),
-    "dark with a little light": ("dark", "02 dark", expose(lit_dark(0.02), 2), {}),
-    "dark with the lamp on": ("dark", "02 dark", expose(lit_dark(0.4), 2), {}),
-    "black level, a little": ("black", "02 dark", expose(0.0, 2, black=BLACK + 14), {}),
-    "black level": ("black", "02 dark", expose(0.0, 2, black=BLACK + 30), {}),
-    "dark of another time": ("dark", "07 shot", expose(PANEL, 7), {"exposure_s": 0.2}),
-    "dark of a far time": ("dark", "07 shot", expose(PANEL, 7), {"exposure_s": 2.0}),
-    "white with some of the painting": ("white", "04 white", expose(half_covered(0.2), 4), {}),
-    "white that is the painting": ("white", "04 white", expose(PANEL, 4), {}),
-    "lamp sank by 4 %": ("drift", "08 white", expose(0.98, 8, lamp=0.96), {}),
-    "lamp sank by 12 %": ("drift", "08 white", expose(0.98, 8, lamp=0.88), {}),
-    "lamp sank in the stack, a little": ("drift", "07 shot", expose(PANEL, 7, lamp=0.98), {}),
-    "lamp sank in the stack": ("drift", "07 shot", expose(PANEL, 7, lamp=0.9), {}),
-    "noise, a little": ("noise", "07 shot", expose(PANEL, 7, noise=1.5), {}),
-    "noise of a white": ("noise", "08 white", expose(0.98, 8, noise=3), {}),
-    "noise of a dark": ("noise", "02 dark", expose(0.0, 2, noise=2), {}),
-    "focus, a little": ("focus", "07 shot", expose(gaussian_filter(PANEL, 1.6), 7), {}),
-    "focus": ("focus", "07 shot", expose(gaussian_filter(PANEL, 3), 7), {}),
-    "moved by 1.5 px": ("moved", "07 shot", expose(shift(PANEL, (0.9, 1.2), mode="nearest"), 7), {}),
-    "moved by 30 px": ("moved", "07 shot", expose(shift(PANEL, (5, 30), mode="nearest"), 7), {}),
-    "glare, a little": ("glare", "07 shot", expose(blob(50), 7, lamp=0.95), {}),
-    "glare": ("glare", "07 shot", expose(blob(160), 7, lamp=0.95), {}),
-    "dust, one speck": ("dust", "08 white", expose(speck(3, 0.15), 8), {}),
-    "dust, a large speck": ("dust", "08 white", expose(speck(6, 0.5), 8), {}),
-    "another ISO": ("settings", "07 shot", expose(PANEL, 7), {"facts": replace(FACTS, iso=200.0)}),
-    "another aperture": (
+    "white at full scale, a little": lambda: ("exposure", "08 white", expose(0.98, 8, lamp=1.21), {}),
+    "white at full scale": lambda: ("exposure", "08 white", expose(0.98, 8, lamp=1.6), {}),
+    "white without light for the scale": lambda: ("exposure", "08 white", expose(0.98, 8, lamp=0.05), {}),
+    "object at full scale, a little": lambda: ("exposure", "07 shot", expose(blob(60) * 1.05, 7), {}),
+    "object at full scale": lambda: ("exposure", "07 shot", expose(PANEL, 7, lamp=1.8), {}),
+    "dark with a little light": lambda: ("dark", "02 dark", expose(lit_dark(0.02), 2), {}),
+    "dark with the lamp on": lambda: ("dark", "02 dark", expose(lit_dark(0.4), 2), {}),
+    "black level, a little": lambda: ("black", "02 dark", expose(0.0, 2, black=BLACK + 14), {}),
+    "black level": lambda: ("black", "02 dark", expose(0.0, 2, black=BLACK + 30), {}),
+    "dark of another time": lambda: ("dark", "07 shot", expose(PANEL, 7), {"exposure_s": 0.2}),
+    "dark of a far time": lambda: ("dark", "07 shot", expose(PANEL, 7), {"exposure_s": 2.0}),
+    "white with some of the painting": lambda: ("white", "04 white", expose(half_covered(0.2), 4), {}),
+    "white that is the painting": lambda: ("white", "04 white", expose(PANEL, 4), {}),
+    "lamp sank by 4 %": lambda: ("drift", "08 white", expose(0.98, 8, lamp=0.96), {}),
+    "lamp sank by 12 %": lambda: ("drift", "08 white", expose(0.98, 8, lamp=0.88), {}),
+    "lamp sank in the stack, a little": lambda: ("drift", "07 shot", expose(PANEL, 7, lamp=0.98), {}),
+    "lamp sank in the stack": lambda: ("drift", "07 shot", expose(PANEL, 7, lamp=0.9), {}),
+    "noise, a little": lambda: ("noise", "07 shot", expose(PANEL, 7, noise=1.5), {}),
+    "noise of a white": lambda: ("noise", "08 white", expose(0.98, 8, noise=3), {}),
+    "noise of a dark": lambda: ("noise", "02 dark", expose(0.0, 2, noise=2), {}),
+    "focus, a little": lambda: ("focus", "07 shot", expose(gaussian_filter(PANEL, 1.6), 7), {}),
+    "focus": lambda: ("focus", "07 shot", expose(gaussian_filter(PANEL, 3), 7), {}),
+    "moved by 1.5 px": lambda: ("moved", "07 shot", expose(shift(PANEL, (0.9, 1.2), mode="nearest"), 7), {}),
+    "moved by 30 px": lambda: ("moved", "07 shot", expose(shift(PANEL, (5, 30), mode="nearest"), 7), {}),
+    "glare, a little": lambda: ("glare", "07 shot", expose(blob(50), 7, lamp=0.95), {}),
+    "glare": lambda: ("glare", "07 shot", expose(blob(160), 7, lamp=0.95), {}),
+    "dust, one speck": lambda: ("dust", "08 white", expose(speck(3, 0.15), 8), {}),
+    "dust, a large speck": lambda: ("dust", "08 white", expose(speck(6, 0.5), 8), {}),
+    "another ISO": lambda: ("settings", "07 shot", expose(PANEL, 7), {"facts": replace(FACTS, iso=200.0)}),
+    "another aperture": lambda: (
         *("settings", "07 shot", expose(PANEL, 7)),
         {"facts": replace(FACTS, f_number=5.6)},
     ),
-    "another white balance": (
+    "another white balance": lambda: (
         *("settings", "07 shot", expose(PANEL, 7)),
         {"facts": replace(FACTS, white_balance="auto")},
     ),
-    "object at the border": ("framing", "07 shot", expose(np.roll(PANEL, -60, axis=1), 7), {}),
-    "object cut": ("framing", "07 shot", expose(np.pad(PANEL, ((0, 0), (0, 150)), "edge")[:, 150:], 7), {}),
-    "another size": ("settings", "07 shot", expose(PANEL, 7)[:-20, :-20], {}),
+    "object at the border": lambda: ("framing", "07 shot", expose(np.roll(PANEL, -60, axis=1), 7), {}),
+    "object cut": lambda: ("framing", "07 shot", expose(np.pad(PANEL, ((0, 0), (0, 150)), "edge")[:, 150:], 7), {}),
+    "another size": lambda: ("settings", "07 shot", expose(PANEL, 7)[:-20, :-20], {}),
 }  # fmt: skip
 
 
 def test_a_good_session_has_no_finding():
-    assert {name: found for name, found in judge(GOOD.values()).items() if found} == {}
+    assert {name: found for name, found in judge(good_frames().values()).items() if found} == {}
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_planted_fault_is_named_at_its_frame(case):
-    check, name, codes, more = CASES[case]
-    role = GOOD[name].role
-    frames = {**GOOD, name: frame(name, role, codes, **more)}
+    check, name, codes, more = CASES[case]()
+    role = good_frames()[name].role
+    frames = {**good_frames(), name: frame(name, role, codes, **more)}
 
-    found = copy(WARM).judge(frames.values())  # what the good ones get is known already
+    found = copy(warm_judge()).judge(frames.values())  # what the good ones get is known already
 
     assert check in [one.check for one in found[name]]
     assert all(one.text and one.advice for one in found[name])
@@ -170,9 +175,9 @@ def test_a_planted_fault_is_named_at_its_frame(case):
 
 def test_small_and_large_differ_in_severity():
     def severity(case: str) -> str:
-        _, name, codes, more = CASES[case]
-        frames = {**GOOD, name: frame(name, GOOD[name].role, codes, **more)}
-        return worst(copy(WARM).judge(frames.values())[name])
+        _, name, codes, more = CASES[case]()
+        frames = {**good_frames(), name: frame(name, good_frames()[name].role, codes, **more)}
+        return worst(copy(warm_judge()).judge(frames.values())[name])
 
     pairs = (("moved by 1.5 px", "moved by 30 px"), ("lamp sank by 4 %", "lamp sank by 12 %"))
     for small, large in (*pairs, ("focus, a little", "focus")):
@@ -180,11 +185,15 @@ def test_small_and_large_differ_in_severity():
 
 
 def test_the_numbers_in_the_reasons_are_those_planted():
-    _, name, codes, _ = CASES["lamp sank by 4 %"]
-    found = copy(WARM).judge({**GOOD, name: frame(name, "white", codes)}.values())[name]
+    _, name, codes, _ = CASES["lamp sank by 4 %"]()
+    found = copy(warm_judge()).judge({**good_frames(), name: frame(name, "white", codes)}.values())[
+        name
+    ]
     assert "4" in found[0].text.split("%")[0] and "less" in found[0].text
-    _, name, codes, _ = CASES["moved by 1.5 px"]
-    found = copy(WARM).judge({**GOOD, name: frame(name, "object", codes)}.values())[name]
+    _, name, codes, _ = CASES["moved by 1.5 px"]()
+    found = copy(warm_judge()).judge(
+        {**good_frames(), name: frame(name, "object", codes)}.values()
+    )[name]
     assert abs(float(found[0].text.split("moved by ")[1].split(" px")[0]) - 1.5) <= 0.2
 
 
@@ -196,13 +205,13 @@ def test_the_way_that_the_focus_runs_is_told(blurs, way):
         f"{k} shot": frame(f"0{k} shot", "object", expose(gaussian_filter(PANEL, blur), k))
         for k, blur in enumerate(blurs, 5)
     }
-    found = judge([*[*GOOD.values()][:4], *shots.values()])["07 shot"]
+    found = judge([*[*good_frames().values()][:4], *shots.values()])["07 shot"]
     assert [one.text.endswith(way) for one in found if one.check == "focus"] == [True]
 
 
 def test_findings_hang_on_the_set_and_not_on_the_order_of_coming():
-    _, name, codes, _ = CASES["lamp sank by 4 %"]
-    frames = list({**GOOD, name: frame(name, "white", codes)}.values())
+    _, name, codes, _ = CASES["lamp sank by 4 %"]()
+    frames = list({**good_frames(), name: frame(name, "white", codes)}.values())
     whole = judge(frames)
     growing = FrameJudge()
     for count in (1, 4, 6, len(frames)):
@@ -215,7 +224,7 @@ def test_findings_hang_on_the_set_and_not_on_the_order_of_coming():
 @pytest.mark.parametrize("seed", range(2))
 def test_frames_judged_as_they_come_and_go_are_judged_as_all_at_once(seed):
     """Objects and bands that a frame does not touch keep their findings: they must be those of a judge who sees all anew."""
-    rng, whole = np.random.default_rng(seed), dict(session())
+    rng, whole = np.random.default_rng(seed), dict(good_frames())
     measures = [one.measures for one in whole.values() if one.role == "object"]
     measures.append(measure_frame(expose(PANEL, 30, noise=2.0), full=FULL))
     for k in range(24):
@@ -236,18 +245,18 @@ def test_frames_judged_as_they_come_and_go_are_judged_as_all_at_once(seed):
 
 
 def test_what_a_campaign_allows_is_no_finding():
-    _, name, codes, more = CASES["another ISO"]
-    frames = {**GOOD, name: frame(name, "object", codes, **more)}.values()
+    _, name, codes, more = CASES["another ISO"]()
+    frames = {**good_frames(), name: frame(name, "object", codes, **more)}.values()
     assert judge(frames, SetRules(overrule=("iso",)))[name] == []
-    _, name, codes, _ = CASES["object at full scale"]
-    frames = {**GOOD, name: frame(name, "object", codes, exposure_s=0.1)}.values()
+    _, name, codes, _ = CASES["object at full scale"]()
+    frames = {**good_frames(), name: frame(name, "object", codes, exposure_s=0.1)}.values()
     brackets = judge(frames, SetRules(brackets=True))[name]
     assert "exposure" not in [one.check for one in brackets]
 
 
 def test_shots_are_compared_with_the_first_of_their_stack_and_not_with_the_one_before():
     dim = frame("06 shot", "object", expose(PANEL, 6, lamp=0.98))
-    found = judge({**GOOD, "06 shot": dim}.values())
+    found = judge({**good_frames(), "06 shot": dim}.values())
     drifting = {name for name, some in found.items() if any(f.check == "drift" for f in some)}
     assert drifting == {"06 shot"}  # the third has the light of the first again
 
@@ -263,7 +272,7 @@ def test_shots_are_compared_with_the_first_of_their_stack_and_not_with_the_one_b
     ids=["lit dark", "clipped white", "white that is the painting", "clipped shot"],
 )
 def test_a_frame_after_one_to_capture_again_is_not_compared_with_it(name, role, codes):
-    found = judge({**GOOD, name: frame(name, role, codes)}.values())
+    found = judge({**good_frames(), name: frame(name, role, codes)}.values())
     assert worst(found[name]) == "stop"
     blamed = {n: [(f.check, f.text) for f in some] for n, some in found.items() if some}
     assert set(blamed) == {name}, blamed
@@ -271,7 +280,7 @@ def test_a_frame_after_one_to_capture_again_is_not_compared_with_it(name, role, 
 
 def test_of_three_whites_the_noisy_one_is_named_and_not_the_two_others():
     noisy = frame("03 white", "white", expose(0.98, 3, noise=6))
-    found = judge({**GOOD, "03 white": noisy}.values())
+    found = judge({**good_frames(), "03 white": noisy}.values())
     assert {n for n, some in found.items() for f in some if f.check == "noise"} == {"03 white"}
 
 
@@ -283,7 +292,7 @@ def test_tiles_are_scenes_of_their_own(tiles):
         frame(f"0{5 + k} shot", "object", expose(light, 5 + k), tile=tile)
         for k, (light, tile) in enumerate(zip(shown, tiles, strict=True))
     ]
-    found = judge([*[*GOOD.values()][:4], *frames])["06 shot"]
+    found = judge([*[*good_frames().values()][:4], *frames])["06 shot"]
     assert {one.check for one in found} == (set() if tiles[0] else {"moved", "focus"})
 
 
@@ -336,7 +345,7 @@ def test_an_object_cut_at_a_side_is_named_with_the_side():
 
 def test_a_frame_that_came_twice_names_the_first():
     codes = expose(PANEL, 7)
-    frames = {**GOOD, "09 shot": frame("09 shot", "object", codes)}.values()
+    frames = {**good_frames(), "09 shot": frame("09 shot", "object", codes)}.values()
     found = judge([f for f in frames if f.name != "06 shot"])
     assert [one.check for one in found["09 shot"]] == ["twice"] and "07 shot" in found["09 shot"][
         0
