@@ -396,12 +396,14 @@ def _groups(
     kept = np.flatnonzero(keep)  # which is counted twice as fast as by a mask
     signal, spread = signal[kept], spread[kept]
     order = np.argsort(signal, kind="stable")
-    parts = np.array_split(order, LEVELS) if len(order) >= 50 * LEVELS else [order]
+    parts = np.array_split(order, max(1, min(LEVELS, len(order) // 50)))
     freedom = stack.count - 1
     found = []
     for p in (part for part in parts if len(part) >= 20):
-        variance = float(whole_variance(_mean_variance(spread[p], freedom, step), step))
-        found.append((float(signal[p].mean()), variance, float(freedom * len(p))))
+        # Of the same pixels: in a group of very unlike signal chance does not explain the brighter ones' spread.
+        kept = p[spread[p] <= _largest_spread(spread[p], freedom, step)]
+        variance = float(whole_variance(float(spread[kept].mean()), step))
+        found.append((float(signal[kept].mean()), variance, float(freedom * len(kept))))
     return found
 
 
@@ -426,15 +428,15 @@ def _roughness(plane: np.ndarray, period: tuple[int, int], thin: slice) -> np.nd
     return rough
 
 
-def _mean_variance(spread: np.ndarray, freedom: int, step: float) -> float:
-    """Return the mean of sample variances without those that neither chance nor rounding explains."""
+def _largest_spread(spread: np.ndarray, freedom: int, step: float) -> float:
+    """Return the largest of sample variances that chance or rounding explains by those below it."""
     limit, kept = _largest_by_chance(freedom), spread
     for _ in range(20):
         inside = spread[spread <= max(limit * kept.mean(), step**2 / 2)]
         if len(inside) == len(kept) or not len(inside):
             break
         kept = inside
-    return float(kept.mean())
+    return float(kept.max())
 
 
 def _ratio_planes(
