@@ -7,7 +7,8 @@ import levkas
 from levkas.building import build, summarise
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
-from levkas.core.cube import Flag
+from levkas.core.cube import Band, Cube, Flag
+from levkas.geometry.transforms import Affine
 from levkas.stages.calibrate import develop
 from levkas.stages.native_cubes import Native
 from levkas.stages.scans import open_scan
@@ -194,3 +195,16 @@ def test_a_product_is_published_with_nan_and_its_bad_band_named(tmp_path):
     good = [i for i in range(len(NM)) if i != 2]
     assert np.nanmedian(np.abs(values - TRUTH)[..., good]) < 1e-4
     assert cube.attrs["quantity"] == "reflectance" and cube.attrs["bad_bands"] == ["600 nm"]
+
+
+def test_values_of_a_layer_without_sigma_are_not_rounded_by_that_of_one_sensor():
+    codes = np.arange(1000, 1400, dtype=np.float32).reshape(20, 20, 1)
+    sigma, flags = np.full(codes.shape, 50, np.float32), np.zeros(codes.shape, np.uint8)
+    cubes = {
+        "known": Cube(codes, flags, sigma, (Band("A"),), "counts"),
+        "unknown": Cube(codes + 400, flags, None, (Band("B"),), "counts"),
+    }
+    for native in (Native(cubes), Native(cubes).packed()):
+        layer = native.on_grid(dict.fromkeys("AB", Affine.identity()), (20, 20))
+        assert layer.sigma is None
+        assert np.array_equal(layer.values, np.concatenate([codes, codes + 400], axis=2))

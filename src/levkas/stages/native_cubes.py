@@ -207,23 +207,28 @@ class Native:
         """Return all bands on the grid; sensor by sensor, so that the memory of sigma goes.
 
         Neighbours of a demosaiced sensor share noise, and those of strips that were moved by a fraction of a pixel.
+        A layer has sigma, and values rounded by it, where that of every sensor is known.
         """
+        noisy = all(name in self.sigmas or c.sigma is not None for name, c in self.cubes.items())
         on_grid = [
-            self._on_grid(name, [maps[b.label] for b in cube.bands], size)
+            self._on_grid(name, [maps[b.label] for b in cube.bands], size, noisy=noisy)
             for name, cube in self.cubes.items()
         ]
-        sigmas = [one.sigma for one in on_grid if one.sigma is not None]
         return Cube(
             _joined([one.values for one in on_grid]),
             _joined([one.flags for one in on_grid]),
-            _joined(sigmas) if len(sigmas) == len(on_grid) else None,
+            _joined([one.sigma for one in on_grid if one.sigma is not None]) if noisy else None,
             self.bands,
             self.quantity,
         )
 
-    def _on_grid(self, sensor: str, maps: Sequence[Transform], size: tuple[int, int]) -> Cube:
+    def _on_grid(
+        self, sensor: str, maps: Sequence[Transform], size: tuple[int, int], *, noisy: bool
+    ) -> Cube:
         cube, shape, measured = self.cubes[sensor], size[::-1], self.measured.get(sensor, {})
         variance = self._take_variance(sensor)
+        if not noisy:
+            variance = None
         if variance is not None:
             if sensor in self.mosaics:
                 variance *= shared_noise(self.mosaics[sensor], maps, shape)
