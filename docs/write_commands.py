@@ -15,7 +15,7 @@ def reference() -> str:
         "# Commands",
         "",
         "Exit status: 0 done, 1 something was refused or failed, 2 wrong use. With `--json` a command",
-        "prints one object: `levkas`, `command`, `ok`, `problems`, and what it reports; `build` lists under `layers` the verdict,",
+        "prints one object: `levkas`, `command`, `ok`, `problems`, and what it reports; `build` and `status` list under `layers` the verdict,",
         "the held-out error in px and mm, the share that was checked, and the reasons of every layer.",
         "",
     ]

@@ -73,6 +73,20 @@ def test_the_report_of_a_build_has_verdict_errors_and_reasons_of_every_layer(ref
     assert (broken["verdict"], broken["stage"]) == ("refuse", "calibrate")
 
 
+def test_status_lists_the_verdict_of_every_layer_that_was_built(refused, tmp_path):
+    folder = shutil.copytree(refused[0], tmp_path / "campaign")
+    (folder / "infrared/two.png").write_bytes((folder / "infrared/one.png").read_bytes() + b"x")
+    said = CliRunner().invoke(app, ["status", str(folder)]).stdout.splitlines()
+    verdicts = dict(line.split(": ", 1) for line in said if line.split(": ")[0].count("/") == 1)
+    assert verdicts["one/photo"] == "reference"
+    assert verdicts["one/infrared"] == "refused at register"
+    assert verdicts["three/infrared"] == "refused at calibrate"
+    assert verdicts["two/infrared"].endswith("; stale, verdict of the earlier build")
+    result = CliRunner().invoke(app, ["status", str(refused[0]), "--json"])
+    built = CliRunner().invoke(app, ["build", str(refused[0]), "--json"])
+    assert json.loads(result.stdout)["layers"] == json.loads(built.stdout)["layers"]
+
+
 def test_a_second_build_does_what_status_says(refused, tmp_path):
     folder = shutil.copytree(refused[0], tmp_path / "campaign")
     said = states(status(folder))

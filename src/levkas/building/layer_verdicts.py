@@ -49,11 +49,41 @@ def verdict_lines(report: BuildReport) -> list[str]:
     """Return a line for each layer of which this build did a stage, and that was not refused: its verdict, error and doubts."""
     done = {(s.key.object, s.key.layer) for s in report.stages if s.state == "done"}
     new = tuple(s for s in report.stages if (s.key.object, s.key.layer) in done)
-    return [
-        f"{row['object']}/{layer_name(row['camera'], row['setup'])}: {describe_verdict(row)}"
-        for row in layer_verdicts(replace(report, stages=new))
-        if row["verdict"] not in ("refuse", "")
-    ]
+    rows = layer_verdicts(replace(report, stages=new))
+    return [_line(row) for row in rows if row["verdict"] not in ("refuse", "")]
+
+
+def standing_lines(report: BuildReport) -> list[str]:
+    """Return a line for each layer that the last build published or refused, as `status` lists them.
+
+    A layer that a build would make anew has the verdict that it got before; one that was never built has no line.
+    """
+    stale = {(s.key.object, s.key.layer) for s in report.stages if s.state == "stale"}
+    lines = []
+    for row in layer_verdicts(report):
+        if "stage" in row:
+            lines.append(f"{_name(row)}: refused at {row['stage']}")
+        elif row["verdict"]:
+            old = (row["object"], layer_name(row["camera"], row["setup"])) in stale
+            lines.append(_line(row) + "; stale, verdict of the earlier build" * old)
+    return lines
+
+
+def report_line(report: BuildReport) -> str:
+    """Return where the pages of the objects lie that a build has written; "" where it wrote none."""
+    written = {s.key.object for s in report.stages if s.key.stage == "report" and s.state == "done"}
+    if not written or report.output is None:
+        return ""
+    name = next(iter(written)) if len(written) == 1 else "OBJECT"
+    return f"open in a browser: {report.output / 'objects' / name / 'report.html'}"
+
+
+def _name(row: Mapping[str, Any]) -> str:
+    return f"{row['object']}/{layer_name(row['camera'], row['setup'])}"
+
+
+def _line(row: Mapping[str, Any]) -> str:
+    return f"{_name(row)}: {describe_verdict(row)}"
 
 
 def describe_verdict(row: Mapping[str, Any]) -> str:

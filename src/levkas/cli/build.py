@@ -101,12 +101,13 @@ def build(
     )
     report = summarise(draw_steps(steps, as_json))
     if as_json or any(step.state == "done" for step in report.stages):
-        from levkas.building.layer_verdicts import layer_verdicts, verdict_lines
+        from levkas.building.layer_verdicts import layer_verdicts, report_line, verdict_lines
 
         if as_json:
             report = replace(report, layers=tuple(layer_verdicts(report)))
         else:
-            typer.echo("".join(f"{line}\n" for line in verdict_lines(report)), nl=False)
+            lines = [*verdict_lines(report), report_line(report)]
+            typer.echo("".join(f"{line}\n" for line in lines if line), nl=False)
     finish("build", report, as_json)
 
 
@@ -121,13 +122,18 @@ def status(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """List the stale stages of a database, with the reasons."""
+    """List the verdicts of a database, and its stale stages with the reasons."""
     from levkas.building import status as status_of
+    from levkas.building.layer_verdicts import layer_verdicts, standing_lines
 
     report = status_of(campaign, output=output, verify=verify)
     if graph and not as_json:
         typer.echo(report.graph, nl=False)
         return
+    if as_json:
+        report = replace(report, layers=tuple(layer_verdicts(report)))
+    else:
+        typer.echo("".join(f"{line}\n" for line in standing_lines(report)), nl=False)
     finish("status", report, as_json)
 
 
