@@ -58,6 +58,14 @@ def test_templates_of_another_size_than_the_object_are_refused_by_name(tmp_path,
     assert odd in problem.file and str(min(size)) in problem.found and "64" in problem.expected
 
 
+def test_the_one_white_of_another_size_is_named_among_those_of_all_bands(tmp_path):
+    built(tmp_path, "bands")
+    tifffile.imwrite(tmp_path / "white_600nm.tif", np.full((60, 64), 3000, np.uint16))
+    (problem,) = summarise(build(tmp_path, output=tmp_path / "database")).problems
+    assert problem.file == str(tmp_path / "white_600nm.tif")
+    assert (problem.found, problem.expected) == ("64 x 60", "64 x 64")
+
+
 def test_a_frame_smaller_than_its_pattern_is_refused(tmp_path):
     small = dict.fromkeys(("dark", "white", "panel"), (2, 64))
     report = built(tmp_path, "mosaic", small, 'pattern = [["A", "B"], ["C", "D"], ["E", "F"]]')

@@ -103,3 +103,17 @@ def test_a_file_that_was_mended_is_stale_and_its_neighbours_stay_refused(refused
         said["three", "infrared", "calibrate"] == said["three", "infrared", "resample"] == "stale"
     )
     assert {state for key, state in said.items() if key[0] in ("one", "two")} == {"refused"}
+
+
+def test_a_camera_whose_folder_is_missing_is_refused_alike_before_and_after_the_build(
+    make_plates, tmp_path
+):
+    """The names found in its place have no database among them, which the build has made meanwhile."""
+    folder = make_plates(tmp_path / "campaign", ["one"])
+    shutil.rmtree(folder / "infrared")
+    (problem,) = summarise(build(folder)).problems
+    assert problem.found == "photo"
+    (folder / "database.published").mkdir()
+    report = status(folder)
+    assert report.problems == [problem]
+    assert set(states(report).values()) == {"refused"}

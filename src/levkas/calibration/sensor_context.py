@@ -487,7 +487,9 @@ def read_cube(frame: FrameRef) -> np.ndarray:
 
 
 def placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
-    """Name the folder of the frames where the kernels, which know no files, could not."""
+    """Name the file, or the folder of several frames, where the kernels, which know no files, could not."""
+    if len(frames) == 1:
+        return problem if problem.file else replace(problem, file=str(frames[0].path))
     names = ", ".join(f.path.name for f in frames[:3]) + (" …" if len(frames) > 3 else "")
     return problem if problem.file else replace(problem, file=f"{frames[0].path.parent}: {names}")
 

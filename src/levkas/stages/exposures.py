@@ -27,6 +27,7 @@ from levkas.core.cube import Cube, Flag, is_flagged
 from levkas.core.problems import Problem
 from levkas.core.rounding import round_root, round_values
 from levkas.quality.image_quality.glare import mark_glare
+from levkas.readers.frames import read_facts
 from levkas.stages.capture_statistics import note_noise
 from levkas.stages.shot_notes import note_lamp_between, note_shots
 
@@ -236,6 +237,16 @@ def noise_of(
     return fitted
 
 
+def _size(shape: tuple[int, ...]) -> str:
+    """Return the size of an array in words.
+
+    >>> _size((344, 408)), _size((1, 408, 33))
+    ('408 x 344', '408 x 1, 33 bands')
+    """
+    height, width, *bands = shape
+    return f"{width} x {height}" + "".join(f", {count} bands" for count in bands)
+
+
 def require_same_size(
     context: SensorContext,
     shape: tuple[int, ...],
@@ -266,11 +277,12 @@ def require_same_size(
             Problem(
                 "E_SIZE",
                 f"{name} and object differ in size",
-                found=str(template.mean.shape),
-                expected=str(shape),
+                found=_size(template.mean.shape),
+                expected=_size((lines, *shape[1:])),
                 fix="Capture dark and white in the same mode and with the same crop as the object.",
             ),
-            frames,
+            [f for f in frames if read_facts(f.path).shape[:2] == template.mean.shape[:2]]
+            or frames,
         )
         for name, found, frames in (
             ("dark", darks, context.sensor.dark),

@@ -70,3 +70,22 @@ def test_every_text_is_read_as_tomllib_reads_it_or_refused(tmp_path_factory, tex
         assert read_toml(path) == expected
     except TomlRefused as refusal:
         assert expected is None, refusal
+
+
+@pytest.mark.parametrize(
+    ("text", "found", "fix"),
+    [
+        ("[cameras.a]\n[cameras.b]\n[cameras.a]\n", "[cameras.a]", "a name of its own"),
+        ("a = 1\na = 2\n", "a = 2", "each key once"),
+        ("title = „Köln“\n", "title = „Köln“", "straight quotes"),
+        ('files = "raw\\photo\\{target}.tif"\n', "raw\\photo", "with /"),
+        ("title = Köln\n", "title = Köln", "text in quotes"),
+    ],
+)
+def test_a_line_that_is_no_toml_is_shown_with_what_to_do(tmp_path, text, found, fix):
+    path = tmp_path / "campaign.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(TomlRefused) as caught:
+        read_toml(path)
+    (problem,) = caught.value.problems
+    assert found in problem.found.partition("): ")[2] and fix in problem.fix

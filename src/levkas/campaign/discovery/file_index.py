@@ -73,6 +73,10 @@ class FolderListings:
         """Every folder that was listed, or looked for, but for those not to look into."""
         return tuple(folder for folder in self._known if folder not in self._never)
 
+    def is_closed(self, folder: Path) -> bool:
+        """Return whether a folder is not looked into."""
+        return os.path.normpath(folder) in self._never
+
     def is_link(self, folder: Path, name: str) -> bool:
         """Whether an entry is a symbolic link, which may lead back to where one comes from."""
         return name in self._listed(folder)[2]
@@ -290,7 +294,14 @@ def nearest(
         if last or not there:
             break
         here = there
-    names = [n for f in here for n in (*folders.folders(f), *folders.files(f))][:MOST_COMPARED]
+    names = [
+        n
+        for f in here
+        for n in (*folders.folders(f), *folders.files(f))
+        if not folders.is_closed(
+            f / n
+        )  # the database, which the next build would find and this one not
+    ][:MOST_COMPARED]
     wanted = re.sub(r"\{[a-z]+\}|\*", lambda m: TYPICAL.get(m.group(), ""), segment).lower()
     ranked = sorted(
         dict.fromkeys(names),
@@ -427,7 +438,9 @@ class FileIndex:
 def scan_folders(campaign: Campaign) -> FileIndex:
     """Find the frames of every camera under every setup, whatever their targets."""
     output = campaign.output
-    beside = [output.with_name(f"{output.name}.{what}") for what in ("kept", "removed")]
+    beside = [
+        output.with_name(f"{output.name}.{what}") for what in ("kept", "removed", "published")
+    ]
     folders = FolderListings(never=(output, *beside))
     index = FileIndex(campaign, folders)
     for name, camera in campaign.cameras.items():

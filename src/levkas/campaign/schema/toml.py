@@ -64,11 +64,35 @@ def read_toml(path: Path) -> dict[str, Any]:
                 "E_VALUE",
                 f"{path.name} is not valid TOML",
                 str(path),
-                found=str(error)[:200],
+                found=f"{str(error)[:200]}{_line_of(error, text)}",
                 expected="TOML 1.0",
-                fix="Correct that line: text in quotes, lists in brackets, one key per line.",
+                fix=_mend(error, text),
             )
         ) from error
+
+
+def _line_of(error: Exception, text: str) -> str:
+    """Return the line that an error of `tomllib` names, as it stands there; "" where it names none."""
+    place = re.search(r"at line (\d+)", str(error))
+    lines = text.split("\n")
+    if place is None or not 0 < int(place[1]) <= len(lines):
+        return ""
+    return f": {lines[int(place[1]) - 1].strip()[:80]}"
+
+
+def _mend(error: Exception, text: str) -> str:
+    """Return what to do about a text that is no TOML.
+
+    >>> _mend(ValueError("Invalid value (at line 1, column 9)"), "title = “A panel”")
+    'Correct that line: only straight quotes, " at either end, enclose a text.'
+    """
+    if re.search("twice|overwrite", str(error)):
+        return "Give each camera, setup and object a name of its own and each key once: rename or remove one of the two."
+    if re.search("[“”„«»‘’‚]", _line_of(error, text)) and "Invalid value" in str(error):
+        return 'Correct that line: only straight quotes, " at either end, enclose a text.'
+    if "Unescaped" in str(error):
+        return "Write the folders of a path with /, or put the text between single quotes."
+    return "Correct that line: text in quotes, lists in brackets, one key per line."
 
 
 def to_toml(record: Mapping[str, Any]) -> str:
