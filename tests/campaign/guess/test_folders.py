@@ -197,7 +197,7 @@ def test_previews_copies_and_leftovers_are_left_out_and_named(tmp_path):
         "icon_550nm_old.tif: by its name a copy",
         "icon_550nm - Copy.tif: by its name a copy",
         "test.tif: its name has no wavelength",
-        "overview of the studio by a camera that shares no object with",
+        "overview of the studio.jpg: the object is overview of the studio by its name, and icon by that",
         "broken.tif",
     ):
         assert reason in left_out, reason
@@ -232,13 +232,24 @@ def test_numbered_captures_are_known_by_what_they_show(tmp_path):
     assert np.mean(np.asarray(flags) & int(Flag.SATURATED) > 0) < 0.01
 
 
+def test_an_optical_picture_is_the_reference_of_an_infrared(tmp_path):
+    rng = np.random.default_rng(4)
+    for name in ("house_optical", "house_infrared"):
+        write(tmp_path / f"{name}.png", rng.random((90, 120)), bits=8)
+    proposal = look(tmp_path)
+    assert proposal.to_dict()["campaign"]["reference"]["camera"] == "optical"
+    assert proposal.objects == ("house",) and not proposal.left_out
+
+
 def test_folders_of_several_campaigns_are_told_apart(tmp_path):
     bands(tmp_path / "monday", ("dark", "white", "icon"))
     for name in ("saint", "feast"):
         write(tmp_path / f"archive/{name}.jpg", np.zeros((90, 120, 3)) + 0.5, bits=8)
     proposal = look(tmp_path)
     assert len(proposal.to_dict()["cameras"]) == 1
-    assert any("run `levkas look` on their folder alone" in line for line in proposal.left_out)
+    assert any(
+        "run `levkas look` on the folder of these alone" in line for line in proposal.left_out
+    )
 
 
 def test_darks_and_whites_alone_are_refused(tmp_path):

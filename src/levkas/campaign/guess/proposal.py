@@ -45,7 +45,7 @@ COLUMN = 53
 GREEN_NM = 550.0
 """Eyes and lenses are at their best here; the reference band of the paper."""
 VISIBLE_NM, NEAR_NM = (400.0, 720.0), 30.0
-PHOTOGRAPHS = r"(.*[-_ ])?(photo|photograph|foto|vis|visible|rgb|color|colour)([-_ ].*)?"
+PHOTOGRAPHS = r"(.*[-_ ])?(photo|photograph|foto|vis|visible|optical|rgb|color|colour)([-_ ].*)?"
 """Names of cameras that took the picture as one sees it."""
 """Fitness of kinds as the reference: a sharp frame a band, then a sharp mosaic."""
 MOST_LISTED = 6
@@ -297,20 +297,30 @@ def _without_unrelated(
 ) -> tuple[list[CameraGuess], list[str]]:
     """Leave out cameras that saw no object of the reference camera: nothing of them can be registered."""
     known, kept, left_out = _shown(reference), [], []
+    theirs = sorted(known, key=natural)
     for camera in cameras:
         own = sorted(_shown(camera), key=natural)
         charts_alone = "object" not in {*reference.targets.values(), *camera.targets.values()}
         if charts_alone or not known.isdisjoint(own):
             kept.append(camera)
             continue
-        shown = ", ".join(own[:MOST_LISTED]) + ", …" * (len(own) > MOST_LISTED)
-        files = camera.keys["files"].value
-        where = files if isinstance(files, str) else files[0]
         left_out.append(
-            f"{where}: {shown} by a camera that shares no object with {reference.name}; give "
-            "frames of one object the same name, or run `levkas look` on their folder alone"
+            f"{_files_of(camera, own)}: the object is {_listed(own)} by its name, and {_listed(theirs)} by that of the "
+            f"reference, {_files_of(reference, theirs)}. Give an object one name in the files of all cameras "
+            "(saint_photo.tif, saint_infrared.tif, or photo/saint.tif), or run `levkas look` on the folder of these alone"
         )
     return kept, left_out
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:MOST_LISTED]) + ", …" * (len(names) > MOST_LISTED)
+
+
+def _files_of(camera: CameraGuess, targets: Sequence[str]) -> str:
+    """Return the first pattern of a camera; where it has but one target, with its name."""
+    files = camera.keys["files"].value
+    pattern = files if isinstance(files, str) else files[0]
+    return pattern.replace("{target}", targets[0]) if len(targets) == 1 else pattern
 
 
 def _band(camera: CameraGuess) -> str:

@@ -30,7 +30,7 @@ WHITE = _words(
 )
 """Not the bare colours of languages in which paintings bear them (Madonna nera, Bianca): pixels show those."""
 IMAGES = _words("""
-    photo photograph foto infrared ultraviolet vis visible rgb color colour uv uvf uvl uvr ir irr irrgb irfc nir swir xray xr
+    photo photograph foto infrared ultraviolet vis visible optical rgb color colour uv uvf uvl uvr ir irr irrgb irfc nir swir xray xr
     xrr radiograph radiography raking transmitted reflected fluorescence thermal reflectogram
 """)
 """Kinds of technical photographs: in a name they stand for the camera, not the object."""
