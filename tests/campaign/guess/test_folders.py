@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from scipy.ndimage import gaussian_filter
 
 from levkas.building import build
 from levkas.campaign.guess import LookRefused, look, write_campaign
@@ -235,7 +236,8 @@ def test_numbered_captures_are_known_by_what_they_show(tmp_path):
 def test_an_optical_picture_is_the_reference_of_an_infrared(tmp_path):
     rng = np.random.default_rng(4)
     for name in ("house_optical", "house_infrared"):
-        write(tmp_path / f"{name}.png", rng.random((90, 120)), bits=8)
+        texture = gaussian_filter(rng.random((90, 120)), 2) * 6 - 2.5
+        write(tmp_path / f"{name}.png", np.clip(texture, 0.1, 0.9), bits=8)
     proposal = look(tmp_path)
     assert proposal.to_dict()["campaign"]["reference"]["camera"] == "optical"
     assert proposal.objects == ("house",) and not proposal.left_out
