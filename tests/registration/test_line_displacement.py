@@ -445,7 +445,7 @@ def test_a_map_follows_a_wobbling_scan_and_its_reason_names_size_and_period(wobb
     assert 0.4 < np.sqrt(np.mean((errors / sigma[:, None]) ** 2)) < 1.4
     assert wobbling.verdict.decision == "accept"
     assert "every 40 lines, along the lines" in wobbling.verdict.reasons[1]
-    assert "The map follows every line" in wobbling.verdict.reasons[1]
+    assert "The registration follows every line" in wobbling.verdict.reasons[1]
     numbers = wobbling.verdict.numbers["sensor"]["verification"]["line_correction"]
     assert numbers["before"]["size_px"] == pytest.approx(1.0, rel=0.1)
     drawn = wobbling.basis["sensors"][0]["lines"]
@@ -479,7 +479,7 @@ def test_rows_and_columns_that_are_displaced_both_are_named_and_one_of_them_is_f
     found = register(front, (shown + noise).astype(np.float32))
     assert found.verdict.decision == "warn"
     said = " ".join(found.verdict.reasons)
-    assert "±1.00 px every 40 lines" in said and "The map follows every line" in said
+    assert "±1.00 px every 40 lines" in said and "The registration follows every line" in said
     assert "every 29.9 columns" in said and "The map does not follow that" in said
 
 

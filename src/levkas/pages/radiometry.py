@@ -191,7 +191,11 @@ def _notes_of_focus(focus: Sequence[Mapping[str, Any]]) -> list[str]:
         return []
     best = min(f["blur_px"] for f in known)
     soft = [f["band"] for f in known if f["blur_px"] > max(SOFT * best, best + 0.5)]
-    return [f"Softer than the sharpest band: {_few(soft)}."] if soft else []
+    if not soft:
+        return []
+    return [
+        f"Softer than the sharpest band: {_few(soft)}. Focus there anew at the next capture, and compare its spectra away from edges."
+    ]
 
 
 def _few(names: Sequence[str]) -> str:

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from levkas.pages.page import LayerReport
     from levkas.pages.radiometry import RadiometryRow
 
+LEAST_SHIFT = 0.005
+"""Shift of a band, px, that is worth a word."""
 GLARE = 0.01
 """Share of the object's pixels above which glare is to be minded."""
 
@@ -57,6 +59,7 @@ def summarise_layers(
 
 
 def _overlay(layers: Sequence[LayerReport], mm_per_px: float | None) -> Iterator[tuple[str, str]]:
+    yield from _own_bands(layers, mm_per_px)
     laid = [one for one in layers if one.decision in ("accept", "warn", "by hand")]
     reference = next((one.name for one in layers if one.decision == "reference"), "the reference")
     known = [one for one in laid if one.error_px is not None]
@@ -86,6 +89,20 @@ def _overlay(layers: Sequence[LayerReport], mm_per_px: float | None) -> Iterator
             yield mark, f"{one.name} was {one.by_hand}."
         elif one.decision == "warn":
             yield "warn", f"{one.name}: {one.reasons[0] if one.reasons else 'please check it.'}"
+
+
+def _own_bands(layers: Sequence[LayerReport], mm_per_px: float | None) -> Iterator[tuple[str, str]]:
+    """What there is to say of a reference camera that is alone, or whose sensors are registered to one another."""
+    for one in layers:
+        if one.decision == "reference" and one.error_px is not None:
+            text = f"The sensors of {one.name} are registered to one another: held-out error {describe_length(one.error_px, mm_per_px)}"
+            text += f", checked over {percent(one.checked)} of the layer" if one.checked else ""
+            yield "ok", f"{text}."
+        elif one.decision == "reference" and len(layers) == 1:
+            apart = max((float(row[1]) for row in one.rows), default=0.0)
+            bands = f" Its bands, up to {apart:.2f} px apart at the centre, are registered to one another."
+            bands = bands if apart >= LEAST_SHIFT else ""
+            yield "ok", f"{one.name} is the only camera: nothing else is registered to it.{bands}"
 
 
 def _glare(rows: Sequence[RadiometryRow]) -> Iterator[tuple[str, str]]:

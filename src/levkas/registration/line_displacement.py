@@ -320,7 +320,7 @@ def describe_correction(numbers: Mapping[str, Any]) -> tuple[str, str]:
     """Return what `LineCorrection.to_dict` says of lines that a map follows, and what to do where neighbours lie apart, in words."""
     head, _, repair = _name_lines(numbers["before"])
     line = "line" if numbers["before"]["lines"] == "rows" else "column"
-    text = f"{head}. The map follows every {line}, to {numbers['error_px']:.2f} px"
+    text = f"{head}. The registration follows every {line}, to {numbers['error_px']:.2f} px"
     if numbers["uneven_px"] > numbers["error_px"]:
         text += f"; a place between two of them shows both, {numbers['uneven_px']:.2f} px (root mean square) to either side"
     return f"{text}.", repair
@@ -336,7 +336,11 @@ def _name_lines(numbers: Mapping[str, Any]) -> tuple[str, str, str]:
     way = f", along the {lines}" if along > 2 * across else ""
     way = way or (f", across the {lines}" if across > 2 * along else "")
     rms = f"{numbers['rms_px']:.2f} px (root mean square)"
-    repair = f"Capture it again, or put its {lines} right before the build; as it is, do not use detail finer than the displacement."
+    fine = f"As it is, compare no detail that is finer than {max(numbers['rms_px'], 0.1):.1f} px."
+    repair = (
+        "A scan that moved unevenly does this, and a program that bent or turned the picture by whole pixels: use the file "
+        f"as the camera wrote it, or capture it again. {fine}"
+    )
     place, last, beside = numbers["place"], numbers.get("last"), numbers.get("beside")
     ends = f" at the ends of the {lines}" if numbers.get("slope") else ""
     if numbers["course"] == "comb" and not beside and last is None:
@@ -350,7 +354,7 @@ def _name_lines(numbers: Mapping[str, Any]) -> tuple[str, str, str]:
             f"At {line} {place} {whose} is displaced by {size:.2f} px at once{ends}{way}, as where {lines} were "
             "lost or repeated",
             f": the map is off near it, by {rms} over all.",
-            f"Look for lost or repeated {lines} there. {repair}",
+            f"Look for lost or repeated {lines} there, or capture it again. {fine}",
         )
     some = f"{lines.capitalize()} {place} to {last}" if last is not None else f"The {lines}"
     others = "one another" if last is None else "the others"
@@ -360,7 +364,7 @@ def _name_lines(numbers: Mapping[str, Any]) -> tuple[str, str, str]:
         text += f", and {_describe_course(beside, line, lines)}"
     return (
         f"{some} of {whose} {verb} against {others}, {text}{way}: {rms}, {numbers['largest_px']:.2f} px at most",
-        ". The map does not follow that, and check windows average over it.",
+        f". The registration is right in the mean over 40 px, and a single {line} lies off by so much.",
         repair,
     )
 

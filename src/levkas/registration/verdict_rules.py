@@ -158,7 +158,7 @@ SETTINGS = VerdictSettings()
 LEAST_TERMS = 3
 """Coefficients of a polynomial of order 1, the lowest that is fitted."""
 TRY_LEVKAS = "try the method `levkas`"
-FINELY = f"{LOOK} Do not use detail finer than that displacement."
+FINELY = f"{LOOK} Compare no detail that is finer than this displacement."
 #: Name among the numbers of a sensor without one.
 ONLY = "sensor"
 
@@ -553,8 +553,8 @@ def agrees_within_windows(n: Numbers) -> Objection | None:
             every = zip("xy", fine["period_px"], strict=True)
             way = ", every " + " and ".join(f"{v:.0f} px in {axis}" for axis, v in every if v)
         reasons = [
-            f"Parts smaller than a check window are displaced against one another, by {fine['rms_px']:.2f} px (root mean square) "
-            f"or more{way}: the map does not follow that, and check windows average over it."
+            f"Parts smaller than a check window (40 px) lie to and fro beside where the registration puts them, by "
+            f"{fine['rms_px']:.2f} px (root mean square) or more{way}: it is right in the mean over a window, not for each of them."
         ]
     if fine["box"] and size >= SETTINGS.patch_px * step:
         side = float(np.sqrt(fine["box"][2] * fine["box"][3]))

@@ -104,6 +104,19 @@ def test_of_one_sound_object_nothing_has_to_be_done():
     ]
 
 
+def test_of_a_camera_alone_what_was_registered_is_said():
+    alone = replace(REFERENCE, error_px=None, rows=[["450 nm", "0.420", "+0.420", "+0.000"]])
+    assert summarise_layers([alone], [], None) == [
+        ("ok", "vis is the only camera: nothing else is registered to it. Its bands, up to 0.42 px apart at the "
+         "centre, are registered to one another."),
+        ("next", "No action is needed."),
+    ]  # fmt: skip
+    lenses = replace(REFERENCE, error_px=0.07, checked=0.91)
+    assert summarise_layers([lenses], [], 0.5)[0] == (
+        "ok", "The sensors of vis are registered to one another: held-out error 0.070 px = 0.035 mm, checked over 91 % of the layer.",
+    )  # fmt: skip
+
+
 # --- in the browser -------------------------------------------------------------------------------
 
 
