@@ -122,6 +122,23 @@ def test_noise_of_a_product_below_zero_is_not_clipped(tmp_path):
     assert (cube.values < 0).any() and not cube.flags.any()
 
 
+@pytest.mark.parametrize(("kind", "level"), [("f4", 0.0), ("i2", 0.0), ("f4", 60.0)])
+def test_noise_of_raw_frames_below_zero_is_not_clipped(tmp_path, kind, level):
+    rng, paint = np.random.default_rng(4), TRUTH.copy()
+    paint[:40] = 0.0  # black: half of what a camera without offset shows of it is below zero
+    lights = ("dark", 0 * TRUTH[:60]), ("white", 1 + 0 * TRUTH[:60]), ("panel", paint)
+    for name, light in lights:
+        counts = level + 3000 * light + rng.normal(0, np.sqrt(25 + 0.1 * 3000 * light))
+        write(tmp_path / "c", name, np.rint(counts), kind)
+    native = developed(campaign(tmp_path / "c", dark='"dark"', white='"white"'))
+    cube = native.cubes[""]
+    off = (cube.values - paint)[:40] / cube.sigma[:40]
+    assert not cube.flags[:40].any()
+    # 25,000 values; dark and white of 60 lines each are common to a sample's.
+    assert np.std(off) == pytest.approx(1, rel=0.03) and abs(np.mean(off)) < 0.03
+    assert not any("clipped" in warning for warning in native.warnings)
+
+
 def test_the_factor_is_not_used_beside_a_white_and_this_is_said(tmp_path):
     rng = np.random.default_rng(3)
     extra = "reflectance scale factor = 4095"

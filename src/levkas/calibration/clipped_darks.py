@@ -8,7 +8,7 @@ offset being integrated out. Its own level is then the mean of what its shots le
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,6 +63,18 @@ def is_clipped(frame: np.ndarray) -> bool:
         return False
     median, high = np.quantile(frame, (0.5, 0.841))
     return bool(median <= FAR * (high - median))
+
+
+def black_clip_of(frames: Iterable[np.ndarray]) -> float | None:
+    """Return the code at which frames are clipped at black: 0, or None where their noise goes below it.
+
+    One code alone below zero is a mark for what is not there.
+
+    >>> black_clip_of([np.array([0, 3, -9999])]), black_clip_of([np.array([-0.3, 0.1, -0.2])])
+    (0.0, None)
+    """
+    below = [frame[frame < 0] for frame in frames if frame.dtype.kind != "u"]
+    return None if any(len(np.unique(some)) > 1 for some in below) else 0.0
 
 
 def fit_clipped_dark(frames: Sequence[np.ndarray], *, step: float = 1.0) -> DarkLevel:

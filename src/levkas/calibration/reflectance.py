@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.calibration.clipped_darks import black_clip_of
 from levkas.calibration.differing_shots import require_agreement
 from levkas.calibration.drift import average_steady
 from levkas.calibration.patterns import as_pattern
@@ -181,6 +182,7 @@ def _template(
             level,
             period=(len(rows), len(rows[0])),
             saturation=saturation,
+            black_clip=black_clip_of(shots),
             exposure_s=exposure_s,
             white=name == "white",
         )

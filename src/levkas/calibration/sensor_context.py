@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from levkas.calibration.agreement import Aligned, check_alike, facts_of
-from levkas.calibration.clipped_darks import MANY_ZEROS, is_clipped, unclip
+from levkas.calibration.clipped_darks import MANY_ZEROS, black_clip_of, is_clipped, unclip
 from levkas.calibration.code_checks import FEW_CODES, check_codes, thin_rows
 from levkas.calibration.code_spacing import find_alignment, find_step
 from levkas.calibration.darks import dark_under, level_under
@@ -187,10 +187,14 @@ class SensorContext:
         """Return the value of reflectance 1.0 in every band of a frame of the object; None of counts."""
         return facts_of(frame).reflectance_scale if self.holds_reflectance else None
 
-    @property
+    @cached_property
     def black_clip(self) -> float | None:
-        """Code at which a value is clipped at black; None of reflectance, whose noise goes below 0."""
-        return None if self.holds_reflectance else 0.0
+        """Code at which a value is clipped at black; None of reflectance, and of frames whose noise goes below 0: of their darks, else of the object."""
+        if self.holds_reflectance:
+            return None
+        if np.dtype(self.facts.dtype).kind == "u":
+            return 0.0
+        return black_clip_of(self.glimpses("dark") or self.glimpses("object"))
 
     @cached_property
     def step(self) -> float:
@@ -320,6 +324,7 @@ class SensorContext:
                 bits=self.camera.bits,
                 overrule=self.camera.overrule,
                 level=level,
+                black_clip=self.black_clip,
                 **({"dark": (self.step, self.period)} if dark else {}),
             )
         if frames[0] in self.sensor.white:

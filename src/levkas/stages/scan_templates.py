@@ -167,7 +167,9 @@ class FrameLines:
     def lines(self, start: int, stop: int) -> Template:
         """Average lines `start` to `stop` of all shots, what is no number marked as lost."""
         shots = (self.context.checked(file.read(start, stop), file.frame) for file in self.files)
-        return timed(gaps_marked(average(shots, saturation=self.context.saturation)), self.times)
+        clip = self.context.black_clip
+        mean = average(shots, saturation=self.context.saturation, black_clip=clip)
+        return timed(gaps_marked(mean), self.times)
 
     def thinned(self, step: int, darks: Sequence[Template] = ()) -> Template:
         """Average every `step`-th sample of every `step`-th line, gaps closed; `darks` are thinned like it."""
@@ -179,6 +181,7 @@ class FrameLines:
             ),
             level,
             saturation=self.context.saturation,
+            black_clip=self.context.black_clip,
             times_s=capture_times(self.frames),
             white=self.frames[0] in self.context.sensor.white,
         )
@@ -282,7 +285,13 @@ def average_lines(
 
     level = context.level_under(frames, darks)
     white = frames[0] in context.sensor.white
-    template = average_steady(lines, level, saturation=context.saturation, white=white)
+    template = average_steady(
+        lines,
+        level,
+        saturation=context.saturation,
+        black_clip=context.black_clip,
+        white=white,
+    )
     if white and template.shots is not None and (lost := template.shots.left_out):
         count = sum(file.shape[0] for file in files)
         name = f"{len(lost)} of {count} lines of {frames[0].path.name}"
@@ -354,7 +363,7 @@ def _of_one_line(dark: FrameLines, step: int) -> Template | FrameLines:
     context, file = dark.context, dark.files[0]
     starts = spread(range(0, file.shape[0]), MOST_LINES)
     lines = (context.checked(file.read(y, y + 1), file.frame) for y in starts)
-    line = average(lines, saturation=context.saturation)
+    line = average(lines, saturation=context.saturation, black_clip=context.black_clip)
     template = context.unclipped(context.whole(line, dark.frames), _pairs(file.frame))
     template = timed(template, dark.times)
     context.note_dark(template)
@@ -454,9 +463,10 @@ def _triples(context: SensorContext, frame: FrameRef) -> Template | None:
     mean = codes.mean(1)
     rest = codes[:, 0] - 2 * codes[:, 1] + codes[:, 2]
     full = np.inf if context.saturation is None else context.saturation
+    least = -np.inf if context.black_clip is None else context.black_clip
     with np.errstate(invalid="ignore"):
         spread = np.square(rest) / 6  # 1 + 4 + 1 variances of one shot
-        saturated, black = np.any(codes >= full, axis=1), np.any(codes <= 0, axis=1)
+        saturated, black = np.any(codes >= full, axis=1), np.any(codes <= least, axis=1)
     template = Template(mean.astype(np.float32), spread.astype(np.float32), 2, saturated, black)
     return context.whole(template, [frame])
 
