@@ -225,6 +225,12 @@ def test_an_export_is_the_same_at_any_time_and_leaves_the_database_alone(databas
     assert hash_tree(database) == before
 
 
+def test_an_export_ends_with_the_folder_that_it_wrote_to(database, tmp_path):
+    words = ["export", str(database), "--for", "envi", "--camera", "rgb", "-o", str(tmp_path)]
+    last = CliRunner().invoke(app, words).stdout.splitlines()[-1]
+    assert last.endswith(f" for envi: {tmp_path}") and "1 layers" not in last
+
+
 def test_only_what_was_asked_for_is_written(database, tmp_path):
     result = CliRunner().invoke(
         app,

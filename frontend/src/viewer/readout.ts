@@ -11,6 +11,8 @@ import type { Layer, PageRecord } from "./record";
 import type { LayerSpectra, Spectra } from "./spectra";
 import { COVERAGE } from "./uncertainty";
 
+const NO_CURVE =
+  "No curve: no band here has both a wavelength and a value. The values are listed below.";
 const CURVES = 8; // colours of the style sheet, --curve-1 and on
 
 interface Source {
@@ -129,7 +131,8 @@ export class Readout {
       range,
     });
     if (chart) this.range = [Number(chart.dataset["low"]), Number(chart.dataset["top"])];
-    this.drawing.replaceChildren(chart ?? make("div", { class: "chart blank" }));
+    const empty = pixel && curves.length ? NO_CURVE : "";
+    this.drawing.replaceChildren(chart ?? make("div", { class: "chart blank" }, empty));
     this.key.replaceChildren(...readings.map((reading) => this.keyOf(reading)));
     this.table.replaceChildren(...numbersTable(readings, this.record.flags));
     this.note.textContent = explainU(readings);

@@ -127,6 +127,9 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Write layers in the format of another program, with unchanged values."""
+    from os.path import commonpath
+
+    from levkas.core.text import counted
     from levkas.publish.export import run
 
     chosen = {"objects": objects or (), "cameras": cameras or ()}
@@ -135,4 +138,6 @@ def export(
     files = [str(path) for step in steps for path in step.files]
     print_report("export", as_json, True, [], files=files)
     if not as_json:
-        typer.echo(f"{len(files)} files of {steps[-1].total if steps else 0} layers for {form}")
+        done = counted(len(files), "file"), counted(steps[-1].total if steps else 0, "layer")
+        where = f": {commonpath([Path(name).parent for name in files])}" if files else ""
+        typer.echo(f"{done[0]} of {done[1]} for {form}{where}")

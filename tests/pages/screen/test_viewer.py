@@ -170,6 +170,10 @@ def test_flags_are_told_in_words_and_unseen_pixels_have_no_numbers(browser, addr
     assert "outside" in page.locator('.numbers tbody[data-layer="vis"] tr').nth(1).inner_text()
     value = page.locator('.numbers tbody[data-layer="vis"] td[data-value]').first
     assert value.get_attribute("data-value") == "nan"
+    for curve in page.locator("button.curve").all():
+        if curve.inner_text() != "vis":
+            curve.click()
+    assert "The values are listed below" in page.locator(".spectrum-part .chart").inner_text()
 
 
 def test_a_veiled_pixel_is_told_coloured_and_not_trusted(browser, address):
