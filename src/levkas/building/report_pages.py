@@ -56,6 +56,7 @@ from levkas.quality.image_quality.light import choose_places
 from levkas.readers.frames import files_of
 from levkas.registration.advice import percent
 from levkas.registration.marks import describe_want_of_marks
+from levkas.registration.shares import LEAST_OUTSIDE
 from levkas.stages.budget import budget_of
 from levkas.stages.sources import LIBRARIES, LIBRARIES_OF_PAGES, library_version
 from levkas.stages.spectra import weights_of_bands
@@ -270,7 +271,7 @@ def _layer(
     if not shares_light(record, [band.wavelength for band in capture.bands]):
         ssim, ssim_map = None, ""
     error, checked = _error(record)
-    scale, area = mm_per_px(record), unchecked_mm2(record)
+    scale = mm_per_px(record)
     drawn = [Figure(svg, caption) for svg, caption in registered.get("figures", [])]
     removal = record.get("trace", {}).get("kind") == "removal"
     quantity = str(calibrated.get("quantity", ""))
@@ -291,7 +292,7 @@ def _layer(
         by_hand=describe_pairs(record),
         unchecked=unchecked_share(record),
         outside=outside_share(record),
-        unchecked_area="" if area is None else f"{area:,.0f} mm²",
+        unchecked_area=_area_within(record),
         error=_describe_error(error, checked, scale),
         error_px=error,
         checked=checked,
@@ -321,6 +322,24 @@ def _describe_budget(
     noise = {r["band"]: float(r["noise"]) for r in ranges}
     levels = {r["band"]: float(r["snr"] * r["noise"]) for r in ranges}
     return describe_budget(sources, capture.bands, levels, noise)
+
+
+def _area_within(record: Mapping[str, Any]) -> str:
+    """Return the area that was not checked, of it what lies in the object's outline; "" where that or the sampling is unknown.
+
+    Of 100 x 100 px at 2 px per mm, 2,500 mm², 15 % are 375 mm², of which all but a fifteenth lie outside.
+
+    >>> from levkas.geometry.transforms import Affine
+    >>> grid = {"size": [100, 100], "px_per_mm": 2.0, "transform": Affine.identity().to_dict()}
+    >>> _area_within({"grid": grid, "verdict": {"unchecked": 0.15, "outside": 0.14}})
+    '25 mm² of the object'
+    """
+    area, unchecked, outside = unchecked_mm2(record), unchecked_share(record), outside_share(record)
+    if area is None or not unchecked:
+        return ""
+    if outside < LEAST_OUTSIDE:
+        return f"{area:,.0f} mm²"
+    return f"{area * max(0.0, 1 - outside / unchecked):,.0f} mm² of the object"
 
 
 def _error(record: dict[str, Any]) -> tuple[float | None, float | None]:
