@@ -117,6 +117,11 @@ def test_of_a_camera_alone_what_was_registered_is_said():
     )  # fmt: skip
 
 
+def test_an_object_of_which_all_was_refused_has_no_empty_table(tmp_path):
+    text = written(tmp_path, [], []).read_text()
+    assert "evidence" not in text.split("<script>")[0] and "In short" in text
+
+
 # --- in the browser -------------------------------------------------------------------------------
 
 
