@@ -103,11 +103,11 @@ def _in_short(
     common = float(np.sqrt(sum(v[middle] ** 2 for n, v in shared.items() if n != "noise")))
     one = COVERAGE * float(np.hypot(common, mean.random[middle]))
     many = (
-        f"{_plain(COVERAGE * common)} for the mean of many"
+        f"{describe_number(COVERAGE * common)} for the mean of many"
         if common
         else "that of a mean of many is not known"
     )
-    short = f"In {labels[middle]}, of a value of {_plain(mean.values[middle])}: U = {_plain(one)} for one pixel, {many} (k = {COVERAGE:g})"
+    short = f"In {labels[middle]}, of a value of {describe_number(mean.values[middle])}: U = {describe_number(one)} for one pixel, {many} (k = {COVERAGE:g})"
     return short + (f". Not contained, as not known: {', '.join(unknown)}." if unknown else ".")
 
 
@@ -128,10 +128,10 @@ def _with_parts(
     return {n: v for n, v in shared.items() if n != "noise"} | parts
 
 
-def _plain(number: float) -> str:
+def describe_number(number: float) -> str:
     """Return a number with two digits, of counts all before the point.
 
-    >>> _plain(0.01234), _plain(1234.5)
+    >>> describe_number(0.01234), describe_number(1234.5)
     ('0.012', '1234')
     """
     return f"{number:.0f}" if abs(number) >= 100 else f"{number:.2g}"
@@ -140,12 +140,12 @@ def _plain(number: float) -> str:
 def _row(row: ErrorSource, mean: MeanSpectrum, shared: Mapping[str, np.ndarray]) -> BudgetRow:
     sizes = list(row.size.values())
     scale = 100.0 if row.unit == "relative" else 1.0
-    least, most = (_plain(scale * value) for value in (min(sizes), max(sizes)))
+    least, most = (describe_number(scale * value) for value in (min(sizes), max(sizes)))
     size = (least if least == most else f"{least} to {most}") + UNITS[row.unit]
     share = "in sigma"
     if row.common_to != "pixel":
         found = shared.get(row.name)
-        share = "–" if found is None else _plain(found[len(found) // 2])
+        share = "–" if found is None else describe_number(found[len(found) // 2])
     common = EXTENTS[row.common_to] + (", all bands" if row.all_bands else ", each band")
     return BudgetRow(row.name, size, share, common, row.basis, row.advice)
 

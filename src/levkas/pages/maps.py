@@ -18,6 +18,7 @@ from levkas.database.pixel_frames import predict_error
 from levkas.database.registrations import object_outline
 from levkas.database.tiff_pages import open_pages
 from levkas.geometry import from_dict
+from levkas.pages.budget import describe_number
 from levkas.pages.page import embed_png
 
 if TYPE_CHECKING:
@@ -123,7 +124,9 @@ def sigma_map(path: Path) -> tuple[np.ndarray, Legend]:
             mean[rows] = total / count
     finite = mean[np.isfinite(mean)]
     low, high = np.percentile(finite, PERCENTILES) if finite.size else (0.0, 1.0)
-    return colour_scale(mean, low, high), Legend(least=f"{low:.2g}", most=f"{high:.2g}")
+    return colour_scale(mean, low, high), Legend(
+        least=describe_number(low), most=describe_number(high)
+    )
 
 
 def registration_map(
@@ -225,7 +228,8 @@ def draw_maps(
         levels = _levels(sigma["png"])
         picture = colour_scale(np.where(levels, levels, np.nan), 1, 255)
         legend = Legend(
-            least=f"{sigma['least']:.2g}", most=f"{sigma['most']:.2g} {quantity}".strip()
+            least=describe_number(sigma["least"]),
+            most=f"{describe_number(sigma['most'])} {quantity}".strip(),
         )
         maps.append(_small("Sigma", picture, legend))
     if (flags := tiff.with_name(f"{tiff.stem}.flags.tif")).is_file():

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+from levkas.pages.budget import describe_number
 from levkas.pages.page import Figure
 from levkas.pages.plots import Line, colour_of, light_map, plot
 
@@ -86,10 +87,15 @@ def _glare_share(glare: Mapping[str, int], quantity: str) -> float | None:
 
 
 def _noise(ranges: Sequence[Mapping[str, Any]], quantity: str) -> str:
+    """Return the median noise of the bands.
+
+    >>> _noise([{"noise": 617.3}], "counts"), _noise([{"noise": 0.00213}], "reflectance")
+    ('617 counts', '0.0021')
+    """
     middle = _noise_median(ranges)
     if middle is None:
         return "–"
-    return f"{middle:.2g}" + ("" if quantity == "reflectance" else f" {quantity}")
+    return describe_number(middle) + ("" if quantity == "reflectance" else f" {quantity}")
 
 
 def _snr(ranges: Sequence[Mapping[str, Any]]) -> str:
