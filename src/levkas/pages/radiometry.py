@@ -102,7 +102,7 @@ def _snr(ranges: Sequence[Mapping[str, Any]]) -> str:
     """Report the middle of the bands and the least; values below black have no decibels.
 
     >>> _snr([{"snr": 100.0}, {"snr": None}]), _snr([{"snr": -2.0}])
-    ('100 (20.0 dB), least 100', '-2, least -2')
+    ('100 (20.0 dB, 10·log10), least 100', '-2, least -2')
     """
     import math
 
@@ -110,7 +110,7 @@ def _snr(ranges: Sequence[Mapping[str, Any]]) -> str:
     if not known:
         return "–"
     middle, least = median(known), min(known)
-    decibels = f" ({10 * math.log10(middle):.1f} dB)" if middle > 0 else ""
+    decibels = f" ({10 * math.log10(middle):.1f} dB, 10·log10)" if middle > 0 else ""
     return f"{middle:.0f}{decibels}, least {least:.0f}"
 
 

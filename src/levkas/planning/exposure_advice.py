@@ -567,5 +567,5 @@ def _channel_line(found: BandAdvice, advice: Advice) -> str:
     return (
         f"  {reading.channel or 'all':4} |{drawn}| mean {100 * reading.mean / reading.room:5.1f} %, "
         f"{reading.stops_left:5.2f} stops left, clipped {100 * reading.clipped:.2f} %, "
-        f"SNR {advice.snr_now:.0f} now, {then:.0f} then ({10 * log10(max(then, 1e-9)):.1f} dB)"
+        f"SNR {advice.snr_now:.0f} now, {then:.0f} then ({10 * log10(max(then, 1e-9)):.1f} dB, 10·log10)"
     )

@@ -222,7 +222,7 @@ def _notes(
     if ratio > 1.5:
         notes.append(
             f"{weakest.name} limits: it gets {ratio:.1f} times less light than the fullest channel, "
-            f"SNR {weakest.snr:.0f} ({weakest.snr_db:.1f} dB) on white."
+            f"SNR {weakest.snr:.0f} ({weakest.snr_db:.1f} dB, 10·log10) on white."
         )
     if weakest.snr < target.least_snr:
         notes.append(
