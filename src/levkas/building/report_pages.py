@@ -271,7 +271,7 @@ def _layer(
     if not shares_light(record, [band.wavelength for band in capture.bands]):
         ssim, ssim_map = None, ""
     error, checked = _error(record)
-    scale = mm_per_px(record)
+    scale, shifts = mm_per_px(record), _band_shifts(record)
     drawn = [Figure(svg, caption) for svg, caption in registered.get("figures", [])]
     removal = record.get("trace", {}).get("kind") == "removal"
     quantity = str(calibrated.get("quantity", ""))
@@ -309,7 +309,8 @@ def _layer(
         recorded=registered.get("recorded", ""),
         ssim_map=f"data:image/png;base64,{ssim_map}" if ssim_map else "",
         columns=("shift at the centre, px", "x", "y"),
-        rows=_band_rows(record),
+        rows=_band_rows(shifts),
+        apart_px=max((float(np.linalg.norm(apart)) for apart in shifts.values()), default=0.0),
         budget=_describe_budget(capture, budget, resampled) if shown else None,
     )
 
@@ -414,25 +415,28 @@ def _want_of_marks(errors: dict[str, Any]) -> str:
     return next(filter(None, wants), "")
 
 
-def _band_rows(record: dict[str, Any]) -> list[list[str]]:
-    """Where the middle of the reference lies in each band, against the camera's reference channel."""
+def _band_shifts(record: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Return where the middle of the reference lies in each band, against the camera's reference channel: x, y, px."""
     from levkas.geometry import from_dict
 
     bands = record.get("bands", {})
     channel = record.get("target", {}).get("band")
     if channel not in bands:
-        return []
+        return {}
     size = np.array(record["reference"]["size"], float)
     middle = (size[None] - 1) / 2
     base = from_dict(bands[channel]["transform"])
-    rows = []
-    for label, band in bands.items():
-        where = from_dict(band["transform"])(middle)
-        apart = base.inverse(where) - middle
-        rows.append(
-            [label, f"{np.linalg.norm(apart):.3f}", f"{apart[0, 0]:+.3f}", f"{apart[0, 1]:+.3f}"]
-        )
-    return rows
+    return {
+        label: (base.inverse(from_dict(band["transform"])(middle)) - middle)[0]
+        for label, band in bands.items()
+    }
+
+
+def _band_rows(shifts: Mapping[str, np.ndarray]) -> list[list[str]]:
+    return [
+        [label, f"{np.linalg.norm(apart):.3f}", f"{apart[0]:+.3f}", f"{apart[1]:+.3f}"]
+        for label, apart in shifts.items()
+    ]
 
 
 def _sampling(record: Mapping[str, Any] | None) -> str:

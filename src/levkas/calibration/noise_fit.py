@@ -401,9 +401,9 @@ def _groups(
     found = []
     for p in (part for part in parts if len(part) >= 20):
         # Of the same pixels: in a group of very unlike signal chance does not explain the brighter ones' spread.
-        kept = p[spread[p] <= _largest_spread(spread[p], freedom, step)]
-        variance = float(whole_variance(float(spread[kept].mean()), step))
-        found.append((float(signal[kept].mean()), variance, float(freedom * len(kept))))
+        still = p[spread[p] <= _largest_spread(spread[p], freedom, step)]
+        variance = float(whole_variance(float(spread[still].mean()), step))
+        found.append((float(signal[still].mean()), variance, float(freedom * len(still))))
     return found
 
 

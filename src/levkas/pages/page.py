@@ -79,6 +79,8 @@ class LayerReport:
     """Of a layer that was refused: its picture as it was recorded, as data address."""
     columns: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = ()
+    apart_px: float = 0.0
+    """How far the bands of the camera lie from its reference channel at the centre, at most."""
     budget: Any = None
 
     @property

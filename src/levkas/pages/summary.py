@@ -99,9 +99,8 @@ def _own_bands(layers: Sequence[LayerReport], mm_per_px: float | None) -> Iterat
             text += f", checked over {percent(one.checked)} of the layer" if one.checked else ""
             yield "ok", f"{text}."
         elif one.decision == "reference" and len(layers) == 1:
-            apart = max((float(row[1]) for row in one.rows), default=0.0)
-            bands = f" Its bands, up to {apart:.2f} px apart at the centre, are registered to one another."
-            bands = bands if apart >= LEAST_SHIFT else ""
+            bands = f" Its bands, up to {one.apart_px:.2f} px apart at the centre, are registered to one another."
+            bands = bands if one.apart_px >= LEAST_SHIFT else ""
             yield "ok", f"{one.name} is the only camera: nothing else is registered to it.{bands}"
 
 

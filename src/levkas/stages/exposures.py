@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.calibration.agreement import facts_of
 from levkas.calibration.darks import SAME_TIME, level_under
 from levkas.calibration.defects import find_defects
 from levkas.calibration.exposures import best_exposure, merge_exposures
@@ -27,7 +28,6 @@ from levkas.core.cube import Cube, Flag, is_flagged
 from levkas.core.problems import Problem
 from levkas.core.rounding import round_root, round_values
 from levkas.quality.image_quality.glare import mark_glare
-from levkas.readers.frames import read_facts
 from levkas.stages.capture_statistics import note_noise
 from levkas.stages.shot_notes import note_lamp_between, note_shots
 
@@ -281,8 +281,7 @@ def require_same_size(
                 expected=_size((lines, *shape[1:])),
                 fix="Capture dark and white in the same mode and with the same crop as the object.",
             ),
-            [f for f in frames if read_facts(f.path).shape[:2] == template.mean.shape[:2]]
-            or frames,
+            [f for f in frames if facts_of(f).shape[:2] == template.mean.shape[:2]] or frames,
         )
         for name, found, frames in (
             ("dark", darks, context.sensor.dark),

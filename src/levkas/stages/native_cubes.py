@@ -226,9 +226,7 @@ class Native:
         self, sensor: str, maps: Sequence[Transform], size: tuple[int, int], *, noisy: bool
     ) -> Cube:
         cube, shape, measured = self.cubes[sensor], size[::-1], self.measured.get(sensor, {})
-        variance = self._take_variance(sensor)
-        if not noisy:
-            variance = None
+        variance = self._take_variance(sensor) if noisy else None
         if variance is not None:
             if sensor in self.mosaics:
                 variance *= shared_noise(self.mosaics[sensor], maps, shape)

@@ -105,7 +105,7 @@ def test_of_one_sound_object_nothing_has_to_be_done():
 
 
 def test_of_a_camera_alone_what_was_registered_is_said():
-    alone = replace(REFERENCE, error_px=None, rows=[["450 nm", "0.420", "+0.420", "+0.000"]])
+    alone = replace(REFERENCE, error_px=None, apart_px=0.42)
     assert summarise_layers([alone], [], None) == [
         ("ok", "vis is the only camera: nothing else is registered to it. Its bands, up to 0.42 px apart at the "
          "centre, are registered to one another."),

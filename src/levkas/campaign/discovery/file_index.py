@@ -294,14 +294,9 @@ def nearest(
         if last or not there:
             break
         here = there
-    names = [
-        n
-        for f in here
-        for n in (*folders.folders(f), *folders.files(f))
-        if not folders.is_closed(
-            f / n
-        )  # the database, which the next build would find and this one not
-    ][:MOST_COMPARED]
+    entries = [f / n for f in here for n in (*folders.folders(f), *folders.files(f))]
+    # Not the database, which the next build would find and this one not.
+    names = [entry.name for entry in entries if not folders.is_closed(entry)][:MOST_COMPARED]
     wanted = re.sub(r"\{[a-z]+\}|\*", lambda m: TYPICAL.get(m.group(), ""), segment).lower()
     ranked = sorted(
         dict.fromkeys(names),
