@@ -90,6 +90,11 @@ def partial_files(folder):
     return [p for p in folder.rglob("*") if PARTIAL.fullmatch(p.name)]
 
 
+def _waits_for_memory(where):
+    """Whether a line says so of an infrared capture, of one object or of both: which, is a matter of moments."""
+    return "/infrared" in where and where.endswith(("waits for memory", "more wait for memory"))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.exhaustive)])
 def test_the_bytes_are_those_of_one_process_in_any_order(
@@ -169,9 +174,8 @@ def test_the_line_names_what_waits_for_memory_while_a_worker_is_idle(plates, tmp
     with machines("1GB", "4GB") as there:
         address = there.scheduler_address
         steps = list(build(folder, output=tmp_path / "database", cluster=address))
-    names = ("one", "two")
-    reported = {f"2 workers, {name}/infrared waits for memory" for name in names}
-    assert reported & {s.where for s in steps}
+    reported = {s.where for s in steps}
+    assert any(one.startswith("2 workers, ") and _waits_for_memory(one) for one in reported)
     assert hash_tree(tmp_path / "database") == expected
 
 
@@ -339,7 +343,7 @@ def test_what_waits_for_a_worker_that_has_gone_is_refused_in_the_end_and_the_res
     assert all("1.0 GB" in p.found and "2.0 GB" in p.expected for p in problems.values())
     ended = {(s.key.layer, s.key.stage): s.state for s in steps if s.finished}
     assert ended["photo", "resample"] == "done"
-    assert any("/infrared waits for memory" in s.where for s in steps)
+    assert any(_waits_for_memory(s.where) for s in steps)
 
 
 @pytest.mark.slow
