@@ -101,7 +101,7 @@ $(READY): requirements.lock pyproject.toml hatch_build.py
 	if command -v uv >/dev/null 2>&1; then \
 		uv pip install --python $(BIN)/python --require-hashes -r requirements.lock; \
 	else \
-		$(BIN)/python -m pip install --disable-pip-version-check --require-hashes -r requirements.lock; \
+		$(BIN)/python -m pip install --disable-pip-version-check --no-compile --require-hashes -r requirements.lock; \
 	fi
 	$(BIN)/python -m pip install --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch $(READY)
