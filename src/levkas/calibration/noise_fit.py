@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.calibration.patterns import channel_table, split
-from levkas.calibration.shot_noise import Groups, find_flattening
+from levkas.calibration.shot_noise import DIM, Groups, find_flattening
 from levkas.calibration.templates import MANY_PIXELS, Template, gaps_of
 
 if TYPE_CHECKING:
@@ -35,6 +35,13 @@ MANY_BLACK = 0.02  # a dark with more zeros than this was clipped, and its sprea
 BLOCK = 8
 TENTH = 0.593  # lower tenth of chi-squared over its freedom: 64 differences count as 17 (Σρ² 3.78)
 SPREAD = 2.0  # highest over lowest signal that separates gain from read noise
+FEW_PIXELS = (
+    20_000  # of a band that is compared with others: its variance by two shots is known to 1 %
+)
+FULL = 0.2  # of the noise of a linear sensor: less has one that is full
+UNLIKE = (
+    1.3  # of the variance of other bands, or its inverse: another gain; an unsteady lamp makes less
+)
 
 
 @dataclass(frozen=True)
@@ -254,6 +261,87 @@ def fit_noise(
     return NoiseModel(gain, read, "temporal", step, lowest)
 
 
+def compare_noise(
+    noise: NoiseModel, stacks: Sequence[Template], levels: Sequence[np.ndarray | float]
+) -> float:
+    """Return the variance that stacks of one band have, over what the model of its sensor says; 1 where they do not tell.
+
+    Parameters
+    ----------
+    noise : NoiseModel
+        Of other bands of the sensor.
+    stacks : sequence of Template, (h, w)
+        Objects and whites of one band, above `levels`.
+    levels : sequence of ndarray or float, as many
+        Counts without light.
+
+    Notes
+    -----
+    Where shot noise exceeds read noise: another gain multiplies that. What lies above half of the brightest counts may be
+    full, and lack noise for that (`shot_noise`). Where there is nothing else, as in a white alone, it is looked at, too, and less
+    than a fifth is taken for a sensor that is full, not for another gain.
+
+    Examples
+    --------
+    The variance of two shots is 8 everywhere, that of the model 0.04 · 100 + 3:
+
+    >>> from levkas.calibration.templates import average
+    >>> stack = average([np.full((50, 50), 98.0), np.full((50, 50), 102.0)])
+    >>> round(compare_noise(NoiseModel(0.04, 3.0, step=0.0), [stack], [0.0]), 2)
+    1.14
+    """
+    groups = [
+        group
+        for stack, level in zip(stacks, levels, strict=True)
+        if stack.count > 1 and stack.variance is not None and not stack.above_dark
+        for group in _groups(stack, None, level, noise.step, most=FEW_PIXELS)
+    ]
+    if not groups:
+        return 1.0
+    signal, variance, freedom = np.array(groups).T
+    lit = noise.gain * signal > noise.read_variance
+    dim = lit & (signal <= DIM * signal.max())
+    some = dim if dim.any() else lit
+    if not some.any():
+        return 1.0
+    found = float(np.average((variance / noise.variance(signal))[some], weights=freedom[some]))
+    return found if dim.any() or found > FULL else 1.0
+
+
+def fit_noise_of_band(
+    noise: NoiseModel,
+    shots: Sequence[Template],
+    whites: Sequence[Template],
+    darks: Sequence[Template],
+    *,
+    black: float | np.ndarray = 0.0,
+    step: float = 1.0,
+) -> tuple[NoiseModel, float]:
+    """Return the noise of one band, and its variance over that of other bands of the sensor.
+
+    A camera may set its gain by itself, and another one for each filter. The model of the other bands, `noise`,
+    is returned, and 1, unless the band's own stacks deny it (`compare_noise`, by `UNLIKE`).
+
+    Parameters
+    ----------
+    noise : NoiseModel
+        Of other bands of the sensor.
+    shots, whites, darks : sequence of Template, (h, w)
+        Of the band.
+    black, step
+        As of `fit_noise`.
+    """
+    lit = [*shots, *whites]
+    levels = [_dark_of(t, darks).mean if darks else black for t in lit]
+    found = compare_noise(noise, lit, levels)
+    if 1 / UNLIKE < found < UNLIKE:
+        return noise, 1.0
+    own = fit_noise_of_frames(shots, [*whites], darks, black=black, step=step)
+    if own is None or own.source != "temporal" or own.gain <= 0:
+        return noise, 1.0
+    return own, found
+
+
 def mean_variance(stack: Template, *, step: float = 1.0) -> np.ndarray:
     """Return the variance of a stack's mean where nothing is known of the sensor: of a photograph.
 
@@ -370,12 +458,14 @@ def _groups(
     black: float | np.ndarray,
     step: float,
     smooth: tuple[int, int] | None = None,
+    *,
+    most: int = MANY_PIXELS,
 ) -> list[tuple[float, float, float]]:
-    """Return (signal, variance, degrees of freedom) of groups of pixels of one stack.
+    """Return (signal, variance, degrees of freedom) of groups of pixels of one stack, of about `most` of them.
 
     `smooth`: of the smoother half alone, by neighbours this period of a mosaic away, so that a camera that trembles adds nothing.
     """
-    thin = np.s_[:: max(1, stack.mean.size // MANY_PIXELS)]
+    thin = np.s_[:: max(1, stack.mean.size // most)]
     level = np.asarray(black if dark is None else dark.mean)
     if level.size > 1:
         level = np.broadcast_to(level, stack.mean.shape).ravel()[thin]

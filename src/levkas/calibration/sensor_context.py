@@ -49,9 +49,11 @@ CLIPPED_DARKS, FULL_SCALE, RESPONSE = "clipped_darks", "full_scale", "response"
 STRAIGHTNESS = "straightness"
 QUIET_WHITE, SENSOR, OFFSET, WHITE_SHOTS = "quiet_white", "sensor", "offset", "white_shots"
 UNSURE_RESPONSE, FLATTENING, DARK_OFFSET = "unsure_response", "flattening", "dark_offset"
+UNLIKE_NOISE = "unlike_noise"
 """Names, among what is measured of a sensor, of darks that were clipped, the code at which it is full, its curve, a white
 without shot noise, gain and noise, the counts that its exposure series have without light, shots of a white that differ, a curve
-that is in doubt, bright pixels with less noise than a linear sensor has, and the counts without light by the noise of dim ones."""
+that is in doubt, bright pixels with less noise than a linear sensor has, the counts without light by the noise of dim ones, and
+the variance of bands whose noise is not that of the others, over that."""
 BLACK, BLACK_ERROR = "black", 0.5
 """Name, among the same, of a black level by an exposure series; and its standard error, counts, at most: a quarter of a small read noise."""
 SERIES = 3

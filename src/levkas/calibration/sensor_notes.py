@@ -20,6 +20,7 @@ from levkas.calibration.sensor_context import (
     QUIET_WHITE,
     RESPONSE,
     SENSOR,
+    UNLIKE_NOISE,
     UNSURE_RESPONSE,
     WHITE_SHOTS,
     glimpse,
@@ -139,6 +140,7 @@ def describe_sensor(context: SensorContext) -> list[str]:
         *_describe_dark_offset(context),
         *_describe_black(context),
         *_describe_noise(context),
+        *_describe_unlike_noise(context),
     ]
 
 
@@ -167,6 +169,30 @@ def _describe_noise(context: SensorContext) -> list[str]:
     return [
         f"{context.camera.name}: noise is estimated from the smooth parts of single shots, and sigma is no surer than these: "
         "capture two shots or more of each target"
+    ]
+
+
+def _describe_unlike_noise(context: SensorContext) -> list[str]:
+    """Report in which bands the noise is that of another gain, and what became of their sigma."""
+    found: dict[str, float] = context.measured.get(UNLIKE_NOISE, {})
+    if not found:
+        return []
+    factors = {label: max(ratio, 1 / ratio) for label, ratio in found.items()}
+    worst = max(factors, key=lambda label: factors[label])
+    name, count = context.camera.name, len(context.sensor.bands)
+    noise = (
+        f"{name}: at like signal the variance of the noise differs from band to band, by a factor of "
+        f"{factors[worst]:.2g} at {worst} ({len(found)} of {count} bands)"
+    )
+    if context.camera.traits.bands_in == "files":
+        return [
+            f"{noise}: the camera sets its gain by itself, or shots of these bands differ. Their sigma is by their own shots. "
+            "Capture all bands with one gain"
+        ]
+    off = [100 * (ratio**-0.5 - 1) for ratio in found.values()]
+    return [
+        f"{noise}: the channels were multiplied, as a white balance does. Sigma there is off by {_range(off, '+.0f')} %. "
+        "Export raw frames without white balance"
     ]
 
 

@@ -50,6 +50,7 @@ from levkas.stages.exposures import (
     flatten,
     mark_glare_in,
     noise_of,
+    noise_of_band,
     require_same_size,
     require_white,
     white_area_of,
@@ -506,6 +507,7 @@ def _band(
     frames = _require(_of_band(sensor.white, label), context, label)
     whites = whites_of(context, frames, darks)
     require_same_size(context, shots[0].mean.shape, darks, whites)
+    noise = noise_of_band(context, noise, shots, whites, darks, label)
     exposed = expose(context, shots, darks, noise)
     white = white_of(
         *(context, whites, darks), noise=noise, merged=exposed.shot.above_dark, band=label

@@ -15,9 +15,15 @@ from levkas.calibration.exposures import best_exposure, merge_exposures
 from levkas.calibration.flatfield import Calibrated, flat_field
 from levkas.calibration.linearity import check_linearity, require_reciprocity
 from levkas.calibration.motion import find_moved
-from levkas.calibration.noise_fit import fit_noise_of_frames
+from levkas.calibration.noise_fit import fit_noise_of_band, fit_noise_of_frames
 from levkas.calibration.patterns import channel_table
-from levkas.calibration.sensor_context import SensorContext, exposure_of, placed, placing
+from levkas.calibration.sensor_context import (
+    UNLIKE_NOISE,
+    SensorContext,
+    exposure_of,
+    placed,
+    placing,
+)
 from levkas.calibration.stated_exposures import doubt_scaling
 from levkas.calibration.stray_light import correct_stray_light
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
@@ -235,6 +241,25 @@ def noise_of(
     dark = darks[0] if darks else None
     note_noise(context.measured, fitted, dark, context.black or 0.0, context.saturation)
     return fitted
+
+
+def noise_of_band(
+    context: SensorContext,
+    noise: NoiseModel | None,
+    shots: list[Template],
+    whites: list[Template],
+    darks: list[Template],
+    label: str,
+) -> NoiseModel | None:
+    """Return the noise of a band with frames of its own: the sensor's, or where these deny that their own, which is noted."""
+    if noise is None:
+        return None
+    whites = [] if context.light is not None else whites
+    black = 0.0 if context.black_level is None else context.black_level
+    own, ratio = fit_noise_of_band(noise, shots, whites, darks, black=black, step=context.step)
+    if own is not noise:
+        context.measured.setdefault(UNLIKE_NOISE, {})[label] = float(f"{ratio:.3g}")
+    return own
 
 
 def _size(shape: tuple[int, ...]) -> str:

@@ -5,7 +5,8 @@ Nothing here changes a value. What is noted stands in `SensorContext.measured`, 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,9 +14,9 @@ from levkas.calibration.clipped_darks import MANY_ZEROS
 from levkas.calibration.darks import level_under
 from levkas.calibration.drift import black_between, black_in_white, lamp_between
 from levkas.calibration.flatfield import pair_darks
-from levkas.calibration.noise_fit import smooth_groups
+from levkas.calibration.noise_fit import UNLIKE, compare_noise, smooth_groups
 from levkas.calibration.patterns import channel_table
-from levkas.calibration.sensor_context import DARK_OFFSET, FLATTENING
+from levkas.calibration.sensor_context import DARK_OFFSET, FLATTENING, UNLIKE_NOISE
 from levkas.calibration.shot_noise import Groups, find_dark_offset, find_flattening
 from levkas.calibration.templates import level_of
 from levkas.calibration.whites import reflectance_table
@@ -68,6 +69,8 @@ def note_shots(
         _note_black(context, shot, dark, board)
     if noise is not None:
         _note_shares(context, shot, dark, white, board, noise)
+        if board.pattern is not None and context.light is None:
+            _note_unlike_channels(context, (shot, white), dark, board, noise)
     context.measured.setdefault(VIEW, {}).update(
         (label, float(f"{_mean_of(_phase(flat.values, phase)):.4g}"))
         for label, phase in _phases(board).items()
@@ -141,6 +144,33 @@ def _note_shot_noise(
     ]
     if offset := find_dark_offset(_joined(alike), _joined(quiet)):
         context.measured.setdefault(DARK_OFFSET, {})[name] = offset._asdict()
+
+
+def _note_unlike_channels(
+    context: SensorContext,
+    stacks: Sequence[Template | None],
+    darks: Sequence[Template],
+    board: WhiteBoard,
+    noise: NoiseModel,
+) -> None:
+    """Note in `measured` the channels of a mosaic whose noise is not that of all: their gain is another one."""
+    lit = [stack for stack in stacks if stack is not None and stack.variance is not None]
+    under = [level_under(stack, darks, black=context.black_level) for stack in lit]
+    for label, phase in _phases(board).items():
+        parts = [_of_phase(stack, phase) for stack in lit]
+        found = compare_noise(noise, parts, [_phase(level, phase) for level in under])
+        if not 1 / UNLIKE < found < UNLIKE:
+            context.measured.setdefault(UNLIKE_NOISE, {})[label] = float(f"{found:.3g}")
+
+
+def _of_phase(stack: Template, phase: Phase) -> Template:
+    """Return a template of the sensels of one band."""
+    arrays: dict[str, Any] = {
+        name: _phase(array, phase)
+        for name in ("mean", "variance", "saturated", "black", "lost", "absent")
+        if (array := getattr(stack, name)) is not None
+    }
+    return replace(stack, shots=None, **arrays)
 
 
 def _joined(parts: Sequence[Groups]) -> Groups:
