@@ -158,3 +158,22 @@ def test_cosmic_rays_and_hot_sensels_above_it_do_not_hide_a_full_scale():
 
 def test_reals_have_no_full_scale():
     assert found(SceneShots([np.minimum(SHADE, 0.9)])) is None
+
+
+@pytest.mark.parametrize("snr", [20.0, 28.0, 31.6, 40.0, 100.0])
+@pytest.mark.parametrize("shade", [0.0, 0.1, 0.4])
+def test_whites_of_much_noise_are_full_nowhere(snr, shade):
+    """Of three bands: pixels that noise alone brings to the top in two of them differ little there, because they were picked so."""
+    rng, side = np.random.default_rng(1), 256
+    light = snr**2 * (
+        1 - shade * np.sum(np.mgrid[-1 : 1 : side * 1j, -1 : 1 : side * 1j] ** 2, 0) / 2
+    )
+    panel = np.kron(np.geomspace(0.01, 0.9, 64).reshape(8, 8), np.ones((side // 8, side // 8)))
+
+    def codes(electrons):
+        noisy = rng.poisson(electrons) + rng.normal(100, 6, electrons.shape)
+        return np.rint(noisy).astype(np.uint16)
+
+    whites = [SceneShots([codes(light)], even=True) for _ in range(3)]
+    objects = [SceneShots([codes(light * panel)]) for _ in range(3)]
+    assert found(*whites, *objects, darks=[codes(0 * light) for _ in range(2)]) is None

@@ -32,6 +32,9 @@ LIKE_DARK = 6.0  # of the variance of a dark, which clipping may leave a third o
 STILL = 0.002  # of the brightest: more noise than a full well has behind it
 SPREADS = 3.0  # of a hill, from its middle to its foot
 ROUNDS = 5  # of leaving out what is no part of a hill
+STEADY = (
+    1 / 3
+)  # of the values that one frame has beyond a foot, and all have: noise leads a few there, another few in each
 MOST_PAIRS = 40  # of frames that are compared
 QUIET = 2.0  # of the dark's variance: at `BRIGHT` shot noise adds as much again where counts an electron are 1 % of the dark's noise
 ROUNDED = 0.5  # counts of noise: less is the rounding of means, which white and dark share
@@ -220,11 +223,21 @@ def _unlike(plane: np.ndarray, code: float, period: int) -> float | None:
 
 
 class _Apart(NamedTuple):
-    """Differences of values that were taken alike: levels, and differences whose variance is that of one value."""
+    """Values that were taken alike: their level, differences whose variance is that of one value, and the codes that a hill is made of.
 
+    Noise of the level and of the difference do not depend on one another: a level that is picked leaves the difference as it is.
+    """
+
+    values: tuple[np.ndarray, ...]
     level: np.ndarray
-    lowest: np.ndarray
     difference: np.ndarray
+    code: np.ndarray
+
+    def beyond(self, foot: float) -> np.ndarray:
+        """Return where all values are at or above a foot; nowhere where noise, not light, brings most of them there."""
+        part = np.logical_and.reduce([values >= foot for values in self.values])
+        each = min(np.count_nonzero(values >= foot) for values in self.values)
+        return part if np.count_nonzero(part) >= STEADY * each else np.zeros_like(part)
 
     def spread(self, part: np.ndarray) -> float:
         """Return the variance in a part, by the median: NaN of too few."""
@@ -247,9 +260,9 @@ def _hill(lit: Sequence[SceneShots], darks: Sequence[np.ndarray], period: int) -
         least = _least_variance(shown, foot)
         of_shots = _over_space([frames.shots[0] for frames in lit], period)
         for apart in (*over_time, *of_shots, *_between(lit, foot)):
-            part = apart.lowest >= foot
+            part = apart.beyond(foot)
             if least < np.inf and apart.spread(part) < min(QUIETER * least, read):
-                return _foot_of(apart.level[part])
+                return _foot_of(apart.code[part])
     return None
 
 
@@ -280,7 +293,8 @@ def _between(lit: Sequence[SceneShots], foot: float) -> Iterator[_Apart]:
 
 def _compare(first: np.ndarray, second: np.ndarray) -> _Apart:
     a, b = first.ravel().astype(np.float32), second.ravel().astype(np.float32)
-    return _Apart((a + b) / 2, np.minimum(a, b), (a - b) / np.float32(np.sqrt(2)))
+    level = (a + b) / 2
+    return _Apart((a, b), level, (a - b) / np.float32(np.sqrt(2)), level)
 
 
 def _over_space(planes: Sequence[np.ndarray], period: int) -> list[_Apart]:
@@ -290,12 +304,12 @@ def _over_space(planes: Sequence[np.ndarray], period: int) -> list[_Apart]:
         if plane.shape[1] <= 2 * period:
             continue
         before, own, after = (
-            plane[:, start : plane.shape[1] - 2 * period + start].astype(np.float32)
+            plane[:, start : plane.shape[1] - 2 * period + start].astype(np.float32).ravel()
             for start in (0, period, 2 * period)
         )
-        lowest = np.minimum(np.minimum(before, after), own)
+        level = (before + own + after) / 3
         rest = (before - 2 * own + after) / np.float32(np.sqrt(6))
-        found.append(_Apart(own.ravel(), lowest.ravel(), rest.ravel()))
+        found.append(_Apart((before, own, after), level, rest, own))
     return found
 
 
