@@ -72,3 +72,32 @@ def test_the_gain_of_a_real_simulated_camera_is_the_same_from_whites_and_icons(t
     gains = [fit_noise([s, dark], dark).gain for s in (white, icon)]
     # Hand-checked on this data: 0.80 counts per electron from either.
     assert gains == pytest.approx([0.80, 0.80], rel=0.02)
+
+
+@pytest.mark.parametrize("electrons", [1_000.0, 12_000.0])
+@pytest.mark.parametrize("times", [1, 3])
+@pytest.mark.parametrize("shots_of_dark", [1, 4])
+def test_single_shots_of_small_frames_of_unlike_paint_tell_their_noise(
+    electrons, times, shots_of_dark
+):
+    """Of 80 x 120 px and three times as much a side: groups of like signal hold dark and bright paint together."""
+    rng, read = np.random.default_rng(8), 6.0
+    paint = np.geomspace(0.01, 0.9, 30 * times**2)
+    panel = np.kron(rng.permutation(paint).reshape(5 * times, 6 * times), np.ones((16, 20)))
+
+    def shot(light):
+        return np.rint(rng.poisson(light) + rng.normal(100, read, panel.shape)).astype(np.uint16)
+
+    icons, whites = (
+        [average([shot(light)]) for _ in range(3)]
+        for light in (electrons * panel, electrons + 0 * panel)
+    )
+    dark = average([shot(0 * panel) for _ in range(shots_of_dark)])
+    noise = fit_noise_single(icons, whites, dark)
+    signal = electrons * paint
+    over = noise.variance(signal) / (signal + read**2 + 1 / 12)
+    # An upper estimate: edges of patches lie in most blocks.
+    if shots_of_dark > 1:
+        assert np.all((over > 0.9) & (over < 1.35)), over
+    else:  # bright light alone does not tell what dark paint has
+        assert np.all((over[signal > 500] > 0.85) & (over[signal > 500] < 1.45)), over

@@ -11,7 +11,7 @@ shots: variance of a mean = (T − B)/n + B, with T = noise² + step²/12 of one
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING
@@ -33,11 +33,11 @@ MOST_FREEDOM = 2e4  # of a group: a misfit of 1 % in a full one does not rule th
 LEVELS = 24  # groups of equal size by signal, a stack
 MANY_BLACK = 0.02  # a dark with more zeros than this was clipped, and its spread is not noise
 BLOCK = 8
+OF_GROUP = 100.0  # degrees of freedom of a group of blocks
+ROUNDS = 4  # of the expected noise by which blocks of unlike signal are compared
 TENTH = 0.593  # lower tenth of chi-squared over its freedom: 64 differences count as 17 (Σρ² 3.78)
 SPREAD = 2.0  # highest over lowest signal that separates gain from read noise
-FEW_PIXELS = (
-    20_000  # of a band that is compared with others: its variance by two shots is known to 1 %
-)
+FEW_PIXELS = 20_000  # of a band that is compared: its variance by two shots is known to 1 %
 FULL = 0.2  # of the noise of a linear sensor: less has one that is full
 UNLIKE = (
     1.3  # of the variance of other bands, or its inverse: another gain; an unsteady lamp makes less
@@ -409,12 +409,12 @@ def fit_noise_single(
 
     Notes
     -----
-    Immerkær's mask [1 −2 1]ᵀ[1 −2 1] leaves nothing of planes; of blocks of 8x8 with like
-    expected noise the smoothest tenth is read as what chi-squared says of pure noise. Fine
-    texture everywhere still counts as noise.
+    Immerkær's mask [1 −2 1]ᵀ[1 −2 1] leaves nothing of planes; of blocks of 8x8 of like signal the
+    smoothest tenth, over what the fit of the round before expects of each, is read as what chi-squared
+    says of pure noise. Fine texture everywhere still counts as noise.
     """
     rows, columns = (1, 1) if pattern is None else channel_table(pattern).shape
-    groups: list[tuple[float, ...]] = []
+    found: list[np.ndarray] = []
     darks = [dark] * len(shots) if dark is None or isinstance(dark, Template) else list(dark)
     lowest = min((d.level for d in darks if d is not None), default=None)
     for shot, white, under in zip(shots, whites, darks, strict=True):
@@ -425,14 +425,19 @@ def fit_noise_single(
         noisy = under is not None and under.fit is None and np.mean(under.black) <= MANY_BLACK
         counts = (shot.count, white.count if white else 0, under.count if under and noisy else 0)
         for parts in zip(*(split(plane, rows, columns) for plane in planes), strict=True):
-            found = _smooth_groups(*parts, shots=counts)
-            groups += [(light + warm * dim, dim, v) for light, dim, v in found]
-    if not groups:
+            light, dim, variance = _blocks(*parts, shots=counts)
+            found.append(np.stack([light + warm * dim, dim, variance]))
+    groups = [group for blocks in found for group in _groups_of_blocks(blocks)]
+    gain, read = 1.0, 0.0  # at first blocks are compared as shot noise alone would have them
+    if not groups or max(float(light.max()) for light, _, _ in groups) <= 0:
         return None
-    light, dim, variance = np.array(groups).T
-    if light.max() <= 0:
-        return None
-    gain, read = _line(light, dim, variance, np.full(len(light), 100.0), step)
+    quiet = _noise_of_darks(
+        {id(d): d for d in darks if d is not None}.values(), lowest, step, (rows, columns)
+    )
+    for _ in range(ROUNDS):
+        shown = [(*_smoothest(group, gain, read), OF_GROUP) for group in groups] + quiet
+        light, dim, variance, freedom = np.array(shown).T
+        gain, read = _line(light, dim, variance, freedom, step)
     return NoiseModel(gain, read, "spatial", step, lowest)
 
 
@@ -543,35 +548,77 @@ def _ratio_planes(
     return ratio, lit, good
 
 
-def _smooth_groups(
+def _blocks(
     ratio: np.ndarray, lit: np.ndarray, good: np.ndarray, *, shots: tuple[int, int, int]
-) -> list[tuple[float, float, float]]:
-    """Return (factor of gain, factor of read², variance) of groups of smooth blocks."""
-    high, wide = ((n - 2) // BLOCK for n in ratio.shape)
-    if high < 1 or wide < 1:
-        return []
-    part = (slice(1, 1 + high * BLOCK), slice(1, 1 + wide * BLOCK))
-    rough = ratio[:-2] - 2 * ratio[1:-1] + ratio[2:]
-    rough = (rough[:, :-2] - 2 * rough[:, 1:-1] + rough[:, 2:]) / 6
-
-    def blocks(plane: np.ndarray) -> np.ndarray:
-        whole = plane[: high * BLOCK, : wide * BLOCK].astype(float)
-        return whole.reshape(high, BLOCK, wide, BLOCK).mean((1, 3)).ravel()
-
-    usable = blocks(good[part]) == 1
-    f, m, v = (a[usable] for a in (blocks(ratio[part]), blocks(lit[part]), blocks(rough**2)))
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return (factor of gain, factor of read², variance of what is rough) of the blocks of a plane that are usable whole."""
+    high, wide = (max(0, n - 2) // BLOCK * BLOCK for n in ratio.shape)
+    part = (slice(1, 1 + high), slice(1, 1 + wide))
+    usable = _block_means(good[part]) == 1
+    planes = (ratio[part], lit[part], _roughness_squared(ratio))
+    f, m, v = (_block_means(plane)[usable] for plane in planes)
     n, white_n, dark_n = shots
     by_white = f**2 / white_n if white_n else 0 * f
     by_dark = (1 - (f if white_n else 0 * f)) ** 2 / dark_n if dark_n else 0 * f
-    light = np.maximum(f, 0) * m / n + by_white * m
-    variance, dim = v * m**2, 1 / n + by_white + by_dark
-    order = np.argsort(light, kind="stable")
-    parts = np.array_split(order, max(1, min(LEVELS, len(order) // 100))) if len(order) else []
-    return [
-        (float(light[p].mean()), float(dim[p].mean()), float(np.quantile(variance[p], 0.1) / TENTH))
-        for p in parts
-        if len(p) >= 40
-    ]
+    return np.maximum(f, 0) * m / n + by_white * m, 1 / n + by_white + by_dark, v * m**2
+
+
+def _roughness_squared(plane: np.ndarray) -> np.ndarray:
+    """Return the square of Immerkær's mask, (h - 2, w - 2): of white noise its variance, of planes nothing."""
+    rough = plane[:-2] - 2 * plane[1:-1] + plane[2:]
+    return np.square((rough[:, :-2] - 2 * rough[:, 1:-1] + rough[:, 2:]) / 6)
+
+
+def _block_means(plane: np.ndarray) -> np.ndarray:
+    """Return the means of whole blocks, one after another."""
+    high, wide = (n // BLOCK for n in plane.shape)
+    whole = plane[: high * BLOCK, : wide * BLOCK].astype(float)
+    return whole.reshape(high, BLOCK, wide, BLOCK).mean((1, 3)).ravel()
+
+
+def _noise_of_darks(
+    darks: Iterable[Template],
+    lowest: float | None,
+    step: float,
+    period: tuple[int, int],
+) -> list[tuple[float, float, float, float]]:
+    """Return (signal, 1, variance, degrees of freedom) of darks, of single ones by their smooth parts.
+
+    Of dark paint nothing else tells as much. A single dark may have been averaged before: it weighs as one group of blocks.
+    """
+    found = []
+    for dark in darks:
+        warm = dark.level - (lowest or 0.0)
+        if dark.fit is not None:
+            found.append((warm, 1.0, dark.fit.noise**2 + step**2 / 12, MOST_FREEDOM))
+        elif np.mean(dark.black) > MANY_BLACK:
+            continue
+        elif dark.variance is None:
+            for plane in split(dark.mean, *period):
+                blocks = _block_means(_roughness_squared(plane))
+                if len(blocks) >= 40:
+                    variance = float(np.quantile(blocks, 0.1)) / TENTH
+                    found.append((warm, 1.0, variance, OF_GROUP))
+        else:
+            groups = _groups(dark, None, 0.0, step)
+            found += [(warm, 1.0, variance, min(n, MOST_FREEDOM)) for _, variance, n in groups]
+    return found
+
+
+def _groups_of_blocks(blocks: np.ndarray) -> list[np.ndarray]:
+    """Return groups of blocks (3, n) of like factor of gain."""
+    count = blocks.shape[1]
+    blocks = blocks[:, np.argsort(blocks[0], kind="stable")]
+    parts = np.array_split(blocks, max(1, min(LEVELS, count // 100)), axis=1)
+    return [part for part in parts if part.shape[1] >= 40]
+
+
+def _smoothest(group: np.ndarray, gain: float, read: float) -> tuple[float, float, float]:
+    """Return mean factors of gain and of read² of a group (3, n), and its variance by the smoothest tenth of what is expected."""
+    light, dim, variance = group
+    expected = np.maximum(gain * np.maximum(light, 0) + read * dim, 1e-9)
+    tenth = float(np.quantile(variance / expected, 0.1)) / TENTH
+    return float(light.mean()), float(dim.mean()), tenth * float(expected.mean())
 
 
 def _line(
