@@ -186,8 +186,8 @@ def _describe_unlike_noise(context: SensorContext) -> list[str]:
     )
     if context.camera.traits.bands_in == "files":
         return [
-            f"{noise}: the camera sets its gain by itself, or shots of these bands differ. Their sigma is by their own shots. "
-            "Capture all bands with one gain"
+            f"{noise}: the camera sets gain or black level by itself, or shots of these bands differ. Their sigma is by their own shots. "
+            "Capture all bands with one setting"
         ]
     off = [100 * (ratio**-0.5 - 1) for ratio in found.values()]
     return [
