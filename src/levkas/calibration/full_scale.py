@@ -34,7 +34,7 @@ SPREADS = 3.0  # of a hill, from its middle to its foot
 ROUNDS = 5  # of leaving out what is no part of a hill
 STEADY = (
     1 / 3
-)  # of the values that one frame has beyond a foot, and all have: noise leads a few there, another few in each
+)  # of one frame's values beyond a foot: so many all frames have there, unless noise lifts them
 MOST_PAIRS = 40  # of frames that are compared
 QUIET = 2.0  # of the dark's variance: at `BRIGHT` shot noise adds as much again where counts an electron are 1 % of the dark's noise
 ROUNDED = 0.5  # counts of noise: less is the rounding of means, which white and dark share
@@ -235,9 +235,10 @@ class _Apart(NamedTuple):
 
     def beyond(self, foot: float) -> np.ndarray:
         """Return where all values are at or above a foot; nowhere where noise, not light, brings most of them there."""
-        part = np.logical_and.reduce([values >= foot for values in self.values])
-        each = min(np.count_nonzero(values >= foot) for values in self.values)
-        return part if np.count_nonzero(part) >= STEADY * each else np.zeros_like(part)
+        reaching = [values >= foot for values in self.values]
+        part = np.logical_and.reduce(reaching)
+        least = min(map(np.count_nonzero, reaching))
+        return part if np.count_nonzero(part) >= STEADY * least else np.zeros_like(part)
 
     def spread(self, part: np.ndarray) -> float:
         """Return the variance in a part, by the median: NaN of too few."""

@@ -38,9 +38,9 @@ ROUNDS = 4  # of the expected noise by which blocks of unlike signal are compare
 TENTH = 0.593  # lower tenth of chi-squared over its freedom: 64 differences count as 17 (Σρ² 3.78)
 SPREAD = 2.0  # highest over lowest signal that separates gain from read noise
 FEW_PIXELS = 20_000  # of a band that is compared: its variance by two shots is known to 1 %
-FULL = 0.2  # of the noise of a linear sensor: less has one that is full
+FULL = 0.2  # of the variance of other bands: a white with less is full, not of another gain
 UNLIKE = (
-    1.3  # of the variance of other bands, or its inverse: another gain; an unsteady lamp makes less
+    1.3  # of the variance of other bands, or its inverse, from which on a band has another gain
 )
 
 
