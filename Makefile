@@ -37,9 +37,9 @@ exhaustive: $(READY)
 	LEVKAS_EVERY_CASE=1 $(PYTEST) tests/building/test_faults.py tests/building/test_staleness.py \
 		tests/building/test_same_bytes.py tests/cli/test_hostile_commands.py
 
-# Which lines and branches of the package the fast tests run; `benchmarks/house.py` reads coverage.json.
+# Which lines and branches of the package the fast tests run.
 coverage: pages
-	$(PYTEST) -m "not slow" --cov=levkas --cov-branch --cov-report=json
+	$(PYTEST) -m "not slow" --cov=levkas --cov-branch --cov-report=term
 
 test-all:
 	$(MAKE) test SLOW=1
