@@ -140,8 +140,6 @@ def of_calibration(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict
     for key in CALIBRATION_KEYS:
         prints[f"cameras.{camera.name}.{key}"] = getattr(camera, key)
     prints |= _centroids(campaign, capture, hashes)
-    if camera.demosaic == "wiener":
-        prints[f"file {camera.sensitivity}"] = hashes(campaign.root / str(camera.sensitivity))
     white = campaign.targets.white
     if white and any(sensor.white for sensor in capture.sensors):
         prints["targets.white.reflectance"] = white.reflectance

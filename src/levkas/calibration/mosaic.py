@@ -371,7 +371,7 @@ def demosaic(
     variance: np.ndarray | None,
     pattern: str | Sequence[Sequence[str]],
     *,
-    method: str | Method | None = None,
+    method: str | None = None,
     channels: Sequence[str] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Interpolate every channel of a mosaic at every sensel.
@@ -386,10 +386,10 @@ def demosaic(
         Of `values`, taken as independent from sensel to sensel.
     pattern : str or rows of channel names
         ``"RGGB"`` or any rows; names may repeat.
-    method : str or Method, optional
+    method : str, optional
         ``"malvar"`` [malvar2004]_, for Bayer patterns; ``"bilinear"`` and ``"normalised"`` are
         both first-order normalised convolution under a tent, which on a Bayer pattern *is*
-        bilinear; or that of `wiener_mosaic`. Default: Malvar for Bayer patterns, normalised for all others.
+        bilinear. Default: Malvar for Bayer patterns, normalised for all others.
     channels : sequence of str, optional
         Order of the last axis; default that of first appearance in `pattern`.
 
@@ -432,15 +432,13 @@ def demosaic(
 
 def method_of(
     pattern: str | Sequence[Sequence[str]],
-    method: str | Method | None,
+    method: str | None,
     channels: Sequence[str] | None,
 ) -> tuple[np.ndarray, Method]:
     """Return the table of a pattern and the stencils of a method, arguments and refusals as of `demosaic`."""
     table = channel_table(pattern, channels)
     if method is None:
         method = "malvar" if _is_bayer(table) else "normalised"
-    if not isinstance(method, str):
-        return table, method
     if method not in METHODS:
         raise CalibrationRefused(
             Problem(

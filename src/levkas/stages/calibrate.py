@@ -30,7 +30,6 @@ from levkas.calibration.stated_exposures import require_black, require_exposures
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps
 from levkas.calibration.white_area import WhiteArea, joined_area
 from levkas.calibration.whites import WhiteBoard
-from levkas.calibration.wiener_mosaic import correlate_channels, wiener_method
 from levkas.core.cube import Cube, Flag
 from levkas.core.files import remove, together
 from levkas.core.problems import Problem, Refused, gathered
@@ -60,7 +59,7 @@ from levkas.stages.exposures import (
 from levkas.stages.native_cubes import Native, require_memory, write_native
 from levkas.stages.scans import is_streamed, open_scan
 from levkas.stages.shared_noise import Mosaic
-from levkas.stages.spectra import board_of, broad_centroids, read_sensitivity
+from levkas.stages.spectra import board_of, broad_centroids
 from levkas.stages.tiles import TiledCapture
 from levkas.stages.written import Written
 
@@ -68,7 +67,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.calibration.chart_light import ChartLight
-    from levkas.calibration.mosaic import Method
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.campaign.campaign import Camera, Campaign
     from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
@@ -228,7 +226,7 @@ def mosaics_of(capture: Capture, campaign: Campaign) -> dict[str, Mosaic]:
     if not camera.traits.is_demosaiced:
         return {}
     return {
-        s.name: Mosaic(s.pattern, demosaicing_of(campaign, camera, s), [b.label for b in s.bands])
+        s.name: Mosaic(s.pattern, demosaicing_of(camera, s), [b.label for b in s.bands])
         for s in capture.sensors
         if s.pattern is not None
     }
@@ -400,21 +398,14 @@ def develop_mosaic(context: SensorContext) -> Noted:
         flags,
         variance,
         pattern,
-        method=demosaicing_of(context.campaign, camera, sensor),
+        method=demosaicing_of(camera, sensor),
         channels=[b.label for b in sensor.bands],
     )
     return cube_of(context, *made, flat.quantity, area.uncovered), notes
 
 
-def demosaicing_of(campaign: Campaign, camera: Camera, sensor: SensorFrames) -> str | Method | None:
-    """Return the method that is declared for a mosaic, or the kind's own; None for the pattern's own.
-
-    Raises Refused where sensitivities are needed and cannot be read.
-    """
-    if camera.demosaic == "wiener" and camera.sensitivity:
-        path = campaign.root / camera.sensitivity
-        wavelengths, table = read_sensitivity(path, [band.label for band in sensor.bands])
-        return wiener_method(correlate_channels(wavelengths, table))
+def demosaicing_of(camera: Camera, sensor: SensorFrames) -> str | None:
+    """Return the method that is declared for a mosaic, or the kind's own; None for the pattern's own."""
     beam_splitter = camera.traits.bands_in == "sensors" and len(sensor.pattern or ()) == 2
     return camera.demosaic or ("bilinear" if beam_splitter else None)
 

@@ -13,7 +13,6 @@ from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Affine
 
 if TYPE_CHECKING:
-    from levkas.calibration.mosaic import Method
     from levkas.geometry.transforms import Transform
 
 NOISE_PX = 320
@@ -31,7 +30,7 @@ class Mosaic(NamedTuple):
     """What `calibration.mosaic.demosaic` made a cube of: pattern, method, order of the channels."""
 
     pattern: Sequence[Sequence[str]]
-    method: str | Method | None
+    method: str | None
     channels: Sequence[str]
 
 

@@ -471,14 +471,6 @@ def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
                 expected=" or ".join(f'kind = "{kind}"' for kind in kinds),
                 fix="Write it in each [[sensors]] table." if per_sensor else "Take it out.",
             )
-    if camera.demosaic == "wiener" and camera.sensitivity is None:
-        yield value_problem(
-            f"{where}.demosaic",
-            "weights for a camera's own channels follow from its sensitivities",
-            "no sensitivity",
-            'sensitivity = "CSV of wavelength and a column a channel"',
-            'Name the table, or use demosaic = "bilinear".',
-        )
     if camera.traits.bands_in == "sensors":
         yield from _sensors(where, camera)
     elif not camera.files:

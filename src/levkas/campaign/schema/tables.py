@@ -266,7 +266,7 @@ class CameraKeys(Table):
     scan: Literal["push-broom", "mirror"] | None = None
     overrule: Names = ()
     denoise: Literal["hysime"] | None = None
-    demosaic: Literal["malvar", "bilinear", "normalised", "wiener"] | None = None
+    demosaic: Literal["malvar", "bilinear", "normalised"] | None = None
     dark: Names | None = None
     white: Annotated[CameraWhite | None, BeforeValidator(_camera_white)] = None
     uncertainty: UncertaintyKeys = UncertaintyKeys()
