@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from levkas.campaign.campaign import Campaign, CampaignInvalid, _validate, load_campaign
-from levkas.campaign.schema.error_messages import TABLES
+from levkas.campaign.schema.error_messages import GONE, TABLES
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "campaign.md"
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -385,6 +385,19 @@ def test_a_home_in_the_shells_way_is_refused_in_every_path(key, text):
     assert [p for p in problems if p.field.endswith(key) and "~ means" in p.message], problems
 
 
+@pytest.mark.parametrize("key", GONE)
+def test_a_key_that_is_gone_is_refused_with_what_to_write(key):
+    record = copy.deepcopy(EVERY)
+    *tables, last = key.replace("*", next(iter(EVERY["cameras"]))).split(".")
+    place = record
+    for table in tables:
+        place = place.setdefault(table, {})
+    place[last] = True
+    _, problems = _validate(Path("/none/campaign.toml"), record)
+    (found,) = [p for p in problems if p.field.endswith(last)]
+    assert found.code == "E_KEY" and found.fix == GONE[key]
+
+
 def test_every_key_is_documented_in_the_section_of_its_table():
     sections = re.split(r"^#+ (?=`\[)", DOCS.read_text(encoding="utf-8"), flags=re.MULTILINE)
     for table, keys in TABLES.items():
@@ -393,7 +406,6 @@ def test_every_key_is_documented_in_the_section_of_its_table():
             "cameras.NAME.registration": "`[registration]`",
             "cameras.NAME.wavelengths": "`[cameras.NAME]`",
             "cameras.NAME.uncertainty": "`[cameras.NAME]`",
-            "cameras.NAME.stray_light": "`[cameras.NAME]`",
             "campaign.reference": "`[campaign]`",
             "publication.creators": "`[[publication.creators]]`",
             "targets.white": "`[targets]`",

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 CALIBRATION_KEYS = (
     "kind", "bits", "black", "saturation", "exposures", "scan", "denoise", "demosaic", "overrule",
-    "stray_light",
 )  # fmt: skip
 NOT_THERE = "not registered"
 ROLES = ("object", "dark", "white", "chart")

@@ -16,7 +16,6 @@ from levkas.calibration.flatfield import Calibrated, flat_field
 from levkas.calibration.linearity import check_linearity, require_reciprocity
 from levkas.calibration.motion import find_moved
 from levkas.calibration.noise_fit import fit_noise_of_band, fit_noise_of_frames
-from levkas.calibration.patterns import channel_table
 from levkas.calibration.sensor_context import (
     UNLIKE_NOISE,
     SensorContext,
@@ -25,7 +24,6 @@ from levkas.calibration.sensor_context import (
     placing,
 )
 from levkas.calibration.stated_exposures import doubt_scaling
-from levkas.calibration.stray_light import correct_stray_light
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
 from levkas.calibration.white_area import WhiteArea, board_alone, find_white_area
 from levkas.calibration.whites import WhiteBoard, check_white
@@ -342,42 +340,11 @@ def flatten(
         frames = context.sensor.white or context.sensor.object
         problems = (context.with_full_scale(p) for p in refused.problems)
         raise CalibrationRefused(*(placed(p, frames) for p in problems)) from None
-    flat = _without_stray_light(context, flat, dark, white, board)
     note_shots(context, shot, dark, white, board, flat, noise)
     if moved is None:
         moved = _moved(context, shot, dark, noise)
     flat = _with_movement(context, flat, moved)
     return _with_gaps(context, flat, (shot, *dark, white), list(board.labels or ()))
-
-
-def _without_stray_light(
-    context: SensorContext,
-    flat: Calibrated,
-    dark: Sequence[Template],
-    white: Template | None,
-    board: WhiteBoard,
-) -> Calibrated:
-    """Return calibrated values without the stray light that is declared of the camera, channel by channel."""
-    stray = context.camera.stray_light
-    if stray is None:
-        return flat
-    light = np.ones((1, 1))
-    if white is not None:
-        light = white.mean - level_under(white, dark, black=context.black_level)
-    table = np.zeros((1, 1), int)
-    if board.pattern is not None:
-        table = channel_table(board.pattern, list(board.labels or ()))
-    (tall, wide), values = table.shape, flat.values.copy()
-    width = None if stray.width_px is None else stray.width_px / (tall * wide) ** 0.5
-    planes = np.broadcast_to(
-        light.reshape(light.shape + (1,) * (values.ndim - light.ndim)), values.shape
-    )
-    for y, x, *band in np.ndindex(tall, wide, *values.shape[2:]):
-        phase = (slice(y, None, tall), slice(x, None, wide), *band)
-        values[phase] = correct_stray_light(values[phase], stray.share, width, light=planes[phase])
-    # What is left of a share 1 − s of the light has the noise of all of it.
-    variance = None if flat.variance is None else flat.variance / np.float32((1 - stray.share) ** 2)
-    return replace(flat, values=values, variance=variance)
 
 
 def _with_gaps(

@@ -21,6 +21,11 @@ EXAMPLES = {
     "cameras": "a table [cameras.NAME] for each camera",
 }
 
+GONE = {
+    "cameras.*.stray_light": "Nothing takes stray light off: state it as uncertainty = { stray_light = 0.01 }.",
+}
+"""Keys that Levkas had once, a name of the campaign's as `*`, and what to write in their place."""
+
 
 def explain(
     record: dict[str, Any], errors: Sequence[Any], document: type[BaseModel] = Document
@@ -57,6 +62,8 @@ def _problem(record: dict[str, Any], error: Any, document: type[BaseModel]) -> P
     if isinstance(where[-1], int):
         key = f"item {where[-1] + 1} of {next(s for s in reversed(where) if isinstance(s, str))}"
     if error["type"] == "extra_forbidden":
+        if fix := _gone(where):
+            return Problem("E_KEY", f"there is no key {key!r} any more", field=field, fix=fix)
         known = _known_keys(where[:-1], document)
         open_ = [k for k in known if k not in _at(record, where[:-1])]
         elsewhere = [f"[{table}]" for table, keys in _tables(document, "").items() if key in keys]
@@ -75,6 +82,17 @@ def _problem(record: dict[str, Any], error: Any, document: type[BaseModel]) -> P
     found = error.get("input")
     shown = "a table" if isinstance(found, dict) else str(found)[:80]
     return Problem("E_VALUE", f"{key} {requirement(message)}", field=field, found=shown)
+
+
+def _gone(where: Sequence[int | str]) -> str:
+    """Return what to write in place of a key that Levkas had once; empty of any other."""
+    for place, fix in GONE.items():
+        steps = place.split(".")
+        if len(steps) == len(where) and all(
+            a in ("*", b) for a, b in zip(steps, where, strict=True)
+        ):
+            return fix
+    return ""
 
 
 def _without_echoes(problems: list[Problem]) -> list[Problem]:

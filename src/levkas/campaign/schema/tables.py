@@ -235,16 +235,6 @@ class UncertaintyKeys(Table):
     stray_light: Share | None = None
 
 
-class StrayLightKeys(Table):
-    """Stray light that is corrected: the share of the view's light, and the standard deviation of its blur, native px.
-
-    Without `width_px` it lies evenly over the view.
-    """
-
-    share: Annotated[Number, Field(gt=0, le=0.3)]
-    width_px: Annotated[Number, Field(ge=1, le=1e5)] | None = None
-
-
 class CameraKeys(Table):
     """One camera and how its files are named."""
 
@@ -270,7 +260,6 @@ class CameraKeys(Table):
     dark: Names | None = None
     white: Annotated[CameraWhite | None, BeforeValidator(_camera_white)] = None
     uncertainty: UncertaintyKeys = UncertaintyKeys()
-    stray_light: StrayLightKeys | None = None
     registration: RegistrationKeys = RegistrationKeys()
 
     @property

@@ -43,12 +43,11 @@ from levkas.quality.targets.patches import (
 )
 from levkas.quality.targets.photographs import Curve, find_curve
 from levkas.quality.targets.stray_light import (
-    OfView,
     StrayLight,
     describe_stray_light,
-    join_of_view,
+    light_of_view,
     measure_stray_light,
-    stray_light_of_chart,
+    of_view,
 )
 
 if TYPE_CHECKING:
@@ -262,7 +261,8 @@ def measure(
     if reference is not None and reflective and not photograph and clean:
         means = np.where(unfit, np.nan, table.mean)
         stray = measure_stray_light(means, wavelengths, chart, reference)
-        stray = stray._replace(of_view=_stray_of_view(sightings, means, chart, reference))
+        light = np.concatenate([light_of_view(one.cube) for one in sightings])
+        stray = stray._replace(of_view=of_view(stray.shares, stray.errors, light))
         rows += _stray_row(stray, bands)
         remarks += filter(None, [describe_stray_light(stray, bands)])
     return ChartMeasure(
@@ -289,20 +289,6 @@ def _join_tables(sightings: Sequence[Sighting]) -> PatchTable:
     )
     temporal = all(t.temporal for t in tables)
     return PatchTable(mean, noise, saturated, tables[0].pixels, temporal, quantised)
-
-
-def _stray_of_view(
-    sightings: Sequence[Sighting], means: np.ndarray, chart: Chart, reference: ChartReference
-) -> OfView | None:
-    """Return the share of the view's light that strays, of all sensors together."""
-    parts = np.split(means, np.cumsum([len(one.cube.bands) for one in sightings])[:-1], axis=1)
-    return join_of_view(
-        [
-            stray_light_of_chart(one.cube, one.located.areas, part, chart, reference)
-            for one, part in zip(sightings, parts, strict=True)
-        ],
-        [len(one.cube.bands) for one in sightings],
-    )
 
 
 def _stray_row(stray: StrayLight, bands: Sequence[Band]) -> list[IndicatorRow]:
