@@ -63,7 +63,7 @@ test.each(SHAPES)("a $kind comes back as it was written", (shape) => {
   });
 });
 
-test("a note on the smaller edition lies on the same part of the larger one", () => {
+test("a note on a smaller canvas lies on the same part of the larger one", () => {
   const rectangle: Shape = {
     kind: "rectangle",
     points: [

@@ -111,7 +111,7 @@ def test_the_record_tells_the_course_and_the_matches_what_became_of_them(correct
 
 def test_a_publication_says_which_layers_were_aligned_by_hand(corrected, tmp_path):
     folder, _, _ = corrected
-    list(publish(folder / "database", output=tmp_path / "out", editions="full", iiif=False))
+    list(publish(folder / "database", output=tmp_path / "out", iiif=False))
     (row,) = (
         line
         for line in (tmp_path / "out/README.md").read_text().splitlines()

@@ -9,7 +9,7 @@ from levkas.publish.run import check, publish
 
 def refusals(folder):
     try:
-        list(publish(folder, editions="full", iiif=False))
+        list(publish(folder, iiif=False))
     except Refused as error:
         return {p.code for p in error.problems}
     return set()

@@ -59,7 +59,6 @@ def test_every_command_has_examples_and_no_other():
     ("line", "meant"),
     [
         ("export icons --for envy", "envi"),
-        ("publish icons --edition ful", "full"),
         ("valdate icons", "validate"),
         ("build icons --objct a", "--object"),
         ("plan expsure a", "exposure"),

@@ -25,7 +25,7 @@ PLACE = "objects/icon1/analysis/icon1_"
 @pytest.fixture
 def make(database, publish):
     def make(*names, **options):
-        return publish(database, analyse=names, **{"editions": "full", "iiif": False, **options})
+        return publish(database, analyse=names, **{"iiif": False, **options})
 
     return make
 
@@ -138,21 +138,20 @@ def test_a_ratio_takes_its_second_band_from_a_layer_of_the_same_light(make, data
 
 
 def test_the_viewer_shows_every_analysis_with_what_black_and_white_are(make):
-    folder = make("pca,mnf,ratio:R/B", editions="both")
-    for root in (folder, folder / "medium"):
-        page = (root / "viewer/objects/icon1/index.html").read_text(encoding="utf-8")
-        text = re.search(r'<script type="application/json" id="record">(.*?)</script>', page)[1]
-        layers = {layer["name"]: layer for layer in json.loads(text)["layers"]}
-        shown = {p["key"]: p for p in layers["rgb"]["pictures"] if p["kind"] == "analysis"}
-        assert list(shown) == ["pca-1", "pca-2", "pca-3", "mnf-1", "mnf-2", "mnf-3", "ratio-R-B"]
-        assert "% of the variance" in shown["pca-1"]["note"] and "Violet" in shown["pca-1"]["note"]
-        assert "over that of the noise" in shown["mnf-1"]["note"]
-        assert shown["ratio-R-B"]["legend"]["least"] in shown["ratio-R-B"]["note"]
-        home = root / "viewer/objects/icon1"
-        assert all((home / p["folder"] / str(p["most"])).is_dir() for p in shown.values())
-        links = [unquote(link) for link in re.findall(r'href="([^"#]+)"', page)]
-        assert "../../../objects/icon1/analysis/icon1_rgb.pca.tif" in links
-        assert all((home / link).is_file() for link in links if ":" not in link)
+    folder = make("pca,mnf,ratio:R/B")
+    page = (folder / "viewer/objects/icon1/index.html").read_text(encoding="utf-8")
+    text = re.search(r'<script type="application/json" id="record">(.*?)</script>', page)[1]
+    layers = {layer["name"]: layer for layer in json.loads(text)["layers"]}
+    shown = {p["key"]: p for p in layers["rgb"]["pictures"] if p["kind"] == "analysis"}
+    assert list(shown) == ["pca-1", "pca-2", "pca-3", "mnf-1", "mnf-2", "mnf-3", "ratio-R-B"]
+    assert "% of the variance" in shown["pca-1"]["note"] and "Violet" in shown["pca-1"]["note"]
+    assert "over that of the noise" in shown["mnf-1"]["note"]
+    assert shown["ratio-R-B"]["legend"]["least"] in shown["ratio-R-B"]["note"]
+    home = folder / "viewer/objects/icon1"
+    assert all((home / p["folder"] / str(p["most"])).is_dir() for p in shown.values())
+    links = [unquote(link) for link in re.findall(r'href="([^"#]+)"', page)]
+    assert "../../../objects/icon1/analysis/icon1_rgb.pca.tif" in links
+    assert all((home / link).is_file() for link in links if ":" not in link)
 
 
 @pytest.mark.slow
@@ -177,7 +176,7 @@ def test_a_layer_that_has_no_components_is_left_out_and_that_is_said(database, p
     flags = np.full((64, 48), 2, np.uint8)
     tifffile.imwrite(path, np.stack([flags] * 3), photometric="minisblack")
     write_manifest(database)
-    steps = run.publish(database, analyse=["pca"], editions="full", iiif=False)
+    steps = run.publish(database, analyse=["pca"], iiif=False)
     report = run.summarise(steps)
     note, _ = report.left_out  # the other: a database alone has no declarations
     assert (
@@ -191,9 +190,7 @@ def test_a_layer_that_has_no_components_is_left_out_and_that_is_said(database, p
 def test_the_command_line_makes_them(database):
     from levkas.cli import app
 
-    done = CliRunner().invoke(
-        app, ["publish", str(database), "--analyse", "pca", "--edition", "medium", "--no-iiif"]
-    )
+    done = CliRunner().invoke(app, ["publish", str(database), "--analyse", "pca", "--no-iiif"])
     assert done.exit_code == 0, done.output
     assert (database.with_name("database.published") / f"{PLACE}rgb.pca.tif").is_file()
     wrong = CliRunner().invoke(app, ["publish", str(database), "--analyse", "pcs"])

@@ -10,7 +10,7 @@ from levkas.publish import run
 
 @pytest.fixture
 def bagged(database, tmp_path):
-    report = run.summarise(run.publish(database, editions="full", bag=tmp_path / "bag"))
+    report = run.summarise(run.publish(database, bag=tmp_path / "bag"))
     return report.output, report.bag
 
 
@@ -36,7 +36,7 @@ def test_a_flipped_bit_in_a_bag_is_found(bagged):
 
 
 def test_the_same_publication_gives_the_same_bag(bagged, database, tmp_path):
-    list(run.publish(database, editions="full", bag=tmp_path / "other"))
+    list(run.publish(database, bag=tmp_path / "other"))
     assert hash_tree(tmp_path / "other") == hash_tree(bagged[1])
     assert b"Bagging-Date: 2019-06-30" in (bagged[1] / "bag-info.txt").read_bytes()
 
@@ -46,5 +46,5 @@ def test_no_folder_is_turned_into_a_bag_in_place(database, tmp_path, where):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/thesis.txt").write_text("three years")
     with pytest.raises(Refused) as refused:
-        list(run.publish(database, editions="full", bag=tmp_path / where))
+        list(run.publish(database, bag=tmp_path / where))
     assert refused.value.problems[0].code == "E_UNWRITABLE"

@@ -170,5 +170,5 @@ def test_a_provenance_that_describes_no_steps_is_refused(database, publish):
         path.write_text(json.dumps(record))
         write_manifest(database)
         with pytest.raises(Refused, match="does not describe the steps") as said:
-            publish(database, editions="full", iiif=False)
+            publish(database, iiif=False)
         assert said.value.problems[0].file == str(path)

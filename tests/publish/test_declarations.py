@@ -56,7 +56,7 @@ def campaign(make_plates, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def published(campaign, publish):
-    return publish(campaign, iiif=False, editions="full")
+    return publish(campaign, iiif=False)
 
 
 @pytest.mark.slow
@@ -101,16 +101,14 @@ def test_a_path_of_the_machine_is_never_published(campaign, tmp_path, make_plate
     text = (folder / "campaign.toml").read_text()
     (folder / "campaign.toml").write_text(text.replace("light/lamp.csv", str(lamp)))
     subject = run.PublishSubject(folder / "other", folder / "campaign.toml")
-    report = run.summarise(run.publish(subject, iiif=False, editions="full"))
+    report = run.summarise(run.publish(subject, iiif=False))
     assert "spectrum" in report.left_out[0]
     assert not (report.output / "declarations").exists()
 
 
 def test_a_database_published_alone_says_how_its_declarations_come_along(campaign, tmp_path):
     wanted = run.find_subject(campaign / "other")
-    report = run.summarise(
-        run.publish(wanted, output=tmp_path / "out", iiif=False, editions="full")
-    )
+    report = run.summarise(run.publish(wanted, output=tmp_path / "out", iiif=False))
     (note,) = report.left_out
     assert note.startswith("declarations/") and "the campaign's folder" in note
     assert note in report.text and not (report.output / "declarations").exists()

@@ -49,7 +49,7 @@ def test_tiles_are_the_same_at_any_time(picture):
 
 @pytest.fixture
 def folder(database, publish):
-    return publish(database, editions="full", url="https://example.org/icons")
+    return publish(database, url="https://example.org/icons")
 
 
 def test_the_library_reads_manifest_and_collection_again(folder):
@@ -116,7 +116,7 @@ def test_each_broken_rule_is_found(folder, name):
 
 
 def test_without_an_address_it_is_that_of_a_server_on_this_machine(database, publish):
-    folder = publish(database, editions="full")
+    folder = publish(database)
     assert check_iiif(folder / "iiif", LOCAL + "iiif") == []
 
 
@@ -132,7 +132,7 @@ def test_a_title_that_looks_like_html_is_never_taken_for_it(database, publish):
         f'title = "{evil}"\nmedium = "{evil}"\n', encoding="utf-8"
     )
     write_manifest(database)
-    folder = publish(database, editions="full")
+    folder = publish(database)
     record = json.loads((folder / "iiif/icon1/manifest.json").read_text())
     assert all(v[:1] != "<" for m in record["metadata"] for v in m["value"]["none"])
     assert "<img" not in (folder / "README.md").read_text()

@@ -37,7 +37,7 @@ def test_mirador_shows_the_manifest_and_its_layers(database, publish, mirador, c
     made = functools.partial(Quiet, directory=str(tmp_path / "site"))
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), made) as server:
         base = f"http://127.0.0.1:{server.server_port}/"
-        folder = publish(database, editions="full", url=base)
+        folder = publish(database, url=base)
         (tmp_path / "site").mkdir()
         shutil.copytree(folder / "iiif", tmp_path / "site/iiif")
         shutil.copy(mirador, tmp_path / "site/mirador.min.js")

@@ -21,13 +21,13 @@ from levkas.publish import run
 @pytest.fixture
 def published(database):
     """Return a database and its publication, full and without tiles."""
-    return database, run.summarise(run.publish(database, editions="full", iiif=False)).output
+    return database, run.summarise(run.publish(database, iiif=False)).output
 
 
 def refused(database, **options):
     """Publish, and return the problems."""
     with pytest.raises(Refused) as said:
-        list(run.publish(database, editions="full", iiif=False, **options))
+        list(run.publish(database, iiif=False, **options))
     return said.value.problems
 
 
@@ -64,7 +64,7 @@ def test_an_own_publication_and_an_own_bag_are_replaced(published, tmp_path):
     database, output = published
     first = hash_tree(output)
     for _ in range(2):
-        list(run.publish(database, editions="full", iiif=False, bag=tmp_path / "bag"))
+        list(run.publish(database, iiif=False, bag=tmp_path / "bag"))
     assert hash_tree(output) == first == hash_tree(tmp_path / "bag/data")
 
 
@@ -99,7 +99,7 @@ def test_a_leftover_that_another_program_named_alike_stays(database, tmp_path):
     left = tmp_path / "database.published.partial-0123abcd"
     left.mkdir()
     (left / "thesis.txt").write_text("three years")
-    list(run.publish(database, editions="full", iiif=False))
+    list(run.publish(database, iiif=False))
     assert (left / "thesis.txt").read_text() == "three years"
 
 
@@ -205,7 +205,7 @@ def test_the_publication_of_another_database_with_an_object_of_that_name_is_not_
         (other / "database.toml").write_text(facts)
         write_manifest(other)
     place = {"output": tmp_path / "place", "bag": tmp_path / "bag"}
-    list(run.publish(database, editions="full", iiif=False, **place))
+    list(run.publish(database, iiif=False, **place))
     before = hash_tree(tmp_path)
     (problem,) = refused(other, **{option: place[option]})
     assert (problem.code, problem.file) == ("E_UNWRITABLE", str(place[option]))
@@ -215,20 +215,20 @@ def test_the_publication_of_another_database_with_an_object_of_that_name_is_not_
 
 def test_a_corrected_title_replaces_the_earlier_publication(database):
     for title in (None, "Icons of Lefkada"):
-        list(run.publish(recorded(database, "ours of ", title), editions="full", iiif=False))
+        list(run.publish(recorded(database, "ours of ", title), iiif=False))
 
 
 def test_an_object_that_is_no_longer_published_goes_with_the_title_alone(database):
-    list(run.publish(recorded(database, "ours of "), editions="full", iiif=False))
+    list(run.publish(recorded(database, "ours of "), iiif=False))
     less = without(database, "icon2")
-    output = run.summarise(run.publish(less, editions="full", iiif=False)).output
+    output = run.summarise(run.publish(less, iiif=False)).output
     assert not (output / "objects/icon2").exists()
 
 
 def test_a_part_of_a_database_under_another_title_does_not_replace_it(database, tmp_path):
     part = without(shutil.copytree(recorded(database, "ours of "), tmp_path / "part"), "icon2")
     recorded(part, "ours of ", "One icon")
-    list(run.publish(database, editions="full", iiif=False, output=tmp_path / "place"))
+    list(run.publish(database, iiif=False, output=tmp_path / "place"))
     (problem,) = refused(part, output=tmp_path / "place")
     assert "icon2" in problem.found
     assert (tmp_path / "place/objects/icon2").is_dir()
@@ -236,7 +236,7 @@ def test_a_part_of_a_database_under_another_title_does_not_replace_it(database, 
 
 def test_a_file_that_came_into_the_folder_while_it_was_published_stays(published):
     database, output = published
-    steps = run.publish(database, editions="full", iiif=False)
+    steps = run.publish(database, iiif=False)
     next(steps)
     (output / "notes.txt").write_text("three years")
     with pytest.raises(Refused, match=r"notes\.txt"):

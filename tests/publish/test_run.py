@@ -17,7 +17,7 @@ def codes(refused):
 
 
 def test_every_file_of_the_database_stands_in_the_publication(database, publish):
-    folder = publish(database, editions="full")
+    folder = publish(database)
     published = hash_tree(folder)
     assert {n: h for n, h in hash_tree(database).items() if n != NAME}.items() <= published.items()
     assert folder == database.with_name("database.published")
@@ -138,7 +138,7 @@ def test_what_is_no_database_is_one_clear_problem_to_the_check_too(tmp_path, wha
 
 
 def test_a_publication_is_not_published_again(database, publish):
-    folder = publish(database, editions="full", iiif=False)
+    folder = publish(database, iiif=False)
     with pytest.raises(PublishRefused, match="publication already"):
         publish(folder)
     assert not folder.with_name("database.published.published").exists()
@@ -160,5 +160,5 @@ def test_names_may_hold_spaces_and_letters_of_any_script(database, publish, tmp_
     folder.mkdir()
     moved = database.rename(folder / "Daten bank")
     bag = folder / "Tüte 袋"
-    made = publish(moved, editions="full", iiif=False, bag=bag)
+    made = publish(moved, iiif=False, bag=bag)
     assert made == folder / "Daten bank.published" and (bag / "bagit.txt").is_file()

@@ -15,7 +15,7 @@ def test_a_publication_has_a_viewer_that_says_licence_and_citation(database, pub
         read_built("sheet.js")
     except ScreenMissing:
         pytest.skip("the pages are not built: run `make frontend`")
-    folder = publish(database, editions="full")
+    folder = publish(database)
     assert validate(folder).ok
     for page in [folder / "index.html", *sorted(folder.glob("viewer/objects/*/index.html"))]:
         text = page.read_text(encoding="utf-8")
@@ -24,27 +24,23 @@ def test_a_publication_has_a_viewer_that_says_licence_and_citation(database, pub
     assert (folder / "viewer/objects/icon2/layers/0/colour").is_dir()
 
 
-def test_every_page_leads_to_what_stands_beside_it_and_the_medium_edition_has_pages(
-    database, publish
-):
+def test_every_page_leads_to_what_stands_beside_it(database, publish):
     try:
         read_built("sheet.js")
     except ScreenMissing:
         pytest.skip("the pages are not built: run `make frontend`")
-    folder = publish(database, editions="both", iiif=True)
-    assert validate(folder).ok and validate(folder / "medium").ok
+    folder = publish(database, iiif=True)
+    assert validate(folder).ok and not (folder / "medium").exists()
     pages = [folder / "index.html", *sorted(folder.glob("viewer/objects/*/index.html"))]
     pages.append(folder / "README.html")
-    pages += [folder / "medium" / page.relative_to(folder) for page in pages]
     for page in pages:
         links = re.findall(r'href="([^"#]+)"', page.read_text(encoding="utf-8"))
         inside = [unquote(link) for link in links if ":" not in link]
         missing = [link for link in inside if not (page.parent / link).is_file()]
         assert inside and missing == []
     text = pages[1].read_text(encoding="utf-8")
-    for name in ("iiif/icon1/manifest.json", "ro-crate-preview.html", "medium/index.html"):
+    for name in ("iiif/icon1/manifest.json", "ro-crate-preview.html"):
         assert f"../../../{name}" in text
-    assert "medium edition" in (folder / "medium/index.html").read_text(encoding="utf-8")
 
 
 FACTS = """
@@ -78,7 +74,8 @@ def test_the_landing_page_alone_has_a_record_for_search_engines(database, publis
     assert record["creator"][0]["@id"] == "https://orcid.org/0000-0002-1825-0097"
     assert record["publisher"]["name"] == "Museum </script> of Levkas"
     assert record["distribution"][0]["contentUrl"] == "https://example.org/icons/catalogue.csv"
-    assert "ld+json" not in (folder / "medium/index.html").read_text(encoding="utf-8")
+    page = (folder / "viewer/objects/icon1/index.html").read_text(encoding="utf-8")
+    assert "ld+json" not in page
 
 
 def test_a_report_leads_to_the_viewer_once_there_is_one(database, publish):
@@ -94,7 +91,7 @@ def test_a_report_leads_to_the_viewer_once_there_is_one(database, publish):
     (database / "objects/icon1/report.html").write_text(page, encoding="utf-8")
     write_manifest(database)
     assert f'<a hidden href="{address}">' in page
-    folder = publish(database, editions="full", iiif=False)
+    folder = publish(database, iiif=False)
     made = (folder / "objects/icon1/report.html").read_text(encoding="utf-8")
     assert f'<a href="{address}">' in made and (folder / "objects/icon1" / address).is_file()
     assert made.replace("<a href", "<a hidden href") == page.replace("<a href", "<a hidden href")
@@ -112,7 +109,7 @@ def test_without_built_pages_the_viewer_is_left_out_and_that_is_said(database, m
     except ScreenMissing as error:
         NOT_BUILT = error.problems
     monkeypatch.setattr(viewing, "read_built", missing)
-    steps = list(run.publish(database, editions="full"))
+    steps = list(run.publish(database))
     output = run.summarise(steps).output
     assert not (output / "index.html").exists() and validate(output).ok
     said = [step.what for step in steps if step.part == "viewer" and step.what]

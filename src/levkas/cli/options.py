@@ -46,12 +46,18 @@ EXCLUDES: dict[str, Needs] = {
     "plan exposure": {
         "--setup": ("frames", "--dark", "--pattern", "--black", "--bits", "--saturation", "--time")
     },
-    "publish": {"--check": ("--edition", "--no-iiif")},
+    "publish": {"--check": ("--no-iiif",)},
     "simulate": {"--setups": ("--setup",)},
     "status": {"--graph": ("--json",)},
     "watch": {"--once": ("--bell", "--build", "--port", "--no-open")},
 }
 """Command → option → others that would have no effect beside it."""
+GONE = {
+    "publish": {
+        "--edition": "Layers are published at full size; leave it out. `size` in [grid] of campaign.toml makes a smaller database."
+    }
+}
+"""Command → option of an earlier version → what to do instead."""
 
 
 METAVARS = {"path": "PATH", "int": "N", "float": "NUMBER"}
@@ -94,7 +100,10 @@ class StrictCommand(TyperCommand):
                 formatter.write(f"{'':>{formatter.current_indent}}{line}\n")
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse words as typer does; raises UsageError where an option would have no effect."""
+        """Parse words as typer does; raises UsageError where an option would have no effect, or is gone."""
+        for option, instead in GONE.get(_words(ctx), {}).items():
+            if any(arg.partition("=")[0] == option for arg in args):
+                ctx.fail(f"{option} is no longer there. {instead}")
         try:
             rest = super().parse_args(ctx, list(args))
         except BadParameter as error:

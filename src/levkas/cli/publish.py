@@ -32,10 +32,6 @@ def publish(
             help="New folder, or an earlier publication; default DATABASE.published beside it.",
         ),
     ] = None,
-    edition: Annotated[
-        Literal["full", "medium", "both"],
-        typer.Option(help="Full size, at most 640 x 480, or both."),
-    ] = "both",
     check: Annotated[
         bool, typer.Option("--check", help="Only list missing metadata and where to write them.")
     ] = False,
@@ -79,7 +75,6 @@ def publish(
     publication = run.publish(
         wanted,
         output=output,
-        editions=edition,
         url=url,
         iiif=not no_iiif,
         analyse=analyse or (),

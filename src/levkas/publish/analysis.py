@@ -141,19 +141,18 @@ def check_analyses(database: Path, analyses: Iterable[Analysis]) -> None:
 
 
 def write_analyses(publication: Publication) -> Iterator[str]:
-    """Write the analyses that are wanted, in every edition from its own pixels."""
-    for root in publication.roots.values() if publication.analyses else ():
-        place = root.relative_to(publication.folder)
-        for work in find_work(root, publication.analyses):
-            yield f"{work.entry.object}/{work.entry.layer.name}: {work.title}"
-            try:
-                _write(publication, root, work)
-            except ComponentsRefused as refused:
-                (problem,) = refused.problems
-                why = f"{problem.message}: {problem.found}"
-                note = f"{work.entry.object}/{work.entry.layer.name}, {work.title.lower()}: {why}"
-                if place == Path():
-                    publication.left_out.append(note)
+    """Write the analyses that are wanted."""
+    if not publication.analyses:
+        return
+    for work in find_work(publication.folder, publication.analyses):
+        layer = f"{work.entry.object}/{work.entry.layer.name}"
+        yield f"{layer}: {work.title}"
+        try:
+            _write(publication, work)
+        except ComponentsRefused as refused:
+            (problem,) = refused.problems
+            why = f"{problem.message}: {problem.found}"
+            publication.left_out.append(f"{layer}, {work.title.lower()}: {why}")
 
 
 def find_work(root: Path, analyses: Sequence[Analysis]) -> list[LayerAnalysis]:
@@ -192,10 +191,10 @@ def _chosen(source: LayerBands, analysis: Analysis, side: int) -> LayerBands | N
     return LayerBands(source.root, source.entry, inside) if inside else None
 
 
-def _write(publication: Publication, root: Path, work: LayerAnalysis) -> None:
+def _write(publication: Publication, work: LayerAnalysis) -> None:
     """Write the pictures of one analysis and its record; raises ComponentsRefused."""
     entry, name = work.entry, work.analysis.name
-    base = root / "objects" / entry.object / ANALYSES / f"{entry.layer.stem}.{name}"
+    base = publication.folder / "objects" / entry.object / ANALYSES / f"{entry.layer.stem}.{name}"
     tiff, record = base.with_name(f"{base.name}.tif"), base.with_name(f"{base.name}.json")
     facts, labels, rows = _components(work) if work.analysis.kind in COMPONENTS else _pairs(work)
     _write_pages(tiff, (entry.height, entry.width, len(labels)), labels, rows, work)

@@ -16,7 +16,6 @@ from urllib.parse import quote, unquote
 
 from levkas.core.problems import Problem, closest_match
 from levkas.core.text import CONTROL, read_json
-from levkas.database.catalogue import read_catalogue
 from levkas.publish.publication import PublishRefused
 
 if TYPE_CHECKING:
@@ -108,20 +107,16 @@ def find_annotations(path: Path) -> tuple[Path, ...]:
 
 
 def annotations_of(publication: Publication) -> Annotations:
-    """Return the notes that a publication carries, on the canvases of its larger edition."""
+    """Return the notes that a publication carries, on its canvases."""
     entries = publication.entries()
     sizes = {entry.object: (entry.width, entry.height) for entry in entries}
-    stated = {
-        entry.object: (entry.width, entry.height) for entry in read_catalogue(publication.source)
-    }
-    items = read_annotations(publication.notes, sizes, stated) if publication.notes else {}
+    items = read_annotations(publication.notes, sizes) if publication.notes else {}
     return Annotations(publication.base, sizes, items)
 
 
 def read_annotations(
     paths: Iterable[Path],
     sizes: Mapping[str, tuple[int, int]],
-    stated: Mapping[str, tuple[int, int]] | None = None,
 ) -> dict[str, list[dict[str, Any]]]:
     """Read files of notes; the target of each note says of which object it is.
 
@@ -129,9 +124,7 @@ def read_annotations(
     ----------
     paths : iterable of Path
     sizes : mapping
-        Width and height of each object's canvas, px.
-    stated : mapping, optional
-        What a target without a width and a height is taken to mean; default `sizes`.
+        Width and height of each object's canvas, px; a target that states others is scaled.
 
     Returns
     -------
@@ -147,7 +140,7 @@ def read_annotations(
     """
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for path in paths:
-        reader = _Reader(path, sizes, stated or sizes)
+        reader = _Reader(path, sizes)
         for number, (name, key, note) in enumerate(reader.read()):
             notes = found.setdefault(name, {})
             key = key or f"{path.name} {number}"
@@ -165,9 +158,8 @@ class _Reader:
         self,
         path: Path,
         sizes: Mapping[str, tuple[int, int]],
-        stated: Mapping[str, tuple[int, int]],
     ) -> None:
-        self.path, self.sizes, self.stated = path, sizes, stated
+        self.path, self.sizes = path, sizes
 
     def refuse(self, where: str, found: Any, expected: str) -> NoReturn:
         raise PublishRefused(
@@ -246,8 +238,7 @@ class _Reader:
             expected += f". {hint}" if hint else ""
             self.refuse(f"{where}.source", named, expected)
         width, height = self.sizes[name]
-        usual = self.stated.get(name, (width, height))
-        size = canvas.get("width", usual[0]), canvas.get("height", usual[1])
+        size = canvas.get("width", width), canvas.get("height", height)
         if not all(_is_size(side) for side in size):
             self.refuse(f"{where}.source", size, "a width and a height in pixels")
         scale = width / size[0]

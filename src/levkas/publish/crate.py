@@ -97,7 +97,6 @@ FOLDERS = {
     "declarations": "what the campaign declares: to build the database again",
     "iiif": "manifests and tiles for viewers of the IIIF Presentation and Image API 3",
     "viewer": "pictures and spectra that the pages show",
-    "medium": "the medium edition: a database of its own, at most 640 x 480 pixels",
 }
 """What a folder is by its name; of another one, what it is in."""
 LEVKAS = "https://doi.org/10.3390/computation7030047"
@@ -222,9 +221,8 @@ def _describe_files(publication: Publication, entities: dict[str, Entity]) -> li
 def _whole_of(name: str) -> str | None:
     """Return the folder that is described as one thing, for a file that is in one."""
     parts = name.split("/")
-    for depth in (0, 1):  # the medium edition is a folder below
-        if len(parts) > depth + 1 and parts[depth] in WHOLE:
-            return "/".join(parts[: depth + 2 if parts[depth] == "zarr" else depth + 1])
+    if len(parts) > 1 and parts[0] in WHOLE:
+        return "/".join(parts[: 2 if parts[0] == "zarr" else 1])
     return None
 
 
@@ -354,16 +352,14 @@ def describe_steps(publication: Publication, entities: dict[str, Entity]) -> lis
                     fix="Build the database again, or remove the file.",
                 )
             ) from error
-    for path in sorted(publication.folder.glob("**/objects/*/analysis/*.json")):
+    for path in sorted(publication.folder.glob("objects/*/analysis/*.json")):
         actions.append(_analysis(publication, path, entities))
-    actions += _editions(entities)
-    return actions
+    return actions + _tiles(entities)
 
 
 def _analysis(publication: Publication, path: Path, entities: dict[str, Entity]) -> Entity:
     """Add the action that made one analysis, from its record."""
     record, folder = read_json(path), path.parent.relative_to(publication.folder)
-    edition = f", {folder.parts[0]} edition" if len(folder.parts) > 3 else ""
     inputs = [quote((folder.parent / Path(name).name).as_posix()) for name in record["inputs"]]
     results = [quote((folder / name).as_posix()) for name in (record["file"], path.name)]
     name = f"{record['layer']}: {record['title'].lower()}"
@@ -374,7 +370,7 @@ def _analysis(publication: Publication, path: Path, entities: dict[str, Entity])
         _add(entities, one["@id"], {"@type": "ScholarlyArticle", "name": one["@id"]})
     entity: Entity = {
         "@type": "CreateAction",
-        "name": f"{record['object']}, {name}{edition}",
+        "name": f"{record['object']}, {name}",
         "description": "Computed from the layers where no flag makes a pixel unusable",
         "instrument": {"@id": _program(__version__)},
         "object": [
@@ -463,27 +459,19 @@ def _parameter(entities: dict[str, Entity], name: str, value: Any) -> Entity:
     )
 
 
-def _editions(entities: dict[str, Entity]) -> list[Entity]:
-    """The medium edition and the tiles, where they are there."""
-    from levkas.publish.publication import MEDIUM
-
-    made = {
-        f"{MEDIUM}/": "Resampled to at most 640 x 480 pixels, sigma and flags carried along",
-        "iiif/": "Cut into tiles for IIIF viewers",
+def _tiles(entities: dict[str, Entity]) -> list[Entity]:
+    """The making of the tiles, where they are there."""
+    if "iiif/" not in entities:
+        return []
+    entity = {
+        "@type": "CreateAction",
+        "name": "iiif",
+        "description": "Cut into tiles for IIIF viewers",
+        "instrument": {"@id": _program(__version__)},
+        "object": [{"@id": "objects/"}],
+        "result": [{"@id": "iiif/"}],
     }
-    actions = []
-    for folder, what in made.items():
-        if folder in entities:
-            entity = {
-                "@type": "CreateAction",
-                "name": folder.rstrip("/"),
-                "description": what,
-                "instrument": {"@id": _program(__version__)},
-                "object": [{"@id": "objects/"}],
-                "result": [{"@id": folder}],
-            }
-            actions.append(_add(entities, f"#made-{folder.rstrip('/')}", entity))
-    return actions
+    return [_add(entities, "#made-iiif", entity)]
 
 
 def _program(version: str) -> str:

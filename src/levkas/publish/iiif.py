@@ -178,7 +178,7 @@ def _picture(publication: Publication, entry: Entry) -> tuple[np.ndarray, str]:
     from levkas.database.described import describe_pages
     from levkas.database.tiff_pages import open_pages
 
-    pages = open_pages(publication.root / f"{entry.layer.path}.tif")
+    pages = open_pages(publication.folder / f"{entry.layer.path}.tif")
     picture = pages.read_render()
     if picture is None:
         picture = np.zeros((entry.height, entry.width, 3), np.uint8)

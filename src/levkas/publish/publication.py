@@ -1,4 +1,4 @@
-"""A publication in the making: source, target folder, editions, description."""
+"""A publication in the making: source, target folder, description; and the database as its first part."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ import hashlib
 from dataclasses import dataclass, field
 from math import isnan
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from levkas.core.ownership import Kind, made, refusal, require_outside, stands_in
-from levkas.core.problems import Refused
+from levkas.core.problems import Problem, Refused
 from levkas.core.text import counted, read_json
 from levkas.database.manifest import NAME, list_files, plain, read_manifest
+from levkas.database.splits import NAME as SPLITS
+from levkas.database.splits import split_objects
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from levkas.core.files import Folder
     from levkas.database.catalogue import Entry
@@ -23,16 +25,11 @@ if TYPE_CHECKING:
     from levkas.publish.analysis_names import Analysis
     from levkas.publish.metadata import PublicationFacts
 
-MEDIUM = "medium"
-"""Folder of the medium edition where both are published."""
-
 PROVENANCE = "provenance.json"
 """Beside the layers of an object: every step of their making, with the hashes of raw files."""
 
 LOCAL = "http://localhost:8000/"
 """Where ``python -m http.server`` in the publication's folder gives it."""
-
-Editions = Literal["full", "medium", "both"]
 
 
 class PublishRefused(Refused):
@@ -53,8 +50,6 @@ class Publication:
         Where the publication is made; it takes its name when it is whole.
     facts : PublicationFacts
         Who, what, under which licence.
-    editions : "full", "medium" or "both"
-        A single edition is the folder itself; of both, the medium one is the folder ``medium`` in it.
     url : str
         Address under which the folder will be found, with ``/`` at its end; empty where not known.
     iiif : bool
@@ -75,7 +70,6 @@ class Publication:
     manifest: Manifest
     out: Folder
     facts: PublicationFacts
-    editions: Editions = "both"
     url: str = ""
     iiif: bool = True
     notes: tuple[Path, ...] = ()
@@ -90,21 +84,9 @@ class Publication:
         return self.out.path
 
     @property
-    def roots(self) -> dict[str, Path]:
-        """Folder of each edition: every one is a database of its own."""
-        if self.editions == "both":
-            return {"full": self.folder, "medium": self.folder / MEDIUM}
-        return {self.editions: self.folder}
-
-    @property
     def base(self) -> str:
         """Address of the folder; that of a server on this machine where none is known."""
         return self.url or LOCAL
-
-    @property
-    def root(self) -> Path:
-        """Folder of the larger edition that is there: what pictures are made from."""
-        return self.folder
 
     def write_bytes(self, name: str, data: bytes | memoryview) -> None:
         """Write a file of the folder; all are synced together in the end. Raises WriteRefused."""
@@ -121,10 +103,46 @@ class Publication:
         return self.hashes[name]
 
     def entries(self) -> tuple[Entry, ...]:
-        """Return the rows of the catalogue of `root`."""
+        """Return the rows of the catalogue."""
         from levkas.database.catalogue import read_catalogue
 
-        return read_catalogue(self.root)
+        return read_catalogue(self.folder)
+
+
+def write_content(publication: Publication) -> Iterator[str]:
+    """Copy every file that the database's manifest lists, and split its objects.
+
+    Raises
+    ------
+    PublishRefused
+        Where files are missing or differ from the manifest: all of them, at most ten.
+    """
+    problems = []
+    for name, listed in publication.manifest.files.items():
+        yield name
+        source = publication.source / name
+        try:
+            found = publication.copy_file(source, name)
+        except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
+            problems.append(_not_whole(source, "it is missing"))
+            continue
+        if found != listed.sha256:
+            problems.append(_not_whole(source, "it has changed since the build"))
+    if problems:
+        raise PublishRefused(*problems[:10])
+    yield SPLITS
+    names = dict.fromkeys(entry.object for entry in publication.entries())
+    lines = "".join(f"{name},{split}\n" for name, split in split_objects(names).items())
+    publication.write_text(SPLITS, "object,split\n" + lines)
+
+
+def _not_whole(path: Path, why: str) -> Problem:
+    return Problem(
+        "E_DAMAGED",
+        f"{path.name} cannot be published: {why}",
+        file=str(path),
+        fix="Build the database again; `levkas validate` lists all damage.",
+    )
 
 
 def describe_dataset(publication: Publication) -> str:

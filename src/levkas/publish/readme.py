@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from levkas.core.flags import MARKS
 from levkas.database.registrations import describe_pairs, read_registration
 from levkas.publish.citation import cite
-from levkas.publish.publication import MEDIUM, describe_dataset
+from levkas.publish.publication import describe_dataset
 
 if TYPE_CHECKING:
     from levkas.database.catalogue import Entry
@@ -29,7 +29,6 @@ PARTS = {
     "cameras/": "sensors, sensitivities, report of each camera",
     "setups/": "spectra of the light",
     "charts/": "calibrated colour charts",
-    "medium/": "the same database at no more than 640 x 480 pixels, and complete in itself",
     "declarations/": "what the campaign declared; put beside the raw frames, `levkas build` builds the database again",
     "colour/": "the CIELAB gamut of the database",
     "iiif/": "tiles and manifests for IIIF viewers",
@@ -43,16 +42,14 @@ PARTS = {
 
 
 def write_readme(publication: Publication) -> Iterator[str]:
-    """Write README.md and README.html; of both editions each has its own."""
+    """Write README.md and README.html."""
     yield NAME
-    for root in publication.roots.values():
-        place = root.relative_to(publication.folder)
-        text = format_readme(publication, root)
-        publication.write_text((place / NAME).as_posix(), text)
-        publication.write_text((place / PAGE).as_posix(), render_readme(publication, root, text))
+    text = format_readme(publication)
+    publication.write_text(NAME, text)
+    publication.write_text(PAGE, render_readme(publication, text))
 
 
-def render_readme(publication: Publication, root: Path, text: str) -> str:
+def render_readme(publication: Publication, text: str) -> str:
     """Return README.md as a page that needs no other file and no other host."""
     from markdown_it import MarkdownIt
     from markupsafe import Markup
@@ -69,7 +66,7 @@ def render_readme(publication: Publication, root: Path, text: str) -> str:
     page = {
         "title": " ".join(publication.facts.title.split()),
         "subtitle": creators,
-        "links": pages_beside(root),
+        "links": pages_beside(publication.folder),
         "body": Markup(marked.render(body)),
     }
     return render_page("readme.html", page=page)
@@ -81,7 +78,7 @@ def _open_table(*_: object) -> str:
 
 
 def pages_beside(root: Path) -> list[tuple[str, str]]:
-    """Return (words, address) of the pages and tables at the top of an edition."""
+    """Return (words, address) of the pages and tables at the top of the folder."""
     known = {
         "Viewer": "index.html",
         "Read me": PAGE,
@@ -89,17 +86,14 @@ def pages_beside(root: Path) -> list[tuple[str, str]]:
         "Catalogue": "catalogue.csv",
         "How to cite": "CITATION.cff",
     }
-    crate = root.name != MEDIUM  # which has none of its own
-    there = {name for name in known.values() if (root / name).is_file()}
-    there |= {PAGE, *(["ro-crate-preview.html"] if crate else [])}
+    later = (PAGE, "ro-crate-preview.html")
+    there = {name for name in known.values() if name in later or (root / name).is_file()}
     return [(words, name) for words, name in known.items() if name in there]
 
 
-def format_readme(publication: Publication, root: Path) -> str:
-    """Return the text of README.md of one edition."""
-    from levkas.database.catalogue import read_catalogue
-
-    facts, entries = publication.facts, read_catalogue(root)
+def format_readme(publication: Publication) -> str:
+    """Return the text of README.md."""
+    facts, entries, root = publication.facts, publication.entries(), publication.folder
     licence = facts.licence
     parts = [f"# {plain(facts.title)}", plain(describe_dataset(publication))]
     if licence:
@@ -111,7 +105,7 @@ def format_readme(publication: Publication, root: Path) -> str:
     if facts.contact:
         parts.append(f"Questions: {plain(facts.contact)}")
     parts += ["## Objects", _objects(publication), "## Layers", _layers(root, entries)]
-    parts += ["## Files", _files(publication, root), _reading(entries), _values(), _keeping()]
+    parts += ["## Files", _files(root), _reading(entries), _values(), _keeping()]
     return "\n\n".join(parts) + "\n"
 
 
@@ -155,9 +149,8 @@ def _by_hand(root: Path, entry: Entry) -> str:
     return describe_pairs(read_registration(path)) if path.is_file() else ""
 
 
-def _files(publication: Publication, root: Path) -> str:
-    crate = {"ro-crate-metadata.json", "ro-crate-preview.html"}
-    later = {"manifest-sha256.txt"} | (crate if root == publication.folder else set())
+def _files(root: Path) -> str:
+    later = {"manifest-sha256.txt", "ro-crate-metadata.json", "ro-crate-preview.html"}
     if any(root.glob("objects/*/analysis")):
         later.add("objects/OBJECT/analysis/")
     here = [n for n in PARTS if (root / n).exists() or n in later]

@@ -16,7 +16,6 @@ from levkas.publish.crate import NAME as CRATE
 from levkas.publish.metadata import NAME as FACTS
 from levkas.publish.metadata import PublicationFacts, facts_of, missing_facts, read_facts
 from levkas.publish.publication import (
-    Editions,
     Publication,
     PublishRefused,
     require_earlier,
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
     Part = Callable[[Publication], Iterator[str]]
 
 SPACE = 1.6
-"""Of the database: with a medium edition, tiles and pages beside it."""
+"""Of the database: with tiles and pages beside it."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +78,6 @@ class PublishReport:
     output: Path
     files: int
     bytes: int
-    editions: str
     bag: Path | None = None
     deposit: tuple[Problem, ...] = ()
     """What a repository must know before it gives a DOI."""
@@ -101,7 +99,6 @@ class PublishReport:
             "output": str(self.output),
             "files": self.files,
             "bytes": self.bytes,
-            "editions": self.editions,
             "bag": str(self.bag) if self.bag else None,
             "left_out": list(self.left_out),
         }
@@ -271,7 +268,6 @@ def publish(
     path: str | Path | PublishSubject,
     *,
     output: str | Path | None = None,
-    editions: Editions = "both",
     url: str = "",
     iiif: bool = True,
     analyse: Sequence[str] = (),
@@ -286,7 +282,6 @@ def publish(
     output : path, optional
         Default: ``NAME.published`` beside the database. An earlier publication there is replaced
         when the new one is whole.
-    editions : "full", "medium" or "both"
     url : str, optional
         Address under which the folder will be found.
     iiif : bool
@@ -327,7 +322,7 @@ def publish(
     with publishing(final, bytes_needed=int(SPACE * manifest.bytes)) as folder:
         source, address = subject.database.resolve(), _with_slash(url)
         publication = Publication(
-            *(source, manifest, folder, facts, editions, address, iiif),
+            *(source, manifest, folder, facts, address, iiif),
             *(subject.notes, analyses),
             campaign=subject.campaign,
         )
@@ -342,9 +337,7 @@ def publish(
     packed = Path(bag).resolve() if bag else None
     needed = tuple(check_datacite(facts)[0])
     left_out = tuple(publication.left_out)
-    report = PublishReport(
-        final, len(made.files) + 1, made.bytes, editions, packed, needed, left_out
-    )
+    report = PublishReport(final, len(made.files) + 1, made.bytes, packed, needed, left_out)
     yield PublishStep("publication", "", len(PARTS), len(PARTS), True, "done", report)
 
 
@@ -499,12 +492,10 @@ def _check_output(final: Path, database: Path, facts: PublicationFacts) -> None:
 
 
 def _check_whole(publication: Publication) -> None:
-    """Read everything that was written again, and compare; every edition by its own manifest."""
+    """Read everything that was written again, and compare."""
     from levkas.database.validation import check_files
 
-    found = [
-        p for root in publication.roots.values() for s in check_files(root) for p in s.problems
-    ]
+    found = [p for step in check_files(publication.folder) for p in step.problems]
     if found:
         raise PublishRefused(*found[:10])
 
@@ -519,18 +510,15 @@ def summarise(steps: Iterable[PublishStep]) -> PublishReport:
 
 
 PARTS = {
-    "content": "levkas.publish.editions:write_content",
-    "medium": "levkas.publish.editions:write_medium",
+    "content": "levkas.publish.publication:write_content",
     "analysis": "levkas.publish.analysis:write_analyses",
     "colour": "levkas.publish.swatches:write_gamut",
     "iiif": "levkas.publish.iiif:write_iiif",
-    "splits": "levkas.publish.editions:write_splits",
     "declarations": "levkas.publish.declarations:write_declarations",
     "citation": "levkas.publish.citation:write_citation",
     "datacite": "levkas.publish.citation:write_datacite",
     "viewer": "levkas.publish.viewer.run:write_part",
     "readme": "levkas.publish.readme:write_readme",
-    "sealing": "levkas.publish.editions:seal_medium",
     "crate": "levkas.publish.crate:write_crate",
     "preview": "levkas.publish.preview:write_preview",
 }

@@ -143,7 +143,7 @@ def _shows_colour(publication: Publication, entry: Entry) -> bool:
     camera = publication.facts.reference.partition(":")[0]
     if entry.camera != camera or entry.setup or entry.quantity != "reflectance":
         return False
-    bands = open_tiff(publication.root / f"{entry.layer.path}.tif").bands
+    bands = open_tiff(publication.folder / f"{entry.layer.path}.tif").bands
     wavelengths = np.array([band.wavelength for band in bands])
     known = len(bands) >= 3 and bool(np.isfinite(wavelengths).all())
     return known and visible_coverage(wavelengths) >= LEAST_COVERAGE
@@ -153,7 +153,7 @@ def _cells_of(publication: Publication, entry: Entry) -> np.ndarray:
     from levkas.database.described import describe_pages
     from levkas.database.tiff_pages import open_pages
 
-    path = publication.root / f"{entry.layer.path}.tif"
+    path = publication.folder / f"{entry.layer.path}.tif"
     values, flags = open_pages(path), path.with_name(f"{path.stem}.flags.tif")
     marks = open_pages(flags) if flags.is_file() else None
     wavelengths = [band.wavelength for band in describe_pages(values).bands]

@@ -66,11 +66,7 @@ def test_an_odd_name_survives_checksums_and_a_bag(make_plates, tmp_path):
     head = '[campaign]\ncreator = "Doe, Jane"\nlicence = "CC-BY-4.0"\n'
     (folder / "campaign.toml").write_text(text.replace("[campaign]\n", head))
     assert summarise(build(folder)).ok
-    list(
-        run.publish(
-            folder / "database", output=tmp_path / "out", editions="full", bag=tmp_path / "bag"
-        )
-    )
+    list(run.publish(folder / "database", output=tmp_path / "out", bag=tmp_path / "bag"))
     bagit.Bag(str(tmp_path / "bag")).validate()
     for place in (folder / "database", tmp_path / "out", tmp_path / "bag"):
         command = ["sha256sum", "-c", "--quiet", "manifest-sha256.txt"]
@@ -88,6 +84,6 @@ def test_a_foreign_file_that_a_bag_cannot_name_is_refused_by_its_name(make_plate
     (folder / "database/objects/one/at 50%.txt").write_text("a note")
     assert summarise(build(folder)).ok
     with pytest.raises(run.PublishRefused) as refused:
-        list(run.publish(folder / "database", editions="full", bag=tmp_path / "bag"))
+        list(run.publish(folder / "database", bag=tmp_path / "bag"))
     (problem,) = refused.value.problems
     assert problem.code == "E_VALUE" and problem.file.endswith("at 50%.txt")

@@ -193,7 +193,7 @@ def publish_with():
         lines = [f"{key} = {json.dumps(value)}\n" for key, value in facts.items()]
         (database / "database.toml").write_text("".join(lines), encoding="utf-8")
         write_manifest(database)
-        return run.summarise(run.publish(database, editions="full", iiif=False, **options)).output
+        return run.summarise(run.publish(database, iiif=False, **options)).output
 
     return publish
 

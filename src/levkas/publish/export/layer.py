@@ -155,6 +155,6 @@ class ExportLayer:
                     file=str(self.path),
                     found=f"{size / 1e9:.1f} GB",
                     expected=f"at most {most / 1e9:.1f} GB",
-                    fix=f"Use --for {instead}, or publish the medium edition and export that.",
+                    fix=f"Use --for {instead}.",
                 )
             )

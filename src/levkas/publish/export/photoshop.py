@@ -52,7 +52,7 @@ def _write(layers: Sequence[ExportLayer], folder: Path) -> Path:
                 f"the pictures of {layers[0].object} are too large for one layered TIFF",
                 found=f"{sum(p.nbytes for p in pictures) / 1e9:.1f} GB",
                 expected=f"at most {MOST_BYTES / 1e9:.0f} GB",
-                fix="Choose some cameras with --camera, or publish the medium edition and export that.",
+                fix="Choose some cameras with --camera.",
             )
         )
     made = [

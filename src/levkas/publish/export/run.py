@@ -64,7 +64,7 @@ def export(
     Parameters
     ----------
     database : path
-        A database, also a published one or its medium edition, or the folder of its campaign, from which the
+        A database, also a published one, or the folder of its campaign, from which the
         form ``ngff`` calibrates native pixels that the database does not hold.
     form : str
         One of `FORMS`.

@@ -47,29 +47,19 @@ def write_part(publication: Publication) -> Iterator[str]:
     def write(name: str, data: bytes) -> None:
         publication.write_bytes(name, data)
 
-    root = publication.root
     about = replace(about_of(publication.facts), record=describe_landing(publication))
     notes = annotations_of(publication)
-    yield from write_viewer(root, write, about, beside=_beside(publication), notes=notes)
+    beside = _beside(publication)
+    yield from write_viewer(publication.folder, write, about, beside=beside, notes=notes)
     _link_reports(publication)
-    medium = publication.roots.get("medium")
-    if medium is not None and medium != root:
-        place = medium.relative_to(root).as_posix()
-
-        def write_below(name: str, data: bytes) -> None:
-            write(f"{place}/{name}", data)
-
-        above = [("Full edition", "../index.html")]
-        about = replace(about, title=f"{about.title}, medium edition", record={})
-        yield from write_viewer(medium, write_below, about, beside=above, notes=notes)
 
 
 def _link_reports(publication: Publication) -> None:
     """Show the link to the viewer, which reports have in them, now that it leads somewhere."""
-    for path in sorted(publication.root.glob("objects/*/report.html")):
+    for path in sorted(publication.folder.glob("objects/*/report.html")):
         page = path.read_bytes()
         if HIDDEN_LINK in page:
-            name = path.relative_to(publication.root).as_posix()
+            name = path.relative_to(publication.folder).as_posix()
             shown = HIDDEN_LINK.replace(b" hidden", b"")
             publication.write_bytes(name, page.replace(HIDDEN_LINK, shown, 1))
 
@@ -77,8 +67,6 @@ def _link_reports(publication: Publication) -> None:
 def _beside(publication: Publication) -> list[tuple[str, str]]:
     """What the folder holds for other programs; some of it is written after the viewer."""
     found = [("IIIF manifest", "iiif/{object}/manifest.json")] if publication.iiif else []
-    if publication.editions == "both":
-        found.append(("Medium edition", "medium/index.html"))
     return [
         *found,
         ("Read me: what is in the folder", "README.html"),
