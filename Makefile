@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE  # a hundred processes of the tests would each 
 WORKERS ?= 3
 PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -rfEs
 
-.PHONY: env demo test test-slow exhaustive warm coverage test-all lint format hooks bench docs reference lock frontend peers compare fuzz clean
+.PHONY: env demo test test-slow exhaustive mutants warm coverage test-all lint format hooks bench docs reference lock frontend peers compare fuzz clean
 
 env: $(READY)
 	@echo "The environment is $(VENV). Next: make demo | test | lint | docs; CONTRIBUTING.md says more."
@@ -36,6 +36,10 @@ exhaustive: $(READY)
 	LEVKAS_EVERY_CASE=1 $(PYTEST) -m exhaustive
 	LEVKAS_EVERY_CASE=1 $(PYTEST) tests/building/test_faults.py tests/building/test_staleness.py \
 		tests/building/test_same_bytes.py tests/cli/test_hostile_commands.py
+
+# Whether the tests find faults that are planted in a copy of the package, one at a time: an hour.
+mutants: $(READY)
+	$(BIN)/python benchmarks/mutants.py
 
 # Which lines and branches of the package the fast tests run.
 coverage: pages
