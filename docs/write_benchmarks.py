@@ -1,6 +1,6 @@
-"""Write docs/benchmarks.md, the tables of README.md and the figures of paper/paper.md from benchmarks/results.json.
+"""Write docs/benchmarks.md and the figures of README.md and paper/paper.md from benchmarks/results.json.
 
-Tests hold the files to the results. In the paper a figure has its name in a comment behind it,
+Tests hold the files to the results. In a text a figure has its name in a comment behind it,
 ``0.016<!-- comparison | Levkas | d80 -->`` (table, row, column if there are several), and a table the name of its own before it.
 """
 
@@ -13,11 +13,9 @@ sys.path.insert(0, str(ROOT / "benchmarks"))
 
 from results import Figure, Results, load  # noqa: E402
 
-HEADLINE = ("comparison", "build")
 UNKNOWN = "not recorded"
 NAMED = re.compile(r"[^\s<(]+<!-- ([^|>]+) \| ([^|>]+?)(?: \| ([^|>]+))? -->")
 TABLE = re.compile(r"(<!-- table: (\S+) -->\n\n)(?:\|.*\n)+")
-BEGIN, END = "<!-- headline: docs/write_benchmarks.py -->\n", "<!-- end of headline -->\n"
 
 
 def page(results: Results) -> str:
@@ -35,22 +33,6 @@ def page(results: Results) -> str:
         figures = results.of(one.id)
         parts += [f"## {one.title}", "", one.sentence, "", *table(figures), "", *origin(figures)]
     return "\n".join(parts).rstrip() + "\n"
-
-
-def headline(results: Results) -> str:
-    """Return README's tables, with the markers around them."""
-    parts = [BEGIN]
-    for one in results.tables:
-        if one.id in HEADLINE:
-            figures = results.of(one.id)
-            parts += [one.sentence, "", *table(figures), "", *origin(figures)]
-    return "\n".join(parts) + END
-
-
-def with_headline(readme: str, results: Results) -> str:
-    """Return README.md with its tables as the results have it."""
-    before, _, rest = readme.partition(BEGIN)
-    return before + headline(results) + rest.partition(END)[2]
 
 
 def with_figures(paper: str, results: Results) -> str:
@@ -150,9 +132,8 @@ def judged(figures: list[Figure], shared: dict[str, bool]) -> str:
 
 
 if __name__ == "__main__":
-    everything, readme, paper = load(), ROOT / "README.md", ROOT / "paper/paper.md"
+    everything = load()
     (ROOT / "docs/benchmarks.md").write_text(page(everything), encoding="utf-8")
-    text = readme.read_text(encoding="utf-8")
-    readme.write_text(with_headline(text, everything), encoding="utf-8")
-    text = paper.read_text(encoding="utf-8")
-    paper.write_text(with_figures(text, everything), encoding="utf-8")
+    for path in (ROOT / "README.md", ROOT / "paper/paper.md"):
+        text = with_figures(path.read_text(encoding="utf-8"), everything)
+        path.write_text(text, encoding="utf-8")
