@@ -2,7 +2,7 @@
 
     python tests/promises/table.py [NAME …]
 
-prints the table of docs/development/assumptions.md: what a build says, or how far its values lie from the truth.
+prints a table: what a build says, or how far its values lie from the truth.
 """
 
 from __future__ import annotations

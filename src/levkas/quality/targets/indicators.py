@@ -1,7 +1,7 @@
 """Quality indicators with the levels of FADGI (third edition, 2023) and ISO 19264-1:2021 that a value alone would reach.
 
 Neither document was at hand. A limit is listed here where two independent publications give the same number, or the one
-comparison of both standards that docs/reference/quality_indicators.md names; where they differ or nothing was found the level is left
+comparison of both standards that the table names; where they differ or nothing was found the level is left
 blank, "–". They are indicators, never a certification: those standards judge whole systems on targets of their own.
 """
 
