@@ -119,7 +119,7 @@ reference: $(READY)
 	$(BIN)/python docs/write_benchmarks.py
 	$(BIN)/python paper/figures.py
 
-# The programs that `levkas methods` sets beside Levkas, in an environment of their own.
+# The programs that benchmarks/methods.py sets beside Levkas, in an environment of their own.
 PEERS := $(VENV)-peers
 peers: requirements-peers.lock
 	test -x $(PEERS)/bin/python || $(PYTHON) -m venv $(PEERS)
@@ -133,7 +133,7 @@ peers: requirements-peers.lock
 CAMPAIGN ?= demo
 OUT ?= comparison
 compare: peers
-	PYTHONPATH=src $(PEERS)/bin/python -c 'from levkas.cli import main; main()' methods $(CAMPAIGN) -o $(OUT)
+	PYTHONPATH=src $(PEERS)/bin/python benchmarks/methods.py $(CAMPAIGN) -o $(OUT)
 
 # Readers under mutation, guided by coverage: atheris, in an environment of its own.
 FUZZ := $(VENV)-fuzz

@@ -62,21 +62,21 @@ def test_a_script_brings_its_figures_up_to_date_and_no_others(modules, tmp_path,
     results, writing = modules
     path = tmp_path / "results.json"
     path.write_bytes(RESULTS.read_bytes())
-    given = ["/home/x/benchmarks/loops.py", "/data/demo", "--n", "3", "--results", str(path)]
+    given = ["/home/x/benchmarks/seeds.py", "/data/demo", "--n", "3", "--results", str(path)]
     monkeypatch.setattr(sys, "argv", given)
-    results.record(path, "loops", {"d80, msbs": 0.0213456, "msbs, v10": None})
+    results.record(path, "sigma-position", {"d80": 0.9213456, "v10": None})
     before = {f.key: f for f in results.load().figures}
     after = {f.key: f for f in results.load(path).figures}
     assert list(after) == list(before)
     changed = {key for key in after if after[key] != before[key]}
-    assert changed == {("loops", "d80, msbs", ""), ("loops", "msbs, v10", "")}
-    one = after["loops", "d80, msbs", ""]
-    assert (one.value, one.unit, one.goal, one.met) == (0.02135, "px", (None, 0.03), True)
-    assert one.command == "python benchmarks/loops.py FOLDER --n 3"
+    assert changed == {("sigma-position", "d80", ""), ("sigma-position", "v10", "")}
+    one = after["sigma-position", "d80", ""]
+    assert (one.value, one.unit, one.goal, one.met) == (0.9213, "", (0.85, 0.95), True)
+    assert one.command == "python benchmarks/seeds.py FOLDER --n 3"
     assert one.date > "2026-11-22" and one.version and one.machine
-    assert "| msbs, v10 | failed | **missed** |" in writing.page(results.load(path))
+    assert "| v10 | failed | **missed** |" in writing.page(results.load(path))
     with pytest.raises(ValueError, match="has no figure"):
-        results.record(path, "loops", {"d80, msbs": 0.0, "another": 1.0})
+        results.record(path, "sigma-position", {"d80": 0.0, "another": 1.0})
     assert {f.key: f for f in results.load(path).figures} == after
 
 

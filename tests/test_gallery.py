@@ -2,7 +2,6 @@
 
 import ast
 import importlib
-import json
 import re
 import runpy
 import sys
@@ -301,22 +300,3 @@ def test_sensitivities_are_drawn_channel_by_channel(script, tmp_path):
     title = figure.axes[2].get_title(loc="left")
     assert "weakest under the proposed light B2" in title
     assert "R1:G1:B1:R2:G2:B2:IR = 1.6:2.4:1.2:2.6:1.3:1.0:1.5" in title  # as the paper has them
-
-
-def test_scores_and_maps_of_a_comparison_are_drawn_as_they_are(script, tmp_path):
-    ssim = {"levkas": [0.9, 0.8], "gdbicp-radial": [0.7, None]}
-    rows = []
-    for method, values in ssim.items():
-        for layer, value in zip(("d80", "v10"), values, strict=True):
-            name = f"{method}_{layer}.png" if value else ""
-            if name:
-                Image.fromarray(np.full((20, 30), int(255 * value), np.uint8)).save(tmp_path / name)
-            rows.append(dict(object="icon1", layer=layer, method=method, ssim=value, map=name))
-    (tmp_path / "comparison.json").write_text(json.dumps({"comparison": rows}))
-    figure = script("figure_14_ssim").main(tmp_path, tmp_path / "14.png")
-    drawn = curves(figure.axes[0])
-    for method, values in ssim.items():
-        np.testing.assert_allclose(drawn[method][:, 1], np.array(values, float))
-    maps = [axes.images[0].get_array() for axes in figure.axes if axes.images]
-    assert [round(float(m.mean()), 2) for m in maps] == [0.9, 0.7]
-    assert decoded(tmp_path / "14.png").std() > 5

@@ -74,7 +74,7 @@ def test_a_near_miss_is_named(line, meant):
 @pytest.mark.parametrize(
     "line",
     ["export icnos --for envi", "validate icnos", "build icnos", "look icnos", "status icnos", "publish icnos",
-     "evaluate icnos", "inspect icnos", "loops icnos", "agree icnos icons", "estimate icnos", "chart icnos", "map icnos icon1 --to d80"],
+     "evaluate icnos", "inspect icnos", "agree icnos icons", "estimate icnos", "chart icnos", "map icnos icon1 --to d80"],
 )  # fmt: skip
 def test_a_folder_that_does_not_exist_is_called_so(line, tmp_path, monkeypatch):
     (tmp_path / "icons").mkdir()

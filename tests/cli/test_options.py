@@ -204,7 +204,7 @@ def bases(root, database):
         "export": [database, "--for", "envi", "-o", root / "out"], "estimate": [database],
         "map": [database, "icon1", root / "points.csv"], "plan light": [BENCH],
         "plan exposure": frames, "plan filter": [*frames, "--setup", BENCH, "--camera", "d80"], "plan series": frames,
-        "methods": [database], "loops": [database], "agree": [database, database],
+        "agree": [database, database],
         "estimate score": [database, root], "estimate apply": [database, root / "m.npz", "new"],
         "points convert": [root / "checks.csv", root / "out.csv"],
     }  # fmt: skip
@@ -316,8 +316,6 @@ def test_options_of_a_cube_or_a_database_are_refused_with_a_campaign(place):
         (["chart", "DB", "--object", "icom1"], "icon1"),
         (["export", "DB", "--for", "envi", "--object", "icom1"], "icon1"),
         (["export", "DB", "--for", "envi", "--camera", "d8"], "d80"),
-        (["methods", "DB", "--object", "icom1"], "icon1"),
-        (["methods", "DB", "--method", "lefkas"], "levkas"),
         (["map", "DB", "icom1", "POINTS"], "icon1"),
         (["map", "DB", "icon1", "POINTS", "--to", "d8"], "d80"),
         (["map", "DB", "icon1", "POINTS", "--to", "vis:550 mm"], "550 nm"),

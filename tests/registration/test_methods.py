@@ -115,29 +115,6 @@ print(len(code_of("fancy")), code_of("levkas"))
 """
 
 
-COMPARING = """
-from levkas.quality.comparison import COMPARED
-from levkas.quality.comparison.table import chosen_methods
-from levkas.quality.comparison.trial import _given, _register
-
-import numpy as np
-from levkas.registration import BandImage
-
-print(chosen_methods(["fancy"])[0], "fancy" in COMPARED)
-image, other = (BandImage.of(name, np.ones((20, 20))) for name in "ab")
-own = {"bands": {name: {"transform": {"kind": "affine", "matrix": [[1, 0, 0], [0, 1, 0]]}} for name in "ab"}}
-maps, decision, _ = _register("fancy", _given("fancy", [image, other], [image, other], "a", own, None))
-print(sorted(maps), maps["a"](np.zeros((1, 2))).tolist(), decision)
-"""
-
-
-def test_an_installed_method_is_compared_with_those_that_levkas_brings(tmp_path):
-    done = run_with(tmp_path, MODULE, COMPARING)
-    first, second = done.stdout.splitlines()
-    assert first == "['fancy'] True", done.stderr
-    assert second == "['a', 'b'] [[0.0, 0.0]] accept", done.stderr
-
-
 def test_a_method_that_returns_no_map_of_a_band_is_named(tmp_path):
     done = run_with(tmp_path, MODULE.replace("request.target}", "request.target[:1]}"), LACKING)
     refused, codes = done.stdout.splitlines()

@@ -1,1 +1,1 @@
-"""Methods of registration of other programs and papers, for `levkas methods` from a checkout."""
+"""Methods of registration of other programs and papers, for benchmarks/methods.py."""

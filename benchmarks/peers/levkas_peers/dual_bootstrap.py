@@ -18,17 +18,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.quality.comparison.methods import Answer, NoAnswer
 from levkas.registration.bands import stretch
 from levkas.registration.features import KeyPoints, find_key_points
 from levkas.registration.matching import find_neighbours
 from levkas_peers.growing import LADDERS, Fitted, Form
+from levkas_peers.pair import Answer, NoAnswer
 from levkas_peers.structures import Structures, find_structures
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from levkas.quality.comparison.methods import Pair
+    from levkas_peers.pair import Pair
 
 MOST_STARTS = 60
 ROUNDS = 60

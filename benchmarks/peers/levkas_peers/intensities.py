@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.quality.comparison.methods import Answer, NoAnswer
+from levkas_peers.pair import Answer, NoAnswer
 
 if TYPE_CHECKING:
-    from levkas.quality.comparison.methods import Pair
+    from levkas_peers.pair import Pair
 
 LEVELS = 4
 """Of the pyramid of elastix."""

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.quality.comparison.methods import Answer, fit_homography, ratio_matches
 from levkas.registration.bands import stretch
 from levkas.registration.features import KeyPoints
+from levkas_peers.opencv import fit_homography, ratio_matches
+from levkas_peers.pair import Answer
 
 if TYPE_CHECKING:
-    from levkas.quality.comparison.methods import Pair
+    from levkas_peers.pair import Pair
 
 SURF_RATIO = 0.6
 """MATLAB's default `MaxRatio` of matchFeatures."""

@@ -29,10 +29,17 @@ ORDER = {
     "Begin": ("doctor", "demo", "look", "plan", "simulate"),
     "Capture": ("watch",),
     "Build": ("build", "status", "inspect", "points"),
-    "Measure": ("radiometry", "chart", "evaluate", "agree", "methods", "loops", "validate"),
+    "Measure": ("radiometry", "chart", "evaluate", "agree", "validate"),
     "Use": ("map", "estimate", "estimate apply", "estimate score", "splice", "export", "publish"),
 }
 """Commands as `levkas --help` lists them: in groups, in the order of work."""
+
+
+GONE = {
+    "loops": "register two cameras by `levkas.register`, and follow points around",
+    "methods": "`python benchmarks/methods.py CAMPAIGN` in a checkout compares methods of registration",
+}
+"""Commands of before, with what is there in their place."""
 
 
 class Grouped(typer.core.TyperGroup):
@@ -43,6 +50,8 @@ class Grouped(typer.core.TyperGroup):
         two = " ".join(args[:2])
         if two in self.commands:
             return two, self.commands[two], args[2:]
+        if gone := next((name for name in (two, *args[:1]) if name in GONE), None):
+            ctx.fail(f"`levkas {gone}` is gone: {GONE[gone]}")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -105,8 +114,6 @@ for _name, _command in {
     "estimate score": estimate.score,
     "splice": estimate.splice,
     "evaluate": evaluate.evaluate,
-    "methods": evaluate.methods,
-    "loops": evaluate.loops,
     "agree": evaluate.agree,
     "validate": build.validate,
     "chart": measure.chart,

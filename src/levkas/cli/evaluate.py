@@ -1,4 +1,4 @@
-"""Commands about positions and agreement: evaluate, methods, loops, agree, map, points convert."""
+"""Commands about positions and agreement: evaluate, agree, map, points convert."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from levkas.cli.output import (
     Json,
     Objects,
     Overwrite,
-    draw_steps,
     path_or_address,
     print_report,
     refusing,
@@ -66,19 +65,6 @@ def evaluate(
         typer.echo(report.text)
 
 
-@refusing("loops")
-def loops(database: Database, as_json: Json = False) -> None:
-    """Register every pair of cameras and report how far the loops of maps are from closing."""
-    from levkas.database.remote import place
-    from levkas.quality.evaluation.layer_report import locate
-    from levkas.quality.evaluation.loop_closure import close_database, loops_text
-
-    closed = close_database(locate(place(database))[0])
-    print_report("loops", as_json, True, [], loops=closed)
-    if not as_json:
-        typer.echo(loops_text(closed))
-
-
 @refusing("agree")
 def agree(
     database: Database,
@@ -117,43 +103,6 @@ def agree(
     if not as_json:
         typer.echo(agreement_text(found))
     raise typer.Exit(0 if ok else 1)
-
-
-@refusing("methods")
-def methods(
-    database: Database,
-    truth: Truth = None,
-    points: Points = None,
-    frame: Frame = None,
-    chosen: Annotated[
-        list[str] | None, typer.Option("--method", help="Only this method; may be repeated.")
-    ] = None,
-    objects: Objects = None,
-    time_limit_s: Annotated[
-        float | None,
-        typer.Option("--time-limit", help="Time limit for one method and layer, s.", min=1),
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Folder for page, JSON and SSIM maps.")
-    ] = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-) -> None:
-    """Register every layer again by Levkas, the paper's method, its competitors and current programs; compare."""
-    from levkas.quality.comparison import KnownPositions, compare
-
-    table = compare(
-        database, methods=chosen or (), known=KnownPositions(truth, points, frame),
-        objects=objects or (), output=output, overwrite=overwrite, time_limit_s=time_limit_s,
-        draw=lambda rows: draw_steps(rows, as_json),
-    )  # fmt: skip
-    if output is not None:
-        from levkas.pages.comparison import write_page
-
-        write_page(table, output, overwrite=overwrite)
-    print_report("methods", as_json, True, list(table.problems), **table.to_dict())
-    if not as_json:
-        typer.echo(table.text)
 
 
 @refusing("map")

@@ -21,12 +21,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "export": ("levkas export icons --for envi", "levkas export icons --for matlab --object icon1 --camera d80 -o out"),
     "inspect": ("levkas inspect icons", "levkas inspect icons --port 8800 --no-open"),
     "look": ("levkas look captures", "levkas look captures --write"),
-    "loops": ("levkas loops icons", "levkas loops icons --json"),
     "map": (
         "levkas map icons/database icon1 points.csv --from grid --to xray",
         "levkas map icons/database icon1 points.csv --from d80:R --to grid -o mapped.csv",
     ),
-    "methods": ("levkas methods icons -o comparison", "levkas methods icons --method levkas --object icon1"),
     "plan exposure": ("levkas plan exposure white.NEF", "levkas plan exposure --setup studio.toml -o exposure.html"),
     "plan filter": (
         "levkas plan filter whites --setup studio.toml --camera d80",

@@ -24,7 +24,6 @@ NEEDS: dict[str, Needs] = {
     "evaluate": {"--frame": ("--points",), "--overwrite": ("--maps",)},
     "map": {"--overwrite": ("--output",)},
     "agree": {"--overwrite": ("--output",)},
-    "methods": {"--frame": ("--points",), "--overwrite": ("--output",)},
     "plan exposure": {
         "--setup-name": ("--setup",),
         "--report": ("--setup",),

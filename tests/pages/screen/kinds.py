@@ -12,7 +12,7 @@ from levkas.pages.plots import Line, picture_with_areas, plot
 from levkas.pages.radiometry import channel_colours, draw_light
 
 BENCH = Path(__file__).resolve().parents[3] / "examples" / "plan" / "bench.toml"
-KINDS = ("report", "camera", "comparison", "plan", "radiometry")
+KINDS = ("report", "camera", "plan", "radiometry")
 CAMPAIGN = """
 [campaign]
 title = "Panels of the north wall"
@@ -37,7 +37,6 @@ def write_kinds(folder):
     paths = {"report": written(folder, [REFERENCE, COLOUR, XRAY, LOST])}
     texts = {
         "camera": camera(),
-        "comparison": comparison(),
         "plan": plan(),
         "radiometry": radiometry(folder / "campaign"),
     }
@@ -88,37 +87,6 @@ def camera():
             lights=[light_row("R", light)], figures=draw_light(light, levels, "R"), charts=[chart],
         )
     )  # fmt: skip
-
-
-def comparison():
-    """Methods side by side on four layers, one of which a method refused with a long reason."""
-    from levkas.pages.comparison import render_comparison
-    from levkas.quality.comparison.table import ComparedLayer, ComparedRow, Comparison
-
-    rows = []
-    for i, layer in enumerate(("lctf-nir", "msbs", "d80", "v10")):
-        for j, method in enumerate(("levkas", "opencv-sift-magsac", "opencv-ecc")):
-            mean = 0.05 * (i + 1) * (3**j)
-            bands = [
-                {
-                    "band": "R",
-                    "error_mean": mean,
-                    "error_p95": mean,
-                    "error_max": 2 * mean,
-                    "points": 9,
-                }
-            ]
-            lost = (
-                "refused: the map is not confirmed by what both pictures show"
-                if i == j == 2
-                else ""
-            )
-            facts = {
-                "failure": lost, "bands": [] if lost else bands, "seconds": 1.5, "ssim": None if lost else 0.9 - j / 9,
-                "note": "116 of the 117 check windows that were found agree with the map",
-            }  # fmt: skip
-            rows.append(ComparedRow(ComparedLayer("icon1", layer), method, facts))
-    return render_comparison(Comparison(rows))
 
 
 def plan():

@@ -1,24 +1,23 @@
-"""Dual-bootstrap ICP: a planted map is found, one start at a time, and another picture is refused."""
+"""Methods set side by side on a small built campaign; dual-bootstrap ICP finds a planted map, and refuses another picture."""
 
+import json
+import sys
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from levkas.geometry.transforms import Affine
-from levkas.quality.comparison.methods import (
-    NoAnswer,
-    Pair,
-    find_peers,
-    opencv_ecc,
-    opencv_sift_magsac,
-)
 
-find_peers()
-from levkas_peers.dual_bootstrap import gdbicp_quadratic, gdbicp_radial  # noqa: E402
-from levkas_peers.growing import LADDERS  # noqa: E402
-from levkas_peers.structures import find_structures  # noqa: E402
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+import methods
+from levkas_peers.dual_bootstrap import gdbicp_quadratic, gdbicp_radial
+from levkas_peers.growing import LADDERS
+from levkas_peers.opencv import opencv_ecc, opencv_sift_magsac
+from levkas_peers.pair import AnyMap, NoAnswer, Pair
+from levkas_peers.structures import find_structures
 
 pytestmark = pytest.mark.slow
 
@@ -52,8 +51,6 @@ def planted(name):
 
 def pair(function, seed=1, other=None):
     """The reference and a target in which reference points lie where `function` puts them."""
-    from levkas.quality.comparison.methods import AnyMap
-
     big = painting(seed)
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
     here = np.stack([x.ravel(), y.ravel()], 1)
@@ -139,3 +136,58 @@ def test_every_form_lifted_is_the_same_map():
         for poorer, richer in pairwise(ladder):
             parameters = richer.lift[poorer.name](parameters)
             np.testing.assert_allclose(richer.apply(parameters, points), expected, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def database(tmp_path_factory):
+    """A built campaign: a photograph, and another of twice its size, with the truth of four points."""
+    import cv2
+
+    from levkas.building import build
+
+    folder = tmp_path_factory.mktemp("compare")
+    rng = np.random.default_rng(3)
+    big = np.full((400, 480), 90, np.float32)
+    for _ in range(300):
+        x, y, r = (int(rng.integers(0, m)) for m in (480, 400, 26))
+        cv2.circle(big, (x, y), r + 4, float(rng.integers(20, 235)), -1, cv2.LINE_AA)
+    half = cv2.resize(big, (240, 200), interpolation=cv2.INTER_AREA)
+    for part, picture in (("vis", half), ("photo", big)):
+        (folder / part).mkdir()
+        data = cv2.imencode(".png", np.dstack([picture] * 3).clip(0, 255).astype(np.uint8))[1]
+        (folder / part / "icon1.png").write_bytes(data.tobytes())
+    (folder / "campaign.toml").write_text(
+        '[campaign]\nreference = { camera = "vis", band = "G" }\n'
+        '[cameras.vis]\nkind = "image"\nfiles = "vis/{target}.png"\n'
+        '[cameras.photo]\nkind = "image"\nfiles = "photo/{target}.png"\n'
+        "[database]\nnative = true\n"
+        '[targets]\nobjects = ["icon1"]\n'
+    )
+    list(build(folder))
+    points = np.array([[40, 40], [200, 50], [180, 160], [60, 150.0]])
+    (folder / "truth").mkdir()
+    truth = {"cameras": {"photo": {"bands": ["R", "G", "B"]}}}
+    (folder / "truth/truth.json").write_text(json.dumps(truth))
+    np.save(folder / "truth/icon1_ref_px.npy", points)
+    np.save(folder / "truth/icon1_photo_px.npy", np.stack([points * 2 + 0.5] * 4))
+    return folder
+
+
+def test_methods_are_set_side_by_side_with_errors_maps_and_memory(database, tmp_path):
+    names = ["levkas", "mirhashemi2019", "opencv-sift-magsac"]
+    rows = list(methods.compare(database, names, output=tmp_path))
+    assert [row["method"] for row in rows] == names
+    for row in rows:
+        assert row["failure"] == "" and row["ssim"] > 0.9, row
+        assert max(band["error_mean"] for band in row["bands"]) < 0.2
+        assert row["peak_mib"] > 50 and row["cpu_seconds"] > 0
+    figure = methods.draw(rows, tmp_path)
+    assert len(figure.axes[0].lines) == 3 and sum(len(a.images) for a in figure.axes) == 2
+    assert [one["failures"] for one in methods.summary(rows)] == [0, 0, 0]
+
+
+def test_a_method_that_takes_too_long_is_stopped_and_counted_as_failed(database):
+    (row,) = methods.compare(database, ["opencv-ecc"], limit_s=0.05)
+    assert row["failure"] and not row["bands"]
+    (one,) = methods.summary([row])
+    assert one["failures"] == 1 and one["error_mean"] is None
