@@ -145,7 +145,7 @@ fuzz: requirements-fuzz.lock
 	else \
 		$(FUZZ)/bin/python -m pip install --disable-pip-version-check --require-hashes -r requirements-fuzz.lock; \
 	fi
-	PYTHONPATH=src $(FUZZ)/bin/python benchmarks/fuzzing.py $(SECONDS)
+	PYTHONPATH=src $(FUZZ)/bin/python tests/fuzzing.py $(SECONDS)
 
 lock: # first the environment for development, then the same versions of what runs alone
 	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \

@@ -1,6 +1,6 @@
 """Tiles joined: real ones, tiles cut from paintings by known maps, and a mosaic of tens of thousands of simulated observations.
 
-    python benchmarks/tiles.py --data FOLDER [--seeds 2] [--others PYTHON] [--results results.json]
+    python benchmarks/tiles.py --data FOLDER [--seeds 2] [--results results.json]
     python benchmarks/tiles.py --tiles 30000 [--results results.json]
     python benchmarks/tiles.py --surfaces [--results results.json]
     python benchmarks/tiles.py --build FOLDER [--columns 6] [--rows 4] [--size 4000 3000] [--others-in 2x2 4x3]
@@ -20,12 +20,10 @@ folder of some 0.7 GB a tile: time, memory, and the errors of both cameras again
 from __future__ import annotations
 
 import argparse
-import json
 import re
 import resource
 import subprocess
 import sys
-import tempfile
 import time
 from itertools import combinations
 from pathlib import Path
@@ -191,25 +189,6 @@ def opencv_bundle(tiles):
     )
 
 
-def by_others(tiles, starts, overlap, python):
-    """Return way → transforms by ashlar and multiview-stitcher, as they come, from the same tiles and positions."""
-    names = sorted(tiles)
-    columns = len({re.search(r"c(\d+)", name).group(1) for name in names})
-    layout = {"overlap": overlap, "columns": columns, "rows": len(names) // columns}
-    layout["positions"] = [[float(side) for side in starts[name]] for name in names]
-    with tempfile.TemporaryDirectory() as folder:
-        for number, name in enumerate(names):
-            counts = np.clip(100 * tiles[name].values, 0, 65535).astype(np.uint16)
-            tifffile.imwrite(Path(folder, f"{number}.tif"), counts)
-        Path(folder, "layout.json").write_text(json.dumps(layout))
-        script = Path(__file__).with_name("other_stitchers.py")
-        ran = subprocess.run([python, script, folder], capture_output=True, text=True, check=True)
-    return {
-        way: {names[int(k)]: Homography(np.array(matrix)) for k, matrix in found.items()}
-        for way, found in json.loads(ran.stdout.splitlines()[-1]).items()
-    }
-
-
 def attempt(work, *arguments):
     try:
         return work(*arguments)
@@ -218,7 +197,7 @@ def attempt(work, *arguments):
         return {}
 
 
-def paintings(folder, seeds, others=None):
+def paintings(folder, seeds):
     values = {}
     for overlap in (0.25, 0.1):
         gathered: dict[str, list] = {}
@@ -235,8 +214,6 @@ def paintings(folder, seeds, others=None):
                     "shifts by phase correlation": attempt(by_shifts, tiles, starts, overlap),
                     "OpenCV's bundle adjustment": attempt(opencv_bundle, tiles),
                 }  # fmt: skip
-                if others:
-                    ways |= by_others(tiles, starts, overlap, others)
                 for way, transforms in ways.items():
                     errors = errors_of(transforms, truth) if len(transforms) > 2 else [np.nan]
                     gathered.setdefault(way, []).append(
@@ -583,7 +560,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path)
     parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--others", help="Python of an environment with ashlar, multiview-stitcher")
     parser.add_argument("--tiles", type=int)
     parser.add_argument("--surfaces", action="store_true")
     parser.add_argument("--build", type=Path)
@@ -607,7 +583,7 @@ def main() -> None:
         record(given.results, TABLE + "-many", many(given.tiles))
     if given.data:
         values = real(given.data / "tiles-section")
-        values |= paintings(given.data / "paintings", given.seeds, given.others)
+        values |= paintings(given.data / "paintings", given.seeds)
         record(given.results, TABLE, values)
 
 

@@ -19,8 +19,8 @@ NOT_INSTALLED = {
 """Import name → distribution of the extras that the tests' environment does not have."""
 USED = ("cluster", "export", "peers", "remote")
 """Extras that the package, or the comparison with its peers, imports."""
-ELSEWHERE = {"ashlar", "multiview_stitcher", "ngff_zarr"}
-"""Of other environments: `benchmarks/other_stitchers.py` is run by their Python, and one test reads a scene with another library where it is there."""
+ELSEWHERE = {"ngff_zarr"}
+"""One test reads a scene with another library where it is there."""
 UNNAMED = {"cryptography"}
 """What no source of the package imports: dask's certificates for the workers of one machine."""
 UNIX = ("resource", "fcntl", "pwd", "grp", "termios", "tty", "pty", "syslog")

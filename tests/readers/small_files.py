@@ -1,4 +1,4 @@
-"""Small sound files of every kind that is read, for benchmarks/fuzzing.py to spoil."""
+"""Small sound files of every kind that is read, for tests/fuzzing.py to spoil."""
 
 import io
 import json

@@ -31,7 +31,7 @@ class CourseSettings:
     least_deviations, least_slope, least_step : float
         Covariance of the parts, that of the slopes, and height of a step, in standard deviations by chance, from which lines
         are displaced. Of 250 honest pairs, real and simulated, few covariances had more than 2, and slopes, which two pairs of
-        parts show where six show the mean, 4 at most (`benchmarks/line_displacement.py`).
+        parts show where six show the mean, 4 at most.
     common_edges, averaged : float; int, lines
         Mean correlation, along the scan, of how much detail the parts show, averaged over some lines, from which they are no
         independent witnesses: below 0.1 of 95 % of painted scans, 0.25 to 0.8 of nine in ten grids of tiles, 0.15 to 0.5 of

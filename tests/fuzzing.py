@@ -1,6 +1,6 @@
 """Let coverage choose the bytes: atheris spoils small files, each reader in a process of its own.
 
-    python benchmarks/fuzzing.py [SECONDS] [READER …]
+    python tests/fuzzing.py [SECONDS] [READER …]
 
 SECONDS (20) a reader; files and readers are those of tests/readers/small_files.py and judging.py (all but camera
 raw, whose decoder is another program). atheris is the extra `fuzz`, `make fuzz` makes an environment of it; where it
@@ -21,7 +21,7 @@ import warnings
 from collections import Counter
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parents[1] / "tests" / "readers"
+HERE = Path(__file__).resolve().parent / "readers"
 sys.path.insert(0, str(HERE))
 SECONDS, SEED, LONGEST = 20, 1, 1 << 16
 MODULES = (
