@@ -44,7 +44,7 @@ def view(axes, setup, plan, axis, name):
 
 def main(output: Path) -> Figure:
     setup = load_setup(BENCH)
-    plan = plan_light(setup, "proposed", levers=False)
+    plan = plan_light(setup, "proposed")
     figure = Figure((10, 3.6), layout="constrained")
     above, beside = figure.subplots(1, 2)
     view(above, setup, plan, 0, "width")

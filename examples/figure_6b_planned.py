@@ -14,7 +14,7 @@ BENCH = Path(__file__).parent / "plan"
 def main(output: Path) -> Figure:
     setup = load_setup(BENCH)
     thing = setup.object
-    wide = thing.model_copy(update={"size_mm": (840.0, 640.0), "recess_mm": 0.0, "bend": None})
+    wide = thing.model_copy(update={"size_mm": (840.0, 640.0), "recess_mm": 0.0})
     surface = sample_surface(wide, 121)
     light = illuminate(setup.lighting("proposed").lamps, surface.points, surface.normals)
     width, height = thing.size_mm

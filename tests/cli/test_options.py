@@ -203,7 +203,7 @@ def bases(root, database):
         "evaluate": [database], "chart": [database], "publish": [database, "--check"],
         "export": [database, "--for", "envi", "-o", root / "out"], "estimate": [database],
         "map": [database, "icon1", root / "points.csv"], "plan light": [BENCH],
-        "plan exposure": frames, "plan filter": [*frames, "--setup", BENCH, "--camera", "d80"], "plan series": frames,
+        "plan exposure": frames,
         "agree": [database, database],
         "estimate score": [database, root], "estimate apply": [database, root / "m.npz", "new"],
         "points convert": [root / "checks.csv", root / "out.csv"],

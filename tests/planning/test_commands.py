@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 from levkas.cli import app
 from levkas.pages.plan import write_report
 from levkas.planning import plan_light
-from levkas.planning.exposure_advice import advise_frames, white_levels
-from levkas.planning.regulating_filters import regulating_filter
+from levkas.planning.exposure_advice import advise_frames
 
 
 def run(*words):
@@ -24,29 +23,28 @@ def test_light_is_told_in_lines_and_as_one_object(rewritten):
     path = rewritten()
     said = run("light", path, "--optimise")
     assert said.exit_code == 0, said.output
-    assert "drop 9.2 %" in said.output and "Best pair: 69°" in said.output
+    assert "drop 7.7 %" in said.output and "Best pair: 69°" in said.output
     assert "smaller than the object" in said.output
     record = json.loads(run("light", path, "--optimise", "--json", "-s", "45-degree").stdout)
     assert record["command"] == "plan light" and record["ok"]
     assert record["light"]["setup"] == "45-degree" and len(record["setups"]) == 5
-    assert record["optimum"]["weights"]["varnish"] == 2.0 and record["trade_off"]["cost"]
+    assert record["optimum"]["weights"]["varnish"] == 2.0
 
 
 def test_framing_and_exposure_are_told(rewritten):
     path = rewritten()
     assert "268 x 200 mm from 185 cm" in run("framing", path).output
     said = run("exposure", "--setup", path)
-    assert "weakest B2" in said.output and "regulating filter" in said.output
+    assert "weakest B2" in said.output
     assert "lx·h" in said.output
     record = json.loads(run("exposure", "--setup", path, "--json").stdout)
     assert record["dose"]["sensitivity"] == "medium" and len(record["cameras"]) == 4
-    assert record["regulating_filters"]["msbs"]["smallest_after"] > 0.95
 
 
 def test_a_bad_setup_is_refused_with_status_1(rewritten):
-    path = rewritten(("distance_mm = 2100", "distance_mm = 210"))
+    path = rewritten(("distance_mm = 2100", "distance_mm = 2.1"))
     said = run("light", path)
-    assert said.exit_code == 1 and "is 2100 mm" in said.stderr and "E_UNIT" in said.stderr
+    assert said.exit_code == 1 and "E_VALUE" in said.stderr
     record = json.loads(run("light", path, "--json").stdout)
     assert record["ok"] is False and record["problems"][0]["field"].endswith("distance_mm")
     assert run("light", rewritten(), "-s", "no-such").exit_code == 1
@@ -58,10 +56,10 @@ def test_the_report_stands_alone_and_says_what_matters(bench, tmp_path):
     assert not re.search(r'(?:src|href)="(?!data:|#)', page)
     for words in (
         "Two lamps at 70°", "the bright field", "along the width", "cannot show the whole object",
-        "lx·h", "A filter that would even", "CIE 157:2004", "of equal power",
+        "lx·h", "CIE 157:2004", "of equal power",
     ):  # fmt: skip
         assert words in page, words
-    assert page.count("<svg") == 7 and not re.search(r"\bnan\b", page)
+    assert page.count("<svg") == 5 and not re.search(r"\bnan\b", page)
 
 
 def test_a_report_of_a_matte_object_without_cameras_has_what_there_is(rewritten, tmp_path):
@@ -69,7 +67,7 @@ def test_a_report_of_a_matte_object_without_cameras_has_what_there_is(rewritten,
 
     path = rewritten(
         ("varnish = { roughness = 0.1 }", ""), ("gold = { roughness = 0.2 }", ""),
-        ("recess_mm = 3 ", ""), ('bend = { radius_mm = 2000, straight = "width" }', ""),
+        ("recess_mm = 3 ", ""),
         cut_cameras=True,
     )  # fmt: skip
     page = write_report(tmp_path / "plan.html", load_setup(path)).read_text(encoding="utf-8")
@@ -115,7 +113,7 @@ def test_a_plan_needs_neither_scipy_nor_colour_science(rewritten):
 
 
 def test_a_plan_of_a_lighting_keeps_its_name(bench):
-    assert plan_light(bench, "soft", levers=False).lighting.name == "soft"
+    assert plan_light(bench, "soft").lighting.name == "soft"
 
 
 def test_of_a_matte_panel_nothing_is_said_of_varnish_and_gold(rewritten):
@@ -126,91 +124,12 @@ def test_of_a_matte_panel_nothing_is_said_of_varnish_and_gold(rewritten):
     )
     result = CliRunner().invoke(app, ["plan", "light", str(path), "-s", "45-degree"]).output
     assert "nothing on it shines" in result and "varnish shines" not in result
-    assert "Lamps at 45°" not in result  # where they are
     page = path.with_name("plan.html")
     CliRunner().invoke(app, ["plan", "light", str(path), "--report", str(page)])
     assert "varnish and leaf facets" not in page.read_text(encoding="utf-8")
 
 
-GAINS = {"R": 1.3, "G": 0.8, "B": 1.15}
-
-
-def write_white(folder, bench, *, full=0.8):
-    """Two 12-bit RGGB shots of an even white by the d80 of the bench, its channels off by `GAINS`, and two darks."""
-    from levkas.planning.exposure_plan import electron_rates, irradiance_spectrum
-
-    rng = np.random.default_rng(9)
-    lighting, studio = bench.lighting(), bench.cameras["d80"]
-    rates = electron_rates(bench, studio, lighting, irradiance_spectrum(bench, lighting))
-    rates = rates * [GAINS[c] for c in studio.labels]
-    counts = dict(zip(studio.labels, full * 4000 * rates / rates.max(), strict=True))
-    rows = np.array([["R", "G"], ["G", "B"]])
-    level = np.vectorize(counts.get)(np.tile(rows, (100, 140))).astype(float)
-    for name, scene in (("white", level), ("dark", 0 * level)):
-        (folder / name).mkdir(parents=True)
-        for shot in range(2):
-            noisy = 64 + scene + np.sqrt(4 + 0.1 * scene) * rng.standard_normal(scene.shape)
-            frame = np.clip(np.rint(noisy), 0, 4095).astype(np.uint16)
-            tifffile.imwrite(folder / name / f"{shot}_250ms.tif", frame)
-    return folder / "white", folder / "dark"
-
-
-def test_a_captured_white_regulates_the_filter_on_the_command_line(bench, rewritten, tmp_path):
-    path = rewritten()
-    white, dark = write_white(tmp_path / "raw", bench)
-    page = tmp_path / "plan.html"
-    requested = [
-        *("filter", white, "--dark", dark, "--pattern", "RGGB", "--bits", "12"),
-        *("--setup", path, "--camera", "d80"),
-    ]
-    reported = run(*requested, "-o", page)
-    assert reported.exit_code == 0, reported.output
-    assert "From the captured white" in reported.output and "model alone" in reported.output
-    record = json.loads(run(*requested, "--json").stdout)
-    sheet = record["regulating_filters"]["d80"]
-    mean = np.prod(list(GAINS.values())) ** (1 / 3)
-    for name, gain in GAINS.items():
-        assert sheet["measured"]["factors"][name] == pytest.approx(gain / mean, rel=0.01)
-    # The camera as it is behind that filter: its channels are even within 1 %.
-    from levkas.planning.exposure_plan import electron_rates, irradiance_spectrum
-    from levkas.planning.spectra import GRID
-
-    spectrum = irradiance_spectrum(bench, bench.lighting())
-    spectrum = spectrum * np.interp(GRID, sheet["wavelengths"], sheet["transmittance"])
-    behind = electron_rates(bench, bench.cameras["d80"], bench.lighting(), spectrum)
-    behind = behind * [GAINS[c] for c in bench.cameras["d80"].labels]
-    assert behind.min() / behind.max() > 0.98
-    assert sheet["measured"]["smallest_with_modelled_filter"] < 0.75
-    assert "measured" not in record["regulating_filters"]["msbs"]
-    html = page.read_text(encoding="utf-8")
-    assert "captured white" in html and "dashed" in html
-
-
-def test_whites_that_cannot_regulate_are_refused(bench, rewritten, tmp_path):
-    path = rewritten()
-    white, dark = write_white(tmp_path / "raw", bench)
-    given = ("filter", white, "--dark", dark, "--bits", "12", "--setup", path)
-    assert run(*given, "--pattern", "RGGB", "--camera", "lctf-vis").exit_code == 1
-    output = run(*given, "--camera", "d80", "--json")  # no pattern: one channel
-    assert [p["code"] for p in json.loads(output.stdout)["problems"]] == ["E_CHANNELS"]
-    clipped, _ = write_white(tmp_path / "over", bench, full=1.4)
-    output = run(
-        "filter",
-        clipped,
-        "--pattern",
-        "RGGB",
-        "--bits",
-        "12",
-        "--setup",
-        path,
-        "--camera",
-        "d80",
-        "--json",
-    )
-    assert json.loads(output.stdout)["problems"][0]["code"] == "E_WHITE_SATURATED"
-
-
-def test_sensors_of_a_beam_splitter_are_read_by_their_campaign(bench, tmp_path):
+def test_sensors_of_a_beam_splitter_are_read_by_their_campaign(tmp_path):
     rng = np.random.default_rng(2)
     levels = {"ccd1": (900, 1800, 700), "ccd2": (1500, 1200, 400), "ccd3": (2600, 2600, 2600)}
     for target, on in (("white", 1), ("dark", 0)):
@@ -234,7 +153,7 @@ def test_sensors_of_a_beam_splitter_are_read_by_their_campaign(bench, tmp_path):
     )
     found = advise_frames([tmp_path / "raw/white"], [tmp_path / "raw/dark"])
     assert [band.shot.name for band in found] == ["white ccd1", "white ccd2", "white ccd3"]
-    white = white_levels(found, "msbs")
+    levels = {a.reading.channel: a.reading.mean for band in found for a in band.advices}
     wanted = dict(
         zip(
             ("R1", "G1", "B1", "R2", "G2", "B2", "IR"),
@@ -242,6 +161,4 @@ def test_sensors_of_a_beam_splitter_are_read_by_their_campaign(bench, tmp_path):
             strict=True,
         )
     )
-    assert white.levels == pytest.approx(wanted, rel=0.005)  # each sensor's own dark is taken off
-    assert "assumed to be equal" in white.notes[0]
-    assert regulating_filter(bench, "msbs", levels=white.levels).after.min() > 0.9
+    assert levels == pytest.approx(wanted, rel=0.005)  # each sensor's own dark is taken off

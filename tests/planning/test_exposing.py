@@ -1,4 +1,4 @@
-"""Exposure, filters and dose against hand-worked numbers."""
+"""Exposure and dose against hand-worked numbers."""
 
 from dataclasses import replace
 
@@ -12,7 +12,6 @@ from levkas.planning.exposure_plan import (
     flicker_bound,
     irradiance_spectrum,
 )
-from levkas.planning.regulating_filters import regulating_filter, solve_filter
 from levkas.planning.spectra import GRID, LUMENS_PER_WATT, eye, integrate
 
 
@@ -99,24 +98,6 @@ def test_channels_of_one_sensor_share_a_time_and_bands_of_a_tunable_filter_do_no
     assert max(tuned) == pytest.approx(0.85) == pytest.approx(min(tuned))
 
 
-def test_a_filter_evens_channels_out_and_costs_time(bench):
-    found = regulating_filter(bench, "msbs")
-    assert found.after.min() > 0.95 > 0.3 > found.before.min() and 2 < found.time_factor < 8
-    slope = np.abs(np.diff(found.transmittance)) / np.diff(found.wavelengths)
-    assert slope.max() <= 0.01 + 1e-6
-    assert found.transmittance.min() >= 0 and found.transmittance.max() <= 1
-
-
-def test_the_linear_program_is_optimal_on_a_case_worked_by_hand():
-    weights = np.zeros((2, 30))
-    weights[0, :10], weights[1, 20:] = 0.1, 0.05
-    transmittance, time = solve_filter(weights, 10.0, steepest=1.0, longest=1.5)
-    # The time may grow by half only: the weak channel gets 0.75, the strong one is held at 1.
-    assert time == pytest.approx(1.5)
-    assert time * weights[1] @ transmittance == pytest.approx(0.75, abs=1e-6)
-    assert time * weights[0] @ transmittance <= 1 + 1e-6
-
-
 def test_flicker_is_bounded_and_gone_after_whole_periods(rewritten):
     t = np.linspace(0, 0.0431, 200_001)
     signal = 1 + 0.05 * np.sin(2 * np.pi * 100 * t[None] + np.linspace(0, 6.3, 60)[:, None])
@@ -154,59 +135,3 @@ def test_a_filter_that_holds_heat_and_ultraviolet_back_is_seen(rewritten, bench)
     filtered = plan_dose(bench)
     per_lux = [d.heat_w_per_m2 / d.illuminance_lx for d in (bare, filtered)]
     assert per_lux[0] > 4 * per_lux[1] and bare.warming_k > filtered.warming_k
-
-
-GAINS = {"R": 1.3, "G": 0.8, "B": 1.15}
-
-
-def rates_behind(bench, camera, found, gains):
-    """Electrons of every channel of a camera whose gains are not those of the model, behind a filter."""
-    lighting = bench.lighting()
-    spectrum = irradiance_spectrum(bench, lighting)
-    sheet = np.interp(GRID, found.wavelengths, found.transmittance)
-    studio = bench.cameras[camera]
-    return electron_rates(bench, studio, lighting, spectrum * sheet) * [
-        gains[c] for c in studio.labels
-    ]
-
-
-def captured(bench, camera, gains):
-    lighting = bench.lighting()
-    studio = bench.cameras[camera]
-    rates = electron_rates(bench, studio, lighting, irradiance_spectrum(bench, lighting))
-    return {c: float(r * gains[c]) for c, r in zip(studio.labels, rates, strict=True)}
-
-
-def test_a_filter_from_a_captured_white_evens_the_camera_out_that_the_model_does_not_know(bench):
-    levels = captured(bench, "d80", GAINS)
-    modelled = regulating_filter(bench, "d80")
-    found = regulating_filter(bench, "d80", levels=levels)
-    behind = {
-        name: rates_behind(bench, "d80", one, GAINS)
-        for name, one in (("white", found), ("model", modelled))
-    }
-    even = {name: rates.min() / rates.max() for name, rates in behind.items()}
-    assert even["white"] > 0.98 > 0.75 > even["model"]
-    assert found.model_alone == pytest.approx(even["model"], abs=0.02)
-    assert found.modelled == pytest.approx(modelled.transmittance)
-    mean = np.prod(list(GAINS.values())) ** (1 / 3)
-    assert dict(zip(found.channels, found.factors, strict=True)) == pytest.approx(
-        {name: gain / mean for name, gain in GAINS.items()},
-        rel=2e-3,  # the model's grid is of 10 nm
-    )
-    assert not found.notes
-    same = regulating_filter(bench, "d80", levels=captured(bench, "d80", dict.fromkeys("RGB", 7.0)))
-    assert same.transmittance == pytest.approx(modelled.transmittance, abs=2e-3)
-    far = regulating_filter(bench, "d80", levels=levels | {"G": 0.2 * levels["G"]})
-    assert far.notes and far.notes[-1].startswith(("G records", "B records", "R records"))
-
-
-def test_a_white_without_a_channel_or_without_light_is_refused(bench):
-    levels = captured(bench, "d80", GAINS)
-    for wrong, code in (
-        ({"R": 1.0, "G": 2.0}, "E_CHANNELS"),
-        (levels | {"B": 0.0}, "E_WHITE_DARK"),
-    ):
-        with pytest.raises(PlanRefused) as refused:
-            regulating_filter(bench, "d80", levels=wrong)
-        assert refused.value.problems[0].code == code

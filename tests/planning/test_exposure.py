@@ -84,16 +84,6 @@ def test_predicted_snr_is_what_the_longer_exposure_has():
     )
 
 
-def test_an_object_brighter_than_the_white_is_kept_below_saturation():
-    rng = np.random.default_rng(4)
-    frame = white(5000, 0.1, rng)
-    frame[:12] = np.minimum(4095, 64 + 3 * (frame[:12].astype(int) - 64))  # gold
-    reading = read_channel(frame, black=64.0, saturation=4095.0)
-    of_white, of_object = (advise(reading, SENSOR, is_white=w) for w in (True, False))
-    assert of_object.factor < 0.6 * of_white.factor
-    assert of_object.factor * reading.peak < reading.room
-
-
 def test_the_channel_that_saturates_first_and_the_poorest():
     rng = np.random.default_rng(5)
     frame = white(20_000, 0.1, rng, colours=(0.5, 1.0, 1.0, 0.25))
@@ -123,8 +113,6 @@ def test_a_stack_of_a_white_tells_its_prnu_and_one_shot_does_not(tmp_path):
     found = advise_frames([tmp_path / "white"], black=64.0, saturation=4095, pattern="RGGB")[0]
     assert found.prnu_known and found.sensor.prnu == pytest.approx(SENSOR.prnu, rel=0.05)
     assert "PRNU 1 % measured" in advice_text([found])
-    thing = advise_frames([tmp_path / "white"], black=64.0, saturation=4095, is_white=False)[0]
-    assert not thing.prnu_known
 
 
 def test_bands_of_a_tunable_filter_get_a_time_each(tmp_path):
@@ -245,8 +233,6 @@ def test_frames_that_show_no_white_are_refused_where_one_is_asked_for(tmp_path):
     with pytest.raises(NoAdvice, match="not an evenly lit white") as refused:
         advise_frames([tmp_path / "scene"], black=64.0, saturation=4095)
     assert refused.value.problems[0].code == "E_WHITE_UNEVEN"
-    (found,) = advise_frames([tmp_path / "scene"], black=64.0, saturation=4095, is_white=False)
-    assert found.first.target > 0.5
 
 
 def test_darks_of_another_size_and_time_are_left_alone(tmp_path):
@@ -278,13 +264,3 @@ def test_the_command_says_it_as_table_and_json(tmp_path):
     assert band["saturates_first"] == "G"
     assert band["recommended_s"] == pytest.approx(0.1 * band["recommended_factor"])
     assert len(band["channels"]) == 3
-
-
-def test_a_real_filter_wheel_wants_the_longest_time_where_it_is_darkest(real_data):
-    found = advise_frames(
-        [real_data / "filterwheel-disks" / "frames"], pattern="GBRG", is_white=False
-    )
-    times = {c.shot.wavelength: c.first.time_s for c in found}
-    # 400 nm is dim: 26 s; 550 nm, the brightest, 34 ms: looked at beside the frames.
-    assert 20 < times[400.0] < 33
-    assert 0.03 < times[550.0] < 0.04

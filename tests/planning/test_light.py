@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from levkas.colour.microfacet import AIR, facet_lobe, fresnel, lobe_reach_deg, transmitted
-from levkas.planning.light import bright_fields, compare_lightings, glare, plan_light, rough_texture
+from levkas.planning.light import bright_fields, compare_lightings, glare, rough_texture
 from levkas.planning.optimisation import Arrangement, Judge
 from levkas.planning.setup import Lobe, drop, illuminate, lobe_exponent
 from levkas.planning.surface import (
@@ -12,10 +12,9 @@ from levkas.planning.surface import (
     sample_surface,
     shading_contrast,
 )
-from levkas.planning.tables import Bend, Room, Sheets, StudioObjectKeys, Varnish
+from levkas.planning.tables import Room, Sheets, StudioObjectKeys, Varnish
 
 FLAT = StudioObjectKeys(size_mm=(420, 320))
-BENT = StudioObjectKeys(size_mm=(420, 320), bend=Bend(radius_mm=2000.0))
 EYE = np.array([0.0, 0.0, 1900.0])
 
 
@@ -103,13 +102,6 @@ def test_one_lamp_alone_drops_by_44_per_cent():
     assert drop_of(pair(), lamps=slice(1)) == pytest.approx(43.6, abs=0.1)
 
 
-def test_the_straight_axis_is_evener_than_the_bent_one():
-    along = drop_of(pair(beam=20.0, aim=1.0), BENT)
-    upright = StudioObjectKeys(size_mm=(420, 320), bend=Bend(radius_mm=2000.0, straight="height"))
-    across = drop_of(pair(beam=20.0, aim=1.0), upright)
-    assert along == pytest.approx(9.2, abs=0.05) and across == pytest.approx(11.7, abs=0.05)
-
-
 def test_a_normal_tilted_towards_the_lamps_shines_more_than_one_tilted_aside():
     tilted = np.radians(6.0)
     for roughness in (0.05, 0.1, 0.2):
@@ -159,7 +151,7 @@ def test_crossed_polarisers_take_glare_away_and_flatten_texture(bench):
 def test_claims_of_section_3_1_as_numbers(bench):
     by_name = {p.lighting.name: p for p in compare_lightings(bench)}
     proposed, flat45, soft = (by_name[n] for n in ("proposed", "45-degree", "soft"))
-    assert 0.085 <= proposed.drop <= 0.10
+    assert 0.07 <= proposed.drop <= 0.085
     assert flat45.drop > 0.4 and flat45.varnish > 3 * proposed.varnish
     assert flat45.gold > 3 * proposed.gold and flat45.gold_spread > 3 > proposed.gold_spread
     assert soft.varnish > 5 * proposed.varnish and soft.gold > 3 * proposed.gold
@@ -169,24 +161,16 @@ def test_claims_of_section_3_1_as_numbers(bench):
     assert 1.5 <= cost <= 1.65
 
 
-def test_the_bright_field_of_a_bent_panel_is_wider_across_its_bend(bench):
+def test_the_bright_field_grows_with_the_panel_and_with_its_facets(bench):
     fields = bright_fields(bench.object, bench.lighting(), EYE)
     width, height = fields["width"], fields["height"]
     assert width.mirror[1] == pytest.approx(np.degrees(np.arctan(210 / 1900)), abs=0.2)
-    assert height.mirror[1] == pytest.approx(width.mirror[1] * 160 / 210 + 2 * 4.58, abs=0.25)
+    assert height.mirror[1] == pytest.approx(np.degrees(np.arctan(160 / 1900)), abs=0.2)
     assert height.facets[1] - height.mirror[1] == pytest.approx(lobe_reach_deg(0.1), abs=1e-9)
     assert (
         25 < width.margin < 30
         and bright_fields(bench.object, bench.lighting("45-degree"), EYE)["width"].margin < 5
     )
-
-
-def test_levers_say_what_they_change(bench):
-    plan = plan_light(bench)
-    said = "\n".join(plan.levers)
-    assert "Only halogen 1" in plan.levers[0] and "to 44.4 %" in plan.levers[0]
-    assert "Lamps at 45°" in said and "One lamp 5 % weaker" in said
-    assert plan.absolute and 200 < plan.mean < 250
 
 
 def test_maps_and_the_judge_agree(bench):

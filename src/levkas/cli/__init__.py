@@ -37,6 +37,8 @@ ORDER = {
 
 GONE = {
     "loops": "register two cameras by `levkas.register`, and follow points around",
+    "plan filter": "`levkas plan exposure WHITE` names the weakest channel",
+    "plan series": "expose once for the white (`levkas plan exposure`), then longer, each four times the one before",
     "methods": "`python benchmarks/methods.py CAMPAIGN` in a checkout compares methods of registration",
 }
 """Commands of before, with what is there in their place."""
@@ -72,7 +74,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 _plan = typer.Typer(
-    help="Plan light, framing, exposures and filters.", no_args_is_help=True, rich_markup_mode=None
+    help="Plan light, framing and exposures.", no_args_is_help=True, rich_markup_mode=None
 )
 _points = typer.Typer(
     help="Control points of other programs.", no_args_is_help=True, rich_markup_mode=None
@@ -132,8 +134,6 @@ for _name, _command in {
     "light": plan.light,
     "framing": plan.framing,
     "exposure": plan.exposure,
-    "filter": plan.regulating_filter,
-    "series": plan.series,
 }.items():
     _plan.command(_name, cls=StrictCommand)(_command)
 _points.command("convert", cls=StrictCommand)(evaluate.convert)

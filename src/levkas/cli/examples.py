@@ -26,13 +26,8 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "levkas map icons/database icon1 points.csv --from d80:R --to grid -o mapped.csv",
     ),
     "plan exposure": ("levkas plan exposure white.NEF", "levkas plan exposure --setup studio.toml -o exposure.html"),
-    "plan filter": (
-        "levkas plan filter whites --setup studio.toml --camera d80",
-        "levkas plan filter whites --setup studio.toml --camera d80 --dark darks -o filter.html",
-    ),
     "plan framing": ("levkas plan framing studio.toml", "levkas plan framing studio.toml --json"),
     "plan light": ("levkas plan light studio.toml", "levkas plan light studio.toml --optimise -o light.html"),
-    "plan series": ("levkas plan series icon1", "levkas plan series icon1 --snr 50 --longest 2"),
     "points convert": (
         "levkas points convert landmarks.csv points.pto --to hugin",
         "levkas points convert reference.points out.csv --target xray.points",

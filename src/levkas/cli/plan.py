@@ -16,7 +16,7 @@ from levkas.cli.output import (
 )
 
 if TYPE_CHECKING:
-    from levkas.planning.exposure_advice import BandAdvice, WhiteLevels
+    from levkas.planning.exposure_advice import BandAdvice
 
 SetupPath = Annotated[Path, typer.Argument(help="Setup file, or a folder with one.")]
 Lighting = Annotated[
@@ -116,112 +116,17 @@ def exposure(
 ) -> None:
     """Recommend exposures from frames of a white, by channel or band; or from a setup file.
 
-    From a setup file: exposure, SNR and limiting channel of every camera, regulating filter, dose, flicker.
+    From a setup file: exposure, SNR and limiting channel of every camera, dose, flicker.
     """
     if setup is not None:
         record, text = _planned(setup, name, report, overwrite)
     elif frames:
-        _, record, text = _advice(
-            frames, dark, pattern, black, bits, saturation, time, is_white=True
-        )
+        _, record, text = _advice(frames, dark, pattern, black, bits, saturation, time)
     else:
         raise typer.BadParameter("give frames of a white, or --setup FILE")
     print_report("plan exposure", as_json, True, [], **record)
     if not as_json:
         typer.echo(text)
-
-
-@refusing("plan filter")
-def regulating_filter(
-    frames: Annotated[
-        list[Path], typer.Argument(help="Frames of a white under the lighting, or folders of them.")
-    ],
-    setup: Annotated[Path, typer.Option("--setup", help="Setup file, or a folder with one.")],
-    camera: Annotated[str, typer.Option(help="Camera of the setup file that took the frames.")],
-    name: Lighting = None,
-    dark: DarkFrames = None,
-    pattern: Pattern = None,
-    black: Black = None,
-    bits: Bits = None,
-    saturation: Saturation = None,
-    time: Time = None,
-    report: Annotated[
-        Path | None, typer.Option("--report", "-o", help="HTML page of the setup to write.")
-    ] = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-) -> None:
-    """Compute the filter that evens out the channels of a camera, from a captured white."""
-    from levkas.planning.exposure_advice import white_levels
-
-    found, record, text = _advice(
-        frames, dark, pattern, black, bits, saturation, time, is_white=True
-    )
-    planned, words = _planned(setup, name, report, overwrite, white_levels(found, camera))
-    print_report("plan filter", as_json, True, [], **record, **planned)
-    if not as_json:
-        typer.echo(f"{text}\n\n{words}")
-
-
-@refusing("plan series")
-def series(
-    frames: Annotated[list[Path], typer.Argument(help="Frames of the object, or folders of them.")],
-    dark: DarkFrames = None,
-    pattern: Pattern = None,
-    black: Black = None,
-    bits: Bits = None,
-    saturation: Saturation = None,
-    time: Time = None,
-    snr: Annotated[
-        float, typer.Option(help="SNR to reach at one sensel of the darkest paint, linear.")
-    ] = 20.0,
-    quantile: Annotated[
-        float,
-        typer.Option(help='Share of the object that is darker than its "darkest paint".'),
-    ] = 0.01,
-    longest: Annotated[
-        float | None, typer.Option(help="Longest exposure of the camera, s.")
-    ] = None,
-    region: Annotated[
-        str | None, typer.Option(help="x,y,width,height of the object, native pixels.")
-    ] = None,
-    setup: Annotated[
-        Path | None, typer.Option("--setup", help="Setup file that has the camera.")
-    ] = None,
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            help="Camera of the setup file; its noise and full well determine times and ISO."
-        ),
-    ] = None,
-    report: Annotated[
-        Path | None, typer.Option("--report", "-o", help="HTML page of the series to write.")
-    ] = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-) -> None:
-    """Plan the exposure series that reaches an SNR at the darkest paint of an object, from its frames."""
-    from levkas.core.ownership import require_free
-    from levkas.planning.exposure_series import SeriesWish
-    from levkas.planning.series_report import series_record, series_text
-
-    if report is not None:
-        require_free(report, overwrite=overwrite)
-    found, record, text = _advice(
-        frames, dark, pattern, black, bits, saturation, time, is_white=False
-    )
-    wish = SeriesWish(snr, quantile, longest, _four(region) if region else None)
-    plans, refused = series_record(found, wish, setup, camera)
-    record |= {"series": [plan.to_dict() for plan in plans], "series_refused": refused}
-    texts = [text, series_text(plans, refused)]
-    if report is not None:
-        from levkas.pages.series import write_series
-
-        record["report"] = str(write_series(report, plans, refused))
-        texts.append(f"Written: {report}")
-    print_report("plan series", as_json, True, [], **record)
-    if not as_json:
-        typer.echo("\n\n".join(texts))
 
 
 def _advice(
@@ -232,8 +137,6 @@ def _advice(
     bits: int | None,
     saturation: float | None,
     time: float | None,
-    *,
-    is_white: bool,
 ) -> tuple[list[BandAdvice], dict[str, Any], str]:
     """Return the advice on every band of frames, with its record and its text."""
     from levkas.planning.exposure_advice import advice_text, advise_frames
@@ -246,7 +149,6 @@ def _advice(
         bits=bits,
         saturation=saturation,
         exposure_s=time,
-        is_white=is_white,
     )
     return found, {"bands": [band.to_dict() for band in found]}, advice_text(found)
 
@@ -256,7 +158,6 @@ def _planned(
     name: str | None,
     report: Path | None,
     overwrite: bool,
-    white: WhiteLevels | None = None,
 ) -> tuple[dict[str, Any], str]:
     """Return the exposures of a setup file as record and text; write its page where one is wanted."""
     from levkas.core.ownership import require_free
@@ -264,20 +165,12 @@ def _planned(
 
     if report is not None:
         require_free(report, overwrite=overwrite)
-    record = exposure_record(setup, name, white)
+    record = exposure_record(setup, name)
     text = exposure_text(record)
     if report is not None:
         from levkas.pages.plan import write_report
         from levkas.planning.loading import load_setup
 
-        record["report"] = str(write_report(report, load_setup(setup), name, white=white))
+        record["report"] = str(write_report(report, load_setup(setup), name))
         text += f"\n\nWritten: {report}"
     return record, text
-
-
-def _four(text: str) -> tuple[int, int, int, int]:
-    try:
-        x, y, width, height = (int(part) for part in text.split(","))
-    except ValueError:
-        raise typer.BadParameter("--region is x,y,width,height, whole numbers") from None
-    return x, y, width, height

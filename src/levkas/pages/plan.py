@@ -13,11 +13,9 @@ from levkas.pages.page import render_page
 from levkas.pages.plan_plots import (
     draw_bench,
     draw_evenness,
-    draw_filter,
     draw_glare,
     draw_snr,
     draw_spectra,
-    draw_trade_off,
 )
 from levkas.planning.exposure_plan import plan_dose, plan_exposure
 from levkas.planning.framing import plan_framing
@@ -28,13 +26,11 @@ from levkas.planning.optimisation import (
     WEIGHTS,
     judge_of,
     optimise,
-    trade_off,
 )
 from levkas.planning.spectra import GRID, colour_temperature, unevenness
 from levkas.planning.tables import PlanRefused
 
 if TYPE_CHECKING:
-    from levkas.planning.exposure_advice import WhiteLevels
     from levkas.planning.light import LightPlan
     from levkas.planning.optimisation import Optimum
     from levkas.planning.setup import StudioLamp, StudioSetup
@@ -46,7 +42,6 @@ def write_report(
     name: str | None = None,
     *,
     seed: int = 1,
-    white: WhiteLevels | None = None,
 ) -> Path:
     """Write the report of one lighting, beside all others of the setup file.
 
@@ -59,15 +54,13 @@ def write_report(
         Of the lighting; the first without one.
     seed : int
         Of the search.
-    white : WhiteLevels, optional
-        Of a camera, from which its regulating filter is computed.
 
     Raises
     ------
     PlanRefused
         Where there is no such lighting.
     """
-    page = report_facts(setup, name, rng=np.random.default_rng(seed), white=white)
+    page = report_facts(setup, name, rng=np.random.default_rng(seed))
     write_text(path, render_page("plan.html", page=page))
     return Path(path)
 
@@ -77,15 +70,12 @@ def report_facts(
     name: str | None,
     *,
     rng: np.random.Generator,
-    white: WhiteLevels | None = None,
 ) -> dict[str, Any]:
     """Return everything on the page: words, numbers and drawings."""
     plan = plan_light(setup, name)
     others = compare_lightings(setup)
     judge = judge_of(setup, plan.lighting)
     best = optimise(judge, rng=rng)
-    curve = trade_off(judge, best.best)
-    current = plan.lighting.lamps[0].angle_deg
     thing = setup.object
     facts: dict[str, Any] = {
         "title": setup.bench.title or setup.path.stem,
@@ -99,9 +89,7 @@ def report_facts(
         "fields": _fields(plan),
         "evenness": draw_evenness(plan),
         "glare": draw_glare(plan),
-        "levers": plan.levers,
         "compared": [_compared(p) for p in others],
-        "trade": draw_trade_off(curve, best.best.angle_deg, current),
         "best": best,
         "best_words": _best_words(best),
         "criteria": [
@@ -113,11 +101,11 @@ def report_facts(
         "spectra": _spectra(plan),
         "spectra_words": _spectra_words(plan),
     }
-    return {**facts, **_light_facts(setup, plan, white)}
+    return {**facts, **_light_facts(setup, plan)}
 
 
-def _light_facts(setup: StudioSetup, plan: LightPlan, white: WhiteLevels | None) -> dict[str, Any]:
-    """Exposure, filter and dose, or the reason why there are none."""
+def _light_facts(setup: StudioSetup, plan: LightPlan) -> dict[str, Any]:
+    """Exposure and dose, or the reason why there are none."""
     if not setup.cameras:
         return {"exposures": [], "dose": None, "no_light": ""}
     try:
@@ -125,41 +113,12 @@ def _light_facts(setup: StudioSetup, plan: LightPlan, white: WhiteLevels | None)
         dose = plan_dose(setup, plan.lighting.name, exposures=exposures)
     except PlanRefused as refused:
         return {"exposures": [], "dose": None, "no_light": str(refused)}
-    facts = {"exposures": exposures, "dose": dose, "snr": draw_snr(exposures), "no_light": ""}
-    shared = [e for e in exposures if setup.cameras[e.camera].keys.exposure == "one"]
-    if white is not None:
-        shared = [e for e in shared if e.camera == white.camera]
-    uneven = max(shared, key=lambda e: e.evenness, default=None)
-    if uneven is not None and len(uneven.channels) > 1:
-        from levkas.planning.regulating_filters import regulating_filter
-
-        levels = white.levels if white else None
-        found = regulating_filter(setup, uneven.camera, plan.lighting.name, levels=levels)
-        facts["filter"] = draw_filter(found, uneven.camera)
-        words = (
-            f"For {uneven.camera} the weakest channel gets {100 * found.before.min():.0f} % of the "
-            f"fullest one's light. The filter below brings all to "
-            f"{100 * found.after.min():.0f} % or more, at {found.time_factor:.1f} times the exposure."
-        )
-        if found.factors is not None and found.model_alone is not None:
-            lines = ", ".join(
-                f"{name} {factor:.2f}"
-                for name, factor in zip(found.channels, found.factors, strict=True)
-            )
-            words += (
-                f" It is computed from a captured white, which has {lines} times the signal predicted from sensitivities and light; "
-                f"the filter from the model alone (dashed) would bring all to {100 * found.model_alone:.0f} %."
-            )
-        facts["filter_words"] = words
-    return facts
+    return {"exposures": exposures, "dose": dose, "snr": draw_snr(exposures), "no_light": ""}
 
 
 def _object_facts(setup: StudioSetup) -> list[str]:
     thing = setup.object
     lines = [f"{thing.size_mm[0]:.0f} x {thing.size_mm[1]:.0f} mm"]
-    if thing.bend:
-        other = "height" if thing.bend.straight == "width" else "width"
-        lines.append(f"bent along its {other}, radius {thing.bend.radius_mm / 1000:g} m")
     if thing.recess_mm:
         lines.append(f"middle {thing.recess_mm:g} mm lower")
     lines += [n for n, there in (("varnished", thing.varnish), ("gilded", thing.gold)) if there]

@@ -1,4 +1,4 @@
-"""Plots of a lighting plan: the bench to scale, maps of light and glare, spectra, SNR, filters."""
+"""Plots of a lighting plan: the bench to scale, maps of light and glare, spectra, SNR."""
 
 from __future__ import annotations
 
@@ -8,15 +8,12 @@ import numpy as np
 
 from levkas.pages.plots import draw_legend, in_style, new_figure, themed, to_svg
 from levkas.planning.light import eye_of
-from levkas.planning.optimisation import MEANINGS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from levkas.planning.exposure_plan import CameraExposure
     from levkas.planning.light import BrightField, LightPlan
-    from levkas.planning.optimisation import TradeOff
-    from levkas.planning.regulating_filters import RegulatingFilter
     from levkas.planning.setup import StudioLamp, StudioSetup
 
 INKS = ("c1", "c2", "c3", "c4", "c5", "c6")
@@ -27,7 +24,7 @@ DASHES = ("-", "-", "--", ":", "-.", "-")
 def draw_bench(setup: StudioSetup, plan: LightPlan) -> str:
     """Return a lighting to scale, along the object's width and along its height (Figure 5b).
 
-    Wedges show from where a lamp would be mirrored into the camera: full colour the bent panel's
+    Wedges show from where a lamp would be mirrored into the camera: full colour the panel's
     mirror, pale what varnish facets add, and thin the walls of the recess.
     """
     lamps = plan.lighting.lamps
@@ -77,10 +74,7 @@ def _draw_panel(axes: Axes, setup: StudioSetup, axis: int) -> None:
     thing = setup.object
     half = thing.size_mm[axis] / 2
     s = np.linspace(-half, half, 41)
-    up = np.zeros(41)
-    if thing.bend is not None and (thing.bend.straight == "width") == (axis == 1):
-        up = thing.bend.radius_mm * (np.cos(s / thing.bend.radius_mm) - 1)
-    axes.plot(s, up, color=themed("ink"), linewidth=5, solid_capstyle="butt")
+    axes.plot(s, np.zeros(41), color=themed("ink"), linewidth=5, solid_capstyle="butt")
 
 
 def _draw_camera(axes: Axes, eye: np.ndarray) -> None:
@@ -155,26 +149,6 @@ def draw_glare(plan: LightPlan, *, most: dict[str, float] | None = None) -> str:
 
 
 @in_style
-def draw_trade_off(curve: TradeOff, best_deg: float, current_deg: float | None = None) -> str:
-    """Return each criterion over the lamps' angle; 1 is what is just tolerated."""
-    figure = new_figure(700, 320)
-    axes = figure.subplots()
-    for (name, values), ink in zip(curve.criteria.items(), INKS, strict=True):
-        if values.max() >= 1e-6:
-            axes.plot(curve.angle_deg, values, color=themed(ink), label=MEANINGS[name])
-    axes.axhline(1, color=themed("soft"), linestyle="--")
-    for degrees, ink, words in ((best_deg, "ok", "best"), (current_deg, "ink", "as planned")):
-        if degrees is not None and 30 <= degrees <= 84:
-            axes.axvline(degrees, color=themed(ink), label=f"{words}: {degrees:.0f}°")
-    axes.set(
-        xlim=(30, 84), ylim=(0, 3), ylabel="over tolerance",
-        xlabel="angle of the lamps from the object's normal, degrees",
-    )  # fmt: skip
-    draw_legend(axes)
-    return to_svg(figure, "trade-off over the lamps' angle")
-
-
-@in_style
 def draw_spectra(wavelengths: np.ndarray, curves: dict[str, np.ndarray], label: str) -> str:
     """Return spectra over their greatest value in sight (Figure 6a)."""
     inside = (wavelengths >= 380) & (wavelengths <= 780)
@@ -208,22 +182,3 @@ def draw_snr(exposures: list[CameraExposure]) -> str:
     axes.set_ylim(bottom=0)
     draw_legend(axes)
     return to_svg(figure, "signal over noise by wavelength")
-
-
-@in_style
-def draw_filter(found: RegulatingFilter, camera: str) -> str:
-    """Return a regulating filter and the channels before and after it."""
-    figure = new_figure(720, 270)
-    left, right = figure.subplots(1, 2)
-    left.plot(found.wavelengths, found.transmittance, color=themed("c1"))
-    if found.modelled is not None:
-        left.plot(found.wavelengths, found.modelled, "--", color=themed("c2"))
-    left.set(xlabel="wavelength, nm", ylabel=f"transmittance for {camera}", ylim=(0, 1.02))
-    places = np.arange(len(found.channels))
-    right.bar(places - 0.2, found.before, 0.38, color=themed("c2"), label="without")
-    right.bar(places + 0.2, found.after, 0.38, color=themed("c1"), label="with")
-    right.set_xticks(places, found.channels)
-    right.set(ylabel="exposure over the fullest", ylim=(0, 1.02))
-    right.grid(visible=False, axis="x")
-    draw_legend(right)
-    return to_svg(figure, f"regulating filter of {camera}")

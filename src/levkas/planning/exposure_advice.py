@@ -1,4 +1,4 @@
-"""Exposure advice from captured frames of a white or of the object."""
+"""Exposure advice from captured frames of a white."""
 
 from __future__ import annotations
 
@@ -57,23 +57,10 @@ class BandAdvice:
         As fitted, or assumed, for the SNR.
     iso_advice : str
     notes : list of str
-    is_white : bool
-        Whether the frames show a white.
     prnu_known : bool
         Whether the sensor's PRNU was measured on them, or 1 % is assumed.
     full, full_from : float, str
         Counts at which a sensel is full, and where that is known from.
-    shots : tuple of Shot
-        All exposures of the band.
-    levels : tuple of float
-        Counts without light of each of `shots`.
-    read_variance : float
-        Without light, counts².
-    pattern : str or rows of names, optional
-    dark_share : float
-        One over the number of darks of the exposure; 0 without.
-    one_shot : bool
-        Whether the noise was read off one shot, whose texture counts as noise.
     """
 
     shot: Shot
@@ -81,16 +68,9 @@ class BandAdvice:
     sensor: Sensor
     iso_advice: str
     notes: list[str]
-    is_white: bool = True
     prnu_known: bool = False
     full: float = float("nan")
     full_from: str = ""
-    shots: tuple[Shot, ...] = ()
-    levels: tuple[float, ...] = ()
-    read_variance: float = 0.0
-    pattern: str | Sequence[Sequence[str]] | None = None
-    dark_share: float = 0.0
-    one_shot: bool = True
 
     @property
     def first(self) -> Advice:
@@ -145,9 +125,8 @@ def advise_frames(
     bits: int | None = None,
     saturation: float | None = None,
     exposure_s: float | None = None,
-    is_white: bool = True,
 ) -> list[BandAdvice]:
-    """Advise how long to expose, from frames of a white or of the object itself.
+    """Advise how long to expose, from frames of a white.
 
     Parameters
     ----------
@@ -164,8 +143,6 @@ def advise_frames(
         Bits of the converter, or counts at which a sensel is full; default as `campaign_frames.scale_of` finds it.
     exposure_s : float, optional
         Of every frame, where neither names (25ms, 0.5s) nor headers hold it.
-    is_white : bool
-        False: the frames show the object, and its peak is kept below saturation.
 
     Returns
     -------
@@ -183,12 +160,8 @@ def advise_frames(
     """
     files = files_of(frames)
     if not files:
-        raise NoAdvice(
-            Problem(
-                "E_NO_FRAMES", "there is no frame", expected="frames of a white, or of the object"
-            )
-        )
-    given = _Given(pattern, black, bits, saturation, exposure_s, is_white)
+        raise NoAdvice(Problem("E_NO_FRAMES", "there is no frame", expected="frames of a white"))
+    given = _Given(pattern, black, bits, saturation, exposure_s)
     dim = files_of(darks)
     groups = split_sensors(files)
     dark_of = split_sensors(dim) if dim else {}
@@ -213,7 +186,6 @@ class _Given(NamedTuple):
     bits: int | None
     saturation: float | None
     exposure_s: float | None
-    is_white: bool
 
 
 def _advise_sensor(
@@ -222,9 +194,7 @@ def _advise_sensor(
     """Advise from the frames of one sensor; `rows` are the channels that its campaign names."""
     facts = read_facts(files[0])
     dim = gather_shots(darks, np.inf, None)
-    scale = scale_of(
-        files, facts, bits=given.bits, saturation=given.saturation, white=given.is_white
-    )
+    scale = scale_of(files, facts, bits=given.bits, saturation=given.saturation, white=True)
     if scale is None:
         raise NoAdvice(not_known(files[0], facts))
     level = next((b for b in (given.black, scale.black, facts.black) if b is not None), 0.0)
@@ -236,41 +206,7 @@ def _advise_sensor(
     order = sorted(
         bands, key=lambda key: (isnan(key[0]), key[0] if key[0] == key[0] else 0, key[1])
     )
-    return [
-        _coach_band(bands[key], dim, level, scale.full, pattern, given.is_white) for key in order
-    ]
-
-
-class WhiteLevels(NamedTuple):
-    """Signal of each channel of a camera on a captured white: counts above black a second, by name, and doubts."""
-
-    camera: str
-    levels: dict[str, float]
-    notes: tuple[str, ...] = ()
-
-
-def white_levels(bands: Sequence[BandAdvice], camera: str) -> WhiteLevels:
-    """Return what every channel of a camera recorded of a captured white.
-
-    Raises
-    ------
-    NoAdvice
-        E_EXPOSURE where the times of some frames are known and of others not.
-    """
-    times = [found.shot.exposure_s for found in bands]
-    if None in times and set(times) != {None}:
-        unknown = next(b.shot.name for b in bands if b.shot.exposure_s is None)
-        raise NoAdvice(
-            Problem("E_EXPOSURE", f"{unknown}: the exposure of this white is not known", None, "--time",
-                    "times of other frames alone", "all of them, or none where they are the same")
-        )  # fmt: skip
-    levels = {
-        advice.reading.channel or found.shot.name: advice.reading.mean / (time or 1.0)
-        for found, time in zip(bands, times, strict=True)
-        for advice in found.advices
-    }
-    same = "the times of the whites are unknown and assumed to be equal"
-    return WhiteLevels(camera, levels, (same,) if None in times and len(bands) > 1 else ())
+    return [_coach_band(bands[key], dim, level, scale.full, pattern) for key in order]
 
 
 def _check_bits(shot: Shot, scale: FullScale, file: str) -> None:
@@ -310,7 +246,6 @@ def _coach_band(
     black: float,
     scale: FullScale,
     pattern: str | Sequence[Sequence[str]] | None,
-    is_white: bool,
 ) -> BandAdvice:
     full = scale.counts
     under = {shot.exposure_s: _dark_of(shot, darks) for shot in shots}
@@ -320,13 +255,13 @@ def _coach_band(
     if not clear:
         raise NoAdvice(_clipped(min(readings, key=lambda item: item[0].exposure_s or 0.0)))
     shot, channels = max(clear, key=lambda item: item[1][0].mean)
-    dark, black = under[shot.exposure_s], levels[shot.exposure_s]
+    black = levels[shot.exposure_s]
     if max(c.peak for c in channels) < FAINT * (full - black):
         raise NoAdvice(_too_faint(shot, channels))
-    if is_white and min(c.unevenness for c in channels) > NO_WHITE:
+    if min(c.unevenness for c in channels) > NO_WHITE:
         raise NoAdvice(_no_white(shot, channels))
     noise, notes = _noise(shots, shot, list(under.values()), black, pattern)
-    prnu = _prnu(shot, black, full, pattern) if is_white else None
+    prnu = _prnu(shot, black, full, pattern)
     sensor = Sensor(
         dark=0.0,
         read=float(np.sqrt(noise.read_variance)) / noise.gain,
@@ -335,8 +270,7 @@ def _coach_band(
         gain=noise.gain,
     )
     advices = [
-        advise(c, sensor, exposure_s=shot.exposure_s, is_white=is_white, wavelength=shot.wavelength)
-        for c in channels
+        advise(c, sensor, exposure_s=shot.exposure_s, wavelength=shot.wavelength) for c in channels
     ]
     iso = judge_iso(
         limiting(advices)[0].stops, dark_noise_dn=float(np.sqrt(noise.read_variance)), iso=shot.iso
@@ -344,9 +278,7 @@ def _coach_band(
     if shot.exposure_s is None:
         notes.append("the exposure is not known: multiply the one that was set")
     return BandAdvice(
-        shot, advices, sensor, iso, notes, is_white, prnu is not None, full, scale.source,
-        tuple(shots), tuple(levels[s.exposure_s] for s in shots), noise.read_variance, pattern,
-        1 / dark.count if dark else 0.0, noise.source != "temporal",
+        shot, advices, sensor, iso, notes, prnu is not None, full, scale.source,
     )  # fmt: skip
 
 
@@ -451,8 +383,7 @@ def _no_white(shot: Shot, channels: list[Reading]) -> Problem:
         f"{shot.name}: this is not an evenly lit white",
         found=f"it varies by {least:.0%} over the field",
         expected=f"at most {NO_WHITE:.0%}",
-        fix="Use `levkas plan series` where the frames show the object, --pattern where the sensor is a mosaic; "
-        "else fill the field with the white board and move the lamps back.",
+        fix="Give --pattern where the sensor is a mosaic; else fill the field with the white board and move the lamps back.",
     )
 
 
@@ -524,7 +455,7 @@ def advice_text(bands: Sequence[BandAdvice]) -> str:
             behind = np.log2(first.reading.mean / max(poorest.reading.mean, 1e-9))
             lines.append(
                 f"  {first.reading.channel} saturates first; {poorest.reading.channel} gets {behind:.1f} stops "
-                "less light: a regulating filter or a lamp richer there would even them out"
+                "less light: a filter or a lamp richer there would even them out"
             )
         lines.append(f"  ISO: {found.iso_advice}")
         lines += [f"  note: {note}" for note in found.notes]
@@ -550,8 +481,6 @@ def _why(found: BandAdvice) -> str:
         f"pixel in a million clips (z 4.75) with FW {full_well:,.0f} e⁻, PRNU "
         f"{100 * found.sensor.prnu:.2g} % {'measured' if found.prnu_known else 'assumed'}, a lamp that drifts by 1 %"
     )
-    if not found.is_white:
-        return f"{reason}; the object's own peak is kept there, U = 0"
     return (
         f"{reason}, and light that varies by U = {100 * first.reading.unevenness:.0f} % over the field; "
         f"at 10 % it would be {100 * usual:.0f} %"

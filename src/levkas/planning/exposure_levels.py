@@ -140,7 +140,7 @@ class Advice:
     ----------
     reading : Reading
     target : float
-        Share of saturation for the mean of a white, or for the peak of an object.
+        Share of saturation for the mean of a white.
     factor : float
         By which to multiply the time.
     time_s : float or None
@@ -169,7 +169,6 @@ def advise(
     sensor: Sensor,
     *,
     exposure_s: float | None = None,
-    is_white: bool = True,
     wavelength: float = float("nan"),
 ) -> Advice:
     """Advise which exposure one channel needs.
@@ -182,9 +181,6 @@ def advise(
         `gain`, `read`, `prnu`; its `dark` counts as noise.
     exposure_s : float, optional
         Of the frame.
-    is_white : bool
-        Of an even white its mean goes to `safe_mean`. Of an object, gold above all, the peak does,
-        for it may be brighter than any white; shading is in it already.
 
     Examples
     --------
@@ -194,10 +190,8 @@ def advise(
     (0.91, 0.36)
     """
     full_well = reading.room / sensor.gain
-    level = reading.mean if is_white else reading.peak
-    uneven = reading.unevenness if is_white else 0.0
-    target = safe_mean(full_well, prnu=sensor.prnu, unevenness=uneven)
-    factor = target * reading.room / max(level, 1e-9)
+    target = safe_mean(full_well, prnu=sensor.prnu, unevenness=reading.unevenness)
+    factor = target * reading.room / max(reading.mean, 1e-9)
     electrons = max(reading.mean, 0.0) / sensor.gain
     now = 10 ** (float(snr_db(electrons, sensor)) / 10)
     time_s = None if exposure_s is None else exposure_s * factor

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.planning.surface import height_range
-
 if TYPE_CHECKING:
     from levkas.planning.setup import StudioCamera, StudioSetup
 
@@ -169,7 +167,6 @@ def _frame(setup: StudioSetup, camera: StudioCamera) -> Framing:
         for s, w in zip(sensor, wanted, strict=True)
     )
     samples = 1000 * m / keys.pitch_um
-    low, high = height_range(thing)
     depth = depth_of_field(keys.f_number, keys.pitch_um / 1000, m)
     bands = (450.0, 550.0, 700.0, 950.0)
     mtf = {
@@ -179,7 +176,7 @@ def _frame(setup: StudioSetup, camera: StudioCamera) -> Framing:
     }
     frame = Framing(
         camera.name, camera.distance_mm, m, field, covers, samples, samples**2, needed, depth,
-        high - low, mtf,
+        thing.recess_mm, mtf,
     )  # fmt: skip
     return Framing(
         **{**frame.__dict__, "contradictions": tuple(_contradictions(frame, camera, wanted))}

@@ -1,8 +1,8 @@
-"""Evenness, glare, relief and bright field of a lighting, and its sensitivity to changes."""
+"""Evenness, glare, relief and bright field of a lighting."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from levkas.colour.microfacet import (
     lobe_reach_deg,
     transmitted,
 )
-from levkas.planning.setup import Lighting, Lobe, StudioLamp, aim_point, drop, illuminate, light_of
+from levkas.planning.setup import Lighting, drop, illuminate, light_of
 from levkas.planning.surface import (
     Surface,
     hidden_share,
@@ -67,7 +67,6 @@ class LightPlan:
     hidden: float
     darkening: float
     fields: dict[str, BrightField]
-    levers: tuple[str, ...] = field(default=())
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready record without the maps."""
@@ -80,7 +79,6 @@ class LightPlan:
             **{n: getattr(self, n) for n in names},
             "facets": "GGX",
             "bright_field": {k: dict(v.__dict__) for k, v in self.fields.items()},
-            "levers": list(self.levers),
         }
 
 
@@ -90,9 +88,7 @@ def eye_of(setup: StudioSetup) -> np.ndarray:
     return cameras[0].place if cameras else np.array([0.0, 0.0, DEFAULT_EYE_MM])
 
 
-def plan_light(
-    setup: StudioSetup, name: str | None = None, *, columns: int = 61, levers: bool = True
-) -> LightPlan:
+def plan_light(setup: StudioSetup, name: str | None = None, *, columns: int = 61) -> LightPlan:
     """Return what a lighting of a setup file does.
 
     Parameters
@@ -102,8 +98,6 @@ def plan_light(
         Of the lighting; the first without one.
     columns : int
         Of the maps.
-    levers : bool
-        Whether to describe what each change of the lamps would do.
 
     Raises
     ------
@@ -119,7 +113,7 @@ def plan_light(
         middle = lit[lit.shape[0] // 2, lit.shape[1] // 2]
         lit, absolute = lit * lighting.illuminance_lx / middle, True
     shine = glare(thing, surface, lighting, eye, sheets)
-    plan = LightPlan(
+    return LightPlan(
         lighting, surface, lit, shine, drop(lit), float(lit.mean()), absolute,
         _worst(shine.varnish), _worst(shine.gold), _spread(shine.gold),
         shading_contrast(lighting.lamps, thing.relief_slope) if thing.relief_slope else 0.0,
@@ -127,12 +121,11 @@ def plan_light(
         hidden_share(lighting.lamps, thing.relief_slope), _darkening(thing, lighting),
         bright_fields(thing, lighting, eye),
     )  # fmt: skip
-    return replace(plan, levers=tuple(describe_levers(setup, plan))) if levers else plan
 
 
 def compare_lightings(setup: StudioSetup) -> list[LightPlan]:
-    """Return the plan of every lighting of a setup file, without levers."""
-    return [plan_light(setup, name, columns=31, levers=False) for name in setup.lightings]
+    """Return the plan of every lighting of a setup file."""
+    return [plan_light(setup, name, columns=31) for name in setup.lightings]
 
 
 def _worst(values: np.ndarray | None) -> float:
@@ -192,100 +185,6 @@ def _margin(lighting: Lighting, axis: int, wide: tuple[float, float]) -> float:
             angle = np.degrees(np.arctan2(along, z))
             margins.append(float(angle - wide[1] if angle > 0 else wide[0] - angle))
     return float(min(margins))
-
-
-# --- levers -------------------------------------------------------------------------------------
-
-
-def describe_levers(setup: StudioSetup, plan: LightPlan) -> list[str]:
-    """Describe what each change of the lamps would do, in sentences, the strongest on evenness first."""
-    rated = []
-    for text, lighting in _changes(setup, plan.lighting):
-        other = _quick(setup, lighting)
-        effects = [
-            f"the drop of light goes from {100 * plan.drop:.1f} to {100 * other['drop']:.1f} %"
-        ]
-        for key, before in (("varnish", plan.varnish), ("gold", plan.gold)):
-            if before > 0 and abs(other[key] / before - 1) > 0.08:
-                effects.append(f"{key} shines {other[key] / before:.2f} times as much")
-        before = plan.texture
-        if before > 0 and abs(other["texture"] / before - 1) > 0.15:
-            effects.append(f"relief shows {other['texture'] / before:.1f} times as strongly")
-        if abs(other["mean"] / plan.mean - 1) > 0.1:
-            effects.append(f"the light is {other['mean'] / plan.mean:.2f} times as strong")
-        rated.append((abs(other["drop"] - plan.drop), f"{text}: {', '.join(effects)}."))
-    return [text for _, text in sorted(rated, key=lambda r: -r[0])]
-
-
-def _quick(setup: StudioSetup, lighting: Lighting) -> dict[str, float]:
-    thing = setup.object
-    surface = sample_surface(thing, 21)
-    lit = illuminate(lighting.lamps, surface.points, surface.normals)
-    shine = glare(thing, surface, lighting, eye_of(setup), setup.bench.sheets)
-    texture = shading_contrast(lighting.lamps, thing.relief_slope) if thing.relief_slope else 0.0
-    scale = 1.0
-    if lighting.illuminance_lx is not None:
-        base = illuminate(setup.lighting(lighting.name).lamps, np.zeros(3), np.array([0, 0, 1.0]))
-        scale = lighting.illuminance_lx / float(base)
-    return {
-        "drop": drop(lit), "varnish": _worst(shine.varnish), "gold": _worst(shine.gold),
-        "texture": texture, "mean": float(lit.mean()) * scale,
-    }  # fmt: skip
-
-
-def _changes(setup: StudioSetup, lighting: Lighting) -> list[tuple[str, Lighting]]:
-    """Return each lever in words and the lighting it leads to."""
-    size = setup.object.size_mm
-    lamps = lighting.lamps
-
-    def with_lamps(changed: list[StudioLamp]) -> Lighting:
-        return replace(lighting, lamps=tuple(changed))
-
-    def turned(lamp: StudioLamp, degrees: float) -> StudioLamp:
-        angle = np.radians(min(max(lamp.angle_deg + degrees, 5.0), 86.0))
-        foot = lamp.place[:2] / max(float(np.hypot(*lamp.place[:2])), 1e-9)
-        place = lamp.distance_mm * np.array([*(np.sin(angle) * foot), np.cos(angle)])
-        return _moved(lamp, place)
-
-    changes = [
-        ("Lamps a quarter farther away", with_lamps([_moved(x, 1.25 * x.place) for x in lamps])),
-        ("Lamps at half the distance", with_lamps([_moved(x, 0.5 * x.place) for x in lamps])),
-        ("Lamps 5° lower over the panel", with_lamps([turned(x, 5.0) for x in lamps])),
-    ]
-    if any(abs(x.angle_deg - 45.0) > 3 for x in lamps):
-        changes.append(("Lamps at 45°", with_lamps([turned(x, 45.0 - x.angle_deg) for x in lamps])))
-    if len(lamps) == 1:
-        other = replace(
-            lamps[0], place=lamps[0].place * [-1, -1, 1], axis=lamps[0].axis * [-1, -1, 1]
-        )
-        changes.append(("A second lamp opposite", with_lamps([lamps[0], other])))
-    else:
-        changes.append((f"Only {lamps[0].name}", with_lamps([lamps[0]])))
-        weaker = replace(lamps[0], candela=0.95 * lamps[0].candela)
-        changes.append(("One lamp 5 % weaker", with_lamps([weaker, *lamps[1:]])))
-        uneven = [
-            replace(x, candela=x.candela * f) for x, f in zip(lamps, (1.4, 0.6), strict=False)
-        ]
-        changes.append(("Lamps at 70:30, for more relief", with_lamps([*uneven, *lamps[2:]])))
-    for aim in ("far edge", "middle"):
-        aimed = [_aimed(x, aim_point(aim, x.place, size)) for x in lamps]
-        if any(np.abs(a.axis - b.axis).max() > 1e-6 for a, b in zip(aimed, lamps, strict=True)):
-            changes.append((f"Aimed at the {aim}", with_lamps(aimed)))
-    if all(x.lobe.table is None and x.lobe.exponent > 1 for x in lamps):
-        wide = [replace(x, lobe=Lobe(x.lobe.exponent / 2), candela=x.candela / 2) for x in lamps]
-        changes.append(("A beam 1.4 times as wide", with_lamps(wide)))
-    return changes
-
-
-def _moved(lamp: StudioLamp, place: np.ndarray) -> StudioLamp:
-    """Move a lamp, aimed at the same point of the object's plane."""
-    target = lamp.place - lamp.axis * lamp.place[2] / min(lamp.axis[2], -1e-6)
-    return _aimed(replace(lamp, place=place), target)
-
-
-def _aimed(lamp: StudioLamp, target: np.ndarray) -> StudioLamp:
-    axis = target - lamp.place
-    return replace(lamp, axis=axis / np.linalg.norm(axis))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Optimization of a pair of lamps, and trade-off curves.
+"""Optimization of a pair of lamps.
 
 Cost = Σ weight · (value / tolerance)²: a criterion at its tolerance costs its weight, one at half of it
 a quarter. Tolerances and weights are `criteria.TOLERANCES` and `criteria.WEIGHTS`, fixed for every
@@ -285,7 +285,7 @@ def judge_of(setup: StudioSetup, lighting: Lighting | None = None) -> Judge:
 
 
 POPULATION, ROUNDS = 8, 100
-"""Arrangements for each of the five numbers, and generations at most; four seeds agree to 0.002° on the bench."""
+"""Arrangements for each of the five numbers, and generations at most; four seeds agree to 0.1° on the bench."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -353,24 +353,6 @@ def optimise(
     return Optimum(best, float(found.fun), values, tuple(_why(judge, best, values)))
 
 
-@dataclass(frozen=True, eq=False)
-class TradeOff:
-    """Criteria over the lamps' angle, all else as in one arrangement; values over tolerance."""
-
-    angle_deg: np.ndarray
-    criteria: dict[str, np.ndarray]
-    cost: np.ndarray
-
-
-def trade_off(judge: Judge, arrangement: Arrangement) -> TradeOff:
-    """Return how the criteria change with the lamps' angle: what is gained here is lost there."""
-    angles = np.arange(30.0, 84.01)
-    rows = np.repeat(arrangement.row()[None], len(angles), 0)
-    rows[:, 0] = angles
-    curves = {k: v / TOLERANCES[k] for k, v in judge.values(rows).items()}
-    return TradeOff(angles, curves, judge.cost(rows))
-
-
 def _why(judge: Judge, best: Arrangement, values: dict[str, float]) -> list[str]:
     """Report what each change from the optimum would cost."""
     sentences = []
@@ -396,8 +378,7 @@ def _why(judge: Judge, best: Arrangement, values: dict[str, float]) -> list[str]
     more = f", and the {shiny} shine {times(across):.1f} times as much" if shiny else ""
     sentences.append(
         f"Along the object's other axis the light would drop by {100 * across['drop']:.1f} % over it "
-        f"instead of {100 * values['drop']:.1f} %{more}"
-        + (": bent that way, its normals turn towards the lamps." if judge.thing.bend else ".")
+        f"instead of {100 * values['drop']:.1f} %{more}."
     )
     near = max(best.distance_mm / 2, judge.room.nearest_mm)
     sentences.append(

@@ -11,7 +11,7 @@ import numpy as np
 from levkas.colour.illuminants import illuminant, planck
 from levkas.colour.observer import tables
 from levkas.core.text import TextRefused, read_text
-from levkas.planning.tables import PlanRefused, doubtful_unit, value_problem
+from levkas.planning.tables import PlanRefused, value_problem
 from levkas.readers.spectra import are_spectra, parse_spectra
 
 if TYPE_CHECKING:
@@ -138,12 +138,6 @@ def read_spectrum(name: str, keys: SpectrumKeys, root: Path, *, file: str) -> Sp
             )
         )  # fmt: skip
     if keys.planck_k is not None:
-        if keys.planck_k < 500:
-            raise PlanRefused(
-                doubtful_unit(
-                    file, f"{field}.planck_k", keys.planck_k, "500 to 20,000 K", "mired or kK"
-                )
-            )
         return Spectrum(name, planck(GRID, keys.planck_k), (GRID[0], GRID[-1]))
     if keys.transmittance is not None:
         return Spectrum(name, np.full(len(GRID), keys.transmittance), (GRID[0], GRID[-1]))
@@ -216,6 +210,6 @@ def read_table(path: Path, *, field: str, file: str) -> tuple[np.ndarray, np.nda
         )  # fmt: skip
     low, high = table[0, 0], table[-1, 0]
     if high < 100 or low > 3000:
-        unit = "micrometres" if high < 100 else "ångström"
-        raise PlanRefused(doubtful_unit(file, field, f"{low:g} to {high:g}", "nanometres", unit))
+        what, found = f"{path.name} is not over nanometres", f"{low:g} to {high:g}"
+        raise PlanRefused(value_problem(file, field, what, found, "wavelengths in nm"))
     return table[:, 0], table[:, 1:], labels

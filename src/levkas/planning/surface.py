@@ -1,4 +1,4 @@
-"""Sampled surface of a bent panel with a recessed middle: points, normals, texture contrast."""
+"""Sampled surface of a panel with a recessed middle: points, normals, texture contrast."""
 
 from __future__ import annotations
 
@@ -46,8 +46,7 @@ def sample_surface(thing: StudioObjectKeys, columns: int = 61) -> Surface:
 
     Notes
     -----
-    Normals are those of the bend alone: the recess's walls are thin lines, which `light.bright_fields`
-    treats by themselves.
+    The recess's walls are thin lines, which `light.bright_fields` treats by themselves.
     """
     width, height = thing.size_mm
     rows = max(3, round(columns * height / width) | 1)
@@ -55,51 +54,13 @@ def sample_surface(thing: StudioObjectKeys, columns: int = 61) -> Surface:
     along, across = np.meshgrid(x, y)
     inner = [np.abs(a) < s / 2 - thing.border_mm for a, s in ((along, width), (across, height))]
     sunk = np.where(inner[0] & inner[1], -thing.recess_mm, 0.0)
-    return Surface(x, y, *bent(along, across, thing, sunk))
-
-
-def bent(
-    along: np.ndarray, across: np.ndarray, thing: StudioObjectKeys, sunk: np.ndarray | float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return points, mm, and normals of a board that is bent as an object is, (rows, columns, 3) each.
-
-    Parameters
-    ----------
-    along, across : ndarray, (rows, columns)
-        Places on the board, mm from its middle, measured along it.
-    thing : StudioObjectKeys
-        Its `bend`; none is a flat board.
-    sunk : ndarray or float
-        mm above the board's surface.
-    """
     zero = np.zeros_like(along)
-    if thing.bend is None:
-        return np.stack([along, across, zero + sunk], -1), np.stack([zero, zero, zero + 1], -1)
-    radius, wide = thing.bend.radius_mm, thing.bend.straight == "width"
-    turn = (across if wide else along) / radius
-    out, up = (radius + sunk) * np.sin(turn), (radius + sunk) * np.cos(turn) - radius
-    if wide:
-        return np.stack([along, out, up], -1), np.stack([zero, np.sin(turn), np.cos(turn)], -1)
-    return np.stack([out, across, up], -1), np.stack([np.sin(turn), zero, np.cos(turn)], -1)
+    return Surface(x, y, np.stack([along, across, sunk], -1), np.stack([zero, zero, zero + 1], -1))
 
 
 def wall_deg(thing: StudioObjectKeys) -> float:
     """Return the slope of the recess's walls, degrees; 0 without a recess."""
     return float(np.degrees(np.arctan2(thing.recess_mm, thing.bevel_mm)))
-
-
-def height_range(thing: StudioObjectKeys) -> tuple[float, float]:
-    """Return the lowest and highest z of the object, mm, 0 at the rim's top in the middle.
-
-    >>> from levkas.planning.tables import StudioObjectKeys
-    >>> height_range(StudioObjectKeys(size_mm=(420, 320), recess_mm=3.0))
-    (-3.0, 0.0)
-    """
-    low = -thing.recess_mm
-    if thing.bend is not None:
-        side = thing.size_mm[1 if thing.bend.straight == "width" else 0]
-        low = min(low, thing.bend.radius_mm * (np.cos(side / 2 / thing.bend.radius_mm) - 1))
-    return float(low), 0.0
 
 
 @cache

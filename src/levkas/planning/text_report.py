@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +12,6 @@ from levkas.planning.framing import Framing, plan_framing
 from levkas.planning.light import compare_lightings, plan_light
 from levkas.planning.loading import load_setup
 from levkas.planning.setup import StudioSetup
-
-if TYPE_CHECKING:
-    from levkas.planning.exposure_advice import WhiteLevels
 
 
 class LightRecord(dict[str, Any]):
@@ -43,17 +40,10 @@ def light_record(
         contradictions=[c for f in plan_framing(setup) for c in f.contradictions],
     )
     if optimised:
-        from levkas.planning.optimisation import judge_of, optimise, trade_off
+        from levkas.planning.optimisation import judge_of, optimise
 
         judge = judge_of(setup, setup.lighting(name))
-        best = optimise(judge, rng=np.random.default_rng(seed))
-        curve = trade_off(judge, best.best)
-        record["optimum"] = best.to_dict()
-        record["trade_off"] = {
-            "angle_deg": curve.angle_deg.tolist(),
-            "cost": curve.cost.tolist(),
-            "over_tolerance": {k: v.tolist() for k, v in curve.criteria.items()},
-        }
+        record["optimum"] = optimise(judge, rng=np.random.default_rng(seed)).to_dict()
     return record
 
 
@@ -75,8 +65,6 @@ def light_text(record: dict[str, Any]) -> str:
             )
             + (f"; margin {field['margin']:.0f}°" if np.isfinite(field["margin"]) else "")
         )
-    lines += ["", "Levers, the strongest on evenness first:"]
-    lines += [f"  {words}" for words in this["levers"]]
     lines += ["", f"{'setup':<14}{'lx':>6}{'drop':>7}{'varnish':>9}{'gold':>7}{'texture':>9}"]
     for other in record["setups"]:
         lux = f"{other['mean']:.0f}" if other["absolute"] else "–"
@@ -141,35 +129,18 @@ def framing_text(found: list[Framing]) -> str:
     return "\n".join(lines) or "no camera is declared"
 
 
-def exposure_record(
-    path: str | Path, name: str | None = None, white: WhiteLevels | None = None
-) -> dict[str, Any]:
-    """Return exposures, filters and dose of one lighting; the filter of a camera from its captured white.
+def exposure_record(path: str | Path, name: str | None = None) -> dict[str, Any]:
+    """Return exposures and dose of one lighting.
 
     Raises
     ------
     PlanRefused
         Where the setup file cannot be planned, or the strength of the light is not given.
     """
-    from levkas.planning.regulating_filters import check_filtered, regulating_filter
-
     setup = load_setup(path)
     exposures = plan_exposure(setup, name)
-    filters = {}
-    if white is not None:
-        check_filtered(setup, white.camera)
-    for found in exposures:
-        several = len(found.channels) > 1
-        if several and setup.cameras[found.camera].keys.exposure == "one":
-            levels = white.levels if white and white.camera == found.camera else None
-            filters[found.camera] = regulating_filter(
-                setup, found.camera, name, levels=levels
-            ).to_dict()
-            if white and levels:
-                filters[found.camera]["measured"]["notes"] += white.notes
     return {
         "cameras": [e.to_dict() for e in exposures],
-        "regulating_filters": filters,
         "dose": plan_dose(setup, name, exposures=exposures).to_dict(),
     }
 
@@ -187,27 +158,5 @@ def exposure_text(record: dict[str, Any]) -> str:
             f"{worst['snr']:.0f} ({worst['snr_db']:.1f} dB of Eq. 1); best over worst {camera['evenness']:.1f}"
         )
         lines += [f"  {words}" for words in camera["notes"]]
-        if camera["camera"] in record["regulating_filters"]:
-            sheet = record["regulating_filters"][camera["camera"]]
-            lines.append(
-                f"  A regulating filter brings the smallest channel from {100 * sheet['smallest_before']:.0f} "
-                f"to {100 * sheet['smallest_after']:.0f} % of the fullest, at {sheet['time_factor']:.1f} times "
-                f"the exposure."
-            )
-            lines += _measured_lines(sheet)
     lines += ["", *record["dose"]["sentences"]]
     return "\n".join(lines)
-
-
-def _measured_lines(sheet: dict[str, Any]) -> list[str]:
-    """Return what a captured white says of a filter's camera."""
-    if "measured" not in sheet:
-        return []
-    measured = sheet["measured"]
-    factors = ", ".join(f"{name} {factor:.2f}" for name, factor in measured["factors"].items())
-    alone = 100 * measured["smallest_with_modelled_filter"]
-    return [
-        f"  From the captured white: channels over the prediction from sensitivities and light, {factors}. The filter from the "
-        f"model alone would bring the smallest to {alone:.0f} %.",
-        *(f"  {note}" for note in measured["notes"]),
-    ]

@@ -22,6 +22,12 @@ EXAMPLES = {
 }
 
 GONE = {
+    "cameras.*.isos": "Leave it out: a plan is for one ISO, the lowest.",
+    "cameras.*.read_after_e": "Leave it out: `read_e` is the whole read noise at the lowest ISO.",
+    "cameras.*.sure": "Leave it out: no unit is asked about any more.",
+    "object.bend": "Leave it out: a panel is flat here; a bend moves the best lamps by less than 1°.",
+    "object.sure": "Leave it out: no unit is asked about any more.",
+    "setups.*.lamps.*.sure": "Leave it out: no unit is asked about any more.",
     "cameras.*.stray_light": "Nothing takes stray light off: state it as uncertainty = { stray_light = 0.01 }.",
 }
 """Keys that Levkas had once, a name of the campaign's as `*`, and what to write in their place."""
