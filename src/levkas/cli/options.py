@@ -29,13 +29,7 @@ NEEDS: dict[str, Needs] = {
         "--report": ("--setup",),
         "--overwrite": ("--report",),
     },
-    "plan filter": {"--overwrite": ("--report",)},
     "plan light": {"--overwrite": ("--report",)},
-    "plan series": {
-        "--setup": ("--camera",),
-        "--camera": ("--setup",),
-        "--overwrite": ("--report",),
-    },
     "radiometry": {"--overwrite": ("--output",)},
     "simulate": {"--interval": ("--live",), "--faults": ("--live",)},
 }
