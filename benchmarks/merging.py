@@ -1,14 +1,12 @@
 """Whole builds of merged exposures against truth and the Cramér–Rao bound, over three and a half decades.
 
-    python benchmarks/merging.py [--side 256] [--read 2.0] [--whites 16] [--darks 8] [--bend 0.06] [--leak 0.0018]
-    python benchmarks/merging.py --painted   # discs of all tones beside one another's saturated sensels; bend 0.06, leak 0.0018
+    python benchmarks/merging.py [--side 256] [--read 2.0] [--whites 16] [--darks 8]
 
 A sensor of 12 bits in 16-bit files (black 50, 2 electrons a count) takes one shot of twelve patches,
 0.0003 to 0.95, at four exposures 4x apart, and a stack of a white at one of them. `levkas build` makes
 reflectance of it: as a tunable filter and as a mosaic; with the black level in campaign.toml, in the
 frames (TIFF's and DNG's tag 50714) or only in darks. In a corner of each patch the scene changes before
-the longest exposure that does not saturate there. `--bend` is the share that the response lacks at full scale, y = x − bend x² / full;
-`--leak` what a sensel lends to each neighbour, 0.3 of that diagonally: of a saturated one what its well holds.
+the longest exposure that does not saturate there.
 
 For each patch: the mean of R over truth; variance of R over the Cramér–Rao bound of the unsaturated
 exposures (with the white's and the darks' own noise, whose shots are what there is); spread of
@@ -18,10 +16,8 @@ are looked at, in native pixels: what demosaicing makes of the others is not the
 
 import argparse
 import tempfile
-from itertools import pairwise
 from pathlib import Path
 
-import cv2
 import numpy as np
 import tifffile
 from results import add_option, record
@@ -54,8 +50,6 @@ KINDS = {
 }
 
 
-DECADES = (0.01, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0)
-"""Of what is painted; patches are each their own."""
 COLUMNS = ("bias", "variance / bound", "spread")
 
 
@@ -67,29 +61,9 @@ def scene(side: int) -> tuple[np.ndarray, np.ndarray]:
     return panel, np.kron(np.ones((3, 4)), square) > 0
 
 
-def painting(side: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return discs of all tones as large as the patches are, and that nothing moves."""
-    rng, shape = np.random.default_rng(3), (3 * side, 4 * side)
-    tones = np.full([4 * n for n in shape], 0.3, np.float32)
-    for _ in range(shape[0] * shape[1] // 350):
-        tone = float(np.exp(rng.uniform(np.log(0.005), np.log(0.95))))
-        place = rng.integers(0, [4 * n for n in shape[::-1]]).tolist()
-        cv2.circle(tones, place, int(rng.integers(6, 120)), tone, -1, cv2.LINE_AA)
-    blurred = cv2.GaussianBlur(tones, (0, 0), 2)
-    made = cv2.resize(blurred, shape[::-1], interpolation=cv2.INTER_AREA).astype(float)
-    return made, np.zeros(shape, bool)
-
-
 def responses(shape: tuple[int, int]) -> np.ndarray:
     """Return what sensels make of the same light."""
     return 1 + 0.01 * np.random.default_rng(2).standard_normal(shape)
-
-
-def leaked(light: np.ndarray, options: argparse.Namespace) -> np.ndarray:
-    """Return what sensels have of their neighbours."""
-    return cv2.filter2D(
-        light, -1, options.leak * np.array([[0.3, 1, 0.3], [1, 0, 1], [0.3, 1, 0.3]])
-    )
 
 
 def longest(reflectance: np.ndarray) -> np.ndarray:
@@ -100,7 +74,7 @@ def longest(reflectance: np.ndarray) -> np.ndarray:
 
 def write(folder: Path, kind: str, black: str, options: argparse.Namespace) -> None:
     rng = np.random.default_rng([ord(letter) for letter in kind + black])
-    panel, moving = painting(options.side) if options.painted else scene(options.side)
+    panel, moving = scene(options.side)
     response = responses(panel.shape)
     (folder / "raw").mkdir()
     last = longest(panel)
@@ -119,10 +93,8 @@ def write(folder: Path, kind: str, black: str, options: argparse.Namespace) -> N
         scene_in_shot = {"panel": panel, "white": 1 + 0 * panel, "dark": 0 * panel}[name]
         scene_in_shot = np.where(moving & (last == index), CHANGE * scene_in_shot, scene_in_shot)
         electrons = WHITE * time * scene_in_shot * response / GAIN
-        electrons = electrons + leaked(np.minimum(electrons, (FULL - BLACK) / GAIN), options)
         for shot in range(shots):
             light = GAIN * rng.poisson(electrons)
-            light -= options.bend * light**2 / (FULL - BLACK)
             codes = np.rint(light + rng.normal(BLACK, options.read, panel.shape)).clip(0, FULL)
             path = (
                 folder / "raw" / f"{name}_550nm_{1000 * time:g}ms_{shot}{SUFFIX.get(black, '.tif')}"
@@ -145,25 +117,18 @@ def write(folder: Path, kind: str, black: str, options: argparse.Namespace) -> N
 
 def bound(
     rate: np.ndarray, of_white: np.ndarray, black: str, options: argparse.Namespace
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the least variance of R that the frames allow, of counts a second, and where an exposure's use is clear."""
+) -> np.ndarray:
+    """Return the least variance of R that the frames allow, of counts a second."""
     read = options.read**2 + 1 / 12
     dark = read / options.darks if black == "darks" else 0.0
-    weight, clear = np.zeros(rate.shape), np.ones(rate.shape, bool)
-
-    def slope(counts: np.ndarray) -> np.ndarray:
-        return 1 - 2 * options.bend * counts / (FULL - BLACK)
-
+    weight = np.zeros(rate.shape)
     for t in TIMES:
-        x = rate * t
-        code = x - options.bend * x**2 / (FULL - BLACK) + BLACK
-        usable = (code < 0.98 * FULL) & (slope(x) > 0.5)
-        weight += usable * t**2 / (GAIN * x + (read + dark) / slope(x) ** 2)
-        clear &= np.abs(code - 0.98 * FULL) > 0.03 * FULL
+        usable = rate * t + BLACK < 0.98 * FULL
+        weight += usable * t**2 / (GAIN * rate * t + read + dark)
     white = of_white * WHITE_TIME
-    of_own = (GAIN * white + read / slope(white) ** 2) / options.whites + dark / slope(white) ** 2
+    of_own = (GAIN * white + read) / options.whites + dark
     reflectance = rate / of_white
-    return 1 / weight / of_white**2 + reflectance**2 * of_own / white**2, clear
+    return 1 / weight / of_white**2 + reflectance**2 * of_own / white**2
 
 
 def measured(folder: Path, kind: str, black: str, options: argparse.Namespace) -> np.ndarray:
@@ -177,7 +142,7 @@ def measured(folder: Path, kind: str, black: str, options: argparse.Namespace) -
         np.moveaxis(np.atleast_3d(tifffile.imread(f"{stem}{part}.tif").T), (0, 1), (1, 0))
         for part in ("", ".flags", ".sigma")
     )
-    panel, moving = painting(options.side) if options.painted else scene(options.side)
+    panel, moving = scene(options.side)
     y, x = np.indices(panel.shape)
     channel = (y % 2) * 2 + x % 2 if values.shape[2] > 1 else 0 * y
     if black == "dng":  # red, green, blue; green on two phases
@@ -185,31 +150,23 @@ def measured(folder: Path, kind: str, black: str, options: argparse.Namespace) -
     pick = lambda cube: np.take_along_axis(cube, channel[..., None], 2)[..., 0]  # noqa: E731
     value, flag, spread = pick(values), pick(flags), pick(sigma)
     response = responses(panel.shape)
-    white, imaged = (
-        WHITE * (part + leaked(part, options)) for part in (response, panel * response)
-    )
+    white, imaged = WHITE * response, WHITE * panel * response
     truth = imaged / white
-    least, clear = bound(imaged, white, black, options)
-    inside, there = np.ones(panel.shape, bool), moving
-    if not options.painted:
-        edge = 3
-        rim = np.pad(np.ones((options.side - 2 * edge,) * 2, bool), edge)
-        corner = np.zeros((options.side,) * 2, bool)
-        corner[: options.side // 8 + edge, : options.side // 8 + edge] = True
-        inside, corner = (np.kron(np.ones((3, 4)), part) > 0 for part in (rim, corner))
-        there = inside & moving & np.roll(moving, (-edge, -edge), (0, 1))
-        inside, clear = inside & ~corner, clear | True
-    if options.painted:
-        parts = [(low, (truth >= low) & (truth < high)) for low, high in pairwise(DECADES)]
-    else:
-        parts = [(reflectance, panel == reflectance) for reflectance in PATCHES]
+    least = bound(imaged, white, black, options)
+    edge = 3
+    rim = np.pad(np.ones((options.side - 2 * edge,) * 2, bool), edge)
+    corner = np.zeros((options.side,) * 2, bool)
+    corner[: options.side // 8 + edge, : options.side // 8 + edge] = True
+    inside, corner = (np.kron(np.ones((3, 4)), part) > 0 for part in (rim, corner))
+    there = inside & moving & np.roll(moving, (-edge, -edge), (0, 1))
+    usable = inside & ~corner
     print(f"\n{kind}, black from {black}")
     print(
         "      R   bias %  (± of it)   variance/bound   (R − truth)/sigma   moved where not %   and where %"
     )
     found = []
-    usable = inside & clear & (flag & ~np.uint8(Flag.MOVED) == 0) if options.painted else inside
-    for reflectance, part in parts:
+    for reflectance in PATCHES:
+        part = panel == reflectance
         here = part & usable
         miss = value[here] - truth[here]
         ratio = 100 * miss / truth[here]
@@ -232,14 +189,8 @@ def main() -> None:
     parser.add_argument("--whites", type=int, default=16)
     parser.add_argument("--darks", type=int, default=8, help="of each exposure")
     parser.add_argument("--only", default="", help="for example bands:darks")
-    parser.add_argument("--bend", type=float, help="share that is lost at full scale")
-    parser.add_argument("--painted", action="store_true", help="discs in place of patches")
-    parser.add_argument("--leak", type=float, help="share lent to each neighbour")
     add_option(parser)
     options = parser.parse_args()
-    for name, painted in (("leak", 0.0018), ("bend", 0.06)):
-        if getattr(options, name) is None:
-            setattr(options, name, painted if options.painted else 0.0)
     figures = {}
     for kind in KINDS:
         for black in ("campaign", "frames", "dng", "darks"):
@@ -248,7 +199,6 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as folder:
                 found = measured(Path(folder), kind, black, options)
             name = {"campaign": "campaign.toml", "dng": "DNG"}.get(black, black)
-            name = "painting" if options.painted else name
             for column, several in zip(COLUMNS, found.T, strict=True):
                 figures[f"{kind}, {name}", column] = (several.min(), several.max())
     record(options.results, "merging", figures)

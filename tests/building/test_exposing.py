@@ -244,24 +244,19 @@ def knee(counts):
     return np.where(counts < 1500, counts, 1500 + (counts - 1500) * 0.8)
 
 
-@pytest.mark.parametrize(
-    ("kind", "how", "white"),
-    [("bands", "merge", (1.0,)), ("mosaic", "merge", (1.0,)), ("bands", "merge", (0.25, 1.0)), ("bands", "best", (1.0,))],
-    ids=["bands", "mosaic", "merged whites", "best"],
-)  # fmt: skip
-def test_the_curve_of_a_sensor_that_is_not_linear_is_taken_out(tmp_path, kind, how, white):
+def slightly_bent(counts):
+    return counts - 0.015 * counts**2 / 4000
+
+
+@pytest.mark.parametrize("curve", [slightly_bent, bent])
+@pytest.mark.parametrize("how", ["merge", "best"])
+def test_a_sensor_that_is_slightly_bent_is_named_and_in_the_budget(tmp_path, how, curve):
     panel = (0.25, 0.5, 1.0)
-    made = developed(make(tmp_path / "c", how, panel=panel, white=white, kind=kind, curve=bent))
-    cube = made.cubes[""]
-    values = cube.values[..., 0] if kind == "bands" else own_sensels(cube.values)
-    sigma = cube.sigma[..., 0] if kind == "bands" else own_sensels(cube.sigma)
-    for low, high in ((0.0, 0.1), (0.1, 0.3), (0.3, 0.6), (0.6, 1.0)):
-        part = (low < SCENE) & (high > SCENE)
-        assert values[part].mean() == pytest.approx(SCENE[part].mean(), rel=0.003), low
-        assert 0.93 < ((values - SCENE) / sigma)[part].std() < 1.07, low
-    assert not any("are left out" in w or "only" in w for w in made.warnings)
+    made = developed(make(tmp_path / "c", how, panel=panel, white=(1.0,), curve=curve))
+    off = [made.cubes[""].values[..., 0][part].mean() / SCENE[part].mean() - 1
+           for part in ((SCENE > 0.01) & (SCENE < 0.1), SCENE > 0.6)]  # fmt: skip
+    assert max(map(abs, off)) < 1.2 * made.measured[""]["straightness"] < 0.08
     assert any("the sensor is not linear" in w for w in made.warnings)
-    assert made.measured[""]["response"]["error"] < 0.003
 
 
 @pytest.mark.parametrize("panel", [(0.25, 0.5, 1.0), (0.25, 1.0)], ids=["three", "two"])
@@ -275,7 +270,7 @@ def test_a_lamp_that_flickers_between_exposures_is_no_curve_and_is_in_the_budget
     assert any("the lamp is known between white and object" in w for w in made.warnings)
 
 
-@pytest.mark.parametrize("curve", [lambda counts: counts, bent], ids=["linear", "bent"])
+@pytest.mark.parametrize("curve", [lambda counts: counts, slightly_bent], ids=["linear", "bent"])
 def test_darks_of_another_temperature_show_in_an_exposure_series(tmp_path, curve):
     more = {"panel": (0.25, 0.5, 1.0), "white": (1.0,), "curve": curve}
     made = developed(make(tmp_path / "warm", "merge", warm=5.0, **more))
@@ -289,11 +284,13 @@ def own_sensels(cube):
     return np.take_along_axis(cube, ((y % 2) * 2 + x % 2)[..., None], 2)[..., 0]
 
 
-def test_a_curve_that_cannot_be_told_is_refused(tmp_path):
-    folder = make(tmp_path / "c", "merge", panel=(0.25, 0.5, 1.0), white=(1.0,), curve=knee)
-    with pytest.raises(Refused, match="not linear") as refused:
+@pytest.mark.parametrize("kind", ["bands", "mosaic"])
+def test_a_sensor_that_is_not_linear_is_refused(tmp_path, kind):
+    more = {"panel": (0.25, 0.5, 1.0), "white": (1.0,), "kind": kind}
+    folder = make(tmp_path / "c", "merge", curve=knee, **more)
+    with pytest.raises(Refused) as refused:
         developed(folder)
-    assert refused.value.problems[0].code == "E_EXPOSURES"
+    assert {problem.code for problem in refused.value.problems} == {"E_EXPOSURES"}
 
 
 def write_png(path, level, seconds):

@@ -1,7 +1,8 @@
 """Linearity: the same scene at several exposure times must give counts in their ratio.
 
 y(g, t) = C(g)·t + offset for groups g of pixels of like brightness, fitted so that Σ(Δy/y)² is
-least over 5–95 % of saturation; what is left, relative, is the deviation from linearity.
+least over 5–95 % of saturation; what is left, relative, is the deviation from linearity. Whether it is the
+sensor's or that of wrong times is whether it depends on the level at one exposure (`find_bend`).
 
 Two traps, both met in real series. A group must not be chosen by its own noise, or it comes back to the
 mean in the next exposure: pixels are ranked by what their neighbours of the same colour say. And a
@@ -11,6 +12,7 @@ until that one is full, and no more after: next to saturated pixels nothing scal
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -26,6 +28,12 @@ GROUPS = 20
 FEWEST = 50  # pixels of a group
 MANY_ROWS = 600  # of a frame; the rest adds nothing to means that are known to 0.1 %
 RECIPROCAL = 0.01  # rms up to which one exposure may be scaled to the time of another
+CURVED = 0.003  # of the light, relative: reflectance may be off by as much before a curve counts
+SIGMAS = 4.0  # of a bend, or of an offset, to be one
+ALIKE = 1.15  # contrast of the pixels of a group whose mean is a point of a curve
+FEWEST_POINTS = 16
+MOST_WEIGHT = 0.1  # of all pixels, that a group may count for
+OUTLIER = 4.0  # usual deviations from a line, from which on a group moved
 EVEN = 1.5  # of the dimmest of eight neighbours, the brightest: noise of a tenth makes as much
 PERIOD = (2, 2)  # of mosaics, unless declared; plain sensors do not mind
 
@@ -134,6 +142,105 @@ def find_points(
         signal.append((shot.mean - under).astype(np.float32)[rows])
         usable.append(~shot.saturated[rows])
     return _points(np.array(signal), np.array(usable), times, saturation, period, contrast)
+
+
+class Bend(NamedTuple):
+    """What exposure series show beside a line.
+
+    Parameters
+    ----------
+    size, error : float
+        By how much light is more than the counts of the highest level say, on the scale of the lowest, relative, and its
+        standard error; infinite where there are too few points.
+    offset, offset_error : float
+        Counts above dark where there is no light, and their standard error; 0 where they are not beyond four of it.
+    """
+
+    size: float = 0.0
+    error: float = float("inf")
+    offset: float = 0.0
+    offset_error: float = float("inf")
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the sensor is not linear: by more than 0.3 %, and four standard errors."""
+        return abs(self.size) > max(CURVED, SIGMAS * self.error)
+
+
+def find_bend(points: Sequence[Point], full: float) -> Bend:
+    """Find the bend of a sensor in exposure series, whatever times its exposures really had.
+
+    Parameters
+    ----------
+    points : sequence of Point
+        Of one or more series of one sensor, from `find_points` with the contrast `ALIKE`; groups and series numbered apart.
+    full : float
+        Full scale above dark, counts.
+
+    Notes
+    -----
+    log y = log C(g) + log t + δ(e) − a·y/full + o/y by least squares, of a group g and an exposure e whose light is off by a
+    factor common to all levels: a lamp flickers, a shutter has other times than are stated. Whether δ and o are there is
+    decided by the Bayesian information criterion [schwarz1978]_.
+
+    Examples
+    --------
+    >>> rows = [Point(g, t, g * t - 0.06 * (g * t) ** 2 / 4000) for g in range(300, 1500, 20) for t in (1.0, 2.0)]
+    >>> bent = find_bend(rows, 4000.0)
+    >>> bent.is_sure, round(bent.size, 3)
+    (True, 0.05)
+    >>> find_bend([p._replace(counts=p.group * (1.2 if p.time_s == 1 else 2.0)) for p in rows], 4000.0).is_sure
+    False
+    """
+    often = Counter(point.group for point in points)
+    points = [point for point in points if often[point.group] >= 2]
+    if len(points) < FEWEST_POINTS:
+        return Bend()
+    named = np.array([(p.group, p.series, p.time_s, p.counts, p.pixels) for p in points], float)
+    group = np.unique(named[:, 0], return_inverse=True)[1]
+    which = np.unique(named[:, 1:3], axis=0, return_inverse=True)[1].ravel()
+    counts, pixels = named[:, 3], named[:, 4]
+    weight = np.minimum(pixels, MOST_WEIGHT * pixels.sum())
+
+    def rest(values: np.ndarray) -> np.ndarray:
+        return np.asarray(values - (np.bincount(group, values) / np.bincount(group))[group])
+
+    level = rest(np.log(counts) - np.log(named[:, 2]))
+    exposures = range(1, which.max() + 1)
+    factors = [rest((which == one).astype(float)) for one in exposures]
+    bent, shifted = rest(-counts / full), rest(full / counts)
+    left = _without(level, np.stack([bent, *factors, shifted], -1), weight)
+    usual = 1.4826 * float(np.median(np.abs(left)))
+    kept = ~np.isin(group, group[np.abs(left) > max(OUTLIER * usual, CURVED)])
+    root = np.sqrt(weight[kept] / weight[kept].mean())
+    best, bend = np.inf, Bend()
+    for more in ([], [shifted], factors, [*factors, shifted]):
+        design = np.stack([bent, *more], -1)[kept] * root[:, None]
+        freedom = len(design) - len(np.unique(group[kept])) - design.shape[1]
+        if freedom < 1:
+            continue
+        found = np.linalg.lstsq(design, level[kept] * root, rcond=None)[0]
+        square = float(np.sum(np.square(level[kept] * root - design @ found)))
+        error = np.sqrt(np.diag(np.linalg.pinv(design.T @ design)) * square / freedom)
+        criterion = len(design) * np.log(square) + design.shape[1] * np.log(len(design))
+        if criterion < best:
+            highest = float(counts[kept].max()) / full
+            best, bend = criterion, Bend(float(found[0]) * highest, float(error[0]) * highest)
+            if more and more[-1] is shifted and abs(found[-1]) > SIGMAS * error[-1]:
+                bend = bend._replace(
+                    offset=float(found[-1]) * full, offset_error=float(error[-1]) * full
+                )
+    return bend
+
+
+def _without(values: np.ndarray, columns: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return what a fit of least absolute deviations leaves: what moved draws it little."""
+    left = values
+    for _ in range(20):
+        root = np.sqrt(weight / np.maximum(np.abs(left), 1e-4))
+        found = np.linalg.lstsq(columns * root[:, None], values * root, rcond=None)[0]
+        left = values - columns @ found
+    return np.asarray(left)
 
 
 def require_reciprocity(found: Linearity) -> None:

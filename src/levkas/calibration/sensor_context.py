@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property, partial
 from itertools import islice
@@ -16,7 +16,7 @@ from levkas.calibration.agreement import Aligned, check_alike, facts_of
 from levkas.calibration.clipped_darks import MANY_ZEROS, black_clip_of, is_clipped, unclip
 from levkas.calibration.code_checks import FEW_CODES, check_codes, thin_rows
 from levkas.calibration.code_spacing import find_alignment, find_step
-from levkas.calibration.darks import dark_under, level_under
+from levkas.calibration.darks import level_under
 from levkas.calibration.differing_shots import require_agreement
 from levkas.calibration.drift import average_steady
 from levkas.calibration.full_scale import (
@@ -26,9 +26,16 @@ from levkas.calibration.full_scale import (
     level_of_a_quiet_white,
     stated_full_scale,
 )
-from levkas.calibration.linearity import PERIOD, Point, check_linearity, find_points
+from levkas.calibration.linearity import (
+    ALIKE,
+    CURVED,
+    PERIOD,
+    Point,
+    check_linearity,
+    find_bend,
+    find_points,
+)
 from levkas.calibration.patterns import thin_periods
-from levkas.calibration.response import ALIKE, CURVED, Response, SeriesFit, fit_series
 from levkas.calibration.templates import CalibrationRefused, Template, as_absent, close_gaps
 from levkas.core.problems import Problem
 from levkas.core.threads import made_ahead
@@ -45,14 +52,17 @@ MOST_GLIMPSED = 2
 """Frames of a role of which some rows are looked at."""
 SHOTS = 4
 """Of a dark that was clipped: what they show of noise and fixed pattern suffices."""
-CLIPPED_DARKS, FULL_SCALE, RESPONSE = "clipped_darks", "full_scale", "response"
-STRAIGHTNESS = "straightness"
+CLIPPED_DARKS, FULL_SCALE, BEND, STRAIGHTNESS = (
+    "clipped_darks",
+    "full_scale",
+    "bend",
+    "straightness",
+)
 QUIET_WHITE, SENSOR, OFFSET, WHITE_SHOTS = "quiet_white", "sensor", "offset", "white_shots"
-UNSURE_RESPONSE, FLATTENING, DARK_OFFSET = "unsure_response", "flattening", "dark_offset"
+FLATTENING, DARK_OFFSET = "flattening", "dark_offset"
 UNLIKE_NOISE = "unlike_noise"
-"""Names, among what is measured of a sensor, of darks that were clipped, the code at which it is full, its curve, a white
-without shot noise, gain and noise, the counts that its exposure series have without light, shots of a white that differ, a curve
-that is in doubt, bright pixels with less noise than a linear sensor has, the counts without light by the noise of dim ones, and
+"""Names, among what is measured of a sensor, of darks that were clipped, the code at which it is full, its bend and how straight it is, a white
+without shot noise, gain and noise, the counts that its exposure series have without light, shots of a white that differ, bright pixels with less noise than a linear sensor has, the counts without light by the noise of dim ones, and
 the variance of bands whose noise is not that of the others, over that."""
 BLACK, BLACK_ERROR = "black", 0.5
 """Name, among the same, of a black level by an exposure series; and its standard error, counts, at most: a quarter of a small read noise."""
@@ -230,11 +240,10 @@ class SensorContext:
                     found.append(Aligned(role, frame.path, one))
         return found
 
-    @cached_property
-    def response(self) -> Response | None:
-        """Curve of a sensor that is not linear, by the exposure series of objects and whites; None where they show a line."""
+    def note_bend(self) -> None:
+        """Note in `measured` how straight the sensor is, and its counts without light, by the exposure series of objects and whites."""
         if self.camera.traits.bands_in == "file" or self.saturation is None:
-            return None
+            return
         points: list[Point] = []
         hidden = False
         levels = [self.black or 0.0]
@@ -251,18 +260,13 @@ class SensorContext:
             first = points[-1].group + 1 if points else 0
             points += [p._replace(group=p.group + first, series=which) for p in found]
             levels += [float(np.median(dark.mean)) for dark in darks[:1]]
-        shown = fit_series(points, self.saturation - levels[-1])
-        if hidden:
-            shown = SeriesFit(straightness=shown.straightness)
-        if shown.unsure:
-            self.measured[UNSURE_RESPONSE] = shown.unsure
-        if abs(shown.offset) > BLACK_ERROR:
-            self.measured[OFFSET] = {"counts": shown.offset, "error": shown.offset_error}
-        if shown.response is not None:
-            self.measured[RESPONSE] = asdict(shown.response)
-        elif np.isfinite(shown.straightness):
-            self.measured[STRAIGHTNESS] = float(f"{shown.straightness:.3g}")
-        return shown.response
+        bend = find_bend(points, self.saturation - levels[-1])
+        if abs(bend.offset) > BLACK_ERROR and not hidden:
+            self.measured[OFFSET] = {"counts": bend.offset, "error": bend.offset_error}
+        if bend.is_sure:
+            self.measured[BEND] = bend.size
+        if np.isfinite(bend.error):
+            self.measured[STRAIGHTNESS] = float(f"{np.hypot(bend.size, bend.error):.3g}")
 
     def _series(self) -> Iterator[tuple[list[Template], list[Template]]]:
         """Yield exposures of some scenes that have several, with their darks."""
@@ -284,20 +288,6 @@ class SensorContext:
                 shots = [self.whole(self._averaged(group, level), group) for group in groups]
                 if len({template.mean.shape for template in (*shots, *darks)}) == 1:
                     yield shots, darks
-
-    def straighten(self, frames: Template, darks: Sequence[Template]) -> Template:
-        """Return a template as a linear sensor had recorded it, where this one has a curve that is known."""
-        if self.response is None:
-            return frames
-        under = dark_under(frames, darks, black=self.black_level)
-        return self.response.straighten(frames, under.mean)
-
-    def straight_saturation(self, darks: Sequence[Template]) -> float | None:
-        """Return the code at which a sensel is full in templates that were straightened."""
-        if self.response is None or self.saturation is None:
-            return self.saturation
-        level = float(np.median(darks[0].mean)) if darks else self.black or 0.0
-        return level + float(self.response.light(np.array(self.saturation - level)))
 
     def with_full_scale(self, problem: Problem) -> Problem:
         """Return the refusal of a saturated white with the counts at which the sensor is full."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from levkas.calibration.code_checks import doubt_codes
 from levkas.calibration.sensor_context import (
+    BEND,
     BLACK,
     CLIPPED_DARKS,
     DARK_OFFSET,
@@ -18,10 +19,8 @@ from levkas.calibration.sensor_context import (
     NAMED,
     OFFSET,
     QUIET_WHITE,
-    RESPONSE,
     SENSOR,
     UNLIKE_NOISE,
-    UNSURE_RESPONSE,
     WHITE_SHOTS,
     glimpse,
     spread,
@@ -135,7 +134,7 @@ def describe_sensor(context: SensorContext) -> list[str]:
         *_describe_full_scale(context),
         *_describe_flattening(context),
         *_describe_darks(context),
-        *_describe_response(context),
+        *_describe_bend(context),
         *_describe_offset(context),
         *_describe_dark_offset(context),
         *_describe_black(context),
@@ -206,20 +205,13 @@ def _describe_black(context: SensorContext) -> list[str]:
     ]
 
 
-def _describe_response(context: SensorContext) -> list[str]:
-    if (unsure := context.measured.get(UNSURE_RESPONSE)) is not None:
-        return [
-            f"{context.camera.name}: the sensor is not linear: its exposure series show a curve that changes up to {100 * unsure:.2g} % "
-            "of the light, but do not determine it. Nothing is corrected, values may be off by as much; capture three exposures "
-            "or more, a factor of two apart, of a scene of many levels"
-        ]
-    found = context.measured.get(RESPONSE)
-    if not found:
+def _describe_bend(context: SensorContext) -> list[str]:
+    if (bend := context.measured.get(BEND)) is None:
         return []
     return [
-        f"{context.camera.name}: the sensor is not linear: its exposure series deviate by {100 * found['rms_line']:.1f} % rms "
-        "from a line. Frames of object and white are corrected by the curve that they "
-        f"show, which leaves {100 * found['rms']:.2f} % and is known to {100 * found['error']:.2g} %"
+        f"{context.camera.name}: the sensor is not linear: by its exposure series its brightest values are "
+        f"{100 * abs(bend):.2g} % too {'low' if bend > 0 else 'high'} beside dim ones. Nothing is corrected: values may be off by as much, "
+        "unless the files are linearised before"
     ]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from levkas.calibration.chart_light import CHART_WHITE
 from levkas.calibration.drift import LAMP
 from levkas.calibration.error_sources import ErrorSource
-from levkas.calibration.sensor_context import CLIPPED_DARKS, RESPONSE, STRAIGHTNESS
+from levkas.calibration.sensor_context import CLIPPED_DARKS, STRAIGHTNESS
 from levkas.stages.capture_statistics import BLACK_WANDER, NOISE, ROUNDING, STRAYED, VIEW
 from levkas.stages.spectra import levels_of_board, read_board_uncertainty
 
@@ -219,13 +219,10 @@ def _light(
 def _response_errors(
     capture: Capture, measured: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, float]:
-    """Return the relative error of the curve, or of the line, that an exposure series showed, by band."""
+    """Return how far exposure series showed the sensor off a line, relative, by band."""
     found: dict[str, float] = {}
     for sensor in capture.sensors:
-        of_sensor = measured.get(sensor.name, {})
-        error = (
-            of_sensor[RESPONSE]["error"] if of_sensor.get(RESPONSE) else of_sensor.get(STRAIGHTNESS)
-        )
+        error = measured.get(sensor.name, {}).get(STRAIGHTNESS)
         if error is not None:
             found |= {band.label: float(error) for band in sensor.bands}
     return found

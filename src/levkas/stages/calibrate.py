@@ -54,7 +54,6 @@ from levkas.stages.exposures import (
     require_white,
     white_area_of,
     white_of,
-    whites_of,
 )
 from levkas.stages.native_cubes import Native, require_memory, write_native
 from levkas.stages.scans import is_streamed, open_scan
@@ -270,6 +269,7 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
                 context.measured[CHART_WHITE] = dict(light.record)
             cube, found = developer_of(camera)(context)
             cube = cubes[sensor.name] = mark_glare_in(cube)
+            context.note_bend()
             notes += [*found, *describe_sensor(context)]
             notes += note_traps(context.measured, cube, traps.get(sensor.name, []), capture.object)
             if not camera.traits.is_scanned:  # of a scan it is among what its lines show
@@ -353,7 +353,7 @@ def develop_mosaic(context: SensorContext) -> Noted:
     sensor, camera = context.sensor, context.camera
     darks = context.darks(sensor.dark)
     shots = average_shots(context, sensor.object, darks)
-    whites = whites_of(context, sensor.white, darks)
+    whites = context.templates(sensor.white, darks)
     require_same_size(context, shots[0].mean.shape, darks, whites)
     white = white_of(context, whites, darks)
     require_white(context, white, darks, [band.label for band in sensor.bands])
@@ -496,7 +496,7 @@ def _band(
     darks = context.darks(_of_band(sensor.dark, label))
     shots = average_shots(context, [f for f in sensor.object if f.band == label], darks)
     frames = _require(_of_band(sensor.white, label), context, label)
-    whites = whites_of(context, frames, darks)
+    whites = context.templates(frames, darks)
     require_same_size(context, shots[0].mean.shape, darks, whites)
     noise = noise_of_band(context, noise, shots, whites, darks, label)
     exposed = expose(context, shots, darks, noise)
@@ -594,7 +594,7 @@ def _white_of_band(
     alike = [f for f in frames if exposure_of(f) == exposure_of(frames[0])]
     darks = context.darks(_of_band(context.sensor.dark, label))
     (shot,) = average_shots(context, alike, darks)
-    whites = whites_of(context, _of_band(context.sensor.white, label), darks)
+    whites = context.templates(_of_band(context.sensor.white, label), darks)
     white = white_of(context, whites, darks, band=label)
     require_same_size(context, shot.mean.shape, darks, [white] if white else [])
     return shot, white, darks, white_area_of(context, shot, white, darks)

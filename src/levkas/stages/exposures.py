@@ -69,15 +69,7 @@ def average_shots(
                 'Write exposures = "best" (the longest unsaturated) or "merge".',
             )
         )
-    shots = [context.average([f for f in frames if exposure_of(f) == t], darks) for t in times]
-    return [context.straighten(shot, darks) for shot in shots]
-
-
-def whites_of(
-    context: SensorContext, frames: Sequence[FrameRef], darks: Sequence[Template]
-) -> list[Template]:
-    """Average whites, exposure by exposure, as a linear sensor had recorded them."""
-    return [context.straighten(white, darks) for white in context.templates(frames, darks)]
+    return [context.average([f for f in frames if exposure_of(f) == t], darks) for t in times]
 
 
 def expose(
@@ -96,7 +88,7 @@ def _merge(
     context: SensorContext, shots: list[Template], darks: list[Template], noise: NoiseModel | None
 ) -> Merged:
     """An exposure series in counts a second above dark."""
-    saturation = context.straight_saturation(darks)
+    saturation = context.saturation
     if saturation is None:
         raise CalibrationRefused(
             Problem(
@@ -181,7 +173,7 @@ def check_scaling(
     more: dict[str, Any] = {"period": (len(pattern), len(pattern[0]))} if pattern else {}
     hidden = bool(darks) and all(np.mean(dark.black) > 0.5 for dark in darks)
     for shots in series:
-        saturation = context.straight_saturation(darks)
+        saturation = context.saturation
         if len(shots) < 2 or saturation is None:
             continue
         found = check_linearity(
