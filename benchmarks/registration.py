@@ -1,10 +1,8 @@
 """Simulated campaigns, several seeds, the default method and the paper's side by side in one run.
 
     python benchmarks/registration.py [FOLDER] [--seeds 1 2 3 …] [--presets small hard] [--scale 0.2]
-        [--objects 1] [--methods levkas joint mirhashemi2019] [--results FILE]
+        [--objects 1] [--methods levkas mirhashemi2019] [--results FILE]
     python benchmarks/registration.py --built DATABASE=TRUTH … [--results FILE]
-
-"joint" is the default method with all objects of a camera adjusted together; it wants several.
 
 Of every camera: the mean error of all its bands, and the largest 99.9th percentile of any, in px of the
 reference band, against exact truth on the whole frame; and, of the default method, the share of errors within the circles
@@ -58,7 +56,6 @@ def measure(database: Path, truth: Path) -> dict[str, dict]:
 
 KEYS = {
     "levkas": "",
-    "joint": "\n[registration]\njoint = true\n",
     "mirhashemi2019": '\n[registration]\nmethod = "mirhashemi2019"\n',
 }
 

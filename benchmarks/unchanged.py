@@ -90,7 +90,6 @@ CAMPAIGNS: dict[str, tuple[str, str, dict[str, Any]]] = {
     "mirhashemi2019": (
         "tiny", "lctf-vis lctf-nir d80 msbs", {**ONE, "registration.method": "mirhashemi2019"},
     ),
-    "joint": ("tiny", "lctf-vis d80 msbs", {"registration.joint": True}),
     "merge": ("filterwheel-disks", "", {"cameras.flea3.exposures": "merge"}),
     "hysime": ("tiny", "lctf-vis lctf-nir", {**ONE, "cameras.lctf-vis.denoise": "hysime"}),
     "turned": ("tiny", "lctf-vis d80", {**ONE, "grid": GRID}),
@@ -99,7 +98,7 @@ CAMPAIGNS: dict[str, tuple[str, str, dict[str, Any]]] = {
     "refused": ("charts", "", {"cameras.v10.denoise": "hysime"}),  # too small to be registered
 }  # fmt: skip
 """Name: raw frames, cameras that are kept (all without a name), keys of campaign.toml that are set."""
-QUICK = {"envi-linescan", "joint", "turned", "streamed"}
+QUICK = {"envi-linescan", "turned", "streamed"}
 """What `--only quick` takes."""
 
 

@@ -50,7 +50,7 @@ from levkas.database.validation import validate
 from levkas.stages import register
 
 KINDS = ("full", "failing", "kill")
-SCENES = ("new", "over", "withdrawn", "joint")
+SCENES = ("new", "over", "withdrawn")
 QUICK = (("new", "full"), ("new", "kill"))
 """Those that the fast tests hold."""
 POINTS = 10_000 if os.environ.get("LEVKAS_EVERY_CASE") else 4
@@ -73,7 +73,6 @@ files = "irr/{target}.tif"
 [targets]
 objects = ["panel"]
 """
-JOINT = KEYS.replace('["panel"]', '["panel", "slab"]') + "[registration]\njoint = true\n"
 """Two objects in two rounds: what each saw by itself is kept beside the database."""
 SPACE = {"open", "write", "folder", "fsync"}
 PLAIN_ROOT = hashlib.sha256(to_json(ROOT).encode()).hexdigest()
@@ -109,12 +108,11 @@ def painting(seed):
     return np.clip(image + 60 * grain, 5, 250)
 
 
-def make(folder, *, gain=1.0, blank=False, joint=False):
+def make(folder, *, gain=1.0, blank=False):
     for part in ("photo", "irr"):
         (folder / part).mkdir(parents=True)
-    for seed, name in enumerate(("panel", "slab") if joint else ("panel",)):
-        capture(folder, name, painting(seed) * gain, blank)
-    (folder / "campaign.toml").write_text(JOINT if joint else KEYS)
+    capture(folder, "panel", painting(0) * gain, blank)
+    (folder / "campaign.toml").write_text(KEYS)
     return folder
 
 
@@ -150,8 +148,7 @@ def remembered():
 class Scene:
     """A campaign, what stood in the output before its build, and what stands there after it.
 
-    `before` and `after` are the hashes of the database, `saved` is a copy of what stood there, `also`
-    the hashes after builds that had to do without a capture.
+    `before` and `after` are the hashes of the database, `saved` is a copy of what stood there.
     """
 
     name: str
@@ -160,7 +157,6 @@ class Scene:
     saved: Path
     before: dict = field(default_factory=dict)
     after: dict = field(default_factory=dict)
-    also: list = field(default_factory=list)
     refused: list = field(default_factory=list)
     steps: list = field(default_factory=list)
 
@@ -176,7 +172,7 @@ class Scene:
 
     def states(self):
         """Return every state that is whole."""
-        return [self.before, self.after, *self.also]
+        return [self.before, self.after]
 
     def build(self):
         report = summarise(build(self.campaign, output=self.output))
@@ -204,8 +200,6 @@ class Scenes(dict):
         scene = super().__getitem__(name)
         if not scene.steps:
             scene.learn()
-            if name == "joint":
-                scene.also = [without(scene.campaign, lost, self.root) for lost in LOST]
         return scene
 
     def items(self):
@@ -213,11 +207,10 @@ class Scenes(dict):
 
 
 def make_scenes(root):
-    """Builds into nothing, over an older database, one that takes a layer back, and one in two rounds."""
+    """Builds into nothing, over an older database, and one that takes a layer back."""
     first = make(root / "first", gain=0.96)
     second = make(root / "second")
     third = make(root / "third", blank=True)
-    fourth = make(root / "fourth", joint=True)
     work, saved = root / "work", root / "saved"
     Scene("old", first, work / "database", root / "none").learn()
     shutil.copytree(work, saved)
@@ -226,25 +219,8 @@ def make_scenes(root):
         "new": Scene("new", second, work / "database", root / "none"),
         "over": Scene("over", second, work / "database", saved),
         "withdrawn": Scene("withdrawn", third, work / "database", saved),
-        "joint": Scene("joint", fourth, work / "database", saved),
     }
     return Scenes(root, scenes)
-
-
-LOST = ("irr/slab.tif", "photo/slab.png", "irr/panel.tif", "photo/panel.png")
-
-
-def without(campaign, lost, root):
-    """Return what a build makes of a campaign of which one frame cannot be read.
-
-    Captures that are adjusted together are adjusted without one that the disk refused.
-    """
-    folder = root / "without" / lost.replace("/", "-")
-    shutil.copytree(campaign, folder / "campaign")
-    (folder / "campaign" / lost).write_bytes(b"nothing")
-    scene = Scene(lost, folder / "campaign", folder / "database", root / "none")
-    scene.build()
-    return hash_tree(scene.output)
 
 
 @pytest.mark.slow
@@ -873,9 +849,7 @@ def lost(scene, disk, records):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="folders are not synced there")
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "joint")) for n in SCENES]
-)
+@pytest.mark.parametrize("name", SCENES)
 def test_a_loss_of_power_at_any_moment_leaves_the_old_or_the_new(scenes, name):
     operations, wrong = replay(scenes[name])
     assert operations > 200

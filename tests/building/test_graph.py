@@ -26,30 +26,25 @@ def tasks_of(folder, more=""):
     return graph_of(campaign, find_captures(campaign)[0])
 
 
-@pytest.mark.parametrize("more", ["", "[registration]\njoint = true\n"])
-def test_every_task_stands_behind_what_it_reads(folder, more):
-    graph = tasks_of(folder, more)
+def test_every_task_stands_behind_what_it_reads(folder):
+    graph = tasks_of(folder)
     places = {key: place for place, key in enumerate(graph)}
     for key, task in graph.items():
         assert all(places[before] < places[key] for before in (*task.needs, *task.uses))
     assert [*graph][-1] == CATALOGUE
 
 
-def test_what_is_registered_reads_the_reference_and_what_is_adjusted_the_others(folder):
-    infrared = {s: Key("one", "infrared", "", s) for s in ("calibrate", "measure", "register")}
+def test_what_is_registered_reads_the_reference(folder):
+    infrared = {s: Key("one", "infrared", "", s) for s in ("calibrate", "register")}
     photo = {s: Key("one", "photo", "", s) for s in ("calibrate", "register", "resample")}
     alone = tasks_of(folder)[infrared["register"]]
     assert set(alone.needs) == {infrared["calibrate"], photo["calibrate"], photo["register"]}
-    together = tasks_of(folder, "[registration]\njoint = true\n")
-    assert together[infrared["register"]].companions == (Key("two", "infrared", "", "measure"),)
-    assert infrared["measure"] in together[infrared["register"]].needs
 
 
 def test_one_object_takes_along_only_what_it_reads_of_others(folder):
-    graph = tasks_of(folder, "[registration]\njoint = true\n")
+    graph = tasks_of(folder)
     wanted = [key for key in graph if key.object == "one"]
-    of_two = {task.key.stage for task in ordered(graph, wanted) if task.key.object == "two"}
-    assert of_two == {"calibrate", "measure", "register"}
+    assert {task.key.object for task in ordered(graph, wanted)} == {"one"}
 
 
 def test_no_pixel_is_read_for_it(folder, tmp_path):

@@ -180,9 +180,6 @@ def changes_of_keys() -> Iterator[tuple[str, str, Change, set[str]]]:
         "setups.raking.title": (stated('"Raking light"', '"Side light"'), {"catalogue"}),
         "setups.raking.spectrum": (stated('spectrum = "lamp.csv"\n', ""), {"catalogue"}),
         "registration.order": (stated("[registration]", "[registration]\nstop = 2.0"), GRID),
-        "registration.joint": (
-            stated("[registration]", "[registration]\njoint = true"),
-            GRID | {s.replace("register", "measure") for s in GRID if "register" in s}),
         "publication": (
             stated("[registration]", "[publication]\nversion = '2'\n[registration]"), {"catalogue"}),
     }  # fmt: skip

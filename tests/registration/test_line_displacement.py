@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from levkas.geometry.transforms import Affine, Composed
+from levkas.geometry.transforms import Affine
 from levkas.registration import register
-from levkas.registration.joint import SensorObservations, adjust_jointly
 from levkas.registration.line_correction import LineCorrection, find_correction
 from levkas.registration.line_course import LineShifts, find_course
 from levkas.registration.line_displacement import measure_line_displacement
@@ -491,16 +490,6 @@ def test_sigma_holds_the_displacement_of_lines(painting, front):
     assert np.median(still.sigma["1"].values) < 0.05
     halves = register(front, scan(painting, along(LINE % 2 - 0.5)))
     assert halves.sigma["1"].values.min() == pytest.approx(0.37, rel=0.1)  # of either axis
-
-
-def test_observations_of_a_wobbling_scan_outlive_the_pictures(wobbling):
-    (kept,) = wobbling.observations
-    again = SensorObservations.from_arrays(kept.to_arrays()).enlarged(Affine.scaling(2.0))
-    places = np.array([[40.0, 50.0], [200.0, 150.0]])
-    whole = Composed(again.base, again.lines)(places)
-    assert np.abs(whole - Affine.scaling(2.0)(wobbling.transforms["1"](places))).max() < 1e-6
-    alone = adjust_jointly(again, [])
-    assert np.abs(alone.base(places) - whole).max() < 1e-9
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from levkas.building.records_file import Change
     from levkas.campaign.discovery.captures import Capture
 
-STAGES = ("calibrate", "measure", "register", "resample")
+STAGES = ("calibrate", "register", "resample")
 """Of a capture, in their order."""
 DONE, WAS, REFUSED = "done", "was", "refused"
 """States of what is recorded of a stage: it is finished; it was, and is being done anew; it was refused the last time,

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     Layer = tuple[str, str]
 
 
-FROM_MEMORY = frozenset(("calibrate", "measure", "register", "resample"))
+FROM_MEMORY = frozenset(("calibrate", "register", "resample"))
 """Stages that take what they read of their capture from memory, while it may still be written; others wait for the files."""
 
 
@@ -129,7 +129,7 @@ class Executor:
     def _run(self, plan: Sequence[Due]) -> Iterator[Step]:
         layer = (plan[0].task.key.object, plan[0].task.key.layer)
         for task, prints, why in plan:
-            registers = task.key.stage in ("measure", "register")
+            registers = task.key.stage == "register"
             if registers:
                 # Two cubes at once are enough; the one of the capture before goes first.
                 yield from self._written(but=layer)

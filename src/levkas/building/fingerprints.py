@@ -29,12 +29,10 @@ if TYPE_CHECKING:
 CALIBRATION_KEYS = (
     "kind", "bits", "black", "saturation", "exposures", "scan", "denoise", "demosaic", "overrule",
 )  # fmt: skip
-NOT_THERE = "not registered"
 ROLES = ("object", "dark", "white", "chart")
 OF_A_FRAME = ("band", "wavelength", "exposure_s", "shot", "page", "tile")
 ONLY_WRITTEN = {
     "calibrate": ("campaign.", "objects.", "tag 65000", "database."),
-    "measure": ("grid.", "objects.", "cameras.", "file "),
     "register": ("grid.", "objects.", "cameras.", "file "),
 }
 """Beginnings of what a stage writes beside its numbers: credits, native pixels, the published frame, a camera's
@@ -95,9 +93,6 @@ class Inputs:
         if stage == "calibrate":
             never = self._unread and not self.records.is_begun(task.key)
             return {} if never else of_calibration(campaign, capture, hashes)
-        if stage == "register" and task.needs[0].stage == "measure":
-            measured = {f"{k.object}/{k.layer}": self._measured(k) for k in task.companions}
-            return of_adjustment(self.digests[task.needs[0]], measured)
         if stage == "resample":
             ends = (self.digests[key_of(c, "register")] for c in (capture, lead))
             default = Key(capture.object, capture.camera, "", "resample")
@@ -109,22 +104,6 @@ class Inputs:
         if not task.leads:
             prints["registration of the reference"] = self._numbers[key_of(lead, "register")]
         return prints
-
-    def _measured(self, key: Key) -> str:
-        if not is_measured(self.records, key):
-            return NOT_THERE
-        own = digest(self.records.fingerprint(key), numbers_of="measure")
-        return self._numbers.get(key, own)
-
-
-def measured_path(folder: Path, key: Key) -> Path:
-    """Return where a capture's own registration is kept, in a folder beside the database."""
-    return folder / key.object / key.layer / "measured.npz"
-
-
-def is_measured(records: BuildRecords, key: Key) -> bool:
-    """Return whether a capture's own registration is there to adjust others with."""
-    return bool(records.fingerprint(key)) and measured_path(records.folder, key).is_file()
 
 
 def of_calibration(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict[str, Any]:
@@ -264,13 +243,6 @@ def of_registration(
             if edited := edits.describe():
                 prints[f"edits.toml: correction of {frame}{f':{band}' if band else ''}"] = edited
     prints |= fingerprint_points(campaign, capture)
-    return plain(prints)
-
-
-def of_adjustment(own: str, companions: dict[str, str]) -> dict[str, Any]:
-    """The capture's own registration, and those of all that it is adjusted with."""
-    prints: dict[str, Any] = {**made_with("adjust"), "its own registration": own}
-    prints |= {f"registration of {name}": made_of for name, made_of in companions.items()}
     return plain(prints)
 
 

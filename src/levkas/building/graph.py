@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from levkas.building.build_records import CATALOGUE, Key
+from levkas.building.build_records import CATALOGUE, STAGES, Key
 from levkas.campaign.campaign import Campaign
 from levkas.campaign.discovery.captures import Capture
 
@@ -18,9 +18,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.core.problems import Problem
-
-NEIGHBOURS = 6
-"""Captures on either side that one is adjusted with; more know no more of a lens, and all pairs are compared."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +45,6 @@ class Task:
     def leads(self) -> bool:
         """Whether it is of the capture that the others of its object are registered to."""
         return self.capture is self.reference
-
-    @property
-    def companions(self) -> tuple[Key, ...]:
-        """Measurements of other captures that this one is adjusted with."""
-        return tuple(key for key in self.uses if key.stage == "measure")
 
 
 Graph = Mapping[Key, Task]
@@ -93,10 +85,8 @@ def graph_of(
         tasks[key] = Task(key, uses=tuple(k for k in calibrations if k in tasks))
     pages = tuple(key for key in tasks if key.stage in ("report", "camera"))
     tasks[CATALOGUE] = Task(CATALOGUE, uses=pages)
-    # What captures that are adjusted together saw comes first, object by object.
-    first = [key for key in tasks if key.stage == "measure"]
     # Pages of cameras wait for all captures: what reads them comes last, each capture stays in one go.
-    first += [key for key in tasks if key.stage != "report" and key != CATALOGUE] if charts else []
+    first = [key for key in tasks if key.stage != "report" and key != CATALOGUE] if charts else []
     return {task.key: task for task in ordered(tasks, [*first, *tasks])}
 
 
@@ -125,10 +115,8 @@ def captures_of(task: Task) -> tuple[Capture, Capture]:
 
 
 def keys_of(campaign: Campaign, capture: Capture) -> dict[str, Key]:
-    """Return the keys of a capture's stages in their order, with `measure` where it is adjusted."""
-    joint = ("measure",) if campaign.is_joint(capture.camera) else ()
-    stages = ("calibrate", *joint, "register", "resample")
-    return {s: Key(capture.object, capture.camera, capture.setup, s) for s in stages}
+    """Return the keys of a capture's stages in their order."""
+    return {s: Key(capture.object, capture.camera, capture.setup, s) for s in STAGES}
 
 
 def page_key(camera: str) -> Key:
@@ -174,25 +162,6 @@ def default_of(capture: Capture, captures: Iterable[Capture]) -> Capture | None:
     return next((c for c in alike if not c.setup), None)
 
 
-def companions_of(
-    campaign: Campaign, capture: Capture, captures: Sequence[Capture]
-) -> list[Capture]:
-    """Return the other captures that one is adjusted with, by the same camera, in the order of their names.
-
-    The reference camera's own under its default setup are the frames of all others: they are adjusted
-    with one another only, and other setups of that camera with other setups. Of many captures these are
-    the nearest in that order, so that one more changes few of the others.
-    """
-    leads = is_reference(campaign, capture)
-    alike = [c for c in captures if c.camera == capture.camera]
-    ring = sorted((c for c in alike if is_reference(campaign, c) == leads), key=_name)
-    place = [_name(other) for other in ring].index(_name(capture))
-    if len(ring) > 2 * NEIGHBOURS + 1:
-        steps = range(place - NEIGHBOURS, place + NEIGHBOURS + 1)
-        ring = sorted((ring[step % len(ring)] for step in steps), key=_name)
-    return [other for other in ring if _name(other) != _name(capture)]
-
-
 def draw(graph: Graph, states: Mapping[Key, str]) -> str:
     """Return a graph as a Mermaid flow chart: a box a task with its state, an arrow to each that reads it.
 
@@ -232,13 +201,7 @@ def _tasks_of(
     frame = () if own else (lead["calibrate"], lead["register"])
     of = (capture, mine[0])
     yield Task(keys["calibrate"], (), (), *of)
-    if "measure" in keys:
-        companions = companions_of(campaign, capture, captures)
-        measurements = tuple(keys_of(campaign, c)["measure"] for c in companions)
-        yield Task(keys["measure"], (*frame, keys["calibrate"]), (), *of)
-        yield Task(keys["register"], (keys["measure"], *frame), measurements, *of)
-    else:
-        yield Task(keys["register"], (keys["calibrate"], *frame), (), *of)
+    yield Task(keys["register"], (keys["calibrate"], *frame), (), *of)
     drawn = (keys["calibrate"], keys["register"], *frame, *(() if own else (lead["resample"],)))
     default = default_of(capture, mine)
     compared = (
@@ -253,10 +216,6 @@ def _in_order(mine: Sequence[Capture]) -> list[Capture]:
     The default lighting comes first: layers of others are compared with it.
     """
     return [mine[0], *sorted(mine[1:], key=lambda c: (bool(c.setup), -len(c.bands)))]
-
-
-def _name(capture: Capture) -> tuple[str, str]:
-    return capture.object, capture.layer
 
 
 # --- steps: how tasks begin and end -------------------------------------------------------------

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
-from zipfile import BadZipFile
 
 from levkas.building.build_records import BuildRecords, Key, key_of
-from levkas.building.fingerprints import is_measured, measured_path
 from levkas.building.graph import Graph, Task, captures_of
 from levkas.core.machine import give_back_memory, steady_libraries
 from levkas.core.problems import Problem, Refused
@@ -135,10 +132,6 @@ class CalibratedCache:
         """Let go of the capture's cubes."""
         self._capture, self._native = None, None
 
-    def let_go_of_frame(self) -> None:
-        """Let go of the reference, which is read back when it is needed."""
-        self._frame = None
-
     def _read(self, capture: Capture) -> CalibratedCapture:
         from levkas.stages.calibrate import load_calibrated
 
@@ -176,7 +169,6 @@ class Stages:
         """Do what a task computes; return what writes it. Raises Refused or MemoryError."""
         stages: Mapping[str, Callable[[Task], Write]] = {
             "calibrate": self._calibrate,
-            "measure": self._measure,
             "register": self._register,
             "resample": self._resample,
         }
@@ -193,29 +185,12 @@ class Stages:
         write = partial(write_calibrated, native, capture, self.campaign, self.places)
         return lambda before: _with_notes(write(before), templates=used)
 
-    def _measure(self, task: Task) -> Write:
-        from levkas.stages.register import write_measured
-
-        path = measured_path(self.records.folder, task.key)
-        return partial(write_measured, self._alone(task), path)
-
-    def _alone(self, task: Task) -> Measured:
-        """Register a capture by itself."""
-        from levkas.stages.register import measure
+    def _register(self, task: Task) -> Write:
+        from levkas.stages.register import draw_recorded, measure, publish_registration
 
         capture, _ = captures_of(task)
         native, frame = self.held.native(capture), self.held.frame(task, self.graph)
         found = measure(capture, native, frame, self.campaign)
-        if task.leads and task.key.stage == "measure":
-            self.held.let_go_of_frame()  # others are registered to what it is adjusted to
-        return found
-
-    def _register(self, task: Task) -> Write:
-        from levkas.stages.register import draw_recorded, publish_registration
-
-        capture, _ = captures_of(task)
-        joint = task.needs[0].stage == "measure"
-        found = self._adjusted(task) if joint else self._alone(task)
         write = partial(publish_registration, found, capture, self.places)
         if self.held.memory is not None and not found.problems:
             self._draw(task, found, self.held.memory)
@@ -232,37 +207,6 @@ class Stages:
         native, frame = self.held.native(capture), self.held.frame(task, self.graph)
         if (picture := draw_coarse(capture, native, frame, found.record)) is not None:
             memory.pictures[task.key] = picture
-
-    def _adjusted(self, task: Task) -> Measured:
-        """Adjust a capture's own registration with those of others."""
-        from levkas.stages.joint import adjust_capture
-        from levkas.stages.reference import record_of, sigmas_of
-
-        capture, lead = captures_of(task)
-        own = self._read_measured(task.needs[0])
-        there = {
-            f"{k.object}/{k.layer}": k for k in task.companions if is_measured(self.records, k)
-        }
-        others = {name: self._read_measured(key) for name, key in there.items()}
-        reference = None if task.leads else sigmas_of(record_of(self.places, lead))
-        return adjust_capture(capture, own, others, reference)
-
-    def _read_measured(self, key: Key) -> Measured:
-        """Read a capture's own registration; raises Damaged where it cannot be."""
-        from levkas.stages.register import Measured
-
-        path = measured_path(self.records.folder, key)
-        try:
-            return Measured.read(path)
-        except (OSError, KeyError, ValueError, EOFError, BadZipFile, zlib.error) as error:
-            problem = Problem(
-                "E_DAMAGED",
-                "the stored registration of a capture cannot be read",
-                str(path),
-                found=str(error),
-                fix="Build again: it will be computed again.",
-            )
-            raise Damaged(key, problem) from error
 
     def _resample(self, task: Task) -> Write:
         from levkas.core.files import make_folder

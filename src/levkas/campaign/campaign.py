@@ -110,13 +110,6 @@ class Campaign(Document):
         corners = (facts.outline if facts else None) or ()
         return corners, self.path.name if corners else ""
 
-    def is_joint(self, camera: str) -> bool:
-        """Return whether the captures of a camera are adjusted together."""
-        keys = {**self.registration.declared(), **self.cameras[camera].registration.declared()}
-        return (
-            bool(keys.get("joint")) and method_of(keys).joint and not self.cameras[camera].has_tiles
-        )
-
     def darks_of(self, camera: Camera) -> tuple[str, ...]:
         """Values of {target} that are darks of a camera; none for a plain image."""
         if not camera.traits.is_calibrated:

@@ -104,8 +104,6 @@ class Method:
         Options that are accepted and change nothing.
     per_sensor : bool
         Whether every sensor of a camera has matches of its own.
-    joint : bool
-        Whether captures of a camera can be adjusted together.
     begins : bool
         Whether it tries candidates of a start, `ManualPoints.starts`.
     prepared : bool
@@ -116,7 +114,6 @@ class Method:
     register: Callable[[Any, Any], Any] | None = None
     ineffective: frozenset[str] = frozenset()
     per_sensor: bool = True
-    joint: bool = False
     begins: bool = False
     prepared: bool = False
 
@@ -125,7 +122,6 @@ METHODS = {
     "levkas": Method(
         LevkasOptions,
         ineffective=frozenset({"reject", "stop"}),
-        joint=True,
         begins=True,
         prepared=True,
     ),

@@ -322,7 +322,6 @@ def _licence(entities: dict[str, Entity], facts: PublicationFacts) -> Entity:
 
 VERBS = {
     "calibrate": "Calibrated on native pixels",
-    "measure": "Registered by itself, to be adjusted with other captures",
     "register": "Registered to the reference band",
     "resample": "Resampled once, on to the grid",
 }

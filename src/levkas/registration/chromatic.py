@@ -4,11 +4,6 @@ A lens magnifies every wavelength a little differently, a filter wheel shifts ev
 Each band is displaced by the same few fields, shift and magnification freely, others with a prior that
 they are small. The amounts of each field are a Gaussian process over wavelength ([rasmussen2006]_): a constant,
 a squared exponential and a part of each band's own, with scales of the highest marginal likelihood.
-
-Lateral colour belongs to the lens and to the filters, not to the painting: captures of one camera measure the
-same amounts, each with its own errors. How much these really differ from capture to capture (a filter that is
-put in anew, another focus) shows in them as well. Each capture is drawn to the others as far as they agree: a
-meta-analysis with random effects ([dersimonian1986]_), pooled over the bands.
 """
 
 from __future__ import annotations
@@ -45,10 +40,6 @@ class ChromaticSettings:
         square.
     least_bands : int
         Of different wavelengths from which amounts are smoothed.
-    least_variance : float, px²
-        Amounts of a capture that is pooled are never known better.
-    pool_rounds : int
-        Of taking out what all bands of a capture have in common.
     """
 
     blocks: int = 8
@@ -59,7 +50,6 @@ class ChromaticSettings:
     own: tuple[float, ...] = (0.0, 0.01, 0.1, 1.0)
     least_bands: int = 4
     least_variance: float = 1e-10
-    pool_rounds: int = 5
 
 
 SETTINGS = ChromaticSettings()
@@ -428,89 +418,3 @@ def _posterior(
     factor, white, shared, whole = chosen
     known, _ = dtrtrs(factor, shared, lower=1)
     return known.T @ white, np.maximum(whole - (known**2).sum(0), 0.0)
-
-
-# --- several captures
-
-
-def pool_chromatic(mine: ChromaticShifts, others: Sequence[ChromaticShifts]) -> ChromaticShifts:
-    """Return the shifts of one capture, drawn to those of others; as they are without any.
-
-    Parameters
-    ----------
-    mine : ChromaticShifts
-    others : sequence of ChromaticShifts
-        Of the same bands in the same order and the same frame, one a capture.
-
-    Notes
-    -----
-    What all bands of a capture have in common belongs to its base map and is never shared: base maps
-    may weigh the bands differently. A band that was measured nowhere stays.
-    """
-    if not others:
-        return mine
-    amounts, known = _stacked([mine, *others])
-    common = _common(amounts, known)
-    spread = _between(amounts - common, known)
-    with np.errstate(divide="ignore"):
-        trusted = np.where(known > 0, 1 / (1 / known + spread), 0.0)[1:]
-        total = trusted.sum(0)
-        prior = np.where(total > 0, 1 / (1 / total + spread), 0.0)
-    expected = _mean(trusted, (amounts - common)[1:]) + common[0]
-    whole = known[0] + prior
-    values = (known[0] * amounts[0] + prior * expected) / np.where(whole > 0, whole, 1.0)
-    fixed = ~mine.amounts.any(1) & (whole > 0).any(1)
-    values = np.where((whole > 0) & ~fixed[:, None], values, amounts[0])
-    kind = max((one.kind for one in (mine, *others)), key=_size)
-    if mine.variances is None:
-        return replace(mine, kind=kind, amounts=values)
-    before = np.zeros_like(values)
-    before[:, : mine.variances.shape[1]] = mine.variances
-    with np.errstate(divide="ignore"):
-        variances = np.where(known[0] > 0, 1 / whole, before)
-    return replace(mine, kind=kind, amounts=values, variances=variances)
-
-
-def _stacked(measured: Sequence[ChromaticShifts]) -> tuple[np.ndarray, np.ndarray]:
-    """Return amounts and inverse variances, (captures, bands, fields); 0 where nothing is known."""
-    bands, width = len(measured[0].amounts), max(m.amounts.shape[1] for m in measured)
-    amounts, known = np.zeros((2, len(measured), bands, width))
-    for k, one in enumerate(measured):
-        size = one.amounts.shape[1]
-        amounts[k, :, :size] = one.amounts
-        if one.variances is not None:
-            known[k, :, :size] = 1 / np.maximum(one.variances, SETTINGS.least_variance)
-    return amounts, known
-
-
-def _mean(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
-    total = weights.sum(0)
-    return np.asarray((weights * values).sum(0) / np.where(total > 0, total, 1.0))
-
-
-def _common(amounts: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return what all bands of a capture have more than those of the others, (captures, 1, fields)."""
-    common = np.zeros((len(amounts), 1, amounts.shape[2]))
-    total = known.sum(1, keepdims=True)
-    for _ in range(SETTINGS.pool_rounds):
-        apart = amounts - _mean(known, amounts - common)
-        common = (known * apart).sum(1, keepdims=True) / np.where(total > 0, total, 1.0)
-        common -= common.mean(0)
-    return common
-
-
-def _between(apart: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return the variance between captures of every field, (fields,) px², one for the fields of a group."""
-    spread = np.zeros(apart.shape[2])
-    squares = (known * (apart - _mean(known, apart)) ** 2).sum(0)
-    total, twice = known.sum(0), (known**2).sum(0)
-    times = (known > 0).sum(0)
-    ends = [_size(kind) for kind in KINDS]
-    for first, last in zip([0, *ends], ends, strict=False):
-        part = np.zeros(times.shape, bool)
-        part[:, first:last] = times[:, first:last] > 1
-        if part.any():
-            excess = (squares - (times - 1))[part].sum()
-            scale = (total[part] - twice[part] / total[part]).sum()
-            spread[first:last] = max(float(excess / scale), 0.0)
-    return spread

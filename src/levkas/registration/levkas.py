@@ -35,7 +35,6 @@ from levkas.registration.initial import (
     find_initial_transform,
     start_candidates,
 )
-from levkas.registration.joint import SensorObservations
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.map_stack import gather_signal
 from levkas.registration.measured_bands import measured_bands
@@ -317,7 +316,6 @@ def _assemble(
         model={"kind": "levkas", "mask": mask, "sensors": [_model(s) for s in sensors]},
         sigma={label: sigma[label] for label in labels},
         others=others,
-        observations=tuple(_observations(sensor) for sensor in sensors if not sensor.placed),
         basis={"kind": "windows", "sensors": [_basis(s) for s in sensors]},
     )
 
@@ -433,16 +431,3 @@ def _matches(sensor: RegisteredSensor) -> Matches:
         reason=reason,
         round=np.where(kept, -1, 0),
     )
-
-
-def _observations(sensor: RegisteredSensor) -> SensorObservations:
-    """Return what is kept of a registered sensor to adjust it with other captures."""
-    labels, found = tuple(sensor.sigma), sensor.refined
-    if found is None:
-        return SensorObservations.of_reference(sensor.name, labels, sensor.chromatic)
-    selected = found.selected
-    return SensorObservations(
-        sensor.name, labels, found.base, sensor.chromatic, selected.held_out_error,
-        selected.observations, selected.terms,
-        sensor.correction.transform() if sensor.correction else None,
-    )  # fmt: skip

@@ -14,7 +14,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from levkas.geometry.transforms import Composed, Transform, solve_2x2
+from levkas.geometry.transforms import Transform, solve_2x2
 from levkas.registration.depth_step import (
     ORDERS,
     DepthStep,
@@ -60,8 +60,6 @@ class SelectionSettings:
         Observations from which a spline, and a step in depth, are tried.
     stiffness : tuple of float
         Prices of bending of the splines that are tried.
-    newton : int
-        Steps to find where a shared map has to be evaluated; it is near already.
     """
 
     rounds: int = 5
@@ -75,7 +73,6 @@ class SelectionSettings:
     least_spline: int = 150
     least_depth_step: int = 120
     stiffness: tuple[float, ...] = (1e-2, 1e-3)
-    newton: int = 2
 
 
 SETTINGS = SelectionSettings()
@@ -88,8 +85,8 @@ class ModelSpec:
 
     Parameters
     ----------
-    family : {"similarity", "polynomial", "homography", "parallax", ""}
-        "parallax" is a homography with a lens behind the heights of a warped panel; empty is a shared map alone.
+    family : {"similarity", "polynomial", "homography", "parallax"}
+        "parallax" is a homography with a lens behind the heights of a warped panel.
     order : int
         Of a polynomial.
     lens : bool
@@ -98,13 +95,11 @@ class ModelSpec:
         Price of bending of a smooth spline before the map.
     depth_step : bool
         A step in depth before the map.
-    shared : bool
-        Whether a map that captures of one camera share comes behind it.
 
     Examples
     --------
-    >>> str(ModelSpec("homography", lens=True, spline=0.01)), str(ModelSpec("polynomial", 3, shared=True))
-    ('homography+lens+spline(0.01)', 'shared+cubic')
+    >>> str(ModelSpec("homography", lens=True, spline=0.01))
+    'homography+lens+spline(0.01)'
     """
 
     family: str
@@ -112,11 +107,10 @@ class ModelSpec:
     lens: bool = False
     spline: float | None = None
     depth_step: bool = False
-    shared: bool = False
 
     def __str__(self) -> str:
         plain = POLYNOMIALS[self.order] if self.family == "polynomial" else self.family
-        parts = ["shared"] * self.shared + [plain] * bool(plain) + ["lens"] * self.lens
+        parts = [plain] + ["lens"] * self.lens
         parts += [] if self.spline is None else [f"spline({self.spline:g})"]
         return "+".join(parts + ["depth_step"] * self.depth_step)
 
@@ -127,15 +121,13 @@ class ModelSpec:
 
     @property
     def coefficients(self) -> int:
-        """Coefficients of x and y each, without spline and step in depth; the most there are of a shared map."""
-        least = MODELS[self.plain][0] if self.plain in MODELS else MODELS[QUINTIC][0]
-        return max(3, least // 4)
+        """Coefficients of x and y each, without spline and step in depth."""
+        return max(3, MODELS[self.plain][0] // 4)
 
 
 SIMILARITY, HOMOGRAPHY = ModelSpec("similarity"), ModelSpec("homography")
 AFFINE, QUADRATIC, CUBIC, QUARTIC, QUINTIC = (ModelSpec("polynomial", n) for n in POLYNOMIALS)
 LENS, PARALLAX = ModelSpec("homography", lens=True), ModelSpec("parallax")
-SHARED = ModelSpec("", shared=True)
 
 #: Model → (least number of observations, fit); from the stiffest to the most yielding.
 MODELS: dict[ModelSpec, tuple[int, Fit]] = {
@@ -155,8 +147,6 @@ COARSE = (SIMILARITY, AFFINE, HOMOGRAPHY, QUADRATIC, LENS, CUBIC)
 STIFF = (SIMILARITY, AFFINE, HOMOGRAPHY, LENS)
 #: Tried with a step in depth whatever did best without one → order of a polynomial as yielding.
 WITH_DEPTH_STEP = {PARALLAX: 5, CUBIC: 3, QUARTIC: 4}
-#: Tried before a shared map, for how this painting lies.
-BEFORE_SHARED = (SIMILARITY, AFFINE, HOMOGRAPHY, QUADRATIC)
 #: Name of a given map that no model improves.
 STANDING = "as it was"
 
@@ -315,7 +305,6 @@ def select_model(
     terms: SelectionTerms,
     *,
     standing: Transform | None = None,
-    shared: Fit | None = None,
 ) -> SelectedModel:
     """Return the model that predicts held-out blocks best.
 
@@ -326,9 +315,6 @@ def select_model(
     terms : SelectionTerms
     standing : Transform, optional
         A map from elsewhere; it stays where no model predicts blocks better.
-    shared : callable, optional
-        Fits one map to observations and to those of other captures of the same camera; plain models
-        before it are tried too.
 
     Raises
     ------
@@ -342,8 +328,6 @@ def select_model(
     # Which model is right shows in some thousands of windows; all of them decide how it lies.
     every = 1 + len(weighted) // SETTINGS.most_judged
     judged = weighted.part(np.arange(len(weighted)) % every == 0)
-    if shared is not None:
-        judged = judged.weighted(np.full(len(judged), float(every)))
     comparison = ModelComparison(judged, spatial_folds(judged.points, terms.apart, weighted.points))
     for model in models:
         least, fit = MODELS[model]
@@ -356,10 +340,6 @@ def select_model(
         if terms.depth_step and len(observations) >= SETTINGS.least_depth_step:
             steps = find_depth_steps(weighted, terms.cell)
         _add_bending(comparison, comparison.best, terms.spacing, steps)
-    if shared is not None:
-        through = _add_shared(comparison, shared, [m for m in BEFORE_SHARED if m in models])
-        if bends:
-            _add_bending(comparison, through, terms.spacing, steps)
     best = comparison.best
     fitted = most_yielding if best.spec == models[-1] else best.fit(weighted)
     return SelectedModel(
@@ -498,30 +478,6 @@ def _fit_spline_before(
     observations: Observations, *, under: Fit, spacing: float, price: float
 ) -> Transform:
     return fit_spline(observations, under(observations), spacing, price)
-
-
-def _add_shared(comparison: ModelComparison, shared: Fit, models: Sequence[ModelSpec]) -> Candidate:
-    """Try the shared map, and plain models before it; return the best of them."""
-    tried = [comparison.add(SHARED, MODELS[models[0]][0], shared)]
-    for model in models:
-        least, plain = MODELS[model]
-        fit = partial(_fit_before_shared, shared=shared, plain=plain)
-        tried.append(comparison.add(replace(model, shared=True), least, fit))
-    return min(tried, key=lambda one: one.score)
-
-
-def _fit_before_shared(observations: Observations, *, shared: Fit, plain: Fit) -> Transform:
-    behind = shared(observations)
-    return Composed(plain(_through(behind, observations)), behind)
-
-
-def _through(shared: Transform, observations: Observations) -> Observations:
-    """Return where `shared` has to be evaluated to give what was observed."""
-    places = observations.points
-    for _ in range(SETTINGS.newton):
-        places = places + solve_2x2(shared.jacobian(places), observations.target - shared(places))
-    identity = np.broadcast_to(np.eye(2), (len(places), 2, 2))
-    return replace(observations, target=places, jacobian=identity)
 
 
 def _reweight(

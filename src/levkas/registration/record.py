@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from levkas.geometry.transforms import Transform
-    from levkas.registration.joint import SensorObservations
     from levkas.registration.model_selection import SelectedModel
     from levkas.registration.window_matching import CheckWindows
 
@@ -337,8 +336,6 @@ class Registration:
         Band label → one standard deviation of where it lies; empty where a method does not know.
     others : dict of str to Matches
         Sensor → its matches, for the target's other sensors; empty where a method has none.
-    observations : tuple of SensorObservations
-        One a sensor, for adjusting several captures together; empty where a method has none.
     basis : dict
         What a map without a trace rests on, `describe_windows` of each sensor, JSON-ready.
     """
@@ -352,7 +349,6 @@ class Registration:
     model: dict[str, Any] = field(default_factory=dict)
     sigma: dict[str, Sigma] = field(default_factory=dict)
     others: dict[str, Matches] = field(default_factory=dict)
-    observations: tuple[SensorObservations, ...] = ()
     basis: dict[str, Any] = field(default_factory=dict)
 
     def to_dict(self, *, reference: str = "", target: str = "") -> dict[str, Any]:

@@ -67,5 +67,4 @@ def enlarged(found: Registration, factor: int = FACTOR) -> Registration:
         matches=replace(found.matches, target=grow(found.matches.target)),
         others={s: replace(m, target=grow(m.target)) for s, m in found.others.items()},
         trace=None,
-        observations=tuple(one.enlarged(grow) for one in found.observations),
     )

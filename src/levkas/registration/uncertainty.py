@@ -69,7 +69,6 @@ def measure_sigma(
     chromatic: ChromaticShifts,
     selected: SelectedModel | None = None,
     reference: Mapping[str, Sigma] | None = None,
-    shared: SelectedModel | None = None,
     checks: CheckWindows | None = None,
     coarse: float | None = None,
 ) -> dict[str, Sigma]:
@@ -85,8 +84,6 @@ def measure_sigma(
         The base map; the reference's own sensor has none.
     reference : mapping of label to Sigma, optional
         Of the bands that predicted these.
-    shared : SelectedModel, optional
-        A map behind the base map, fitted to what other captures saw too.
     checks : CheckWindows, optional
         Windows that confirm the base map; away from them it is known the less the farther.
     coarse : float, reference px, optional
@@ -113,8 +110,6 @@ def measure_sigma(
             common += _beyond(selected, points, checks.beyond(points), checks.side, shape)
     if coarse is not None:
         common = np.where(np.isfinite(common), common, coarse**2)
-    if shared is not None:
-        common += shared.sigma(points) ** 2
     if reference:
         common += np.mean([one(points) ** 2 for one in reference.values()], 0)
     result = {}
@@ -157,20 +152,3 @@ def with_lines(known: Mapping[str, Sigma], lines: float) -> dict[str, Sigma]:
         label: Sigma(one.x, one.y, np.round(np.hypot(one.values, lines), SETTINGS.decimals))
         for label, one in known.items()
     }
-
-
-def with_chromatic(
-    known: Sigma, band: int, before: ChromaticShifts, after: ChromaticShifts
-) -> Sigma:
-    """Return the sigma of a band whose chromatic shift has another variance than before, all else being equal.
-
-    Parameters
-    ----------
-    known : Sigma
-    band : int
-        Its number in `before` and `after`, in which sigma has its part of the variance.
-    """
-    points = np.stack(np.meshgrid(known.x, known.y), -1).reshape(-1, 2)
-    apart = after.variance(band, points) - before.variance(band, points)
-    variance = known.values**2 + SETTINGS.bands_factor**2 * apart.reshape(known.values.shape)
-    return Sigma(known.x, known.y, np.round(np.sqrt(np.maximum(variance, 0.0)), SETTINGS.decimals))

@@ -95,8 +95,6 @@ class VerdictSettings:
     least_cover, least_checked : float
         Share of the reference below which the compared share is stated; share of what both show
         below which a map only reaches over too much, and is doubtful.
-    most_sigmas : float
-        By so many of its sigmas others may move a band: three of a normal error are one in three hundred.
     marks : Limits
         Correlation of marks that it is not above. Of one object, 0.30 and more; of copies by one pattern 0.00 to 0.25
         (`benchmarks/replicas.py`).
@@ -141,7 +139,6 @@ class VerdictSettings:
     scatter: float = 1.0
     least_cover: float = 0.5
     least_checked: float = 0.75
-    most_sigmas: float = 3.0
     marks: Limits = MARKS
     alike: float = 0.5
     least_outlines: int = 14
@@ -593,19 +590,6 @@ def describe_blindness(n: Numbers) -> str:
     return f" Parts smaller than a window that lie beside it would be found from {fine['least_px']:.1f} px on."
 
 
-def stays_within_its_sigma(n: Numbers) -> Objection | None:
-    """Warn where captures that a band was adjusted with move it by more than its own windows allow."""
-    excess = n.get("joint_excess")
-    if excess is None or excess["sigmas"] < SETTINGS.most_sigmas:
-        return None
-    return Objection(
-        "warn",
-        f"The joint adjustment moves {excess['band']} by {excess['px']:.2f} px in the mean, "
-        f"{excess['sigmas']:.0f} times its own standard deviation.",
-        "Check the other captures of this camera, or build without `joint`.",
-    )
-
-
 def lies_where_declared(n: Numbers) -> Objection | None:
     """Warn of a sensor that lies elsewhere than its declared alignment puts it; refuse where that is the map itself."""
     apart = n.get("align_apart_px")
@@ -662,7 +646,6 @@ RULES: dict[Rule, frozenset[str]] = {
     bears_the_same_marks: WINDOWS,
     agrees_within_windows: BOTH,
     coarse_detail_agrees: WINDOWS,
-    stays_within_its_sigma: WINDOWS,
     lies_where_declared: BOTH,
     is_compared: WINDOWS,
     has_converged: WINDOWS,

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from math import ceil
 from typing import TYPE_CHECKING, Any
@@ -17,7 +16,7 @@ from levkas import __version__
 from levkas.campaign.camera_kinds import KINDS
 from levkas.campaign.edits import BY_HAND
 from levkas.campaign.methods import DEFAULT_METHOD
-from levkas.core.files import make_folder, remove, together, write_bytes, write_json, write_text
+from levkas.core.files import make_folder, remove, together, write_json, write_text
 from levkas.core.problems import Problem, Refused
 from levkas.database.preview import encode_png
 from levkas.database.registrations import describe_lying
@@ -26,7 +25,6 @@ from levkas.pages.figures import draw_basis, draw_trace
 from levkas.pages.page import embed_png
 from levkas.readers.frames import read_headers
 from levkas.registration import Registration, RegistrationRefused, register
-from levkas.registration.joint import SensorObservations
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.record import COLUMNS, HandMark, Matches
 from levkas.registration.reduced import enlarged
@@ -56,9 +54,6 @@ if TYPE_CHECKING:
     from levkas.registration.predictors import PreparedReference
     from levkas.stages.native_cubes import CalibratedCapture
     from levkas.stages.reference import ReferenceFrame
-
-_COLUMNS = tuple(column.name for column in fields(Matches))
-_WORDS = ("state", "reason")
 
 
 def measure(
@@ -101,7 +96,6 @@ def measure(
     return Measured(
         record,
         {"": found.matches, **found.others},
-        () if problems else found.observations,
         problems,
         [[figure.svg, figure.caption] for figure in figures] or draw_figures(record),
     )
@@ -177,14 +171,6 @@ def _with_outline_named(
         for p in refused.problems
     ]
     return RegistrationRefused(*problems, trace=refused.trace)
-
-
-def write_measured(measured: Measured, path: Path, before: Callable[[], object]) -> Written:
-    """Keep a capture's own registration beside the database; `before` as of `core.files.together`."""
-    make_folder(path.parent)
-    with together(before):
-        write_bytes(path, measured.to_bytes())
-    return Written([], {"figures": measured.figures}, aside=(path,))
 
 
 def publish_registration(
@@ -421,63 +407,13 @@ class Measured:
         Of registration/CAMERA.json.
     matches : dict of sensor to Matches
         As tables are written of them: the first sensor's under "".
-    observations : tuple of SensorObservations
-        Empty where it was refused.
     problems : tuple of Problem
         Why it was refused.
     figures : list of [SVG, caption]
-        What the map rests on, for the report; not kept in its file.
+        What the map rests on, for the report.
     """
 
     record: dict[str, Any]
     matches: dict[str, Matches] = field(default_factory=dict)
-    observations: tuple[SensorObservations, ...] = ()
     problems: tuple[Problem, ...] = ()
     figures: list[list[str]] = field(default_factory=list)
-
-    def to_bytes(self) -> bytes:
-        """Return all of it as one file of arrays."""
-        arrays: dict[str, np.ndarray] = {}
-        for k, pairs in enumerate(self.matches.values()):
-            for column in _COLUMNS:
-                values = getattr(pairs, column)
-                arrays[f"matches {k} {column}"] = (
-                    values.astype(str) if column in _WORDS else np.asarray(values)
-                )
-        for k, one in enumerate(self.observations):
-            arrays |= {f"sensor {k} {n}": a for n, a in one.to_arrays().items()}
-        summary = {
-            "record": self.record,
-            "sensors": list(self.matches),
-            "observations": len(self.observations),
-            "problems": [problem.to_dict() for problem in self.problems],
-        }
-        arrays["summary"] = np.array(json.dumps(summary))
-        packed = io.BytesIO()
-        np.savez_compressed(packed, allow_pickle=False, **arrays)
-        return packed.getvalue()
-
-    @classmethod
-    def read(cls, path: Path) -> Measured:
-        """Read what `to_bytes` gave; raises OSError, KeyError or ValueError on anything else."""
-        with np.load(path, allow_pickle=False) as packed:
-            arrays = dict(packed)
-        summary = json.loads(str(arrays["summary"]))
-        matches = {
-            sensor: _matches(_under(arrays, f"matches {k} "))
-            for k, sensor in enumerate(summary["sensors"])
-        }
-        observations = tuple(
-            SensorObservations.from_arrays(_under(arrays, f"sensor {k} "))
-            for k in range(summary["observations"])
-        )
-        problems = tuple(Problem(**problem) for problem in summary["problems"])
-        return cls(summary["record"], matches, observations, problems)
-
-
-def _under(arrays: Mapping[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
-    return {k.removeprefix(name): a for k, a in arrays.items() if k.startswith(name)}
-
-
-def _matches(columns: Mapping[str, np.ndarray]) -> Matches:
-    return Matches(*(columns[c].astype(object) if c in _WORDS else columns[c] for c in _COLUMNS))

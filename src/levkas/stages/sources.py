@@ -21,7 +21,6 @@ PAGES = (*NUMBERS, "pages")
 STAGES = {
     "calibrate": NUMBERS,
     "register": PAGES,
-    "adjust": PAGES,
     "resample": NUMBERS,
     "report": (*PAGES, "building"),
     "camera": (*PAGES, "building"),

@@ -197,15 +197,14 @@ class Library:
 
         view, capture = frame.view, frame.capture
         records = BuildRecords(self.places.kept, self.places.output)
-        stages = [records.fingerprint(key_of(capture, stage)) for stage in ("measure", "register")]
+        prints = records.fingerprint(key_of(capture, "register"))
         edits = read_edits(self.edits_path).of_layer(capture.object, view.frame)
         band = self._band_of(view, edits)
         name = f"edits.toml: correction of {view.frame}{f':{band}' if band else ''}"
-        prints = stages[0] | stages[1]
         outline = [] if view.beside else prints.get("outline of the object", [])
         return {
-            "registered": str(prints.get(name, "")) if any(stages) else None,
-            "registered_outline": outline if any(stages) else None,
+            "registered": str(prints.get(name, "")) if prints else None,
+            "registered_outline": outline if prints else None,
         }
 
     def declared_outline(self, frame: RegistrationView) -> Outline:

@@ -155,7 +155,6 @@ def test_frames_that_differ_in_a_number_are_shots_or_objects_as_they_look(folder
     assert not refusals
     assert {name for name, _ in captures} == objects
     assert all(len(c.sensors[0].dark) == 2 for c in captures.values())
-    assert ("# joint = true" in proposal.text) == (len(objects) > 1)
     assert ("{shot}" in proposal.text) == (len(objects) == 1)
 
 

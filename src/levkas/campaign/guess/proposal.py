@@ -510,11 +510,6 @@ def _document(proposal: Proposal) -> Iterator[str]:
         yield f"\n# [objects.{to_toml_key(proposal.objects[0])}]"
         yield from _aligned('# title = ""', "facts from the museum's records; all optional")
         yield from _aligned("# size_mm = [width, height]", "gives the sampling in px per mm")
-    if len(proposal.objects) > 1 or any(camera.setups for camera in proposal.cameras):
-        yield "\n# [registration]"
-        yield from _aligned(
-            "# joint = true", "if the camera did not move: its captures share one lens"
-        )
 
 
 def _commented(what: str, keys: dict[str, Guess]) -> Iterator[str]:

@@ -343,12 +343,8 @@ def _registration(document: Document) -> Iterator[Problem]:
         yield value_problem("registration.use", "no control points are given", common.use)
     shared = common.method or DEFAULT_METHOD
     yield from _foreign_options("registration", common, {shared, *methods.values()}, shared)
-    if common.joint and not any(METHODS[name].joint for name in methods.values()):
-        yield _not_joint("registration.joint", shared)
     for name, keys in own.items():
         method, where = methods[name], f"cameras.{name}.registration"
-        if keys.joint and not METHODS[method].joint:
-            yield _not_joint(f"{where}.joint", method)
         yield from _foreign_options(where, keys, {method}, method)
         if keys.use is not None and (keys.points or common.points) is None:
             yield value_problem(f"{where}.use", "no control points are given", keys.use)
@@ -372,16 +368,6 @@ def _methods_of(document: Document) -> dict[str, str]:
     """Return the name of each camera's method."""
     common = document.registration.method or DEFAULT_METHOD
     return {name: c.registration.method or common for name, c in document.cameras.items()}
-
-
-def _not_joint(where: str, method: str) -> Problem:
-    able = next(name for name, row in METHODS.items() if row.joint)
-    return value_problem(
-        where,
-        f"the method {method!r} has no joint adjustment",
-        "true",
-        fix=f'Remove it, or write method = "{able}".',
-    )
 
 
 def _without_start(where: str, method: str) -> Problem:

@@ -21,6 +21,7 @@ EXAMPLES = {
     "cameras": "a table [cameras.NAME] for each camera",
 }
 
+ALONE = "Take it out: every capture is registered by itself."
 GONE = {
     "cameras.*.isos": "Leave it out: a plan is for one ISO, the lowest.",
     "cameras.*.read_after_e": "Leave it out: `read_e` is the whole read noise at the lowest ISO.",
@@ -28,6 +29,8 @@ GONE = {
     "object.bend": "Leave it out: a panel is flat here; a bend moves the best lamps by less than 1°.",
     "object.sure": "Leave it out: no unit is asked about any more.",
     "setups.*.lamps.*.sure": "Leave it out: no unit is asked about any more.",
+    "registration.joint": ALONE,
+    "cameras.*.registration.joint": ALONE,
     "cameras.*.stray_light": "Nothing takes stray light off: state it as uncertainty = { stray_light = 0.01 }.",
 }
 """Keys that Levkas had once, a name of the campaign's as `*`, and what to write in their place."""

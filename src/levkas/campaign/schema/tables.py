@@ -155,12 +155,11 @@ class MethodKey(Table):
 
 
 class PointsKeys(Table):
-    """Control points, and captures that are adjusted together."""
+    """Control points."""
 
     points: Annotated[PathText, Field(min_length=1)] | None = None
     use: Literal["check", "seeds", "start"] | None = None
     accept: Literal["by hand"] | None = None
-    joint: Switch | None = None
 
 
 def _options() -> dict[str, Any]:
