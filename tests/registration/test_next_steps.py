@@ -35,11 +35,7 @@ LINES = {
     "picture": "target", "lines": "rows", "course": "irregular", "size_px": 9.0, "rms_px": 5.0, "largest_px": 12.0,
     "along_px": 5.0, "across_px": 0.1, "period_lines": None, "place": None, "step": 1.0,
 }  # fmt: skip
-FINE = {
-    "rms_px": 1.2, "shown": 0.9, "size_px": 0.0, "box": None, "least_px": 0.2, "period_px": [25.0, None], "step": 1,
-}  # fmt: skip
 REFUSED = {
-    "agrees_within_windows": [{"fine_displacement": FINE}],
     "lines_lie_still": [{"line_displacement": LINES}],
     "enough_matches": [{"kept": 5}],
     "more_than_chance": [{"chance_kept": 30}],

@@ -21,14 +21,6 @@ from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration.advice import POINTS
 from levkas.registration.bands import by_wavelength, present_bands, sqrt_images
 from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
-from levkas.registration.coarse_detail import (
-    COARSER,
-    CoarseShift,
-    describe_coarse_detail,
-    hold_coarse_detail,
-    mean_shift,
-)
-from levkas.registration.fine_displacement import FineDisplacement, measure_fine_displacement
 from levkas.registration.initial import SETTINGS as INITIAL
 from levkas.registration.initial import (
     InitialTransform,
@@ -260,32 +252,6 @@ class SensorTask:
                 break
         return max(filter(None, results), key=lambda one: one.deviations, default=None)
 
-    def measure_fine(self, found: RefinedMap) -> FineDisplacement | None:
-        """Measure by how much parts of the best band that are smaller than a check window lie beside the map."""
-        best = [band.label for band in self.bands].index(found.course["band"])
-        step, whole = self.plain_step, Composed(found.chromatic.transform(best), found.base)
-        predictors, image = (
-            self.reference.predictor(step).images,
-            self.images[self.bands[best].label],
-        )
-        return measure_fine_displacement(predictors, image, whole, step=step)
-
-    def measure_coarse_detail(
-        self, found: RefinedMap, sigma: Mapping[str, Sigma]
-    ) -> dict[str, CoarseShift]:
-        """Measure, band by band, how coarse detail lies beside the map; of bands that show enough of it."""
-        step = found.step * COARSER
-        coarse = [side // step for side in self.reference.shape]
-        if min(coarse) < 3 * cell_px(coarse):
-            return {}
-        own = [found.chromatic.transform(i) for i in range(len(self.bands))]
-        windows = self.measure_shifts(self.bands, own, found.base, step)
-        shifts = {
-            band.label: mean_shift(one, float(np.median(sigma[band.label].values)))
-            for band, one in zip(self.bands, windows, strict=True)
-        }
-        return {label: one for label, one in shifts.items() if one is not None}
-
     def light_of(self, band: BandImage, transform: Transform, step: int) -> Light:
         """Return whether a band sees light that the reference sees too.
 
@@ -490,10 +456,8 @@ def register_sensor(
         coarse = blocks.tolerance
     if task.one_scan:
         found.verification["scales"] = list(task.scales)
-    measures = (task.measure_fine, task.measure_marks)
-    fine, marks = each(lambda measure: measure(found), measures)
-    of_lines = {"line_displacement": lines, "line_correction": correction}
-    for name, one in {**of_lines, "fine_displacement": fine, "marks": marks}.items():
+    measured = {"line_displacement": lines, "line_correction": correction}
+    for name, one in {**measured, "marks": task.measure_marks(found)}.items():
         found.verification[name] = None if one is None else one.to_dict()
     transforms: dict[str, Transform] = {
         label: Composed(chromatic.transform(i), found.base, *native)
@@ -503,11 +467,8 @@ def register_sensor(
         reference.shape, labels, chromatic, found.selected, reference_sigma,
         checks=found.checks, coarse=coarse,
     )  # fmt: skip
-    beside = (one.sigma for one in (lines, fine, correction) if one)
+    beside = (one.sigma for one in (lines, correction) if one)
     sigma = with_lines(sigma, max(beside, default=0.0))
-    coarse_shifts = task.measure_coarse_detail(found, sigma)
-    apart = describe_coarse_detail(coarse_shifts, labels, found.step)
-    found.verification["coarse_detail"], sigma = apart, hold_coarse_detail(sigma, apart)
     windows = dict(zip([band.label for band in shown], found.windows, strict=True))
     return RegisteredSensor(
         bands[0].sensor, transforms, chromatic, windows, sigma, initial, found, lines, correction

@@ -18,7 +18,6 @@ from levkas.geometry.transforms import Affine, Composed, Inverse, Polynomial, Tr
 from levkas.registration.alignment import align_sensors, camera_grey, measure_apart
 from levkas.registration.bands import BandImage, area_average, region_mask, stretch
 from levkas.registration.features import KeyPoints, find_key_points
-from levkas.registration.fine_displacement import measure_fine_displacement
 from levkas.registration.foreground import ObjectArea
 from levkas.registration.line_displacement import measure_line_displacement
 from levkas.registration.local_shifts import highpass
@@ -390,7 +389,7 @@ def measure(evidence: Evidence) -> dict[str, Any]:
         **measure_windows(checks),
         "second_peak_ratio": float(search.second_peak_ratio),
         **measure_support(evidence.overlap, checks, matches.reference[matches.kept]),
-        **_measure_finely(evidence),
+        **_measure_lines(evidence),
         "object_share": evidence.object_share,
         "align_apart_px": evidence.apart,
         "align_is_map": True,
@@ -406,18 +405,14 @@ def _measure_shape(evidence: Evidence) -> dict[str, Any]:
     return shape
 
 
-def _measure_finely(evidence: Evidence) -> dict[str, Any]:
-    """Return how lines of either grey picture, and parts smaller than a window, lie beside the map."""
+def _measure_lines(evidence: Evidence) -> dict[str, Any]:
+    """Return how lines of either grey picture lie beside the map."""
     (ours, valid), (theirs, shown) = evidence.reference, evidence.target
     inside = valid & region_mask(evidence.region, valid.shape)
     known = highpass(np.where(inside, ours, np.float32(np.nan)))[None]
     target = np.where(shown, theirs, np.float32(np.nan))
     lines = measure_line_displacement(known, target, evidence.transform)
-    fine = measure_fine_displacement(known, target, evidence.transform)
-    return {
-        "line_displacement": lines and lines.to_dict(),
-        "fine_displacement": fine and fine.to_dict(),
-    }
+    return {"line_displacement": lines and lines.to_dict()}
 
 
 def measure_held_out(evidence: Evidence) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 Four variances are added: that of the base map by a delete-a-group jackknife over spatial folds
 ([kott2001]_), the spread between models that predict held-out blocks nearly as well ([buckland1997]_), that
 of the band's chromatic shift, and that of the reference's own bands, from which this one was predicted. Lines that
-are displaced against one another (`line_displacement`), or parts smaller than windows (`fine_displacement`), add a fifth.
+are displaced against one another (`line_displacement`) add a fifth.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def _beyond(
 
 
 def with_lines(known: Mapping[str, Sigma], lines: float) -> dict[str, Sigma]:
-    """Return sigmas of bands of which single lines, or small parts, are displaced by `lines`, one sigma of each axis, reference px.
+    """Return sigmas of bands of which single lines are displaced by `lines`, one sigma of each axis, reference px.
 
     Examples
     --------

@@ -23,7 +23,6 @@ from levkas.registration.verdict_rules import (
     WINDOWS,
     Finding,
     Objection,
-    describe_blindness,
 )
 
 
@@ -159,5 +158,5 @@ def _praise(numbers: Numbers) -> str:
     return (
         f"{n.get('agreeing', 0)} of the {n.get('found', 0)} check windows that were found agree with the map. "
         f"The held-out error is {numbers['held_out_px']:.2f} px over the {percent(checked_share({**numbers, **n}))} of the "
-        f"layer that was checked.{describe_blindness(n)}"
+        f"layer that was checked."
     )

@@ -53,9 +53,7 @@ class Limits(NamedTuple):
 ANISOTROPY, AREA_RATIO, SECOND_PEAK_RATIO = Limits(1.5, 2.0), Limits(1.8, 3.0), Limits(0.85, 0.95)
 OVERLAP, COVERAGE, PREDICTED = Limits(0.8, 0.1), Limits(0.9, 0.6), Limits(0.5, 0.2)
 MARKS, LINES = Limits(DISTINCTIVE, 0.15), Limits(0.1, 1.0)
-FINE, SCAN_LINES = Limits(0.1, 1.0), Limits(0.35, 1.0)
-#: Bands that a reason lists; of more their number and range.
-MOST_NAMED = 3
+SCAN_LINES = Limits(0.35, 1.0)
 
 
 @dataclass(frozen=True)
@@ -108,11 +106,6 @@ class VerdictSettings:
         most that is more than chance.
     scan_lines : Limits, px of the grid
         The same of maps of a scan, of which a line is known to lie up to a third of a px aside: it is reported.
-    fine : Limits, px of the grid
-        Displacement of parts smaller than a window, the root mean square over the picture. Pairs that agree have 0.07 at most.
-    patch, patch_px : float, px² and px of the grid
-        Of one part that lies beside the map: by 1 px over the side of a window, 40 px, makes it doubtful (displacement
-        times side); from `patch_px` on it is named. Of five lenses over fields and houses, what stands high has 25 px² at most.
     align_px : float, px of a sensor
         From a declared alignment; refocusing moves the sensors of a camera against one another by a px or two.
     """
@@ -145,9 +138,6 @@ class VerdictSettings:
     least_outlines_share: float = 0.75
     lines: Limits = LINES
     scan_lines: Limits = SCAN_LINES
-    fine: Limits = FINE
-    patch: float = 40.0
-    patch_px: float = 0.75
     align_px: float = 3.0
 
 
@@ -155,7 +145,6 @@ SETTINGS = VerdictSettings()
 LEAST_TERMS = 3
 """Coefficients of a polynomial of order 1, the lowest that is fitted."""
 TRY_LEVKAS = "try the method `levkas`"
-FINELY = f"{LOOK} Compare no detail that is finer than this displacement."
 #: Name among the numbers of a sensor without one.
 ONLY = "sensor"
 
@@ -536,60 +525,6 @@ def lines_lie_still(n: Numbers) -> Objection | None:
     return Objection(decision or "unchecked", reasons, repair if decision else "")
 
 
-def agrees_within_windows(n: Numbers) -> Objection | None:
-    """Refuse or warn where parts smaller than a check window lie beside the map; nothing more is reported where lines are displaced."""
-    fine, lines = n.get("fine_displacement"), lines_lie_still(n)
-    if not fine or (lines and lines.decision != "unchecked"):
-        return None
-    step, size = fine["step"], fine["size_px"]
-    decision = SETTINGS.fine.exceeded_by((fine["rms_px"] or 0.0) / step)
-    reasons = []
-    if decision:
-        way = ""
-        if fine["period_px"]:
-            every = zip("xy", fine["period_px"], strict=True)
-            way = ", every " + " and ".join(f"{v:.0f} px in {axis}" for axis, v in every if v)
-        reasons = [
-            f"Parts smaller than a check window (40 px) lie to and fro beside where the registration puts them, by "
-            f"{fine['rms_px']:.2f} px (root mean square) or more{way}: it is right in the mean over a window, not for each of them."
-        ]
-    if fine["box"] and size >= SETTINGS.patch_px * step:
-        side = float(np.sqrt(fine["box"][2] * fine["box"][3]))
-        is_large = size * side > SETTINGS.patch * step**2
-        decision = decision or ("warn" if is_large else "unchecked")
-        part = f"A part smaller than the check windows lies {size:.1f} px beside the map {_places([fine['box']])}."
-        reasons = [*reasons, part] if is_large or not reasons else reasons
-    if not decision:
-        return None
-    return Objection(decision, " ".join(reasons), "" if decision == "unchecked" else FINELY)
-
-
-def coarse_detail_agrees(n: Numbers) -> Objection | None:
-    """Report bands whose coarse detail lies beside where the map, which follows fine detail, puts it."""
-    off = n.get("coarse_detail")
-    if not off:
-        return None
-    bands = off["bands"]
-    named = " and ".join([", ".join(bands[:-1]), bands[-1]] if bands[1:] else bands)
-    if len(bands) > MOST_NAMED:
-        named = f"{len(bands)} bands ({bands[0]} to {bands[-1]})"
-    reason = (
-        f"Fine and coarse detail of {named} lie {off['px']:.2f} px apart, more than chance allows, as relief and gold do "
-        "under another light: sigma holds that."
-    )
-    return Objection("unchecked", reason, "")
-
-
-def describe_blindness(n: Numbers) -> str:
-    """Return, with a space before it, from which size on a part smaller than a window would be found, where the pictures decide that; else ""."""
-    fine = n.get("fine_displacement")
-    if not fine or (fine["least_px"] or np.inf) <= SETTINGS.patch_px * fine["step"]:
-        return ""
-    if fine["least_px"] is None:
-        return " Parts smaller than a window that lie beside it would not be found: the pictures show too little fine detail."
-    return f" Parts smaller than a window that lie beside it would be found from {fine['least_px']:.1f} px on."
-
-
 def lies_where_declared(n: Numbers) -> Objection | None:
     """Warn of a sensor that lies elsewhere than its declared alignment puts it; refuse where that is the map itself."""
     apart = n.get("align_apart_px")
@@ -644,8 +579,6 @@ RULES: dict[Rule, frozenset[str]] = {
     windows_cover: WINDOWS,
     is_checked: WINDOWS,
     bears_the_same_marks: WINDOWS,
-    agrees_within_windows: BOTH,
-    coarse_detail_agrees: WINDOWS,
     lies_where_declared: BOTH,
     is_compared: WINDOWS,
     has_converged: WINDOWS,
