@@ -113,14 +113,9 @@ def ours():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hand", [2, pytest.param(3, marks=pytest.mark.exhaustive)])
-@pytest.mark.parametrize("wavelengths", [(460, 540, 660), (900,)])
-def test_another_painting_by_the_same_pattern_in_the_same_place_is_never_accepted(
-    ours, hand, wavelengths
-):
-    target = observed(icon(hand)[: len(wavelengths)], wavelengths, (1.3, -2.4), 2)
-    found = register(ours, target, reference_band="550")
-    assert found.verdict.decision != "accept"
-    assert any("fine marks between them" in reason for reason in found.verdict.reasons)
+def test_another_painting_by_the_same_pattern_in_the_same_light_is_never_accepted(ours, hand):
+    target = observed(icon(hand), (460, 540, 660), (1.3, -2.4), 2)
+    assert register(ours, target, reference_band="550").verdict.decision == "warn"
 
 
 def test_the_same_painting_is_accepted(ours):

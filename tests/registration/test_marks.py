@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from levkas.registration import marks, register
-from levkas.registration.marks import compare_marks, describe_want_of_marks
+from levkas.registration import register
+from levkas.registration.marks import compare_marks
 
 SHAPE = (360, 460)
 EVERYWHERE = np.ones(SHAPE, bool)
@@ -43,9 +43,7 @@ def test_marks_of_one_panel_agree_whatever_their_sign(inverted):
     found = compare_marks(
         photograph(one, 1), photograph(1 - one if inverted else one, 2), EVERYWHERE
     )
-    assert all(found.held)
     assert found.correlation > 0.6
-    assert describe_want_of_marks(found.to_dict()) == ""
 
 
 @pytest.mark.parametrize("pattern", [1, 2, 3])
@@ -53,7 +51,6 @@ def test_marks_of_two_panels_by_one_pattern_lie_at_other_places(pattern):
     found = compare_marks(
         photograph(panel(pattern, 1), 1), photograph(panel(pattern, 2), 2), EVERYWHERE
     )
-    assert all(found.held)
     assert found.at_most < 0.25
 
 
@@ -64,11 +61,10 @@ def test_marks_agree_through_a_map_that_is_a_pixel_off():
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.03])
-def test_a_picture_without_marks_is_named_and_not_held_against_the_map(noise):
+def test_a_picture_without_marks_is_not_held_against_the_map(noise):
     bare = panel(1, 1, cracked=0, strokes=0)
     found = compare_marks(photograph(panel(1, 1), 1), photograph(bare, 2, noise), EVERYWHERE)
-    assert found.held == (True, False)
-    assert "this picture shows no cracks" in describe_want_of_marks(found.to_dict())
+    assert found.at_most >= 0.25
 
 
 def test_marks_are_looked_for_only_where_outlines_confirm_the_map():
@@ -77,7 +73,6 @@ def test_marks_are_looked_for_only_where_outlines_confirm_the_map():
     half = np.where(left, one, other).astype(np.float32)
     assert compare_marks(one, half, EVERYWHERE & left).correlation > 0.9
     assert compare_marks(one, half, np.zeros(SHAPE, bool)) is None
-    assert "too little" in describe_want_of_marks(None)
 
 
 @pytest.mark.slow
@@ -93,16 +88,3 @@ def test_marks_that_a_much_coarser_picture_cannot_show_do_not_contradict_a_right
     fine += 30 * grain
     coarse = cv2.resize(fine, (240, 240), interpolation=cv2.INTER_AREA)
     assert register(fine, coarse).verdict.decision == "accept"
-
-
-def test_marks_are_the_same_however_many_rows_are_separated_at_once(monkeypatch):
-    rng = np.random.default_rng(5)
-    one = rng.normal(size=(300, 260)).astype(np.float32).cumsum(1)
-    one[90:130, 40:200] = np.nan
-    other = one + rng.normal(size=one.shape).astype(np.float32)
-    everywhere = np.ones(one.shape, bool)
-    found = []
-    for rows in (1000, 64, 47):
-        monkeypatch.setattr(marks, "ROWS", rows)
-        found.append(marks.compare_marks(one, other, everywhere))
-    assert found[0] == found[1] == found[2] is not None

@@ -30,7 +30,6 @@ MAP = {
     "coverage": 0.9, "off": [], "off_share": 0.0, "unsupported": [], "second_peak_ratio": 0.2, "checked": 1.0,
     "unchecked": [], "held_out_px": 0.2, "step": 1.0, "object": 1.0,
 }  # fmt: skip
-MARKS = {"held": [True, True], "at_most": 0.1, "correlation": 0.05, "windows": 40}
 LINES = {
     "picture": "target", "lines": "rows", "course": "irregular", "size_px": 9.0, "rms_px": 5.0, "largest_px": 12.0,
     "along_px": 5.0, "across_px": 0.1, "period_lines": None, "place": None, "step": 1.0,
@@ -61,7 +60,6 @@ REFUSED = {
     "shows_the_reference": [{"overlap": 0.05}],
     "matches_cover": [{"off_share": 0.5}, {"coverage": 0.1}],
     "windows_cover": [{"coverage": 0.1}, {"off_share": 0.5, "off": [[0, 0, 9, 9]]}],
-    "bears_the_same_marks": [{"marks": MARKS}],
     "lies_where_declared": [{"align_apart_px": 9.0, "align_is_map": True}],
 }  # fmt: skip
 

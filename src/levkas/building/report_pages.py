@@ -55,7 +55,6 @@ from levkas.quality.evaluation.camera_agreement import PairAgreement, agreement_
 from levkas.quality.image_quality.light import choose_places
 from levkas.readers.frames import files_of
 from levkas.registration.advice import percent
-from levkas.registration.marks import describe_want_of_marks
 from levkas.registration.shares import LEAST_OUTSIDE
 from levkas.stages.budget import budget_of
 from levkas.stages.sources import LIBRARIES, LIBRARIES_OF_PAGES, library_version
@@ -297,7 +296,6 @@ def _layer(
         error_px=error,
         checked=checked,
         checks=_checks(errors),
-        marks=_want_of_marks(errors) if shown else "",
         ssim="–" if ssim is None else f"{ssim:.3f}",
         flags=describe_flags(resampled.get("flags", {})) if shown else "–",
         preview=preview.name if shown else "",
@@ -406,13 +404,6 @@ def _check_points(errors: dict[str, Any]) -> str:
         f"{len(found)} check points, set by hand and not fitted: mean error {mean:.2f} "
         f"reference px, largest error {most:.2f} px."
     )
-
-
-def _want_of_marks(errors: dict[str, Any]) -> str:
-    """Report why marks of the object could not be compared; empty where they were, or where nothing was compared."""
-    compared = [s.get("verification") or {} for s in (errors.get("sensors") or {}).values()]
-    wants = (describe_want_of_marks(one["marks"]) for one in compared if "marks" in one)
-    return next(filter(None, wants), "")
 
 
 def _band_shifts(record: dict[str, Any]) -> dict[str, np.ndarray]:

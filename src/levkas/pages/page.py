@@ -65,7 +65,6 @@ class LayerReport:
     unchecked_area: str = ""
     error: str = "–"
     checks: str = ""
-    marks: str = ""
     ssim: str = "–"
     flags: str = ""
     preview: str = ""

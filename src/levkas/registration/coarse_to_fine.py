@@ -284,9 +284,9 @@ class SensorTask:
             whiteness(self.resample(band, whole, step, white_noise(own.shape))),
         )
         target = self.resample(band, whole, step, own)
-        coarser = own if self.scale * step < 1 else None
-        where = confirmed_places(found.checks, reference.shape, step)
-        return compare_marks(reference, target, where, white=white, own=coarser)
+        return compare_marks(
+            reference, target, confirmed_places(found.checks, reference.shape, step), white
+        )
 
 
 @dataclass(frozen=True)

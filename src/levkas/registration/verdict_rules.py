@@ -26,7 +26,6 @@ from levkas.registration.advice import (
     percent,
 )
 from levkas.registration.line_displacement import describe_correction, describe_displacement
-from levkas.registration.marks import DISTINCTIVE
 from levkas.registration.shares import (
     Numbers,
     checked_share,
@@ -52,7 +51,7 @@ class Limits(NamedTuple):
 
 ANISOTROPY, AREA_RATIO, SECOND_PEAK_RATIO = Limits(1.5, 2.0), Limits(1.8, 3.0), Limits(0.85, 0.95)
 OVERLAP, COVERAGE, PREDICTED = Limits(0.8, 0.1), Limits(0.9, 0.6), Limits(0.5, 0.2)
-MARKS, LINES = Limits(DISTINCTIVE, 0.15), Limits(0.1, 1.0)
+LINES = Limits(0.1, 1.0)
 SCAN_LINES = Limits(0.35, 1.0)
 
 
@@ -93,9 +92,8 @@ class VerdictSettings:
     least_cover, least_checked : float
         Share of the reference below which the compared share is stated; share of what both show
         below which a map only reaches over too much, and is doubtful.
-    marks : Limits
-        Correlation of marks that it is not above. Of one object, 0.30 and more; of copies by one pattern 0.00 to 0.25
-        (`benchmarks/replicas.py`).
+    marks : float
+        Correlation of marks in one light that it is not above: of copies by one pattern (`benchmarks/replicas.py`).
     alike : float
         Cells in one plane differ in how far they are off by at most this share of it.
     least_outlines, least_outlines_share : int, float
@@ -132,7 +130,7 @@ class VerdictSettings:
     scatter: float = 1.0
     least_cover: float = 0.5
     least_checked: float = 0.75
-    marks: Limits = MARKS
+    marks: float = 0.25
     alike: float = 0.5
     least_outlines: int = 14
     least_outlines_share: float = 0.75
@@ -481,25 +479,23 @@ def is_checked(n: Numbers) -> Objection | None:
 
 
 def bears_the_same_marks(n: Numbers) -> Objection | None:
-    """Refuse or warn where both pictures hold marks that two hands cannot share, and these lie at other places.
+    """Warn where pictures of one light hold marks that two hands cannot share, and these lie at other places.
 
-    Where either holds none nothing is reported, nor where lines are displaced, which takes marks apart. Other light, or unknown
-    light, may show other marks (film has grain, an X-ray the wood): the map is doubtful there, and not refused.
+    Other light may show other marks: film has grain, an X-ray the wood. Nothing is reported where lines are displaced, which
+    takes marks apart.
     """
     marks, lines = n.get("marks"), lines_lie_still(n)
-    if not marks or not all(marks["held"]) or (lines and lines.decision != "unchecked"):
+    if not marks or not n["alike"] or (lines and lines.decision != "unchecked"):
         return None
-    if marks["at_most"] >= SETTINGS.marks.warn:
+    if marks["at_most"] >= SETTINGS.marks:
         return None
-    refused = marks["at_most"] < SETTINGS.marks.refuse and n["alike"]
-    text = (
+    return Objection(
+        "warn",
         "Outlines agree; fine marks between them (cracks, losses, strokes, weave) do not: their correlation is "
         f"{marks['correlation']:.2f} in {marks['windows']} windows, at most {marks['at_most']:.2f}, and 0.30 or more in "
-        "pictures of one object."
+        "pictures of one object. The pictures may show two objects by one pattern.",
+        LOOK,
     )
-    if refused:
-        return Objection("refuse", f"{text} The pictures show two objects by one pattern.", BY_HAND)
-    return Objection("warn", text, LOOK)
 
 
 def lines_lie_still(n: Numbers) -> Objection | None:
