@@ -130,8 +130,8 @@ def test_maps_of_a_reference_lie_on_one_another_as_they_are(painting):
 
 
 def test_lines_of_a_scan_that_lie_a_sixth_of_its_px_aside_are_reported_and_no_doubt():
-    comb = {"picture": "target", "lines": "rows", "course": "comb", "size_px": 2.6, "rms_px": 1.3, "largest_px": 1.5,
-            "along_px": 1.3, "across_px": 0.0, "period_lines": 2.0, "place": None, "step": 8}  # fmt: skip
+    comb = {"picture": "target", "lines": "rows", "displaced": True, "rms_px": 1.3, "largest_px": 1.5,
+            "along_px": 1.3, "across_px": 0.0, "step": 8}  # fmt: skip
     camera, maps = (
         lines_lie_still({"line_displacement": comb, **more}) for more in ({}, {"scales": [0.03, 7]})
     )

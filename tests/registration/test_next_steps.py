@@ -31,8 +31,8 @@ MAP = {
     "unchecked": [], "held_out_px": 0.2, "step": 1.0, "object": 1.0,
 }  # fmt: skip
 LINES = {
-    "picture": "target", "lines": "rows", "course": "irregular", "size_px": 9.0, "rms_px": 5.0, "largest_px": 12.0,
-    "along_px": 5.0, "across_px": 0.1, "period_lines": None, "place": None, "step": 1.0,
+    "picture": "target", "lines": "rows", "displaced": True, "rms_px": 5.0, "largest_px": 12.0,
+    "along_px": 5.0, "across_px": 0.1, "step": 1.0,
 }  # fmt: skip
 REFUSED = {
     "lines_lie_still": [{"line_displacement": LINES}],

@@ -248,7 +248,7 @@ class SensorTask:
                 continue
             image = np.mean([self.images[self.bands[i].label] for i in among], 0)
             results.append(measure_line_displacement(predictors, image, whole, step=step))
-            if results[-1] and results[-1].course:
+            if results[-1] and results[-1].displaced:
                 break
         return max(filter(None, results), key=lambda one: one.deviations, default=None)
 

@@ -1,4 +1,4 @@
-"""Course of displaced lines along the scan: what the parts of lines have in common, and which period, comb or step it is.
+"""Displacement of lines along the scan: what the parts of lines have in common, beyond chance.
 
 Shifts of the parts of a line are sums of what the line does as a whole and of errors that are independent from part to part. So
 the covariance of parts along the scan is the variance of the common displacement, free of noise.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any, Literal
 
 import numpy as np
 
@@ -28,9 +27,9 @@ class CourseSettings:
         Of the polynomial along the scan that is taken out of each part: a map is off smoothly, too.
     stray : float
         In typical shifts, the median of all: so far out a shift has half its weight.
-    least_deviations, least_slope, least_step : float
-        Covariance of the parts, that of the slopes, and height of a step, in standard deviations by chance, from which lines
-        are displaced. Of 250 honest pairs, real and simulated, few covariances had more than 2, and slopes, which two pairs of
+    least_deviations, least_slope : float
+        Covariance of the parts, and that of the slopes, in standard deviations by chance, from which lines are displaced.
+        Of 250 honest pairs, real and simulated, few covariances had more than 2, and slopes, which two pairs of
         parts show where six show the mean, 4 at most.
     common_edges, averaged : float; int, lines
         Mean correlation, along the scan, of how much detail the parts show, averaged over some lines, from which they are no
@@ -52,20 +51,12 @@ class CourseSettings:
         That are averaged to find these lines. Of single ones, noise would choose: without a tenth of them 0.2 to 0.4 of a
         weak wobble is left, without a tenth of means of seven 0.5 to 0.75, and 0.2 of a few lines; of 5 or 13 the same.
         Such lines that are closer than `gap_lines` belong together.
-    aside : float
-        Share of the covariance of such lines that their mean has, for them to lie aside as one.
     least_share : float
-        Of the covariance that one period explains, for it to be named.
-    comb_lines : float
-        Period up to which odd and even lines are apart.
-    block, most_of_blocks, block_share : int, lines; float, reference px; float
-        Side of the blocks of JPEG; the displacement that they feign at most: 0.1 at quality 50, 0.27 at 15; how much more
-        of the covariance they explain than one period.
-    beside, steps : int
-        Lines on either side of a step that are averaged; places up to which steps are named.
-    least_height, step_factor, tall, alike : float
-        A step is so much larger than the root mean square of all displacements, and than the median of all such
-        differences; what reaches `tall` of it counts as one more; every part has `alike` of it at least.
+        Of the covariance that blocks, or edges along the lines, explain, for it to be theirs.
+    block, most_of_blocks : int, lines; float, reference px
+        Side of the blocks of JPEG; the displacement that they feign at most: 0.1 at quality 50, 0.27 at 15.
+    alike : float
+        A part that lies off the middle of all by more than this is left of it strays.
     """
 
     least_lines: int = 32
@@ -73,7 +64,6 @@ class CourseSettings:
     stray: float = 8.0
     least_deviations: float = 4.0
     least_slope: float = 6.0
-    least_step: float = 6.0
     common_edges: float = 0.15
     averaged: int = 3
     edge_lines: int = 8
@@ -84,86 +74,29 @@ class CourseSettings:
     few: float = 0.1
     near_lines: int = 7
     gap_lines: int = 24
-    aside: float = 0.6
     least_share: float = 0.5
-    comb_lines: float = 2.2
     block: int = 8
     most_of_blocks: float = 0.3
-    block_share: float = 0.15
-    beside: int = 8
-    steps: int = 2
-    least_height: float = 2.0
-    step_factor: float = 5.0
-    tall: float = 0.7
     alike: float = 0.6
 
 
 SETTINGS = CourseSettings()
 
 
-@dataclass(frozen=True)
-class Course:
-    """Course of a displacement along the scan.
-
-    Parameters
-    ----------
-    kind : {"period", "comb", "step", "aside", "irregular"}
-        Of a comb odd and even lines are apart; some lines alone lie aside.
-    size : float, reference px
-        Amplitude of the period; distance of odd from even lines; height of the step; how far lines lie aside; else the
-        root mean square. Of lines that turn or stretch, at their ends.
-    period : float, lines
-        Of a period or a comb, else NaN.
-    place, last : int
-        First line behind the step, or first and last of the lines that alone are displaced, else -1.
-    beside : Course or None
-        A second period or comb.
-    """
-
-    kind: Literal["period", "comb", "step", "aside", "irregular"]
-    size: float
-    period: float = np.nan
-    place: int = -1
-    last: int = -1
-    beside: Course | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the numbers, JSON-ready."""
-        return {
-            "course": self.kind,
-            "size_px": round(self.size, 4),
-            "period_lines": round(self.period, 2) if self.period > 0 else None,
-            "place": self.place if self.place >= 0 else None,
-            "last": self.last if self.last >= 0 else None,
-            "beside": self.beside and self.beside.to_dict(),
-        }
-
-
-def find_course(shifts: LineShifts, sizes: np.ndarray) -> tuple[Course | None, float]:
-    """Return the course of what parts of lines have in common, None where that is chance, and its deviations by chance.
+def find_displacement(shifts: LineShifts, sizes: np.ndarray) -> tuple[bool, float]:
+    """Return whether lines are displaced beyond chance, and the covariance of their parts in deviations by chance.
 
     `sizes`, (2,), are reference px per px along and across the lines.
     """
-    variance = shifts.covariance()
-    deviations = variance / np.maximum(shifts.by_chance(), 1e-30)
-    most = float(deviations.max())
-    axis = int(deviations.argmax())
+    deviations = shifts.covariance() / np.maximum(shifts.by_chance(), 1e-30)
+    most, axis = float(deviations.max()), int(deviations.argmax())
     needed = SETTINGS.least_slope if shifts.spread < 1 else SETTINGS.least_deviations
-    displaced = most >= needed and _has_outer_parts(shifts, axis) and not _is_feigned(shifts, sizes)
-    some = _displaced_lines(shifts, axis) if displaced else None
+    if most < needed or not _has_outer_parts(shifts, axis) or _is_feigned(shifts, sizes):
+        return False, most
+    some = _displaced_lines(shifts, axis)
     if some and np.median(shifts.information[some, :, axis]) < SETTINGS.noise_information:
-        return find_course(shifts.leaving_out(some), sizes)
-    course = _find_course_of_some(shifts, sizes, some) if some else None
-    if course and course.kind == "aside":
-        return course, most
-    # Of slopes there are two independent ones, too few to agree on a step; a covariance they have.
-    step = _find_step(shifts, sizes) if shifts.spread == 1 else None
-    least = SETTINGS.least_height * _rms(shifts, sizes)
-    if step and step[1] >= SETTINGS.least_step and step[0].size > least:
-        return step[0], max(most, step[1])
-    if not displaced:
-        return None, most
-    return course or _find_period(shifts, sizes), most
+        return find_displacement(shifts.leaving_out(some), sizes)
+    return True, most
 
 
 @dataclass(frozen=True)
@@ -266,11 +199,6 @@ class LineShifts:
         far = slice(lines // 8, lines // 2)
         found = products[far] / np.maximum(weights[far], 1e-30)
         return np.asarray(np.sqrt(np.mean(np.square(found), 0)))
-
-    def among(self, lines: slice) -> LineShifts:
-        """Return some lines alone."""
-        shift, information = self.shift[lines], self.information[lines]
-        return replace(self, shift=shift, information=information, weight=self.weight[lines])
 
     def leaving_out(self, lines: slice) -> LineShifts:
         """Return the same, of which some lines are not known."""
@@ -383,69 +311,6 @@ def _displaced_lines(shifts: LineShifts, axis: int) -> slice | None:
     return slice(int(first) + half, int(max(last - half, first + half)) + 1)
 
 
-def _find_course_of_some(shifts: LineShifts, sizes: np.ndarray, lines: slice) -> Course:
-    """Return the course of lines that alone are displaced."""
-    some = shifts.among(lines)
-    mean = np.nanmean(some.common, 0)
-    place, last = lines.start, lines.stop - 1
-    if np.square(mean * sizes).sum() > SETTINGS.aside * _rms(some, sizes) ** 2:
-        return Course("aside", float(np.hypot(*(mean * sizes))), place=place, last=last)
-    return replace(_find_period(some, sizes), place=place, last=last)
-
-
-def _find_step(shifts: LineShifts, sizes: np.ndarray) -> tuple[Course, float] | None:
-    """Return the largest step along the scan and how many standard deviations it has; None where parts disagree on it.
-
-    The median of some lines before a line is taken from that of as many behind it, part by part.
-    """
-    beside = SETTINGS.beside
-    windows = np.lib.stride_tricks.sliding_window_view
-    known = shifts.information
-    shown = windows(np.where(known > 0, shifts.shift, np.nan), beside, 0)
-    medians = np.median(shown, -1)
-    scatter = 1.4826 * np.median(np.abs(shown - medians[..., None]), -1)
-    sure = windows(known, beside, 0).sum(-1)
-    heights = (medians[beside:] - medians[:-beside]) * sizes
-    sure = np.minimum(sure[beside:], sure[:-beside]).min((1, 2))
-    measured = np.isfinite(heights).all((1, 2))
-    if measured.sum() < SETTINGS.least_lines:
-        return None
-    # Parts that scatter much there show no step: a median of n values has pi/2n of their variance.
-    local = np.square(scatter[beside:]) + np.square(scatter[:-beside])
-    local = np.sqrt(np.pi / 2 / beside * local.sum(1)) * sizes / known.shape[1]
-    heights, sure, local = heights[measured], sure[measured], local[measured]
-    a, b = (heights[:, k] for k in shifts.pairs)
-    noise = 1.4826 * np.median(np.abs(a - b), (0, 1)) / np.sqrt(2 * heights.shape[1])
-    common = heights.mean(1) * np.sqrt(np.minimum(sure / np.median(sure), 1.0))[:, None]
-    length = np.hypot(*common.T)
-    best = int(length.argmax())
-    height = float(np.hypot(*heights[best].mean(0)))
-    way = common[best] / max(float(length[best]), 1e-30)
-    tall = np.diff((length > SETTINGS.tall * length[best]).astype(int), prepend=0) == 1
-    alone = tall.sum() <= SETTINGS.steps and length[best] > SETTINGS.step_factor * np.median(length)
-    stray = 1.4826 * np.median(np.abs(heights - heights.mean(1, keepdims=True)), 0)
-    if not alone or (heights[best] @ way + stray @ np.abs(way)).min() < SETTINGS.alike * height:
-        return None
-    noise = np.maximum(noise, local[best])
-    deviations = float(length[best]) / max(float(np.hypot(*(way * noise))), 1e-30)
-    near = beside + int(np.flatnonzero(measured)[best]) + np.arange(-beside, beside + 1)
-    line, course = np.arange(len(shifts.shift)), shifts.common * sizes
-    # Medians are flat beside the step: its place is where it explains most.
-    fits = [_fit_beside_cubic((line >= place)[:, None].astype(float), course) for place in near]
-    chosen = int(np.argmin([rest for _, rest in fits]))
-    return Course("step", float(np.hypot(*fits[chosen][0][0])), place=int(near[chosen])), deviations
-
-
-def _fit_beside_cubic(basis: np.ndarray, common: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the amounts, (k, 2), of basis functions, (lines, k), in a common course, beside a cubic, and the squares left."""
-    cubic = np.polynomial.legendre.legvander(np.linspace(-1, 1, len(basis)), SETTINGS.degree)
-    known = np.isfinite(common).all(1)
-    both = np.hstack([basis, cubic])[known]
-    amounts = np.linalg.lstsq(both, common[known], rcond=None)[0]
-    rest = float(np.square(common[known] - both @ amounts).sum())
-    return amounts[: basis.shape[1]], rest
-
-
 def _is_feigned(shifts: LineShifts, sizes: np.ndarray) -> bool:
     """Return whether a coder's blocks or edges along the lines explain what parts have in common.
 
@@ -453,59 +318,11 @@ def _is_feigned(shifts: LineShifts, sizes: np.ndarray) -> bool:
     """
     lines = np.arange(len(shifts.shift))[:, None]
     eighths = lines % SETTINGS.block == np.arange(SETTINGS.block - 1)
-    blocks, _ = _share_of(eighths.astype(float), shifts, sizes)
-    least = max(SETTINGS.least_share, _take_wave(shifts, sizes)[1] + SETTINGS.block_share)
-    if blocks > least and _rms(shifts, sizes) < SETTINGS.most_of_blocks:
+    rms = float(np.sqrt((shifts.covariance() * sizes**2).clip(0).sum()))
+    blocks = _share_of(eighths.astype(float), shifts, sizes)
+    if blocks > SETTINGS.least_share and rms < SETTINGS.most_of_blocks:
         return True
-    return _share_of(_beside_edges(shifts), shifts, sizes)[0] > SETTINGS.least_share
-
-
-def _rms(shifts: LineShifts, sizes: np.ndarray) -> float:
-    """Return the root mean square of what parts have in common, reference px."""
-    return float(np.sqrt((shifts.covariance() * sizes**2).clip(0).sum()))
-
-
-def _find_period(shifts: LineShifts, sizes: np.ndarray) -> Course:
-    """Return the period that explains most of what parts have in common, and a second one beside it, or an irregular course."""
-    lines = len(shifts.shift)
-    irregular = Course("irregular", _rms(shifts, sizes))
-    if lines < SETTINGS.least_lines:
-        return irregular
-    frequency, share, first, rest = _take_wave(shifts, sizes)
-    other, share_of_rest, second, _ = _take_wave(rest, sizes)
-    left = float((rest.covariance() / np.maximum(rest.by_chance(), 1e-30)).max())
-    sure = share_of_rest > SETTINGS.least_share and left > SETTINGS.least_deviations
-    if sure and not _is_overtone(other, frequency, lines):
-        largest, less = sorted((first, second), key=lambda one: -one.size)
-        return replace(largest, beside=less)
-    return first if share > SETTINGS.least_share else irregular
-
-
-def _take_wave(shifts: LineShifts, sizes: np.ndarray) -> tuple[float, float, Course, LineShifts]:
-    """Return frequency, share of the covariance and course of the sine that parts have most in common, and what is left."""
-    lines = len(shifts.shift)
-    padded = 8 * lines
-    measured = shifts.weight.min(2) > 0
-    waves = np.fft.rfft(np.where(measured[..., None], shifts.shift, 0.0) * sizes, padded, axis=0)
-    a, b = (waves[:, k] for k in shifts.pairs)
-    power = (a * np.conj(b)).real.sum((1, 2))
-    power[: padded // lines] = 0  # less than one period
-    frequency = max(float(power.argmax()), 1.0) / padded
-    phase = 2 * np.pi * frequency * np.arange(lines)[:, None]
-    basis = np.hstack([np.cos(phase), np.sin(phase)])
-    share, wave = _share_of(basis, shifts, sizes)
-    size, period = float(np.linalg.svd(wave * sizes, compute_uv=False)[0]), 1 / frequency
-    is_comb = period < SETTINGS.comb_lines
-    course = Course("comb", 2 * size, period) if is_comb else Course("period", size, period)
-    return frequency, share, course, shifts.without(basis @ wave)
-
-
-def _is_overtone(frequency: float, of: float, lines: int) -> bool:
-    """Return whether one frequency, 1/lines, is two to four times another one, as in a saw-tooth, or the same."""
-    times = np.arange(1, 5)
-    return bool(
-        min(np.abs(frequency - times * of).min(), np.abs(of - times * frequency).min()) < 1 / lines
-    )
+    return _share_of(_beside_edges(shifts), shifts, sizes) > SETTINGS.least_share
 
 
 def _beside_edges(shifts: LineShifts) -> np.ndarray:
@@ -518,12 +335,15 @@ def _beside_edges(shifts: LineShifts) -> np.ndarray:
     return courses
 
 
-def _share_of(basis: np.ndarray, shifts: LineShifts, sizes: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the share of the covariance that basis functions, (lines, k), explain, and their amounts, (k, 2)."""
-    amounts, _ = _fit_beside_cubic(basis, shifts.common)
-    course = basis @ amounts
+def _share_of(basis: np.ndarray, shifts: LineShifts, sizes: np.ndarray) -> float:
+    """Return the share of the covariance that basis functions, (lines, k), explain beside a cubic."""
+    cubic = np.polynomial.legendre.legvander(np.linspace(-1, 1, len(basis)), SETTINGS.degree)
+    common = shifts.common
+    known = np.isfinite(common).all(1)
+    amounts = np.linalg.lstsq(np.hstack([basis, cubic])[known], common[known], rcond=None)[0]
+    course = basis @ amounts[: basis.shape[1]]
     total, rest = (
         float((one.covariance() * sizes**2).clip(0).sum())
         for one in (shifts, shifts.without(course - course.mean(0)))
     )
-    return 1 - rest / max(total, 1e-30), amounts
+    return 1 - rest / max(total, 1e-30)

@@ -24,7 +24,7 @@ import numpy as np
 
 from levkas.core.threads import each, in_threads
 from levkas.geometry.transforms import Affine, Composed, Inverse, Polynomial
-from levkas.registration.line_course import Course, LineShifts, find_course
+from levkas.registration.line_course import LineShifts, find_displacement
 from levkas.registration.line_displacement_kernel import register_rows
 from levkas.registration.local_shifts import detail_on_grid, highpass_rows, smoothing_warp
 from levkas.registration.verification import predict
@@ -54,8 +54,6 @@ class LineSettings:
         a line is lost.
     second_course : float
         Where the other picture has this share of the deviations, either may be the one that is displaced.
-    parallel : float, px
-        Lines of two pictures that drift apart by less over the whole width are parallel.
     scales : (float, float)
         Native px per reference px of maps that are looked at.
     nodes : int
@@ -71,14 +69,12 @@ class LineSettings:
     prior: float = 2.0
     most: float = 6.0
     second_course: float = 0.3
-    parallel: float = 8.0
     scales: tuple[float, float] = (0.05, 20.0)
     nodes: int = 24
     most_drawn: int = 1000
 
 
 SETTINGS = LineSettings()
-COURSE_KEYS = ("course", "size_px", "period_lines", "place", "last", "beside")
 
 
 @dataclass(frozen=True)
@@ -88,7 +84,7 @@ class LineDisplacement:
     Parameters
     ----------
     picture : {"target", "reference", "either"}
-        Whose lines they are; of pictures that lie alike, lines of both are parallel, and nothing decides.
+        Whose lines they are; where lines of both are parallel nothing decides.
     lines : {"rows", "columns"}
         What a line is in its native px.
     count : int
@@ -101,8 +97,8 @@ class LineDisplacement:
         Of a single line, once noise is allowed for.
     noise : float, reference px
         Standard deviation with which one line is measured.
-    course : Course or None
-        Of the whole displacement, what a flexible map follows of it included; None where lines are not displaced beyond chance.
+    displaced : bool
+        Whether lines are displaced beyond chance.
     displacement : ndarray, (n, 2), reference px
         Of every line as measured, along and across; NaN where unknown.
     common_edges : bool
@@ -125,7 +121,7 @@ class LineDisplacement:
     across: float
     largest: float
     noise: float
-    course: Course | None
+    displaced: bool
     displacement: np.ndarray
     common_edges: bool = False
     step: int = 1
@@ -141,15 +137,15 @@ class LineDisplacement:
     @property
     def sigma(self) -> float:
         """Standard deviation, of each axis, that it adds to where a place lies, reference px; 0 where lines are not displaced."""
-        return self.rms / 2**0.5 if self.course else 0.0
+        return self.rms / 2**0.5 if self.displaced else 0.0
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers, JSON-ready, without the displacement of every line."""
-        course = self.course
         return {
             "picture": self.picture,
             "lines": self.lines,
             "count": self.count,
+            "displaced": self.displaced,
             "deviations": round(self.deviations, 2),
             "rms_px": round(self.rms, 4),
             "along_px": round(self.along, 4),
@@ -157,7 +153,6 @@ class LineDisplacement:
             "largest_px": round(self.largest, 4),
             "noise_px": round(self.noise, 4),
             "sigma_px": round(self.sigma, 4),
-            **(course.to_dict() if course else dict.fromkeys(COURSE_KEYS)),
             "slope": self.slope,
             "common_edges": self.common_edges,
             "step": self.step,
@@ -165,7 +160,7 @@ class LineDisplacement:
 
     def drawn(self) -> dict[str, Any] | None:
         """Return the displacement of the middle lines for a figure, JSON-ready; None where lines are not displaced."""
-        if self.course is None:
+        if not self.displaced:
             return None
         start = max(0, (len(self.displacement) - SETTINGS.most_drawn) // 2)
         shown = np.round(self.displacement[start : start + SETTINGS.most_drawn], 3)
@@ -205,20 +200,13 @@ def measure_line_displacement(
         if (of := [one for one in found if one.picture == name])
     }
     chosen = max(best.values(), key=_deviations)
-    if chosen.course is None:
+    if not chosen.displaced:
         return chosen
     least = SETTINGS.second_course * chosen.deviations
-    second_courses = [one for one in best.values() if one.course and one.deviations > least]
-    is_step = chosen.course.kind == "step"
-    unsure = len(second_courses) > 1 or (
-        is_step and _are_parallel(transform, predictors.shape[1:], step)
-    )
-    if unsure and best.get("target", chosen).course:
+    unsure = sum(one.displaced and one.deviations > least for one in best.values()) > 1
+    if unsure and "target" in best and best["target"].displaced:
         chosen = best["target"]
     smooth = _cubic(transform, predictors.shape[1:], step)
-    for whole in _measure_pictures(predictors, image, smooth, step) if smooth else ():
-        if whole.course and (whole.picture, whole.lines) == (chosen.picture, chosen.lines):
-            chosen = replace(chosen, course=whole.course)
     if chosen.picture == "target" and smooth:
         chosen = replace(chosen, parts=_beside_smooth(chosen, transform, smooth))
     else:  # a map puts the lines of the target right
@@ -231,7 +219,7 @@ LINES: tuple[Lines, ...] = ("rows", "columns")
 
 
 def _deviations(found: LineDisplacement) -> tuple[bool, float]:
-    return found.course is not None, found.deviations
+    return found.displaced, found.deviations
 
 
 def _measure_pictures(
@@ -267,14 +255,6 @@ def _measure_pictures(
     return [one for one in each(measured, *zip(*product(PICTURES, LINES), strict=True)) if one]
 
 
-def _are_parallel(transform: Transform, shape: Sequence[int], step: int) -> bool:
-    """Return whether a line of one picture stays within the lines about a step of the other, over the whole width."""
-    corners = np.array([[0, 0], [shape[1], 0], [0, shape[0]], [shape[1], shape[0]]]) * step - 0.5
-    a, b, c, d = transform(corners)
-    drift = [np.abs(side).min() for side in (b - a, d - c, c - a, d - b)]
-    return bool(max(drift) < SETTINGS.parallel)
-
-
 def _cubic(transform: Transform, shape: Sequence[int], step: int) -> Transform | None:
     """Return the cubic polynomial nearest to a map, which follows no line; None where the map has no value."""
     x, y = (np.linspace(0, n * step - 1, SETTINGS.nodes) for n in (shape[1], shape[0]))
@@ -307,19 +287,19 @@ def describe_displacement(numbers: Mapping[str, Any]) -> tuple[str, str]:
 
     Examples
     --------
-    >>> numbers = {"picture": "target", "lines": "rows", "course": "comb", "size_px": 1.69, "rms_px": 0.85}
-    >>> numbers |= {"along_px": 0.85, "across_px": 0.01, "largest_px": 0.94, "period_lines": 2.0, "place": None}
-    >>> describe_displacement(numbers)[0]
-    'Odd and even lines of this picture lie 1.69 px apart, along the lines: the map follows neither, and check windows show the mean of both.'
+    >>> numbers = {"picture": "target", "lines": "rows", "rms_px": 0.85}
+    >>> numbers |= {"along_px": 0.85, "across_px": 0.01, "largest_px": 0.94}
+    >>> describe_displacement(numbers)[0].partition(". ")[0]
+    'The lines of this picture are displaced against one another, along the lines: 0.85 px (root mean square), 0.94 px at most'
     """
-    head, tail, repair = _name_lines(numbers)
-    return head + tail, repair
+    head, line, repair = _name_lines(numbers)
+    tail = f"The registration is right in the mean over 40 px, and a single {line} lies off by so much."
+    return f"{head}. {tail}", repair
 
 
 def describe_correction(numbers: Mapping[str, Any]) -> tuple[str, str]:
     """Return what `LineCorrection.to_dict` says of lines that a map follows, and what to do where neighbours lie apart, in words."""
-    head, _, repair = _name_lines(numbers["before"])
-    line = "line" if numbers["before"]["lines"] == "rows" else "column"
+    head, line, repair = _name_lines(numbers["before"])
     text = f"{head}. The registration follows every {line}, to {numbers['error_px']:.2f} px"
     if numbers["uneven_px"] > numbers["error_px"]:
         text += f"; a place between two of them shows both, {numbers['uneven_px']:.2f} px (root mean square) to either side"
@@ -327,58 +307,23 @@ def describe_correction(numbers: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _name_lines(numbers: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Return how lines are displaced, what that means for a map that does not follow them, and what to do, in words."""
+    """Return how far lines are displaced, in words, what a line is, and what to do."""
     whose = {"target": "this picture", "reference": "the reference"}.get(
         numbers["picture"], "this picture or of the reference"
     )
-    line, lines = ("line", "lines") if numbers["lines"] == "rows" else ("column", "columns")
-    along, across, size = numbers["along_px"], numbers["across_px"], numbers["size_px"]
-    way = f", along the {lines}" if along > 2 * across else ""
-    way = way or (f", across the {lines}" if across > 2 * along else "")
-    rms = f"{numbers['rms_px']:.2f} px (root mean square)"
-    fine = f"As it is, compare no detail that is finer than {max(numbers['rms_px'], 0.1):.1f} px."
-    repair = (
-        "A scan that moved unevenly does this, and a program that bent or turned the picture by whole pixels: use the file "
-        f"as the camera wrote it, or capture it again. {fine}"
-    )
-    place, last, beside = numbers["place"], numbers.get("last"), numbers.get("beside")
-    ends = f" at the ends of the {lines}" if numbers.get("slope") else ""
-    if numbers["course"] == "comb" and not beside and last is None:
-        return (
-            f"Odd and even {lines} of {whose} lie {size:.2f} px apart{ends}{way}",
-            ": the map follows neither, and check windows show the mean of both.",
-            f"Build from the odd or from the even {lines} alone, or shift one half before the build.",
-        )
-    if numbers["course"] == "step":
-        return (
-            f"At {line} {place} {whose} is displaced by {size:.2f} px at once{ends}{way}, as where {lines} were "
-            "lost or repeated",
-            f": the map is off near it, by {rms} over all.",
-            f"Look for lost or repeated {lines} there, or capture it again. {fine}",
-        )
-    some = f"{lines.capitalize()} {place} to {last}" if last is not None else f"The {lines}"
-    others = "one another" if last is None else "the others"
-    verb = "turn or stretch about their middles" if ends else "are displaced"
-    text = _describe_course(numbers, line, lines) + ends
-    if beside:
-        text += f", and {_describe_course(beside, line, lines)}"
+    line = "line" if numbers["lines"] == "rows" else "column"
+    along, across = numbers["along_px"], numbers["across_px"]
+    way = f", along the {line}s" if along > 2 * across else ""
+    way = way or (f", across the {line}s" if across > 2 * along else "")
+    verb = "turn or stretch about their middles" if numbers.get("slope") else "are displaced"
     return (
-        f"{some} of {whose} {verb} against {others}, {text}{way}: {rms}, {numbers['largest_px']:.2f} px at most",
-        f". The registration is right in the mean over 40 px, and a single {line} lies off by so much.",
-        repair,
+        f"The {line}s of {whose} {verb} against one another{way}: {numbers['rms_px']:.2f} px (root mean square), "
+        f"{numbers['largest_px']:.2f} px at most",
+        line,
+        "A scan that moved unevenly does this, lost lines, interlaced halves, and a program that bent or turned the picture by "
+        "whole pixels: use the file as the camera wrote it, or capture it again. As it is, compare no detail that is finer than "
+        f"{max(numbers['rms_px'], 0.1):.1f} px.",
     )
-
-
-def _describe_course(course: Mapping[str, Any], line: str, lines: str) -> str:
-    """Return how far and how lines are displaced, in words."""
-    size, kind = course["size_px"], course["course"]
-    if kind == "comb":
-        return f"odd and even {lines} {size:.2f} px apart"
-    if kind == "aside":
-        return f"by {size:.2f} px"
-    if kind == "period":
-        return f"periodically, by ±{size:.2f} px every {course['period_lines']:.3g} {lines}"
-    return f"irregularly from {line} to {line}"
 
 
 # --- every part of every line by itself
@@ -406,7 +351,7 @@ def _register_lines(lines: np.ndarray, scene: np.ndarray) -> LineShifts | None:
 def _describe(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:
     """Describe what lines have in common; `sizes`, (2,), are reference px per px along and across the lines."""
     found = [_describe_one(one, sizes) for one in (shifts, shifts.slopes())]
-    displaced = [one for one in found if one.course]
+    displaced = [one for one in found if one.displaced]
     if not displaced:
         return max(found, key=_deviations)
     along, across = (
@@ -421,13 +366,11 @@ def _describe(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:
 
 def _describe_one(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:
     """Describe the common displacement of parts of lines, or of their slopes, by itself."""
-    course, deviations = find_course(shifts, sizes)
+    displaced, deviations = find_displacement(shifts, sizes)
     variance, common = shifts.covariance(), shifts.common
     noise = np.sqrt(np.maximum(np.nanmean(common**2, 0) - variance, 0.0))
     shown = np.maximum(variance, 0.0)
-    some = slice(course.place, course.last + 1) if course and course.last >= 0 else slice(None)
-    here = np.maximum(shifts.among(some).covariance(), 0.0)
-    likely = common[some] * sizes * here / np.maximum(here + noise**2, 1e-30)
+    likely = common * sizes * shown / np.maximum(shown + noise**2, 1e-30)
     along, across = np.sqrt(shown) * sizes * shifts.spread
     return LineDisplacement(
         "target",
@@ -438,7 +381,7 @@ def _describe_one(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:
         float(across),
         float(np.nanmax(np.hypot(*likely.T))),
         float(np.hypot(*(noise * sizes))),
-        course,
+        displaced,
         common * sizes,
         shifts.common_edges,
         slope=shifts.spread < 1,

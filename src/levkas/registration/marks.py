@@ -154,8 +154,8 @@ def compare_marks(
         contrast = float(np.nanstd(image[:height, :width]))
         ceiling *= 1 - one.noise(ground, whiteness() if factor is None else factor, contrast)
     ceiling = max(ceiling, 1e-12) ** 0.5
-    found = (min(v**0.5 / ceiling, 1.0) for v in (shared, shared + sigma))
-    return Marks(*found, len(kept))
+    correlation, at_most = (min(v**0.5 / ceiling, 1.0) for v in (shared, shared + sigma))
+    return Marks(correlation, at_most, len(kept))
 
 
 def confirmed_places(checks: CheckWindows, shape: tuple[int, ...], step: int) -> np.ndarray:

@@ -100,7 +100,7 @@ class VerdictSettings:
         Large blocks that have to agree by their outlines, in number and as a share, where windows are not
         recognised.
     lines : Limits, reference px, or px of the grid where it is coarser
-        Displacement of single lines, the root mean square of both axes, or a quarter of a step or of some lines alone. Honest pictures have 0.04 at
+        Displacement of single lines, the root mean square of both axes. Honest pictures have 0.04 at
         most that is more than chance.
     scan_lines : Limits, px of the grid
         The same of maps of a scan, of which a line is known to lie up to a third of a px aside: it is reported.
@@ -505,11 +505,9 @@ def lines_lie_still(n: Numbers) -> Objection | None:
     """
     lines, followed = n.get("line_displacement"), n.get("line_correction")
     found: list[tuple[Finding | None, str, str]] = []
-    if lines and lines["course"]:
-        # Beside a step, which smooth maps follow in the mean, half of its height is left; so much counts of some lines alone.
-        near = lines["size_px"] / 4 if lines["place"] is not None else 0.0
+    if lines and lines["displaced"]:
         limits = SETTINGS.scan_lines if n.get("scales") else SETTINGS.lines
-        decision = limits.exceeded_by(max(lines["rms_px"], near) / lines["step"])
+        decision = limits.exceeded_by(lines["rms_px"] / lines["step"])
         found.append((decision, *describe_displacement(lines)))
     if followed:
         decision = SETTINGS.lines.exceeded_by(followed["uneven_px"] / followed["before"]["step"])
