@@ -1,19 +1,14 @@
-"""Tiles joined: real ones, tiles cut from paintings by known maps, and a mosaic of tens of thousands of simulated observations.
+"""Tiles joined: real ones, and tiles cut from paintings by known maps.
 
     python benchmarks/tiles.py --data FOLDER [--seeds 2] [--results results.json]
-    python benchmarks/tiles.py --tiles 30000 [--results results.json]
-    python benchmarks/tiles.py --surfaces [--results results.json]
     python benchmarks/tiles.py --build FOLDER [--columns 6] [--rows 4] [--size 4000 3000] [--others-in 2x2 4x3]
 
 The first form takes the tiles of a polished section (`tiles-section`, grey JPEG files named by row and column) and paintings (`paintings`)
-in the folder. Of the real tiles there is no truth: how well windows agree after one adjustment, and how well loops close, with the lens and
+in the folder. Of the real tiles there is no truth: how well windows agree after one adjustment, with the lens and
 as plain homographies. The paintings are cut into tiles of 360 x 300 px, turned, tilted and scaled at random, seen through a lens of 1 %, with
 noise, and joined again; the error of all px, against the cut and after one homography of the whole, stands beside that of a chain of key
 points from tile to tile, of whole-tile correlation at given positions (as ashlar and MIST work) and of OpenCV's bundle adjustment.
-The second form adjusts observations alone: time, memory, and errors over the sigma that the adjustment promises.
-The third photographs panels that are not flat: nine tiles of 600 x 500 px by a pinhole camera, 1,500 px away, that a stage moves, every ray traced to
-the surface; by how much two tiles put one place of the panel apart where both see it, placed as on one plane and as Levkas places them.
-The fourth builds a database from tiles of a photograph (by default of 12 Mpx) and from tiles of one or two other cameras that lie on all of it, in a new
+The second form builds a database from tiles of a photograph (by default of 12 Mpx) and from tiles of one or two other cameras that lie on all of it, in a new
 folder of some 0.7 GB a tile: time, memory, and the errors of both cameras against the planted maps.
 """
 
@@ -39,10 +34,7 @@ from levkas.database.pixel_frames import map_points
 from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Affine, Composed, Homography, Inverse, Lens
 from levkas.registration import BandImage
-from levkas.registration.tiles import adjustment, place_tiles
-from levkas.registration.tiles.adjustment import Windows, adjust
-from levkas.registration.tiles.tile_maps import SHARED, TileFrame, TileMaps
-from levkas.stages.tile_placement import OVERLAP_UNKNOWNS
+from levkas.registration.tiles import place_tiles
 
 TABLE = "tiles"
 SIZE = (360, 300)
@@ -251,211 +243,9 @@ def real(folder):
     values = {}
     for way, lens in (("Levkas", True), ("Levkas, plain homographies", False)):
         placed = place_tiles(tiles, lens=lens)
-        loops = [loop["closure"] for loop in placed.loops]
-        print(
-            f"{way:28} rms {placed.rms:.3f} px  loops {max(loops):.3f} px  left-out windows {placed.errors}"
-        )
-        values[way, "real tiles, rms"], values[way, "real tiles, loops"] = placed.rms, max(loops)
+        print(f"{way:28} rms {placed.rms:.3f} px  left-out windows {placed.errors}")
+        values[way, "real tiles, rms"] = placed.rms
     return values
-
-
-# --- panels that are not flat
-
-SEEN, AWAY, PITCH = np.array([600, 500]), 1500.0, 0.75
-PANEL = SEEN * (1 + 2 * PITCH)
-#: Of its width; bent as a cylinder, recessed smoothly over half of the panel, stepped over 5 % of its width.
-SURFACES = {
-    "flat": lambda x, y: 0 * x,
-    "bent 1 %": lambda x, y: PANEL[0] * 0.04 * x**2,
-    "recessed 0.3 %": lambda x, y: -PANEL[0] * 0.003 * np.exp(-(x**2 + y**2) / 0.18),
-    "recessed 1 %": lambda x, y: -PANEL[0] * 0.01 * np.exp(-(x**2 + y**2) / 0.18),
-    "stepped 0.5 %": lambda x, y: (
-        PANEL[0] * 0.0025 * np.tanh((np.maximum(abs(x), abs(y)) - 0.3) / 0.025)
-    ),
-}  # fmt: skip
-
-
-class Pinhole:
-    """A camera above the panel: px to rays, rays to the surface, and back."""
-
-    def __init__(self, middle, rng):
-        lean, turn = rng.normal(size=2) * 1e-3, rng.normal() * 5e-3
-        turned, _ = cv2.Rodrigues(np.array([*lean, turn]))
-        self.axes = turned
-        self.place = np.append(middle + rng.normal(size=2) * 4, AWAY * (1 + rng.normal() * 1e-3))
-        self.middle = (SEEN - 1) / 2
-
-    def hit(self, points, surface):
-        flat = (points - self.middle) / (SEEN[0] / 2)
-        for _ in range(8):  # its lens: 0.6 % at the rim
-            flat = (points - self.middle) / (SEEN[0] / 2) / (1 + 0.006 * (flat**2).sum(1)[:, None])
-        rays = np.column_stack([flat * SEEN[0] / 2, np.full(len(flat), -AWAY)]) @ self.axes.T
-        along = np.full(len(rays), 1.0)
-        for _ in range(60):
-            place = self.place + along[:, None] * rays
-            height = surface(*((place[:, :2] - PANEL / 2) / PANEL[0]).T)
-            along += (place[:, 2] - height) / -rays[:, 2]
-        return self.place + along[:, None] * rays
-
-    def see(self, places):
-        seen = (places - self.place) @ self.axes
-        flat = seen[:, :2] / -seen[:, 2:] * AWAY / (SEEN[0] / 2)
-        return flat * (1 + 0.006 * (flat**2).sum(1)[:, None]) * SEEN[0] / 2 + self.middle
-
-
-def photographed(surface, seed):
-    """Return pictures of nine tiles, and their cameras."""
-    rng = np.random.default_rng(seed)
-    shape = tuple((PANEL[::-1] + 200).astype(int))
-    total = np.zeros(shape)
-    for blur in (1.3, 2.5, 6.0, 15.0):
-        layer = cv2.GaussianBlur(rng.standard_normal(shape), (0, 0), blur)
-        total += layer / layer.std()
-    paint = spline_filter(0.5 + 0.08 * total)
-    x, y = np.meshgrid(np.arange(SEEN[0]), np.arange(SEEN[1]))
-    points = np.stack([x.ravel(), y.ravel()], 1).astype(float)
-    tiles, cameras = {}, {}
-    for row, column in np.ndindex(3, 3):
-        camera = Pinhole(np.array([column, row]) * PITCH * SEEN + SEEN / 2, rng)
-        places = camera.hit(points, surface)[:, 1::-1].T + 100
-        seen = map_coordinates(paint, places, order=3, prefilter=False, mode="nearest")
-        seen = seen.reshape(SEEN[::-1]) + rng.normal(size=SEEN[::-1]) * 0.008
-        name = f"r{row}c{column}"
-        tiles[name], cameras[name] = BandImage.of("1", seen.astype(np.float32)), camera
-    return tiles, cameras
-
-
-def apart(transforms, cameras, surface):
-    """Return by how much neighbours put places apart that both see, mosaic px."""
-    x, y = (np.linspace(0, side - 1, 41) for side in SEEN)
-    points, found = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2), []
-    for one, other in combinations(sorted(transforms), 2):
-        there = cameras[other].see(cameras[one].hit(points, surface))
-        both = ((there >= 0) & (there <= SEEN - 1)).all(1)
-        if both.sum() > 50:
-            off = transforms[one](points[both]) - transforms[other](there[both])
-            found.append(np.linalg.norm(off, axis=1))
-    return np.concatenate(found)
-
-
-def surfaces():
-    values = {}
-    least = adjustment.LEAST_TILES
-    for name, surface in SURFACES.items():
-        tiles, cameras = photographed(surface, 0)
-        for way, tried in (("one plane", 10**9), ("Levkas", least)):
-            adjustment.LEAST_TILES = tried
-            placed = place_tiles(tiles)
-            off = apart(placed.transforms, cameras, surface)
-            values[name, f"{way}, mean"] = float(off.mean())
-            values[name, way] = float(off.max())
-        beside = [
-            (OVERLAP_UNKNOWNS * o["sigma"] ** 2 + max(o["off"], o["misfit"]) ** 2)
-            for o in placed.overlaps
-            if o["used"]
-        ]
-        values[name, "error over sigma"] = float(np.sqrt((off**2).mean() / 2 / np.mean(beside)))
-        print(
-            f"{name:42}",
-            {w: round(v, 3) for (n, w), v in values.items() if n == name},
-            f"parallax {placed.surface:.1f} px",
-            {k: round(v, 3) for k, v in placed.errors.items()},
-            flush=True,
-        )
-    return values
-
-
-# --- very many tiles, observations alone
-
-
-def simulate(rows, columns, rng, *, noise=0.03):
-    """Return windows of a mosaic, where to begin, and the planted maps: tiles of 4000 x 3000 px that overlap by 12 %."""
-    size = (4000, 3000)
-    frame = TileFrame.of_size(size)
-    step = np.array(size) * 0.88
-    index = np.arange(rows * columns).reshape(rows, columns)
-    across = np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()], 1)
-    down = np.stack([index[:-1].ravel(), index[1:].ravel()], 1)
-    pairs = np.concatenate([across, down])
-    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    count = rows * columns
-    own = np.zeros((count, 8))
-    nominal = np.stack([index.ravel() % columns, index.ravel() // columns], 1) * step
-    angle, scale = rng.normal(size=count) * 2e-3, 1 + rng.normal(size=count) * 3e-5
-    own[:, 0], own[:, 1] = (
-        frame.spread * scale * np.cos(angle),
-        frame.spread * scale * np.sin(angle),
-    )
-    own[:, 2:4] = nominal + rng.normal(size=(count, 2)) * 20
-    own[:, 6:] = rng.normal(size=(count, 2)) * 1e-4 * frame.spread
-    shared = np.zeros(SHARED)
-    shared[:4] = np.array([0.008, -0.001, 2e-4, -1e-4]) * frame.spread
-    truth = TileMaps(frame, own, shared)
-    first, second = [], []
-    u, v = np.meshgrid([-0.055, 0.0, 0.055], np.linspace(-0.42, 0.42, 4))
-    for side in (0, 1):
-        cross = np.stack([u.ravel(), v.ravel()], 1)[:, :: 1 if side == 0 else -1] * size
-        first.append(cross + frame.centre + 0.44 * step_along(side, size))
-    which = (pairs[:, 1] - pairs[:, 0] != 1).astype(int)
-    points = np.array(first)[which]
-    overlap = np.repeat(np.arange(len(pairs)), points.shape[1])
-    points = points.reshape(-1, 2)
-    tile = pairs[overlap]
-    place = truth(tile[:, 0], points)
-    partner = points - np.array([step_along(0, size), step_along(1, size)])[which[overlap]] * 0.88
-    for _ in range(6):
-        there, by_px, _, _ = truth.linearised(tile[:, 1], partner)
-        partner = partner + np.linalg.solve(by_px, (place - there)[..., None])[..., 0]
-    second = partner + rng.normal(size=points.shape) * noise
-    information = np.broadcast_to(np.eye(2) / noise**2, (len(points), 2, 2)).copy()
-    begin = np.zeros((count, 8))
-    begin[:, 0], begin[:, 2:4] = frame.spread, nominal
-    windows = Windows(pairs, overlap, points, second, information)
-    return windows, TileMaps(frame, begin, np.zeros(SHARED)), truth
-
-
-def step_along(side, size):
-    return np.array([size[0], 0.0]) if side == 0 else np.array([0.0, size[1]])
-
-
-def many(count):
-    rows = max(2, round(np.sqrt(count * 0.75)))
-    columns = max(2, round(count / rows))
-    windows, begin, truth = simulate(rows, columns, np.random.default_rng(0))
-    clock = time.process_time()
-    adjusted = adjust(windows, begin)
-    minutes = (time.process_time() - clock) / 60
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    tiles = np.arange(rows * columns)
-    middle = np.tile(begin.frame.centre, (len(tiles), 1))
-    ours, theirs = adjusted.maps(tiles, middle), truth(tiles, middle)
-    some = slice(None, None, 1 + len(tiles) // 500)
-    off = Homography.fit(ours[some], theirs[some])(ours) - theirs
-    variance = np.array([np.trace(adjusted.place_covariance(k, middle[:1])[0]) / 2 for k in tiles])
-    away = np.linalg.norm(
-        (theirs - theirs.mean(0)) / (np.ptp(theirs, axis=0) / 2), axis=1, ord=np.inf
-    )
-    print(
-        f"{rows} x {columns} tiles, {len(windows.pairs)} overlaps, {len(windows.overlap)} windows: {minutes:.1f} min, {memory:.2f} GB, rms {adjusted.rms:.4f} px"
-    )
-    for low, high in ((0, 0.25), (0.25, 0.5), (0.5, 0.75), (0.75, 0.95), (0.95, 1.1)):
-        here = (away >= low) & (away < high)
-        print(
-            f"  {low:.2f}–{high:.2f} of the way out: error {np.sqrt((off[here] ** 2).mean()):.3f} px, promised {np.sqrt(variance[here].mean()):.3f}"
-        )
-    near = windows.pairs
-    relative = np.sqrt(((off[near[:, 0]] - off[near[:, 1]]) ** 2).mean())
-    error, promised = np.sqrt((off**2).mean()), np.sqrt(variance.mean())
-    print(
-        f"  all: error {error:.3f} px along an axis, promised {promised:.3f}; of neighbours to one another {relative:.3f}; deviations {adjusted.deviations}"
-    )
-    return {
-        "30,000 tiles, time": minutes,
-        "30,000 tiles, memory": memory,
-        "30,000 tiles, error": float(error),
-        "30,000 tiles, error of neighbours to one another": float(relative),
-        "30,000 tiles, error over sigma": float(error / promised),
-    }
 
 
 # --- a whole build
@@ -560,8 +350,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path)
     parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--tiles", type=int)
-    parser.add_argument("--surfaces", action="store_true")
     parser.add_argument("--build", type=Path)
     parser.add_argument("--rows", type=int, default=4)
     parser.add_argument("--columns", type=int, default=6)
@@ -577,10 +365,6 @@ def main() -> None:
         others = [tuple(map(int, one.split("x"))) for one in given.others_in]
         built = whole_build(given.build, given.rows, given.columns, given.size, others)
         record(given.results, TABLE + "-build", built)
-    if given.surfaces:
-        record(given.results, TABLE + "-surfaces", surfaces())
-    if given.tiles:
-        record(given.results, TABLE + "-many", many(given.tiles))
     if given.data:
         values = real(given.data / "tiles-section")
         values |= paintings(given.data / "paintings", given.seeds)

@@ -468,8 +468,8 @@ def test_interlaced_halves_are_never_accepted(painting, front, apart, decision):
 def test_less_than_the_limit_is_accepted_and_named(painting, front):
     found = register(front, scan(painting, along(0.12 * (LINE % 2 - 0.5)), noise=0.002))
     assert found.verdict.decision == "accept" and found.verdict.next_step == ""
-    followed = found.verdict.numbers["sensor"]["verification"]["line_correction"]
-    assert followed["before"]["rms_px"] == pytest.approx(0.06, rel=0.2)
+    lines = found.verdict.numbers["sensor"]["verification"]["line_displacement"]
+    assert lines["rms_px"] == pytest.approx(0.06, rel=0.2)
     assert found.sigma["1"].values.min() > 0.04
 
 

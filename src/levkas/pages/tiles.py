@@ -63,15 +63,6 @@ def _describe_tiles(record: Mapping[str, Any]) -> list[str]:
             f"Lines are the {counted(len(used), 'overlap')} that place them; after the adjustment {' and '.join(worst['tiles'])} are "
             f"the farthest apart, by {worst['off']:.3f} px."
         )
-    if surface := placement.get("surface"):
-        texts.append(
-            f"The object is not flat: neighbours see its parts displaced against one another by up to {surface:.1f} px, which is followed."
-        )
-    if loops := placement.get("loops"):
-        worst = max(loops, key=lambda one: one["closure"])
-        texts.append(
-            f"{counted(len(loops), 'loop')} of tiles close to {worst['closure']:.3f} px or better."
-        )
     return texts
 
 

@@ -314,13 +314,15 @@ def _displaced_lines(shifts: LineShifts, axis: int) -> slice | None:
 def _is_feigned(shifts: LineShifts, sizes: np.ndarray) -> bool:
     """Return whether a coder's blocks or edges along the lines explain what parts have in common.
 
-    Blocks of JPEG move what lies at their borders by a tenth of a pixel, every eighth line alike.
+    Blocks of JPEG move what lies at their borders by a tenth of a pixel, every eighth line alike; odd and even lines that lie apart do not.
     """
     lines = np.arange(len(shifts.shift))[:, None]
     eighths = lines % SETTINGS.block == np.arange(SETTINGS.block - 1)
     rms = float(np.sqrt((shifts.covariance() * sizes**2).clip(0).sum()))
-    blocks = _share_of(eighths.astype(float), shifts, sizes)
-    if blocks > SETTINGS.least_share and rms < SETTINGS.most_of_blocks:
+    blocks, halves = (
+        _share_of(basis.astype(float), shifts, sizes) for basis in (eighths, lines % 2)
+    )
+    if blocks - halves > SETTINGS.least_share and rms < SETTINGS.most_of_blocks:
         return True
     return _share_of(_beside_edges(shifts), shifts, sizes) > SETTINGS.least_share
 

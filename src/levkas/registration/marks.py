@@ -124,7 +124,12 @@ def compare_marks(
     """
     height, width = (min(n) for n in zip(reference.shape, target.shape, strict=True))
     edge = REACH + MARGIN
-    where = where[:height, :width]
+    reference, target = (
+        np.pad(image[:height, :width], MARGIN, constant_values=np.nan)
+        for image in (reference, target)
+    )
+    where = np.pad(where[:height, :width], MARGIN)
+    height, width = where.shape
     places = [
         (y, x)
         for y in range(edge, height - WINDOW - edge + 1, WINDOW)
@@ -151,7 +156,7 @@ def compare_marks(
     shared, sigma = _correlate(a, b, ground[kept].astype(np.float32))
     ceiling = 1.0
     for one, image, factor in zip(details, (reference, target), white, strict=True):
-        contrast = float(np.nanstd(image[:height, :width]))
+        contrast = float(np.nanstd(image))
         ceiling *= 1 - one.noise(ground, whiteness() if factor is None else factor, contrast)
     ceiling = max(ceiling, 1e-12) ** 0.5
     correlation, at_most = (min(v**0.5 / ceiling, 1.0) for v in (shared, shared + sigma))

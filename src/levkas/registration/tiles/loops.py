@@ -1,48 +1,14 @@
-"""Loops of overlapping tiles: which overlaps do not close theirs, and tiles laid along the strongest ones."""
+"""Loops of three overlapping tiles: which overlaps do not close theirs, and tiles laid along the strongest ones."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from levkas.geometry.transforms import Affine
 
 Pair = tuple[str, str]
-
-
-def short_loops(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, ...]]:
-    """Return the loops of three tiles, and those of four that no overlap cuts short.
-
-    >>> short_loops([(0, 1), (1, 2), (2, 3), (0, 3)])
-    [(0, 1, 2, 3)]
-    >>> short_loops([(0, 1), (1, 2), (0, 2)])
-    [(0, 1, 2)]
-    """
-    near: dict[int, set[int]] = {}
-    for a, b in pairs:
-        near.setdefault(a, set()).add(b)
-        near.setdefault(b, set()).add(a)
-    found = set()
-    for a, b in sorted(map(tuple, map(sorted, pairs))):
-        found |= {tuple(sorted((a, b, c))) for c in near[a] & near[b]}
-        for c in near[b] - near[a] - {a}:
-            for d in (near[c] & near[a]) - near[b] - {b}:
-                loop = (a, b, c, d)
-                at = loop.index(min(loop))
-                turned = loop[at:] + loop[:at]
-                found.add(turned if turned[1] < turned[3] else (turned[0], *turned[:0:-1]))
-    return sorted(found)
-
-
-def closure(loop: Sequence[str], maps: Mapping[Pair, Affine], size: tuple[int, int]) -> float:
-    """Return by how much the middle of a loop's first tile is moved once around it, px, were all scales 1."""
-    point = (np.array(size, float)[None] - 1) / 2
-    begin = point
-    for a, b in zip(loop, (*loop[1:], loop[0]), strict=True):
-        point = maps[a, b](point) if (a, b) in maps else maps[b, a].inverse(point)
-    return float(np.hypot(*(point - begin)[0]))
 
 
 def consistent_pairs(
@@ -67,15 +33,12 @@ def consistent_pairs(
     """
     kept = sorted(maps)
     refused: dict[Pair, float] = {}
-    names = sorted({name for pair in kept for name in pair})
-    number = {name: k for k, name in enumerate(names)}
+    middle = (np.array(size, float)[None] - 1) / 2
     loops = []
-    for loop in short_loops([(number[a], number[b]) for a, b in kept]):
-        around = [names[k] for k in loop]
-        edges = [
-            (min(a, b), max(a, b)) for a, b in zip(around, (*around[1:], around[0]), strict=True)
-        ]
-        loops.append((edges, closure(around, maps, size)))
+    for a, b in kept:
+        for c in (name for one, name in kept if one == b and (a, name) in maps):
+            there = maps[a, c].inverse(maps[b, c](maps[a, b](middle)))
+            loops.append((((a, b), (b, c), (a, c)), float(np.hypot(*(there - middle)[0]))))
     while True:
         votes = {pair: [0, 0] for pair in kept}
         for edges, off in loops:
@@ -129,18 +92,6 @@ def _joined_to(laid: Affine, name: str, other: str, maps: Mapping[Pair, Affine])
     linear = laid.matrix[:, :2] @ linear
     whole = laid.matrix[:, :2] @ shift + laid.matrix[:, 2]
     return Affine(np.column_stack([linear, whole]))
-
-
-def loop_records(joined: Sequence[str], pairs: np.ndarray, off: np.ndarray) -> list[dict[str, Any]]:
-    """Return by how much every shortest loop of `pairs`, (m, 2), that are `off`, (m, 2), does not close, px."""
-    place = {(int(i), int(j)): off[k] for k, (i, j) in enumerate(pairs)}
-    records = []
-    for loop in short_loops([tuple(pair) for pair in pairs.tolist()]):
-        total = np.zeros(2)
-        for i, j in zip(loop, (*loop[1:], loop[0]), strict=True):
-            total += place[i, j] if (i, j) in place else -place[j, i]
-        records.append({"tiles": [joined[i] for i in loop], "closure": float(np.hypot(*total))})
-    return records
 
 
 def components(names: list[str], pairs: list[Pair]) -> list[list[str]]:

@@ -1,4 +1,4 @@
-"""Tiles of a painting on one plane: neighbours, overlaps, loops, one adjustment, and what is left out."""
+"""Tiles of a painting on one plane: neighbours, overlaps, one adjustment, and what is left out."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ from levkas.registration.placed_by_hand import leverage
 from levkas.registration.record import RegistrationRefused
 from levkas.registration.tiles.adjustment import (
     Adjustment,
-    AdjustmentTerms,
     Windows,
     adjust,
-    choose_terms,
+    choose_lens,
     overlap_misfits,
     overlap_offsets,
 )
@@ -29,7 +28,6 @@ from levkas.registration.tiles.loops import (
     components,
     consistent_pairs,
     lay_along_tree,
-    loop_records,
 )
 from levkas.registration.tiles.neighbours import (
     STAGE_SHARE,
@@ -39,6 +37,8 @@ from levkas.registration.tiles.overlap_search import OverlapSearch, Pair
 from levkas.registration.tiles.tile_maps import OWN, SHARED, TileFrame, TileMaps, similar
 from levkas.registration.tiles.tile_record import TilePlacement
 
+#: Tiles of a mosaic, at most.
+MOST_TILES = 200
 #: Share of a tile that another one shows too from which it is there twice.
 TWICE_SHARE = 0.95
 #: Px, and times the common rms, by which an overlap may be off after the adjustment.
@@ -87,12 +87,23 @@ def place_tiles(
     Raises
     ------
     RegistrationRefused
-        ``E_TILES`` where no two tiles overlap.
+        ``E_TILES`` where no two tiles overlap, or of more than 200.
 
     Notes
     -----
     A block adjustment as photogrammetry has it ([brown1976]_), of windows in place of tie points; docs/explanation/tiles.md describes it.
     """
+    if len(tiles) > MOST_TILES:
+        raise RegistrationRefused(
+            Problem(
+                "E_TILES",
+                "there are too many tiles",
+                field="tiles",
+                found=f"{len(tiles)} tiles",
+                expected=f"at most {MOST_TILES}",
+                fix="Join parts of the mosaic by a program for microscopes, and build from these.",
+            )
+        )
     with steady_libraries():
         return _Mosaic(OverlapSearch(tiles, starts or {}, by_hand or {}), lens).place()
 
@@ -109,9 +120,9 @@ class _Mosaic:
     def place(self) -> TilePlacement:
         self.overlaps.run()
         self._leave_out_twins()
-        joined, adjusted = self._adjusted(AdjustmentTerms(self.lens, covariance=False))
+        joined, adjusted = self._adjusted(lens=self.lens, alike=True)
         if self._measure_predicted(joined, adjusted):
-            joined, adjusted = self._adjusted(AdjustmentTerms(self.lens, covariance=False))
+            joined, adjusted = self._adjusted(lens=self.lens, alike=True)
         return self._placement(joined)
 
     # --- overlaps
@@ -184,12 +195,12 @@ class _Mosaic:
 
     # --- adjustment
 
-    def _adjusted(self, terms: AdjustmentTerms) -> tuple[list[str], Adjustment]:
+    def _adjusted(self, *, lens: bool, alike: bool = False) -> tuple[list[str], Adjustment]:
         """Return the tiles that are joined, and their adjustment; overlaps that contradict it are refused."""
         for _ in range(ROUNDS):
             joined, pairs = self._joined()
             windows, begin = self._windows(joined, pairs), self._begin(joined, pairs)
-            adjusted = adjust(windows, begin, terms)
+            adjusted = adjust(windows, begin, lens=lens, alike=alike)
             off = overlap_offsets(windows, adjusted)
             size = np.hypot(*off.T)
             most = np.full(len(pairs), max(MOST_OFF_PX, MOST_OFF * adjusted.rms))
@@ -264,12 +275,11 @@ class _Mosaic:
     # --- what is handed back
 
     def _placement(self, joined: list[str]) -> TilePlacement:
-        terms = AdjustmentTerms(lens=False)
-        errors: dict[str, float] = {}
+        lens, errors = False, dict[str, float]()
         if self.lens:
             _, pairs = self._joined()
-            terms, errors = choose_terms(self._windows(joined, pairs), self._begin(joined, pairs))
-        joined, adjusted = self._adjusted(terms)
+            lens, errors = choose_lens(self._windows(joined, pairs), self._begin(joined, pairs))
+        joined, adjusted = self._adjusted(lens=lens)
         _, pairs = self._joined()
         windows = self._windows(joined, pairs)
         off = overlap_offsets(windows, adjusted)
@@ -296,16 +306,13 @@ class _Mosaic:
         shift = Affine(np.array([[1.0, 0, -low[0]], [0, 1, -low[1]]]))
         width, height = (np.ceil(high - low - 1e-6) + 1).astype(int).tolist()
         self._explain_missing(joined + lone)
-        names = ("scale", "shear", "tilt")
         return TilePlacement(
             {name: Composed(one, shift) for name, one in transforms.items()},
             (width, height),
             sigma,
             dict(sorted(self.left_out.items())),
             self._overlap_records(pairs, off, overlap_misfits(windows, adjusted)),
-            loop_records(joined, windows.pairs, off),
-            adjusted.maps.lens if terms.lens else None,
-            adjusted.maps.bend,
+            adjusted.maps.lens if lens else None,
             adjusted.rms,
             errors,
             {
@@ -313,8 +320,6 @@ class _Mosaic:
                 for name in lone
             },
             held,
-            dict(zip(names, adjusted.deviations.tolist(), strict=True)),
-            float(np.hypot(*self._parallax(windows, adjusted).T).max()),
         )
 
     def _sigma_by_hand(self, name: str) -> float:
@@ -343,10 +348,6 @@ class _Mosaic:
             count = sum(self.overlaps.found[p].windows for p in by_hand)
             held |= dict.fromkeys(part, count) if part is not most else {}
         return dict(sorted(held.items()))
-
-    def _parallax(self, windows: Windows, adjusted: Adjustment) -> np.ndarray:
-        one, other = windows.pairs[windows.overlap].T
-        return adjusted.maps.parallax(one, other, adjusted.maps(one, windows.first))
 
     def _gauge(self, maps: TileMaps) -> Affine:
         """Return the similarity after which the first tile is neither turned nor scaled about its middle."""

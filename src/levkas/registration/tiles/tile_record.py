@@ -27,24 +27,16 @@ class TilePlacement:
     overlaps : list of dict
         Of every pair of tiles that was used or refused: `tiles`, `windows`, `rms` and `sigma` (px), `held_out` (px), `off` (px after the
         adjustment, of all windows), `misfit` (px along an axis, of windows beside one another), `used`, `reason`.
-    loops : list of dict
-        `tiles` of every shortest loop, and by how much it does not close, `closure` (px), before overlaps are adjusted.
     lens : Lens or None
         Which all tiles share: px put right → px.
-    bend : Polynomial or None
-        What the lens leaves, as far as windows left out show it: px put right by it → px put right.
-    surface : float, px
-        By how much a surface off the plane displaces what neighbours both see, in one against the other, the most; 0 where windows left out show no such surface.
     rms : float, px
         Of all windows after the adjustment, along an axis.
     errors : dict of str to float, px
-        In windows left out, of plain homographies (``"none"``), with a lens, with a surface off the plane, and with a bend.
+        In windows left out, of plain homographies (``"none"``) and with a lens.
     by_position : dict of name to str
         Tiles that no overlap holds and that lie where their position says; why.
     by_hand : dict of name to int
         Tiles that only pairs by hand hold, which no picture confirms; how many pairs.
-    deviations : dict of str to float, px
-        What tiles differ by in `scale`, `shear`, `tilt`, at the rim.
     """
 
     transforms: dict[str, Transform]
@@ -52,15 +44,11 @@ class TilePlacement:
     sigma: dict[str, float]
     left_out: dict[str, str]
     overlaps: list[dict[str, Any]]
-    loops: list[dict[str, Any]]
     lens: Lens | None
-    bend: Transform | None
     rms: float
     errors: dict[str, float]
     by_position: dict[str, str] = field(default_factory=dict)
     by_hand: dict[str, int] = field(default_factory=dict)
-    deviations: dict[str, float] = field(default_factory=dict)
-    surface: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready record."""
@@ -73,27 +61,22 @@ class TilePlacement:
             "by_position": self.by_position,
             "by_hand": self.by_hand,
             "overlaps": self.overlaps,
-            "loops": self.loops,
             "lens": self.lens and self.lens.to_dict(),
-            "bend": self.bend and self.bend.to_dict(),
             "rms": self.rms,
             "errors": self.errors,
-            "deviations": self.deviations,
-            "surface": self.surface,
         }
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any]) -> TilePlacement:
         """Read what `to_dict` wrote."""
-        lens, bend = (from_dict(of) if (of := record[key]) else None for key in ("lens", "bend"))
+        lens = from_dict(record["lens"]) if record["lens"] else None
         assert lens is None or isinstance(lens, Lens)
         transforms = {name: from_dict(one) for name, one in record["transforms"].items()}
         width, height = record["size"]
         rest = {
             key: record[key]
             for key in (
-                "sigma", "left_out", "overlaps", "loops", "rms", "errors", "by_position", "by_hand",
-                "deviations", "surface",
+                "sigma", "left_out", "overlaps", "rms", "errors", "by_position", "by_hand",
             )
         }  # fmt: skip
-        return cls(transforms=transforms, size=(width, height), lens=lens, bend=bend, **rest)
+        return cls(transforms=transforms, size=(width, height), lens=lens, **rest)
