@@ -36,7 +36,6 @@ SLOW_S = 2.0
 ENDLESS_S = 30.0
 MOST_BYTES = 256 << 20
 CHART = Chart("two by two", 2, 2, (0, 1, 2, 3))
-SIZES = {"reference_size": (640, 480), "target_size": (320, 240)}
 
 
 class Endless(BaseException):
@@ -165,7 +164,7 @@ def read_pairs(path):
     if is_table_of_frames(path):
         every = list(read_table_of_frames(path).values())
     else:
-        every = [read_points(path, **SIZES)]
+        every = [read_points(path)]
     for points in every:
         finite(points.reference)
         finite(points.target)

@@ -133,13 +133,9 @@ def point_seeds():
         [[1, 2], [11, 21.5], [28, 9]],
         names=("eye", "hand", ""),
         enabled=[True, False, True],
-    ).sized((640, 480), (320, 240))
+    )
     for dialect, facts in DIALECTS.items():
-        first, *other = format_points(points, dialect)
-        suffix = facts.suffixes[0].rpartition(".")[2]
-        beside = {f"{dialect}.target.{suffix}": other[0]} if other else {}
-        name = f"{dialect}.reference.{suffix}" if other else f"{dialect}.points.{suffix}"
-        yield name, first, beside
+        yield f"{dialect}.points{facts.suffix}", format_points(points, dialect), {}
     frames = (
         b"object,camera,band,reference_x,reference_y,x,y\nicon,d80,R,1,2,3,4\nicon,d80,,5,6,7,8\n"
     )

@@ -9,11 +9,6 @@ const DIALECTS: [string, string][] = [
   ["levkas", "Levkas (CSV)"],
   ["bigwarp", "BigWarp (CSV)"],
   ["qgis", "QGIS georeferencer (.points)"],
-  ["hugin", "Hugin (.pto)"],
-  ["elastix", "ITK, elastix (two .txt)"],
-  ["napari", "napari (two CSV)"],
-  ["butterfly", "Butterfly Registrator (CSV)"],
-  ["cpselect", "MATLAB cpselect (.csv)"],
 ];
 const CHUNK = 0x8000; // bytes that one call makes characters of
 
@@ -24,16 +19,15 @@ export function filesDialog(store: Store): HTMLDialogElement {
   const input = make("input", {
     type: "file",
     id: "import",
-    multiple: true,
     "aria-label": "File of control points",
   });
   const status = make("p", { "aria-live": "polite", id: "files-status" });
   const show = (text: string): void => void (status.textContent = text);
   save.addEventListener("click", () => void exportPoints(store, dialect.value).then(show));
   input.addEventListener("change", () => {
-    const files = [...(input.files ?? [])];
+    const file = input.files?.[0];
     input.value = "";
-    if (files.length) void importPoints(store, files).then(show);
+    if (file) void importPoints(store, file).then(show);
   });
   return openableDialog(
     "files",
@@ -46,11 +40,7 @@ export function filesDialog(store: Store): HTMLDialogElement {
     make("h3", {}, "Save"),
     make("div", { class: "actions" }, dialect, save),
     make("h3", {}, "Open"),
-    make(
-      "p",
-      { class: "soft" },
-      "The format is recognised from the file. If the program writes one file per picture, choose both; the reference must come first by name.",
-    ),
+    make("p", { class: "soft" }, "The format is recognised from the file."),
     input,
     status,
   );
@@ -58,30 +48,24 @@ export function filesDialog(store: Store): HTMLDialogElement {
 
 async function exportPoints(store: Store, dialect: string): Promise<string> {
   try {
-    const { files, losses } = await getJson<{
-      files: { name: string; data: string }[];
+    const { name, data, losses } = await getJson<{
+      name: string;
+      data: string;
       losses: string[];
     }>(`${store.path}/export`, { dialect });
-    for (const { name, data } of files) {
-      const bytes = Uint8Array.from(atob(data), (c) => c.charCodeAt(0));
-      saveFile(name, bytes, "application/octet-stream");
-    }
-    const saved = `Saved ${files.map(({ name }) => name).join(" and ")}.`;
-    return [saved, ...losses.map((loss) => `This format cannot store: ${loss}.`)].join(" ");
+    const bytes = Uint8Array.from(atob(data), (c) => c.charCodeAt(0));
+    saveFile(name, bytes, "application/octet-stream");
+    return [`Saved ${name}.`, ...losses.map((loss) => `This format cannot store: ${loss}.`)].join(" ");
   } catch (error) {
     return messageOf(error);
   }
 }
 
-async function importPoints(store: Store, files: File[]): Promise<string> {
-  const isReference = ({ name }: File): boolean => name.includes("reference");
-  files.sort(
-    (a, b) => Number(isReference(b)) - Number(isReference(a)) || a.name.localeCompare(b.name),
-  );
-  const data = await Promise.all(files.map(encode));
+async function importPoints(store: Store, file: File): Promise<string> {
+  const data = await encode(file);
   let answer = "";
   await store.take(async (pairs) => {
-    const body = await getBytes(`${store.path}/import`, { files: data });
+    const body = await getBytes(`${store.path}/import`, { file: data });
     const session = readSession<{ imported: number; known: number }>(body, pairs);
     const { imported, known } = session;
     answer = `${imported} ${imported === 1 ? "pair was" : "pairs were"} imported; ${known} in the file exist already or are disabled.`;

@@ -33,7 +33,7 @@ Truth = Annotated[
 Points = Annotated[
     Path | None,
     typer.Option(
-        help="Check points: CSV with object, camera, band, reference_x, reference_y, x, y, or a file of BigWarp, QGIS, Hugin, napari …"
+        help="Check points: CSV with object, camera, band, reference_x, reference_y, x, y, or a file of BigWarp or QGIS"
     ),
 ]
 Frame = Annotated[
@@ -159,45 +159,25 @@ def map_points(
 def convert(
     source: Annotated[
         Path,
-        typer.Argument(metavar="IN", help="File to read; with two files, that of the reference."),
+        typer.Argument(metavar="IN", help="File to read."),
     ],
     output: Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")],
-    to: Annotated[
-        str,
-        typer.Option(help="levkas, bigwarp, qgis, hugin, elastix, napari, butterfly or cpselect."),
-    ] = "levkas",
-    target: Annotated[
-        Path | None, typer.Option(help="File of the target, if IN holds the reference points only.")
-    ] = None,
+    to: Annotated[str, typer.Option(help="levkas, bigwarp or qgis.")] = "levkas",
     dialect: Annotated[
         str | None,
         typer.Option("--from", help="Dialect of IN; by default detected from its content."),
-    ] = None,
-    reference_size: Annotated[
-        str | None, typer.Option(help="width,height of the reference picture.")
-    ] = None,
-    target_size: Annotated[
-        str | None, typer.Option(help="width,height of the target picture.")
     ] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Convert control points from one program to another, including the pixel origin."""
-    from levkas.registration.control_points import losses, parse_size, read_points, write_points
+    from levkas.registration.control_points import losses, read_points, write_points
 
-    points = read_points(
-        source,
-        target,
-        dialect=dialect,
-        reference_size=parse_size(reference_size),
-        target_size=parse_size(target_size),
-    )
-    paths = write_points(points, output, to, overwrite=overwrite)
+    points = read_points(source, dialect=dialect)
+    write_points(points, output, to, overwrite=overwrite)
     lost = losses(points, to)
     print_report(
-        "points convert", as_json, True, [],
-        points=len(points), written=[str(p) for p in paths], losses=lost,
-    )  # fmt: skip
+        "points convert", as_json, True, [], points=len(points), written=str(output), losses=lost
+    )
     if not as_json:
-        lost_text = "".join(f"; {loss}" for loss in lost)
-        typer.echo(f"{len(points)} points: {', '.join(str(p) for p in paths)}{lost_text}")
+        typer.echo(f"{len(points)} points: {output}{''.join(f'; {loss}' for loss in lost)}")

@@ -345,26 +345,22 @@ class RegistrationView:
             "png": base64.b64encode(png).decode("ascii"),
         }
 
-    def export(self, dialect: str) -> tuple[list[tuple[str, bytes]], list[str]]:
-        """Return the pairs as files of a dialect, with their names, and what it cannot hold."""
+    def export(self, dialect: str) -> tuple[str, bytes, list[str]]:
+        """Return the pairs as a file of a dialect, its name first, and what it cannot hold."""
         from levkas.registration.control_points import DIALECTS, format_points, losses
 
         points = self._points(self.session.view.matches)
         data = format_points(points, dialect)
         parts = [self.capture.object, self.view.frame]
         stem = "_".join(parts if self.view.is_first else [*parts, self.view.sensor.name])
-        names = [stem + suffix for suffix in DIALECTS[dialect].suffixes]
-        return list(zip(names, data, strict=True)), losses(points, dialect)
+        return stem + DIALECTS[dialect].suffix, data, losses(points, dialect)
 
-    def take(self, files: list[bytes], dialect: str | None) -> dict[str, Any]:
+    def take(self, data: bytes, dialect: str | None) -> dict[str, Any]:
         """Add the pairs of a file: those that are there already stay as they are."""
         from levkas.registration.control_points import parse_points
         from levkas.registration.manual_points import nearest_rows
 
-        found = self.session.found
-        points = parse_points(
-            files, dialect=dialect, reference_size=found.size, target_size=found.target_size
-        )
+        points = parse_points(data, dialect=dialect)
         rows = np.hstack([points.reference, points.target])
         matches = self.session.view.matches
         here = np.hstack([matches.reference, matches.target]).reshape(-1, 4)
@@ -379,17 +375,12 @@ class RegistrationView:
     def _points(self, matches: Matches) -> Any:
         from levkas.registration.control_points import ControlPoints
 
-        found = self.session.found
         return ControlPoints(
             matches.reference,
             matches.target,
             names=tuple(map(str, self.session.number().tolist())),
             enabled=matches.state != "removed",
             check=matches.state == "check",
-            reference_frame=f"{self.reference.frame}:{self.reference_band}",
-            target_frame=f"{self.capture.frame}:{self.band}",
-            reference_size=found.size,
-            target_size=found.target_size,
         )
 
     def _reach(self, which: str) -> float:

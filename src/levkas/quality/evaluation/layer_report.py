@@ -32,8 +32,6 @@ from levkas.quality.evaluation.similarity import (
 from levkas.registration.record import DECISIONS
 
 if TYPE_CHECKING:
-    from levkas.registration.control_points.points import Size
-
     Checks = dict[tuple[str, str, str], np.ndarray]
 
 
@@ -227,10 +225,9 @@ def read_check_points(
     Parameters
     ----------
     path : Path
-        A CSV with columns object, camera, band, reference_x, reference_y, x, y, or a file of any
+        A CSV with columns object, camera, band, reference_x, reference_y, x, y, or a file of a
         program that `levkas.registration.control_points` reads.
     database : Path
-        Its layers and their sizes.
     frame : str, optional
         OBJECT/CAMERA[@SETUP][:BAND] of such a file.
 
@@ -249,14 +246,14 @@ def read_check_points(
     from levkas.registration.control_points import PointsRefused
     from levkas.registration.control_points.layers import read_frames, used_pairs
 
-    try:
-        found = read_frames(path, frame, _sizes(database))
-    except PointsRefused as refused:
-        raise EvaluationRefused(*refused.problems) from None
     known = {
         (str(record["object"]), file.stem): tuple(map(str, record.get("bands", ())))
         for file, record in read_registrations(database)
     }
+    try:
+        found = read_frames(path, frame, known)
+    except PointsRefused as refused:
+        raise EvaluationRefused(*refused.problems) from None
     problems = [p for key in found if (p := _unknown_frame(key, known, path))]
     turned = _turned_frames(found, path, database)
     checks = {
@@ -304,17 +301,6 @@ def _unknown_frame(
         ", ".join(there[:20]),
         closest_match(meant, there),
     )
-
-
-def _sizes(database: Path) -> dict[tuple[str, str], tuple[Size, Size]]:
-    """Sizes of the reference and of the target of every layer that was registered to another camera."""
-    sizes = {}
-    for path, record in read_registrations(database):
-        band = next(iter(record.get("bands", {}).values()), None)
-        if band and (record["camera"] != record["reference"]["camera"] or record.get("setup")):
-            ours, theirs = record["reference"]["size"], band["size"]
-            sizes[record["object"], path.stem] = ((ours[0], ours[1]), (theirs[0], theirs[1]))
-    return sizes
 
 
 def checks_by_band(

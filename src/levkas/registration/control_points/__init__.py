@@ -10,7 +10,7 @@ from levkas.registration.control_points.dialects import (
     sniff,
     write_points,
 )
-from levkas.registration.control_points.points import ControlPoints, PointsRefused, parse_size
+from levkas.registration.control_points.points import ControlPoints, PointsRefused
 
 __all__ = [
     "DIALECTS",
@@ -20,7 +20,6 @@ __all__ = [
     "format_points",
     "losses",
     "parse_points",
-    "parse_size",
     "read_points",
     "sniff",
     "write_points",

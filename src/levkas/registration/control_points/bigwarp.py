@@ -48,7 +48,7 @@ def read(data: bytes) -> ControlPoints:
     )
 
 
-def write(points: ControlPoints) -> tuple[bytes, ...]:
+def write(points: ControlPoints) -> bytes:
     """Write landmarks of a plane."""
     table = [
         [name, "true" if on else "false", *target, *reference]
@@ -60,4 +60,4 @@ def write(points: ControlPoints) -> tuple[bytes, ...]:
             strict=True,
         )
     ]
-    return (write_rows(table, quote=True).encode(),)
+    return write_rows(table, quote=True).encode()

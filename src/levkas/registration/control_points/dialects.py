@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,22 +11,8 @@ from levkas.core.files import write_bytes
 from levkas.core.ownership import require_free
 from levkas.core.problems import Problem, unknown_name
 from levkas.core.text import LARGEST_TABLE, TextRefused, check_file
-from levkas.registration.control_points import (
-    bigwarp,
-    butterfly,
-    cpselect,
-    elastix,
-    hugin,
-    napari,
-    qgis,
-    table,
-)
-from levkas.registration.control_points.points import (
-    ControlPoints,
-    PointsRefused,
-    Size,
-    check_lines,
-)
+from levkas.registration.control_points import bigwarp, qgis, table
+from levkas.registration.control_points.points import ControlPoints, PointsRefused, check_lines
 
 
 @dataclass(frozen=True)
@@ -38,24 +23,18 @@ class Dialect:
     ----------
     title : str
         The program, for people.
-    suffixes : tuple of str
-        End of the name of each file that is written: one, or one a picture, reference first.
-    origin : str
-        A key of `points.ORIGINS`.
+    suffix : str
+        End of the name of a file that is written.
     keeps : frozenset of str
-        What it holds beyond the places: names, weights, enabled, check, frames, sizes.
+        What it holds beyond the places: names, weights, enabled, check.
     module : module
-        With `recognises(data)`, `read(data, …)` and `write(points)`.
-    needs_sizes : bool
-        Whether reading needs the sizes of both pictures.
+        With `recognises(data)`, `read(data)` and `write(points)`.
     """
 
     title: str
-    suffixes: tuple[str, ...]
-    origin: str
+    suffix: str
     keeps: frozenset[str]
     module: Any
-    needs_sizes: bool = False
 
     @property
     def recognises(self) -> Callable[[bytes], bool]:
@@ -63,27 +42,11 @@ class Dialect:
         return self.module.recognises
 
 
-def _holds(*what: str) -> frozenset[str]:
-    return frozenset(what)
-
-
-ALL = _holds("names", "weights", "enabled", "check")
-PAIR = (".reference", ".target")
-#: Words of a file of the reference, and of that of the target beside it.
-SIDES = (("reference", "target"), ("fixed", "moving"))
+ALL = frozenset(("names", "weights", "enabled", "check"))
 DIALECTS: dict[str, Dialect] = {
-    "levkas": Dialect("Levkas", (".csv",), "centre", ALL, table),
-    "bigwarp": Dialect("BigWarp", (".csv",), "centre", _holds("names", "enabled"), bigwarp),
-    "qgis": Dialect("QGIS georeferencer", (".points",), "corner, y up", _holds("enabled"), qgis),
-    "hugin": Dialect("Hugin", (".pto",), "centre", _holds("frames", "sizes"), hugin),
-    "elastix": Dialect(
-        "ITK, elastix", tuple(p + ".txt" for p in PAIR), "centre", _holds(), elastix
-    ),
-    "napari": Dialect("napari", tuple(p + ".csv" for p in PAIR), "centre", ALL, napari),
-    "butterfly": Dialect(
-        "Butterfly Registrator", (".csv",), "corner", _holds("frames"), butterfly, needs_sizes=True
-    ),
-    "cpselect": Dialect("MATLAB cpselect", (".csv",), "one", ALL, cpselect),
+    "levkas": Dialect("Levkas", ".csv", ALL, table),
+    "bigwarp": Dialect("BigWarp", ".csv", frozenset(("names", "enabled")), bigwarp),
+    "qgis": Dialect("QGIS georeferencer", ".points", frozenset(("enabled",)), qgis),
 }
 
 
@@ -115,7 +78,7 @@ def sniff(data: bytes) -> str:
             "the format of these control points is unknown",
             found=repr(data[:40].decode("utf-8", "replace").splitlines()[:1])[1:-1] or "nothing",
             expected=", ".join(d.title for d in DIALECTS.values()),
-            fix="Export the points again, or write a CSV: reference_x,reference_y,x,y.",
+            fix="Write a CSV with the columns reference_x,reference_y,x,y; the centre of the first pixel is 0, 0.",
         )
     )
 
@@ -134,56 +97,33 @@ def qgis_without_header(data: bytes) -> bool:
     return 5 <= len(values) <= 8 and values[3] <= 0
 
 
-def parse_points(
-    files: list[bytes],
-    *,
-    dialect: str | None = None,
-    reference_size: Size | None = None,
-    target_size: Size | None = None,
-) -> ControlPoints:
-    """Read control points from the content of one file, or of two, reference first.
+def parse_points(data: bytes, *, dialect: str | None = None) -> ControlPoints:
+    """Read control points from the content of a file.
 
     Parameters
     ----------
-    files : list of bytes
+    data : bytes
     dialect : str, optional
         A key of `DIALECTS`; else it is found from the content.
-    reference_size, target_size : (width, height), px, optional
-        Of both pictures, where the dialect needs them and its files lack them.
 
     Raises
     ------
     PointsRefused
     """
-    for data in files:
-        if len(data) > LARGEST_TABLE:
-            raise PointsRefused(
-                Problem(
-                    "E_SIZE",
-                    "the file of control points is too large",
-                    found=f"{len(data) >> 20} MiB",
-                    expected=f"at most {LARGEST_TABLE >> 20} MiB",
-                )
-            )
-    name = dialect or sniff(files[0])
-    row = _known(name)
-    if len(files) > len(row.suffixes):
+    if len(data) > LARGEST_TABLE:
         raise PointsRefused(
-            Problem("E_VALUE", f"{row.title} writes one file for both pictures", found=len(files))
+            Problem(
+                "E_SIZE",
+                "the file of control points is too large",
+                found=f"{len(data) >> 20} MiB",
+                expected=f"at most {LARGEST_TABLE >> 20} MiB",
+            )
         )
-    sizes = (reference_size, target_size)
-    points = row.module.read(*files, **({"sizes": sizes} if row.needs_sizes else {}))
-    return points.sized(*sizes)
+    return _known(dialect or sniff(data)).module.read(data)
 
 
-def format_points(points: ControlPoints, dialect: str) -> tuple[bytes, ...]:
-    """Return the content of one file, or of two, reference first.
-
-    Raises
-    ------
-    PointsRefused
-        Where the dialect needs sizes that `points` does not have.
-    """
+def format_points(points: ControlPoints, dialect: str) -> bytes:
+    """Return the content of a file."""
     return _known(dialect).module.write(points)
 
 
@@ -192,15 +132,10 @@ def losses(points: ControlPoints, dialect: str) -> list[str]:
 
     Examples
     --------
-    >>> losses(ControlPoints([[0, 0]], [[1, 1]], enabled=[False]), "hugin")
-    ['1 pair that is not enabled is left out']
+    >>> losses(ControlPoints([[0, 0]], [[1, 1]], names=["eye"]), "qgis")
+    ['1 names not kept']
     """
     keeps, sentences = _known(dialect).keeps, []
-    off = int((~points.enabled).sum())
-    if "enabled" not in keeps and off:
-        sentences.append(
-            f"{off} pair{'s' * (off > 1)} that {'are' if off > 1 else 'is'} not enabled {'are' if off > 1 else 'is'} left out"
-        )
     for what, number in (
         ("names", sum(map(bool, points.names))),
         ("weights", int((points.weights != 1).sum())),
@@ -220,59 +155,27 @@ def _known(dialect: str) -> Dialect:
     return DIALECTS[dialect]
 
 
-def read_points(
-    path: str | Path,
-    second: str | Path | None = None,
-    *,
-    dialect: str | None = None,
-    reference_size: Size | None = None,
-    target_size: Size | None = None,
-) -> ControlPoints:
-    """Read control points of any dialect.
-
-    Parameters
-    ----------
-    path : path
-        The file, or that of the reference where the dialect writes one a picture.
-    second : path, optional
-        The file of the target; found beside the first where the names differ by reference and
-        target, or by fixed and moving.
-    dialect : str, optional
-        A key of `DIALECTS`; else it is found from the content.
-    reference_size, target_size : (width, height), px, optional
+def read_points(path: str | Path, *, dialect: str | None = None) -> ControlPoints:
+    """Read control points of any dialect: a key of `DIALECTS`, else found from the content.
 
     Raises
     ------
     PointsRefused
         With the file.
     """
-    paths = [Path(path)]
+    path = Path(path)
     try:
-        files = [_bytes(paths[0])]
-        name = dialect or sniff(files[0])
-        both = len(DIALECTS[name].suffixes) == 2 if name in DIALECTS else False
-        other = Path(second) if second else (_partner(paths[0]) if both else None)
-        if other is not None:
-            paths.append(other)
-            files.append(_bytes(other))
-        return parse_points(
-            files, dialect=name, reference_size=reference_size, target_size=target_size
-        )
+        return parse_points(_bytes(path), dialect=dialect)
     except PointsRefused as refused:
         raise PointsRefused(
-            *(p if p.file else replace(p, file=str(paths[-1])) for p in refused.problems)
+            *(p if p.file else replace(p, file=str(path)) for p in refused.problems)
         ) from None
 
 
 def write_points(
     points: ControlPoints, path: str | Path, dialect: str, *, overwrite: bool = False
-) -> list[Path]:
-    """Write control points; a dialect of two files adds `.reference` and `.target` to the name.
-
-    Returns
-    -------
-    paths : list of Path
-        What was written.
+) -> None:
+    """Write control points.
 
     Raises
     ------
@@ -280,15 +183,9 @@ def write_points(
     WriteRefused
         Where a file of that name exists, unless `overwrite`, or the disk refuses.
     """
-    contents = format_points(points, dialect)
-    path = Path(path)
-    suffixes = DIALECTS[dialect].suffixes
-    paths = [path] if len(contents) == 1 else [path.with_name(path.stem + s) for s in suffixes]
-    for one in paths:
-        require_free(one, overwrite=overwrite)
-    for one, data in zip(paths, contents, strict=True):
-        write_bytes(one, data)
-    return paths
+    data = format_points(points, dialect)
+    require_free(Path(path), overwrite=overwrite)
+    write_bytes(Path(path), data)
 
 
 def _bytes(path: Path) -> bytes:
@@ -302,12 +199,3 @@ def _bytes(path: Path) -> bytes:
         )
         raise PointsRefused(*problems) from None
     return data
-
-
-def _partner(path: Path) -> Path | None:
-    """Return the file of the target beside that of the reference, by its name."""
-    for first, second in SIDES:
-        if re.search(first, path.name, re.IGNORECASE):
-            other = path.with_name(re.sub(first, second, path.name, flags=re.IGNORECASE))
-            return other if other.is_file() else None
-    return None

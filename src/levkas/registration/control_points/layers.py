@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +15,6 @@ from levkas.registration.control_points.dialects import read_points, sniff
 from levkas.registration.control_points.points import (
     ControlPoints,
     PointsRefused,
-    Size,
     decode,
     rows,
     write_rows,
@@ -107,7 +106,7 @@ def parse_frame(text: str) -> Frame:
 
 
 def read_frames(
-    path: Path, frame: str | None, sizes: Mapping[tuple[str, str], tuple[Size, Size]]
+    path: Path, frame: str | None, layers: Collection[tuple[str, str]]
 ) -> dict[Frame, ControlPoints]:
     """Read check points of any kind.
 
@@ -117,8 +116,8 @@ def read_frames(
         A CSV of several frames, or a file of any dialect for one.
     frame : str, optional
         Which one, for the latter; not needed where there is only one.
-    sizes : mapping of (object, layer) to (size of the reference, size of the target)
-        Of all layers that there are.
+    layers : collection of (object, layer)
+        That there are.
 
     Raises
     ------
@@ -132,7 +131,7 @@ def read_frames(
             )
             raise PointsRefused(Problem("E_VALUE", why, str(path), "--frame", frame, expected))
         return read_table_of_frames(path)
-    if frame is None and len(sizes) != 1:
+    if frame is None and len(layers) != 1:
         dialect = sniff(path.read_bytes()[: 1 << 20]) if path.is_file() else ""
         raise PointsRefused(
             Problem(
@@ -140,23 +139,22 @@ def read_frames(
                 "the object and camera of these points are unknown",
                 file=str(path),
                 found=f"a file of {dialect}" if dialect else "no such file",
-                expected=", ".join("/".join(key) for key in sizes),
+                expected=", ".join("/".join(key) for key in layers),
                 fix="Add --frame OBJECT/CAMERA, or write a CSV with the columns object and camera.",
             )
         )
-    name, layer, band = parse_frame(frame) if frame else (*next(iter(sizes)), "")
-    if (name, layer) not in sizes:
+    name, layer, band = parse_frame(frame) if frame else (*next(iter(layers)), "")
+    if (name, layer) not in layers:
         raise PointsRefused(
             Problem(
                 "E_VALUE",
                 f"unknown layer {name}/{layer}",
                 field="frame",
                 found=frame,
-                expected=", ".join("/".join(key) for key in sizes),
+                expected=", ".join("/".join(key) for key in layers),
             )
         )
-    ours, theirs = sizes[name, layer]
-    return {(name, layer, band): read_points(path, reference_size=ours, target_size=theirs)}
+    return {(name, layer, band): read_points(path)}
 
 
 def used_pairs(points: ControlPoints) -> np.ndarray:

@@ -1,17 +1,7 @@
 """Control points: pairs of places in two pictures; the origins and the text files of other programs.
 
-Pixel centres are integers here, and y points down. The centre of the top left pixel, (0, 0), is
-
-======== ============= =====================================================
-origin   coordinates   programs
-======== ============= =====================================================
-centre   (0, 0)        BigWarp, Hugin, ITK and elastix, napari
-corner   (0.5, 0.5)    Butterfly Registrator (a Qt scene)
-y up     (0.5, -0.5)   QGIS: corner, x right, y up, so that rows are negative
-one      (1, 1)        MATLAB: centres, counted from one
-======== ============= =====================================================
-
-Taking one for the other moves a picture by half a pixel, or by one; between two cameras of a
+Pixel centres are integers here, and y points down, as in BigWarp. QGIS counts from the corner of the first pixel, y upwards:
+its centre is (0.5, -0.5). Taking one for the other moves a picture by half a pixel; between two cameras of a
 different sampling the half pixels do not even cancel: 0.5 px of a 3900 px wide picture and 0.5 px of
 a 1392 px wide one differ by 0.5·(1 − 1392/3900) = 0.32 px of the reference.
 """
@@ -21,7 +11,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
@@ -36,15 +26,6 @@ LONGEST_NAME = 200
 LONGEST_LINE, LONGEST_TEXT_LINE = 4096, 4 * 4096
 #: Of a file, empty ones and comments counted: they bound the work of reading it.
 MOST_LINES = 4 * MOST_POINTS
-#: Origin → (scale of x and y, coordinates of the centre of the top left pixel).
-ORIGINS: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
-    "centre": ((1.0, 1.0), (0.0, 0.0)),
-    "corner": ((1.0, 1.0), (0.5, 0.5)),
-    "corner, y up": ((1.0, -1.0), (0.5, -0.5)),
-    "one": ((1.0, 1.0), (1.0, 1.0)),
-}
-
-Size = tuple[int, int]
 
 
 class PointsRefused(Refused):
@@ -67,10 +48,6 @@ class ControlPoints:
         A pair that is not enabled is kept and never used.
     check : array_like of bool, (n,)
         A check point measures and never fits.
-    reference_frame, target_frame : str
-        Names of the frames, or of the files that the points were set in; may be empty.
-    reference_size, target_size : (width, height), px, optional
-        Sizes of both pictures; some dialects cannot do without.
 
     Raises
     ------
@@ -90,10 +67,6 @@ class ControlPoints:
     weights: Any = None
     enabled: Any = None
     check: Any = None
-    reference_frame: str = ""
-    target_frame: str = ""
-    reference_size: Size | None = None
-    target_size: Size | None = None
 
     def __post_init__(self) -> None:
         reference, target = (_pairs(v) for v in (self.reference, self.target))
@@ -116,45 +89,6 @@ class ControlPoints:
 
     def __len__(self) -> int:
         return len(self.reference)
-
-    def keep(self, which: np.ndarray) -> ControlPoints:
-        """Return the pairs where `which`, a mask or an index, says so."""
-        index = np.arange(len(self))[which]
-        return replace(
-            self,
-            reference=self.reference[index],
-            target=self.target[index],
-            names=tuple(self.names[i] for i in index),
-            weights=self.weights[index],
-            enabled=self.enabled[index],
-            check=self.check[index],
-        )
-
-    def sized(self, reference: Size | None, target: Size | None) -> ControlPoints:
-        """Return the same pairs with the sizes of both pictures, where they are given."""
-        return replace(
-            self,
-            reference_size=reference or self.reference_size,
-            target_size=target or self.target_size,
-        )
-
-
-def parse_size(text: str | None) -> Size | None:
-    """Read a size as a person writes it.
-
-    Examples
-    --------
-    >>> parse_size("1392,1040"), parse_size("3900x2600"), parse_size(None)
-    ((1392, 1040), (3900, 2600), None)
-    """
-    if text is None:
-        return None
-    parts = text.lower().replace("x", ",").split(",")
-    if len(parts) != 2 or not all(p.strip().isdecimal() and int(p) > 0 for p in parts):
-        raise PointsRefused(
-            Problem("E_VALUE", "this is not a picture size", found=text[:40], expected="1392,1040")
-        )
-    return int(parts[0]), int(parts[1])
 
 
 def _pairs(values: object) -> np.ndarray:
@@ -214,33 +148,6 @@ def _faults(columns: dict[str, Any], n: int) -> list[Problem]:
             )
         )
     return problems
-
-
-# --- origins of other programs
-
-
-def from_origin(points: np.ndarray, origin: str) -> np.ndarray:
-    """Bring points of another program to centres at integers, y down.
-
-    Examples
-    --------
-    >>> from_origin(np.array([[1.5, -0.75], [10.5, -3.0]]), "corner, y up").tolist()
-    [[1.0, 0.25], [10.0, 2.5]]
-    """
-    scale, first = (np.array(v) for v in ORIGINS[origin])
-    return (np.asarray(points, np.float64).reshape(-1, 2) - first) * scale
-
-
-def to_origin(points: np.ndarray, origin: str) -> np.ndarray:
-    """Bring points with centres at integers to the origin of another program.
-
-    Examples
-    --------
-    >>> to_origin(np.array([[0.0, 0.0]]), "one").tolist()
-    [[1.0, 1.0]]
-    """
-    scale, first = (np.array(v) for v in ORIGINS[origin])
-    return np.asarray(points, np.float64).reshape(-1, 2) * scale + first
 
 
 # --- text files, each refused where it stands

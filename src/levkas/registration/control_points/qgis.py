@@ -19,16 +19,15 @@ from levkas.registration.control_points.points import (
     ControlPoints,
     decode,
     flag,
-    from_origin,
     number,
     rows,
-    to_origin,
     unreadable,
     write_rows,
 )
 
 HEADER = ["mapX", "mapY", "sourceX", "sourceY", "enable", "dX", "dY", "residual"]
-ORIGIN = "corner, y up"
+SCALE, CENTRE = (1.0, -1.0), (0.5, -0.5)
+"""Of x and y, and where the centre of the first pixel lies."""
 _TITLE = re.compile(rb"^[ \t]*\"?map_?x\"?[ \t]*[,;\t ]", re.IGNORECASE | re.MULTILINE)
 """Nothing in it crosses a line: thousands of empty ones would be looked through from each of them."""
 
@@ -64,18 +63,17 @@ def read(data: bytes) -> ControlPoints:
         raise unreadable(
             "a map with a reference system of the earth", "a reference picture without georeference"
         )
-    return ControlPoints(
-        from_origin(place[:, :2], ORIGIN), from_origin(place[:, 2:], ORIGIN), enabled=enabled
-    )
+    reference, target = ((part - CENTRE) * SCALE for part in (place[:, :2], place[:, 2:]))
+    return ControlPoints(reference, target, enabled=enabled)
 
 
-def write(points: ControlPoints) -> tuple[bytes, ...]:
+def write(points: ControlPoints) -> bytes:
     """Write points as QGIS 3.24 and later read them; no reference system is named."""
-    reference, target = (to_origin(p, ORIGIN) for p in (points.reference, points.target))
+    reference, target = (p * SCALE + CENTRE for p in (points.reference, points.target))
     table = [
         [*map_xy, *source_xy, int(on), 0, 0, 0]
         for map_xy, source_xy, on in zip(
             reference.tolist(), target.tolist(), points.enabled, strict=True
         )
     ]
-    return (("#CRS: \n" + write_rows([HEADER, *table])).encode(),)
+    return ("#CRS: \n" + write_rows([HEADER, *table])).encode()

@@ -20,30 +20,22 @@ PLACES = ("reference_x", "reference_y", "x", "y")
 
 def recognises(data: bytes) -> bool:
     """Return whether the first line names the four coordinates."""
-    return names(data, PLACES)
-
-
-def names(data: bytes, places: tuple[str, ...]) -> bool:
-    """Return whether the first line has columns of these names."""
     first = data[:1024].removeprefix(b"\xef\xbb\xbf").split(b"\n")[0].decode("utf-8", "replace")
-    return set(places) <= {cell.strip().strip('"') for cell in first.split(",")}
+    return set(PLACES) <= {cell.strip().strip('"') for cell in first.split(",")}
 
 
-def read(data: bytes, places: tuple[str, ...] = PLACES) -> ControlPoints:
-    """Read pairs and what else the columns say of them.
-
-    `places` are the columns of x and y in the reference, then in the target.
-    """
+def read(data: bytes) -> ControlPoints:
+    """Read pairs and what else the columns say of them."""
     table = rows(decode(data))
     head = [cell.strip() for cell in table[0]] if table else []
-    if not set(places) <= set(head):
-        raise unreadable(",".join(head)[:80] or "nothing", ",".join(places))
+    if not set(PLACES) <= set(head):
+        raise unreadable(",".join(head)[:80] or "nothing", ",".join(PLACES))
     body = table[1:]
     short = next((i for i, row in enumerate(body, start=2) if len(row) < len(head)), None)
     if short is not None:
         raise unreadable(f"too few columns in row {short}", f"{len(head)}")
     cells = {name: [row[i] for row in body] for i, name in enumerate(head)}
-    x, y, u, v = ([number(c, name) for c in cells[name]] for name in places)
+    x, y, u, v = ([number(c, name) for c in cells[name]] for name in PLACES)
     return ControlPoints(
         list(zip(x, y, strict=True)),
         list(zip(u, v, strict=True)),
@@ -54,9 +46,9 @@ def read(data: bytes, places: tuple[str, ...] = PLACES) -> ControlPoints:
     )
 
 
-def write(points: ControlPoints, places: tuple[str, ...] = PLACES) -> tuple[bytes, ...]:
-    """Write every pair with its name, weight and switches, under the names of `read`."""
-    header = ("name", *places, "weight", "enabled", "check")
+def write(points: ControlPoints) -> bytes:
+    """Write every pair with its name, weight and switches."""
+    header = ("name", *PLACES, "weight", "enabled", "check")
     table = [
         [name, *reference, *target, float(weight), int(on), int(check)]
         for name, reference, target, weight, on, check in zip(
@@ -64,4 +56,4 @@ def write(points: ControlPoints, places: tuple[str, ...] = PLACES) -> tuple[byte
             points.weights, points.enabled, points.check, strict=True,
         )
     ]  # fmt: skip
-    return (write_rows([header, *table]).encode(),)
+    return write_rows([header, *table]).encode()

@@ -121,9 +121,6 @@ STATUS: dict[type[Refused], int] = {
 ASSETS = {"workbench.js": "text/javascript", "workbench.css": "text/css"}
 
 
-MOST_FILES = 2
-
-
 MOST_BANDS = 3
 
 
@@ -312,14 +309,14 @@ class Handlers:
 
     def export(self, request: Request, body: dict[str, Any]) -> Response:
         frame = self._frame(request)
-        files, losses = frame.export(str(body.get("dialect", "levkas")))
-        parts = [{"name": n, "data": base64.b64encode(d).decode("ascii")} for n, d in files]
-        return JSONResponse({"ok": True, "files": parts, "losses": losses})
+        name, data, losses = frame.export(str(body.get("dialect", "levkas")))
+        text = base64.b64encode(data).decode("ascii")
+        return JSONResponse({"ok": True, "name": name, "data": text, "losses": losses})
 
     def import_(self, request: Request, body: dict[str, Any]) -> Response:
         frame = self._frame(request)
         with frame.lock:
-            counts = frame.take(_files(body.get("files")), str(body.get("dialect") or "") or None)
+            counts = frame.take(_file(body.get("file")), str(body.get("dialect") or "") or None)
             return _answer({**counts, **describe(frame.session)})
 
     def start_build(self, request: Request, body: dict[str, Any]) -> Response:
@@ -512,16 +509,13 @@ def _corners(value: Any) -> tuple[tuple[float, float], ...]:
     return tuple((_number(x), _number(y)) for x, y in value)
 
 
-def _files(value: Any) -> list[bytes]:
-    good = isinstance(value, list) and 0 < len(value) <= MOST_FILES
+def _file(value: Any) -> bytes:
     try:
-        if good:
-            return [base64.b64decode(str(text), validate=True) for text in value]
-    except (binascii.Error, ValueError):
-        pass
-    raise OperationRefused(
-        Problem("E_VALUE", "no file came", expected=f"one or {MOST_FILES} files, base64")
-    )
+        return base64.b64decode(str(value or ""), validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise OperationRefused(
+            Problem("E_VALUE", "no file came", expected="a file, base64")
+        ) from error
 
 
 def page_of(title: str, name: str) -> str:
