@@ -102,7 +102,12 @@ def test_points_of_a_band_that_is_not_there_are_refused(tmp_path):
 def test_a_changed_file_or_use_is_noticed(tmp_path):
     write_points(PAIRS, tmp_path / "icon1.points", "qgis")
     first = fingerprint_points(campaign(tmp_path, OWN), capture())
-    write_points(PAIRS.keep(np.array([0])), tmp_path / "icon1.points", "qgis", overwrite=True)
+    write_points(
+        ControlPoints(PAIRS.reference[:1], PAIRS.target[:1]),
+        tmp_path / "icon1.points",
+        "qgis",
+        overwrite=True,
+    )
     second = fingerprint_points(campaign(tmp_path, OWN), capture())
     third = fingerprint_points(campaign(tmp_path, OWN + 'use = "seeds"\n'), capture())
     assert first != second and second != third and third != first

@@ -1,12 +1,7 @@
 """Iterative removal of outliers, section 3.5 of [mirhashemi2019]_: one cut, then the worst pair at a time.
 
-The fit is updated, not solved anew, when a pair leaves. With orthonormal rows q of the design,
-G = Σ q qᵀ over the pairs that are kept, z = G⁻¹ q_j and h = q_j·z of the pair j that leaves,
-
-    r_i ← r_i + (q_i·z) r_j / (1 − h),    G⁻¹ ← G⁻¹ + z zᵀ / (1 − h)
-
-([sherman1950]_). A factorisation from scratch, every 256 rounds and whenever too much has left, keeps
-rounding below what could change the order in which pairs leave.
+With orthonormal rows q of the design, the normal matrix Σ q qᵀ over the pairs that are kept loses one term when a pair
+leaves, and is solved anew: as many unknowns as a polynomial has terms. Where little of it is left, the design is made orthonormal anew.
 """
 
 from __future__ import annotations
@@ -28,8 +23,8 @@ if TYPE_CHECKING:
 
 #: Errors that differ by less, px, are equal.
 TIE_PX = 1e-9
-#: Rounds, growth of the inverse, and freedom of a pair in the fit, at which it is factored anew.
-ROUNDS, LARGEST_INVERSE, LEAST_FREEDOM = 256, 50.0, 1e-3
+#: Least eigenvalue of the normal matrix, 1 at first, below which the design is made orthonormal anew.
+LEAST_LEFT = 0.02
 
 
 @dataclass(frozen=True)
@@ -131,13 +126,10 @@ def remove_outliers(
     Errors that differ by less than 1e-9 px are equal; of these the pair that comes first by
     reference x, y, target x, y leaves, so that the order of the pairs does not matter.
     """
-    number = 0
     kept = cut(target, reference, terms.scale, terms.reject)[1]
-    for many in _remove(target, reference, terms, kept, np.zeros(len(kept), bool)):
-        for k, error in enumerate(many.largest.tolist()):
-            model = Polynomial(terms.order, many.centre, many.spread, many.models[k])
-            yield RemovalRound(number, model, int(many.worst[k]), error, not error <= terms.stop)
-            number += 1
+    rounds = _remove(target, reference, terms, kept, np.zeros(len(kept), bool))
+    for number, (model, worst, largest) in enumerate(rounds):
+        yield RemovalRound(number, model, worst, largest, not largest <= terms.stop)
 
 
 @dataclass(frozen=True)
@@ -199,7 +191,7 @@ def clean(
     if dropped is not None:
         errors, kept = np.where(dropped, np.inf, errors), kept & ~dropped
     frames = size, frame_corners(target_size)
-    rounds: list[_Many] = []
+    rounds: list[_Round] = []
     try:
         rounds.extend(_remove(target, reference, terms, kept, stays))
     except RegistrationRefused as refusal:
@@ -210,13 +202,13 @@ def clean(
     left = np.where(trace.kept_at(0), -1, 0)
     gone = trace.removed[trace.removed >= 0]
     left[gone] = np.arange(1, len(gone) + 1)
-    models = np.concatenate([many.models for many in rounds])
-    model = Polynomial(terms.order, rounds[-1].centre, rounds[-1].spread, models[-1])
+    model = rounds[-1][0]
     residual = np.linalg.norm(model(target) - reference, axis=1)
     design = design_matrix(target[kept], terms.order, model.centre, model.spread)
     without = residual.copy()
     leverage = np.square(np.linalg.qr(design)[0]).sum(1)
     without[kept] /= np.maximum(1 - leverage, 1e-12)
+    models = np.stack([one.coefficients for one, _, _ in rounds])
     return Cleaned(model, kept, left, residual, without, trace, models)
 
 
@@ -230,15 +222,8 @@ def frame_corners(size: tuple[int, int]) -> np.ndarray:
     return np.array([[0, 0], [w, 0], [w, h], [0, h]], float) - 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class _Many:
-    """Rounds that one factorisation carried: their models, the pairs that leave, their errors."""
-
-    centre: np.ndarray
-    spread: float
-    models: np.ndarray
-    worst: np.ndarray
-    largest: np.ndarray
+_Round = tuple[Polynomial, int, float]
+"""Model of a round, the pair that leaves, and its error."""
 
 
 def _remove(
@@ -247,8 +232,8 @@ def _remove(
     terms: RemovalTerms,
     kept: np.ndarray,
     stays: np.ndarray,
-) -> Iterator[_Many]:
-    """Yield the rounds from the pairs `kept`, (n,) bool, on, many at a time; those of `stays` never leave."""
+) -> Iterator[_Round]:
+    """Yield the rounds from the pairs `kept`, (n,) bool, on; those of `stays` never leave."""
     target, reference = np.asarray(target, float), np.asarray(reference, float)
     # In the order in which equals leave.
     rows = np.lexsort((*target.T[::-1], *reference.T[::-1]))
@@ -262,66 +247,25 @@ def _remove(
         q, r = np.linalg.qr(design)
         if (np.abs(np.diag(r)) <= 1e-10 * np.linalg.norm(design, axis=0)).any():
             raise _undetermined(len(rows), terms.order)
-        history, worst, largest = _leave(q, reference[rows] - middle, terms.stop, ~stays[rows])
-        models = np.linalg.solve(r, np.concatenate(history, 1)).reshape(len(r), -1, 2)
-        models = models.transpose(1, 0, 2).copy()
-        models[:, 0] += middle
-        yield _Many(frame[0], frame[1], models, rows[worst], np.array(largest))
-        if largest[-1] <= terms.stop:
-            return
-        rows = np.delete(rows, worst)
-
-
-def _leave(
-    q: np.ndarray, values: np.ndarray, stop: float, may_leave: np.ndarray
-) -> tuple[list[np.ndarray], list[int], list[float]]:
-    """Let the worst pair leave until `stop`, or until the factorisation should be made anew.
-
-    Parameters
-    ----------
-    q : ndarray, (n, terms)
-        Orthonormal columns. Of errors within `TIE_PX` the first row leaves.
-    values : ndarray, (n, 2), px
-    stop : float, px
-    may_leave : ndarray of bool, (n,)
-
-    Returns
-    -------
-    history : list of ndarray, (terms, 2)
-        Coefficients on q before each removal.
-    worst : list of int
-    largest : list of float
-        The last is at most `stop` where the work is done; it is 0 where no pair may leave.
-    """
-    solved = q.T @ values
-    residual, inverse = values - q @ solved, np.eye(q.shape[1])
-    here = may_leave.copy()
-    history: list[np.ndarray] = []
-    worst: list[int] = []
-    largest: list[float] = []
-    while True:
-        error = np.where(here, np.sqrt(np.square(residual).sum(1)), 0.0)
-        j = int(np.argmax(here & (error >= error.max() - TIE_PX)))
-        history.append(solved)
-        worst.append(j)
-        largest.append(float(error[j]))
-        if largest[-1] <= stop or len(worst) == ROUNDS or len(q) - len(worst) <= q.shape[1]:
-            break
-        z = inverse @ q[j]
-        free = 1 - q[j] @ z
-        if free < LEAST_FREEDOM:
-            break
-        inverse = inverse + np.outer(z, z) / free
-        if inverse.diagonal().max() > LARGEST_INVERSE:
-            break
-        solved = solved - np.outer(z, residual[j] / free)
-        residual = residual + np.outer(q @ z, residual[j] / free)
-        here[j] = False
-    return history, worst, largest
+        values, here = reference[rows] - middle, np.ones(len(rows), bool)
+        normal, right = q.T @ q, q.T @ values
+        while np.linalg.eigvalsh(normal)[0] >= LEAST_LEFT:
+            solved = np.linalg.solve(normal, right)
+            may_leave = here & ~stays[rows]
+            error = np.where(may_leave, np.hypot(*(values - q @ solved).T), 0.0)
+            j = int(np.argmax(may_leave & (error >= error.max() - TIE_PX)))
+            coefficients = np.linalg.solve(r, solved)
+            coefficients[0] += middle
+            yield Polynomial(terms.order, *frame, coefficients), int(rows[j]), float(error[j])
+            if error[j] <= terms.stop:
+                return
+            here[j] = False
+            normal, right = normal - np.outer(q[j], q[j]), right - np.outer(q[j], values[j])
+        rows = rows[here]
 
 
 def _trace(
-    rounds: list[_Many],
+    rounds: list[_Round],
     terms: RemovalTerms,
     errors: np.ndarray,
     frames: tuple[tuple[int, int], np.ndarray],
@@ -329,24 +273,16 @@ def _trace(
 ) -> Trace:
     """Return the trace of some rounds; `frames` are the reference's size and the target's corners."""
     size, corners = frames
-    shapes = np.empty((0, 4, 2))
-    largest, removed = np.empty(0), np.empty(0, int)
-    if rounds:
-        models = np.concatenate([many.models for many in rounds])
-        design = design_matrix(corners, terms.order, rounds[0].centre, rounds[0].spread)
-        columns = np.ascontiguousarray(models.transpose(1, 0, 2)).reshape(len(design.T), -1)
-        shapes = sum(design[:, [i]] * column for i, column in enumerate(columns))
-        shapes = shapes.reshape(len(corners), -1, 2).transpose(1, 0, 2).copy()
-        largest = np.concatenate([many.largest for many in rounds])
-        removed = np.concatenate([many.worst for many in rounds])
-        removed = np.where(largest <= terms.stop, -1, removed)
+    shapes = np.array([model(corners) for model, _, _ in rounds]).reshape(-1, 4, 2)
+    largest = np.array([error for _, _, error in rounds])
+    worst = np.array([number for _, number, _ in rounds], int)
     return Trace(
         reject=float(terms.reject),
         stop=float(terms.stop),
         scale=terms.scale,
         scale_errors=errors,
         largest=largest,
-        removed=removed,
+        removed=np.where(largest <= terms.stop, -1, worst),
         corners=shapes,
         frame=terms.scale(corners),
         size=size,
