@@ -3,7 +3,6 @@
     python benchmarks/watching.py faults FOLDER      each fault at two sizes, into each camera of a simulated session
     python benchmarks/watching.py alarms FOLDER      ten sound simulated sessions of unlike cameras
     python benchmarks/watching.py frames FOLDER      seconds from the last byte of a frame to its verdict, 1 to 100 Mpx
-    python benchmarks/watching.py previews FOLDER    seconds from the last frame of a camera to its registered layer
     python benchmarks/watching.py many FOLDER        the same in a session of 10 to 10,000 frames, and the memory it takes
     python benchmarks/watching.py builds FOLDER      a build after such a session beside one without: the same bytes (LEVKAS_FRAMES, default 10,000)
 
@@ -26,7 +25,6 @@ from results import add_option, record
 
 from levkas.campaign.campaign import load_campaign
 from levkas.core.digests import hash_tree
-from levkas.readers.frames import read_facts
 from levkas.simulation import simulate_campaign
 from levkas.simulation.live import (
     contents_of,
@@ -34,12 +32,10 @@ from levkas.simulation.live import (
     is_plantable,
     play_session,
     session_frames,
-    write_slowly,
 )
 from levkas.simulation.session_faults import FAULTS
 from levkas.workbench.watching import WatchedSession
 from levkas.workbench.watching.cache import MeasureCache
-from levkas.workbench.watching.previews import RegisteredPreviews
 
 LOOKS_S = 0.3
 TO_DO = {
@@ -363,59 +359,10 @@ def _come(home, name, k):
     return [(path, data)] if fate < 3 else []
 
 
-def previews(folder, results):
-    """Time the registered layer of the last camera of a session, after its last frame, with the other cameras built before."""
-    found = {}
-    for scale in SCALES:
-        source, home = folder / f"whole{scale}", folder / f"session{scale}"
-        list(simulate_campaign(source, preset="small", scale=scale, seed=3))
-        campaign = load_campaign(source)
-        frames = session_frames(campaign)
-        last = frames[-1].camera
-        home.mkdir()
-        copy_declarations(source, home)
-        rng, session = np.random.default_rng(1), watched(home)
-        layers = RegisteredPreviews(session)
-        layers.start()
-        for k, frame in enumerate(frames):
-            if frame.camera == last and frames[k - 1].camera != last:
-                _until_shown(session, layers, campaign, set(campaign.cameras) - {last})
-            for path, data in contents_of(campaign, frames, k, rng).items():
-                write_slowly(home / path.relative_to(source), data, 0)
-        begin = time.monotonic()
-        layer = _until_shown(session, layers, campaign, {last})
-        seconds = time.monotonic() - begin
-        layers.stop()
-        size = np.prod(read_facts(frames[-1].path).shape) / 1e6
-        count = sum(frame.camera == last for frame in frames)
-        print(
-            f"scale {scale}: {last}, {count} frames of {size:.2f} Mpx: {seconds:.1f} s, {layer['verdict']}",
-            flush=True,
-        )
-        found[f"scan preview, {size:.2f} M values"] = seconds
-    record(results, "watching", found)
-
-
-def _until_shown(session, layers, campaign, cameras, most_s=600):
-    """Look as `levkas watch` does until every one of some cameras is shown; return the last one's layer."""
-    end = time.monotonic() + most_s
-    while time.monotonic() < end:
-        list(session.poll())
-        layers.state = session.state()
-        every = {key[1]: layer for key, layer in layers.layers.items()}
-        shown = {camera: one for camera, one in every.items() if one["verdict"] != "refuse"}
-        if cameras <= shown.keys():
-            return shown[sorted(cameras)[-1]]
-        time.sleep(LOOKS_S)
-    raise TimeoutError(f"{cameras - shown.keys()} not built: {layers.problems}")
-
-
 def main():
-    """Run one of the six."""
+    """Run one of the five."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "what", choices=["faults", "alarms", "frames", "many", "builds", "previews"]
-    )
+    parser.add_argument("what", choices=["faults", "alarms", "frames", "many", "builds"])
     parser.add_argument("folder", type=Path)
     add_option(parser)
     options = parser.parse_args()

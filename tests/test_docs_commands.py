@@ -23,7 +23,6 @@ INLINE = re.compile(r"(?<!`)`(levkas [^`]+)`(?!`)")
 PROMPT = re.compile(r"^\S*\$ ")
 PATH = re.compile(r"(?<![\w/.-])((?:tests|benchmarks|examples|docs|src|frontend)/[\w/.*-]*\w)")
 SIGNATURE = re.compile(r"^levkas\.(\w+\([^()]*\*, [^()]*\))$")
-TYPED = {f"reference/{name}.md" for name in ("register", "warp", "calibrate", "open")}
 """Pages whose examples `test_reference.py` runs, on a database."""
 ELSEWHERE = {"examples/two-paintings", "examples/envi-linescan", "examples/silios-kinect"}
 """Campaigns of captures that are not in the repository."""
@@ -88,7 +87,7 @@ def test_commands_of_a_page_exist_with_their_options(page):
 
 
 def test_enough_commands_were_found():
-    assert sum(len(commands(page)) for page in pages()) > 200
+    assert sum(len(commands(page)) for page in pages()) > 100
 
 
 @pytest.mark.parametrize(
@@ -129,7 +128,7 @@ def test_examples_of_a_page_are_well_formed_and_do_what_they_show(page, tmp_path
         tomllib.loads(block)
     typed = blocks(text, "pycon")
     assert len(typed) == text.count("```pycon")
-    if typed and page.relative_to(ROOT / "docs").as_posix() not in TYPED:
+    if typed:
         monkeypatch.chdir(tmp_path)
         flags = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
         test = doctest.DocTestParser().get_doctest("\n".join(typed), {}, page.name, str(page), 0)

@@ -1,11 +1,10 @@
-"""Public names have complete docstrings, and the examples of docs/reference/ give what the pages print."""
+"""Public names have complete docstrings."""
 
 import builtins
 import doctest
 import functools
 import inspect
 import re
-import shutil
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,6 @@ import pytest
 import levkas
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / f"docs/reference/{name}.md" for name in ("register", "warp", "calibrate", "open")]
 NAMES = [name for name in levkas.__all__ if name != "__version__"]
 #: Algorithms of a publication: the docstring has its DOI.
 PUBLISHED = {
@@ -134,31 +132,6 @@ def test_sources_of_a_docstring_are_in_the_bibliography_with_the_same_doi(name):
     assert set(cited) <= known.keys()
     for doi in re.findall(r"doi:(10\.[\w./()-]*\w)", text):
         assert any(f"doi = {{{doi}}}" in known[key] for key in cited), doi
-
-
-def examples(page):
-    """Return the blocks of a page that are typed into Python, as one text."""
-    text = page.read_text(encoding="utf-8")
-    return "\n".join(re.findall(r"^```pycon\n(.*?)^```$", text, re.M | re.S))
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
-def test_the_examples_of_a_page_give_what_it_prints(page, plates, tmp_path, monkeypatch):
-    shutil.copytree(plates / "database", tmp_path / "database")
-    monkeypatch.chdir(tmp_path)
-    test = doctest.DocTestParser().get_doctest(examples(page), {}, page.name, str(page), 0)
-    printed = []
-    results = doctest.DocTestRunner(optionflags=OPTIONS).run(test, out=printed.append)
-    assert results.attempted > 5
-    assert results.failed == 0, "".join(printed)
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
-def test_a_page_names_every_parameter(page):
-    text = page.read_text(encoding="utf-8")
-    for name in inspect.signature(getattr(levkas, page.stem)).parameters:
-        assert f"`{name}`" in text or f"`**{name}`" in text, name
-    assert "## What goes wrong" in text
 
 
 def test_doctests_of_the_package_are_collected(pytestconfig):

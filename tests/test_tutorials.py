@@ -71,13 +71,6 @@ def run_counted(arguments, folder):
     return run_levkas(arguments, folder)
 
 
-def run_by_two_methods(arguments, folder):
-    """Estimate by two methods of seven: to search parameters of the others takes a minute, and tests/estimation has it smaller."""
-    if "--from" in arguments:
-        arguments = [*arguments, "--method", "wiener", "--method", "pseudo-inverse"]
-    return run_levkas(arguments, folder)
-
-
 def follow(page, folder, programs=PROGRAMS):
     """Do what a tutorial has: write its files, run its commands; return what they printed."""
     printed = []
@@ -128,27 +121,6 @@ def test_the_first_database_is_published(first):
     assert list((folder / "panel-envi").glob("*.hdr"))
 
 
-def test_a_session_is_planned(tmp_path):
-    framing, light, best, exposure = follow("planning_a_session.md", studio(tmp_path))
-    for figure, printed in (
-        ("Stand at 263 cm", framing),
-        ("drop 9.2 %", light),
-        ("Best pair: 69°", best),
-        ("SNR 151", exposure),
-        ("252 lx·h: 0.17 %", exposure),
-    ):
-        assert figure in printed
-    assert (tmp_path / "plan.html").is_file()
-
-
-@pytest.mark.slow
-def test_a_session_is_watched(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    played, judged = follow("session_at_your_side.md", tmp_path)
-    assert "planted" not in played
-    assert "green" in judged and "stop" not in judged
-
-
 @pytest.mark.slow
 def test_five_cameras_are_built_with_few_kernels_and_compared_with_the_truth(tmp_path):
     printed = follow("five_cameras.md", tmp_path, PROGRAMS | {"levkas": run_counted})
@@ -156,18 +128,6 @@ def test_five_cameras_are_built_with_few_kernels_and_compared_with_the_truth(tmp
     found = json.loads((tmp_path / "kernels.json").read_text())
     assert {name: count for name, count in found.items() if count > 1} == {}
     assert 0 < len(found) <= MOST_KERNELS
-
-
-@pytest.mark.parametrize(
-    "run",
-    [
-        pytest.param(run_by_two_methods, marks=pytest.mark.slow, id="two methods"),
-        pytest.param(run_levkas, marks=pytest.mark.exhaustive, id="all methods"),
-    ],
-)
-def test_spectra_are_estimated_and_written(tmp_path, run):
-    follow("estimating_spectra.md", tmp_path, PROGRAMS | {"levkas": run})
-    assert "vis-estimated" in (tmp_path / "paintings/database/catalogue.csv").read_text()
 
 
 @pytest.mark.parametrize("page", sorted(TUTORIALS.glob("*.md")), ids=lambda p: p.stem)

@@ -64,37 +64,21 @@ def filled(line, size, *, before=HEAD + CAMERA, after=""):
 
 MONSTERS = {
     "keys": ("k{}=1\n", {}),
-    "tables": ("[t{}]\n", {}),
-    "cameras without files": ("[cameras.c{}]\n", {}),
-    "cameras": ('[cameras.c{}]\nkind="image"\nfiles="c/{{target}}.png"\n', {}),
-    "objects": ('[objects.o{}]\ntitle="a"\n', {}),
     "names of objects": (
         '"o{}",',
         {"before": HEAD + CAMERA + "[targets]\nobjects=[", "after": "]"},
     ),
-    "setups of cameras that are not there": ("[setups.s{0}.cameras.c{0}]\n", {}),
-    "sensors": ('[[cameras.vis.sensors]]\nname="s{}"\n', {}),
-    "patterns": ('"v{}/{{target}}",', {"before": HEAD + CAMERA[:-1] + "\nfiles=[", "after": "]"}),
     "brackets": ("[],", {"before": HEAD + CAMERA + "x=[", "after": "]"}),
     "closing brackets": ("]", {}),
-    "comments": ("#\n", {}),
     "dotted keys": ("a.b{}.c.d.e.f.g.h=1\n", {}),
-    "quotes": ('"', {}),
-    "line ends": ("\n", {}),
     "stars": ("*", {"before": HEAD + CAMERA[:-2] + '\nfiles="', "after": '"'}),
 }
 
 
-JUST_READ = ("keys", "cameras", "objects", "setups of cameras that are not there")
-"""Of which 400 kB are few enough to be parsed: then what follows must be soon too."""
-
-
-@pytest.mark.parametrize(
-    "name, size", [*((n, 1 << 20) for n in MONSTERS), *((n, 400_000) for n in JUST_READ)]
-)
-def test_a_campaign_file_that_is_far_too_long_is_refused_within_two_seconds(name, size, tmp_path):
+@pytest.mark.parametrize("name", MONSTERS)
+def test_a_campaign_file_that_is_far_too_long_is_refused_within_two_seconds(name, tmp_path):
     line, keys = MONSTERS[name]
-    text = filled(line, size - 500, **keys)
+    text = filled(line, (1 << 20) - 500, **keys)
     (tmp_path / "campaign.toml").write_text(text)
     refused = run("status", tmp_path)
     assert refused.exit_code == 1
@@ -107,62 +91,6 @@ def test_ten_thousand_misspelt_keys_are_listed_up_to_a_hundred(tmp_path):
     refused = run("status", tmp_path)
     assert refused.output.count("unknown key") == 100
     assert "more problems are not listed" in refused.output
-
-
-@pytest.mark.parametrize("facts", ["object", "objekt"], ids=["facts of them", "facts misspelt"])
-def test_five_hundred_objects_and_forty_cameras_are_read_soon(facts, tmp_path):
-    cameras = "".join(
-        f'[cameras.vis{i or ""}]\nkind = "bands"\nfiles = "c{i}/{{target}}/{{wavelength}}.tif"\n'
-        "wavelengths = { start = 400, stop = 720, step = 10 }\nbits = 12\n"
-        for i in range(40)
-    )
-    names = ", ".join(f'"object-{i}"' for i in range(500))
-    objects = "".join(
-        f'[objects.{facts}-{i}]\ntitle = "The painting {i}"\ndate = 1650\nsize_mm = [300, 400]\n'
-        for i in range(500)
-    )
-    text = f'{HEAD}{cameras}[targets]\ndark = "dark"\nobjects = [{names}]\n{objects}'
-    (tmp_path / "campaign.toml").write_text(text)
-    from levkas.campaign.campaign import CampaignInvalid, load_campaign
-
-    before = time.process_time()
-    if facts == "object":
-        assert len(load_campaign(tmp_path).cameras) == 40
-    else:
-        with pytest.raises(CampaignInvalid, match="not listed in targets"):
-            load_campaign(tmp_path)
-    assert time.process_time() - before < MOST_S
-
-
-EDITED = "version=1\n[objects.o.cameras.c]\n"
-
-
-@pytest.mark.parametrize("size", [1 << 20, 250_000], ids=["1 MB", "250 kB"])
-@pytest.mark.parametrize(
-    "line, keys",
-    [
-        ("k{}=1\n", {"before": EDITED}),
-        ("[{},1],", {"before": f"{EDITED}added=[", "after": "]"}),
-        ('"",', {"before": f"{EDITED}added=[", "after": "]"}),
-        ("[{0},1,2,3],[{0},1,2,3],", {"before": f"{EDITED}added=[", "after": "]\ndeleted=[[1,1,2,3]]"}),
-        ('[objects.p{}]\n', {"before": EDITED}),
-    ],
-    ids=["keys", "short pairs", "texts", "pairs", "objects"],
-)  # fmt: skip
-def test_corrections_of_a_megabyte_are_refused_within_two_seconds(line, keys, size, tmp_path):
-    from levkas.campaign.edits import EditsInvalid, read_edits
-
-    path = tmp_path / "edits.toml"
-    path.write_text(filled(line, size - 500, **keys))
-    before = time.process_time()
-    try:
-        read_edits(path)
-    except EditsInvalid as refused:
-        assert 0 < len(refused.problems) <= 102
-    assert time.process_time() - before < MOST_S
-
-
-# --- folders ----------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -190,10 +118,10 @@ def test_look_leaves_out_what_is_nested_too_deeply_and_says_so(deep_folder):
     assert "64 levels" in looked.output
 
 
-@pytest.mark.parametrize("command", ["status", "build", "radiometry", "plan exposure"])
+@pytest.mark.parametrize("command", ["status", "radiometry"])
 def test_a_folder_of_900_levels_is_refused_by_name(command, deep_folder):
     (deep_folder / "campaign.toml").unlink(missing_ok=True)
-    if command in ("status", "build"):
+    if command == "status":
         text = (HEAD + CAMERA).replace("vis/{target}.png", "**/{target}.tif")
         (deep_folder / "campaign.toml").write_text(text)
     refused = run(*command.split(), deep_folder)
@@ -344,15 +272,6 @@ def test_look_reads_a_part_of_a_large_frame_that_is_allowed(tmp_path):
     assert 'objects = ["icon"]' in looked["output"]
 
 
-def test_look_names_a_large_frame_and_goes_on_with_the_others(tmp_path):
-    page_of_zeros(tmp_path / "large.tif", 20_000, compression=8)
-    tifffile.imwrite(tmp_path / "icon.tif", np.arange(40_000, dtype=np.uint16).reshape(200, 200))
-    looked = run("look", tmp_path)
-    assert looked.exit_code == 0
-    assert 'objects = ["icon"]' in looked.output
-    assert "large.tif: the file is far smaller than its decoded frame" in looked.output
-
-
 @pytest.mark.slow
 def test_a_frame_that_does_not_fit_in_memory_is_refused_with_its_size_and_the_bound(
     tmp_path, monkeypatch
@@ -377,48 +296,6 @@ def test_a_frame_that_does_not_fit_in_memory_is_refused_with_its_size_and_the_bo
     assert "icon" in looked.output
 
 
-def test_doctor_says_how_much_memory_a_command_takes(monkeypatch):
-    monkeypatch.setenv("LEVKAS_MEMORY", "3.5")
-    assert "a command takes up to 3.5 GB (by LEVKAS_MEMORY)" in run("doctor").output
-
-
-@pytest.mark.slow
-def test_parts_of_a_large_frame_are_those_of_the_whole(tmp_path):
-    from levkas.readers.frames import read_frame, read_sample
-
-    rng = np.random.default_rng(3)
-    gray = rng.integers(0, 4096, (2001, 1503)).astype(np.uint16)
-    colours = rng.integers(0, 256, (1501, 1203, 3)).astype(np.uint8)
-    path = tmp_path / "frame.tif"
-    for values, options in (
-        (gray, {}),
-        (gray, {"rowsperstrip": 77, "compression": "zlib", "predictor": True}),
-        (gray, {"tile": (256, 128), "compression": "lzw"}),
-        (gray, {"tile": (256, 128)}),
-        (gray, {"compression": "zlib", "rowsperstrip": 2001}),
-        (gray, {"byteorder": ">", "rowsperstrip": 33}),
-        (gray, {"photometric": "miniswhite", "rowsperstrip": 33, "compression": "zlib"}),
-        (colours, {"photometric": "rgb", "rowsperstrip": 50, "compression": "zlib"}),
-        (colours, {"photometric": "rgb"}),
-        (colours, {"photometric": "rgb", "compression": "jpeg", "tile": (256, 256)}),
-        (np.moveaxis(colours, 2, 0), {"photometric": "rgb", "planarconfig": "separate"}),
-    ):
-        tifffile.imwrite(path, values, metadata=None, **options)
-        whole, part = read_frame(path), read_sample(path, most=900_000)
-        assert part.size <= 1_000_000
-        assert part.dtype == whole.dtype
-        # Every row of the part is one of the whole, 60 in a row from a multiple of 60 on.
-        width = part.shape[1]
-        for start in range(0, part.shape[0], 60):
-            places = np.arange(0, whole.shape[0], 60)
-            block = part[start : start + 60, : min(60, width)]
-            fits = [np.array_equal(whole[y : y + 60, :60][: len(block)], block) for y in places]
-            assert any(fits), options
-
-
-# --- every hostile file of the readers' test through the commands -----------------------------
-
-
 def bombs():
     """The hostile files that `tests/readers/test_bombs.py` makes."""
     place = Path(__file__).parents[1] / "readers" / "test_bombs.py"
@@ -431,13 +308,8 @@ def bombs():
 BOMBS = bombs()
 THROUGH_COMMANDS = (
     "tiff_of_directories_laid_over_one_another",
-    "tiff_of_two_directories_in_a_ring",
-    "tiff_whose_next_directory_is_negative",
-    "tiff_of_sixty_thousand_tags",
     "tiff_of_one_pixel_in_a_tile_of_a_gigapixel",
     "png_that_its_bytes_cannot_hold",
-    "png_whose_chunk_is_longer_than_the_file",
-    "jpeg_of_four_hundred_scans",
     "link_to_itself",
 )
 """One of each kind; `make exhaustive` takes all."""
@@ -482,7 +354,7 @@ def test_odd_names_of_frames_end_in_no_traceback(name, tmp_path):
     [b"", b"[" * (2 << 20), b'{"a":[' + b"[]," * (1 << 20) + b"[]]}", b"," * (2 << 20), b"\xff\xfe" * 100],
     ids=["nothing", "brackets", "pairs of brackets", "commas", "no text"],
 )  # fmt: skip
-@pytest.mark.parametrize("suffix", ["csv", "json", "pto", "points"])
+@pytest.mark.parametrize("suffix", ["csv", "points"])
 def test_hostile_tables_of_points_are_refused_soon(content, suffix, tmp_path):
     (tmp_path / f"points.{suffix}").write_bytes(content)
     refused = run("points", "convert", tmp_path / f"points.{suffix}", tmp_path / "out.csv")

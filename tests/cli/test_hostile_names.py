@@ -52,21 +52,22 @@ def with_value(name, param, text):
     return [*words, param.opts[0], text]
 
 
-def texts():
-    for name, params in EACH.items():
-        for param in params:
-            kind = str(param.type_descriptor.annotation)
-            if "Path" in kind or "str" in kind:
-                yield pytest.param(name, param, "Path" in kind, id=f"{name} {param.opts[0]}")
+def texts(name):
+    """Yield the parameters of a command that take a text, and whether it is a path."""
+    for param in EACH[name]:
+        kind = str(param.type_descriptor.annotation)
+        if "Path" in kind or "str" in kind:
+            yield param, "Path" in kind
 
 
-@pytest.mark.parametrize("name, param, is_path", list(texts()))
-def test_no_text_of_a_command_that_no_file_can_bear_ends_in_a_traceback(name, param, is_path):
-    for text in (UNUSABLE | (TOO_LONG if is_path else {})).values():
-        found = run(*with_value(name, param, text))
-        assert found.exit_code in (1, 2), text[:9]
-        if found.exit_code == 1:
-            assert "E_VALUE" in found.output and len(found.output) < 8000
+@pytest.mark.parametrize("name", EACH)
+def test_no_text_of_a_command_that_no_file_can_bear_ends_in_a_traceback(name):
+    for param, is_path in texts(name):
+        for text in (UNUSABLE | (TOO_LONG if is_path else {})).values():
+            found = run(*with_value(name, param, text))
+            assert found.exit_code in (1, 2), (param.opts[0], text[:9])
+            if found.exit_code == 1:
+                assert "E_VALUE" in found.output and len(found.output) < 8000
 
 
 def test_what_the_system_refuses_is_a_problem_and_no_traceback(tmp_path):
@@ -75,14 +76,9 @@ def test_what_the_system_refuses_is_a_problem_and_no_traceback(tmp_path):
     assert found.exit_code == 1 and found.output.startswith("E_")
 
 
-@pytest.mark.parametrize("address", ["https://[::1", "s3://", "http://", "https://[x]/y"])
+@pytest.mark.parametrize("address", ["https://[::1", "s3://"])
 def test_an_address_that_is_none_is_refused(address):
-    for words in (
-        ["validate", address],
-        ["map", address, "icon1"],
-        ["export", address, "--for", "envi"],
-    ):
-        assert run(*words).exit_code == 1
+    assert run("validate", address).exit_code == 1
 
 
 @pytest.mark.parametrize(
@@ -234,9 +230,7 @@ PATHS = ("campaign.output", "cameras.colour.sensitivity", "targets.white.reflect
 
 
 @pytest.mark.parametrize("place", PATHS)
-@pytest.mark.parametrize(
-    "text", ["x" * 300, "x" * 250, "a/" * 2100 + "b"], ids=["300", "250", "deep"]
-)
+@pytest.mark.parametrize("text", ["x" * 300, "a/" * 2100 + "b"], ids=["300", "deep"])
 def test_no_path_of_a_campaign_is_too_long_for_a_command(campaign, place, text):
     record = tomllib.loads(CAMPAIGN)
     *above, last = place.split(".")
@@ -245,19 +239,17 @@ def test_no_path_of_a_campaign_is_too_long_for_a_command(campaign, place, text):
         table = table[key]
     table[last] = text
     (campaign / "campaign.toml").write_text(tomlkit.dumps(record))
-    for command in ("status", "build"):
-        found = run(command, campaign)
-        assert found.exit_code == 1
-        assert "E_" in found.output
+    found = run("status", campaign)
+    assert found.exit_code == 1
+    assert "E_" in found.output
 
 
 @pytest.mark.parametrize("output", ["x" * 250, "/", "é" * 125])
 def test_an_output_that_no_folder_can_bear_is_refused(campaign, output):
     (campaign / "campaign.toml").write_text(CAMPAIGN)
-    for command in ("status", "build"):
-        found = run(command, campaign, "-o", output)
-        assert found.exit_code == 1
-        assert "E_VALUE" in found.output
+    found = run("status", campaign, "-o", output)
+    assert found.exit_code == 1
+    assert "E_VALUE" in found.output
 
 
 def test_names_that_are_too_long_together_refuse_their_layer_alone(tmp_path):
@@ -293,8 +285,7 @@ def test_half_a_character_in_a_record_is_refused(tmp_path):
 
 @pytest.mark.parametrize(
     "kind, value, whole",
-    [(np.float16, np.inf, False), (np.float32, -np.inf, False), (np.float32, np.inf, True),
-     (np.float64, np.nan, False), (np.float32, np.nan, True), (np.float64, 1e308, False)],
+    [(np.float32, -np.inf, False), (np.float32, np.nan, True), (np.float64, 1e308, False)],
 )  # fmt: skip
 @pytest.mark.filterwarnings("ignore:overflow")
 def test_frames_of_no_numbers_end_in_no_traceback(tmp_path, kind, value, whole):

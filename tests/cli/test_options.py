@@ -258,9 +258,8 @@ def test_points_of_layers_that_are_not_there_are_named(made_database, tmp_path):
 def test_what_a_check_finds_wrong_with_the_folders_is_what_publish_refuses(made_database, tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other/thesis.txt").write_text("three years")
-    for option in ("-o", "--bag"):
-        words = ["publish", str(made_database), "--check", option, str(tmp_path / "other")]
-        assert "a folder that Levkas did not write" in CliRunner().invoke(app, words).output
+    words = ["publish", str(made_database), "--check", "-o", str(tmp_path / "other")]
+    assert "a folder that Levkas did not write" in CliRunner().invoke(app, words).output
 
 
 def test_a_check_names_what_is_wrong_with_every_pair_of_options(made_database, tmp_path):
@@ -268,8 +267,6 @@ def test_a_check_names_what_is_wrong_with_every_pair_of_options(made_database, t
     (tmp_path / "other/thesis.txt").write_text("three years")
     wrong = {
         "--output": (tmp_path / "other", "a folder that Levkas did not write"),
-        "--bag": (tmp_path / "other", "a folder that Levkas did not write"),
-        "--notes": (tmp_path / "none.json", "none.json"),
         "--analyse": ("pcaa", "Did you mean 'pca'"),
         "--url": ("nonsense", "not the address of a folder"),
     }
@@ -283,9 +280,6 @@ def test_a_check_names_what_is_wrong_with_every_pair_of_options(made_database, t
         assert found.exit_code == 1
         for option in pair:
             assert wrong[option][1] in output, (pair, found.output)
-    words = ["--output", str(tmp_path / "other"), "--bag", str(tmp_path / "other")]
-    found = CliRunner().invoke(app, ["publish", str(made_database), "--check", *words])
-    assert found.output.count("a folder that Levkas did not write") == 2
 
 
 def test_cameras_of_frames_and_empty_folders_of_darks_are_refused(place, tmp_path):

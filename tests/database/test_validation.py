@@ -239,30 +239,6 @@ def test_damage_of_a_folder_by_other_tools_is_found(tmp_path, victim):
     assert {p.file for p in validate(root).problems} == {str(p) for p in guilty}
 
 
-def test_a_bag_is_checked_with_its_tag_files(database, tmp_path):
-    bag = tmp_path / "bag"
-    (bag / "data").mkdir(parents=True)
-    for part in database.iterdir():
-        if part.name != NAME:
-            shutil.move(part, bag / "data" / part.name)
-    lines = [
-        f"{hash_file(p)}  {p.relative_to(bag).as_posix()}\n"
-        for p in sorted((bag / "data").rglob("*"))
-        if p.is_file()
-    ]
-    (bag / NAME).write_text("".join(lines))
-    (bag / "bagit.txt").write_text("BagIt-Version: 1.0\nTag-File-Character-Encoding: UTF-8\n")
-    tags = [f"{hash_file(bag / n)}  {n}\n" for n in ("bagit.txt", NAME)]
-    (bag / "tagmanifest-sha256.txt").write_text("".join(tags))
-    assert validate(bag).problems == ()
-    flip(bag / "bagit.txt", 3)
-    flip(bag / "data/objects/icon1/icon1_vis.tif", 600)
-    assert {p.file for p in validate(bag).problems} == {
-        str(bag / "bagit.txt"),
-        str(bag / "data/objects/icon1/icon1_vis.tif"),
-    }
-
-
 def test_as_many_files_are_hashed_at_a_time_as_threads_may_work(database, monkeypatch):
     found = []
 

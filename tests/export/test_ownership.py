@@ -29,15 +29,14 @@ def exported(database, form, folder, **options):
 )  # folders: test_ngff.py
 def test_an_export_replaces_its_own_files_and_nothing_else(database, tmp_path, form):
     folder = tmp_path / "out"
-    coloured = {"cameras": ["vis"]} if form in ("ecirgb", "prophoto") else {}
-    files = exported(database, form, folder, **coloured)
+    files = exported(database, form, folder)
     first = hash_tree(folder)
     (folder / "notes.txt").write_text("three years")
-    assert exported(database, form, folder, **coloured) == files
+    assert exported(database, form, folder) == files
     assert hash_tree(folder) == {**first, "notes.txt": hash_tree(folder)["notes.txt"]}
     files[-1].write_text("a result of somebody else")
     with pytest.raises(WriteRefused) as refused:
-        exported(database, form, folder, **coloured)
+        exported(database, form, folder)
     assert refused.value.problems[0].file == str(files[-1])
     assert "--overwrite" in refused.value.problems[0].fix
     assert files[-1].read_text() == "a result of somebody else"
@@ -62,7 +61,7 @@ def test_files_of_somebody_else_in_the_folder_of_an_export_stay(database, tmp_pa
 def test_a_record_that_is_none_of_ours_stays(database, tmp_path, text):
     (tmp_path / "levkas-files.json").write_text(text)
     with pytest.raises(WriteRefused, match="was not written by Levkas"):
-        exported(database, "csv-spectra", tmp_path)
+        exported(database, "envi", tmp_path)
     assert hash_tree(tmp_path).keys() == {"levkas-files.json"}
     assert (tmp_path / "levkas-files.json").read_text() == text
 

@@ -6,7 +6,6 @@ import hashlib
 import os
 import shutil
 
-import bagit
 import pytest
 
 from levkas.core.digests import hash_tree
@@ -35,37 +34,28 @@ def a_database(folder, database):
     shutil.copytree(database, folder)
 
 
-def a_bag_by_others(folder, database):
-    folder.mkdir()
-    (folder / "thesis.txt").write_text("three years")
-    bagit.make_bag(str(folder), checksums=["sha256"])
-
-
 def a_lone_manifest(folder, database):
     folder.mkdir()
     (folder / NAME).write_text(f"{hashlib.sha256(b'x').hexdigest()}  x\n")
     (folder / "x").write_bytes(b"x")
 
 
-@pytest.mark.parametrize("make", [a_database, a_bag_by_others, a_lone_manifest])
-@pytest.mark.parametrize("option", ["output", "bag"])
-def test_a_folder_with_a_manifest_that_is_no_publication_is_not_replaced(
-    database, tmp_path, make, option
-):
+@pytest.mark.parametrize("make", [a_database, a_lone_manifest])
+def test_a_folder_with_a_manifest_that_is_no_publication_is_not_replaced(database, tmp_path, make):
     make(tmp_path / "other", database)
     before = hash_tree(tmp_path)
-    (problem,) = refused(database, **{option: tmp_path / "other"})
+    (problem,) = refused(database, output=tmp_path / "other")
     assert (problem.code, problem.file) == ("E_UNWRITABLE", str(tmp_path / "other"))
     assert problem.found and problem.expected and problem.fix
     assert hash_tree(tmp_path) == before
 
 
-def test_an_own_publication_and_an_own_bag_are_replaced(published, tmp_path):
+def test_an_own_publication_is_replaced(published):
     database, output = published
     first = hash_tree(output)
     for _ in range(2):
-        list(run.publish(database, iiif=False, bag=tmp_path / "bag"))
-    assert hash_tree(output) == first == hash_tree(tmp_path / "bag/data")
+        list(run.publish(database, iiif=False))
+    assert hash_tree(output) == first
 
 
 def test_a_publication_with_notes_of_somebody_else_in_it_is_not_replaced(published):
@@ -192,10 +182,9 @@ def without(database, name):
     return database
 
 
-@pytest.mark.parametrize("option", ["output", "bag"])
 @pytest.mark.parametrize("listed", [True, False])
 def test_the_publication_of_another_database_with_an_object_of_that_name_is_not_replaced(
-    database, tmp_path, option, listed
+    database, tmp_path, listed
 ):
     other = shutil.copytree(database, tmp_path / "other")
     if listed:
@@ -204,11 +193,11 @@ def test_the_publication_of_another_database_with_an_object_of_that_name_is_not_
         facts = (other / "database.toml").read_text().replace("Icons of", "Panels of")
         (other / "database.toml").write_text(facts)
         write_manifest(other)
-    place = {"output": tmp_path / "place", "bag": tmp_path / "bag"}
-    list(run.publish(database, iiif=False, **place))
+    place = tmp_path / "place"
+    list(run.publish(database, iiif=False, output=place))
     before = hash_tree(tmp_path)
-    (problem,) = refused(other, **{option: place[option]})
-    assert (problem.code, problem.file) == ("E_UNWRITABLE", str(place[option]))
+    (problem,) = refused(other, output=place)
+    assert (problem.code, problem.file) == ("E_UNWRITABLE", str(place))
     assert "Icons of Levkas" in problem.found and "icon1" in problem.found
     assert hash_tree(tmp_path) == before
 

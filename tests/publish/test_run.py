@@ -4,7 +4,6 @@ import pytest
 
 from levkas.core.digests import hash_tree
 from levkas.core.disk import WriteRefused
-from levkas.core.problems import Refused
 from levkas.database.manifest import NAME, write_manifest
 from levkas.database.validation import validate
 from levkas.publish import run
@@ -144,21 +143,8 @@ def test_a_publication_is_not_published_again(database, publish):
     assert not folder.with_name("database.published.published").exists()
 
 
-@pytest.mark.parametrize("where", ["other", "database/bag", "database.published/bag", "file.txt"])
-def test_a_bag_that_cannot_be_is_refused_before_anything_is_written(database, publish, where):
-    root = database.parent
-    (root / "other").mkdir()
-    for name in ("other/a", "file.txt"):
-        (root / name).write_text("x")
-    with pytest.raises(Refused, match="the bag cannot be written"):
-        publish(database, bag=root / where)
-    assert not (root / "database.published").exists()
-
-
 def test_names_may_hold_spaces_and_letters_of_any_script(database, publish, tmp_path):
     folder = tmp_path / "Ikonen, größer 名"
     folder.mkdir()
     moved = database.rename(folder / "Daten bank")
-    bag = folder / "Tüte 袋"
-    made = publish(moved, iiif=False, bag=bag)
-    assert made == folder / "Daten bank.published" and (bag / "bagit.txt").is_file()
+    assert publish(moved, iiif=False) == folder / "Daten bank.published"

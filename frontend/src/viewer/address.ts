@@ -92,16 +92,6 @@ export class Address {
     return location.href;
   }
 
-  /** How one looks, in words: what is carried from object to object, without what `known` names. */
-  settings(known: string[]): string {
-    const facts = new URLSearchParams();
-    for (const part of this.parts) if (part.carried) part.write(facts);
-    return [...facts]
-      .filter(([name]) => !known.includes(name))
-      .map(([name, value]) => `${name} ${value}`)
-      .join(", ");
-  }
-
   private recall(): void {
     const facts = new URLSearchParams(location.hash.slice(1));
     for (const part of this.parts) part.read(facts);

@@ -45,11 +45,6 @@ export class LayerList {
     if (picture) this.state[slot].value = { layer, picture };
   }
 
-  /** Show the spectral angle to the pinned place in A. */
-  showAngle(): void {
-    this.pickers[0]!.showAngle();
-  }
-
   /** Put something into C and D, where they are empty: the next layers, or further pictures of them. */
   fillGrid(): void {
     const count = this.layers.length;
@@ -143,7 +138,6 @@ function likePicture(
   layer: Layer,
   { layer: other, picture }: Choice,
 ): Layer["pictures"][number] | undefined {
-  if (picture.angle) return pictureOf(layer, picture.key);
   if (mixNumbers(picture.key)) return pictureOf(layer, proposeMix(layer) ?? "");
   if (picture.kind !== "band") return pictureOf(layer, picture.key);
   const wanted = placeOf(other, bandNumber(picture));

@@ -1,7 +1,6 @@
 // False colour: three single bands as red, green and blue, mixed tile by tile while they are looked at.
 import { proposeThree } from "../shared/falsecolour";
 import type { Layer as Tiles } from "../shared/pane";
-import { angleFacts, anglePicture, loadAngles } from "./angle";
 import type { Layer, Picture } from "./record";
 import { loadPicture } from "./tiles";
 
@@ -43,9 +42,8 @@ export function proposeMix(layer: Layer): string | undefined {
   return mixKey(chosen.map((i) => numbers[i]!));
 }
 
-/** A picture of a layer by its key, a mixture of three of its bands, or the spectral angle to a place. */
+/** A picture of a layer by its key, or a mixture of three of its bands. */
 export function pictureOf(layer: Layer, key: string): Picture | undefined {
-  if (angleFacts(key)) return anglePicture(layer, key);
   const numbers = mixNumbers(key);
   if (!numbers) return layer.pictures.find((picture) => picture.key === key);
   const parts = numbers.flatMap(
@@ -74,17 +72,8 @@ export function sourceOf(picture: Picture): Tiles["source"] {
     minLevel: picture.least,
     maxLevel: picture.most,
     getTileUrl: (level, x, y) =>
-      picture.angle
-        ? `${picture.key}/${level}/${x}_${y}`
-        : parts.map(({ folder }) => `${folder}/${level}/${x}_${y}`).join("|"),
+      parts.map(({ folder }) => `${folder}/${level}/${x}_${y}`).join("|"),
     downloadTileStart: (job: Job) => {
-      if (picture.angle) {
-        loadAngles(picture, job.src).then(
-          (tile) => job.finish(tile, null, "context2d"),
-          () => job.fail("the angles cannot be computed", null),
-        );
-        return;
-      }
       Promise.all(job.src.split("|").map((key) => loadPicture(key, picture.format))).then(
         (images) =>
           picture.mixed
@@ -95,17 +84,6 @@ export function sourceOf(picture: Picture): Tiles["source"] {
     },
     downloadTileAbort: () => {},
   } as Tiles["source"];
-}
-
-/** Load a whole picture, be it mixed or computed, at its smallest: in one tile. */
-export async function loadWhole(picture: Picture): Promise<HTMLImageElement | HTMLCanvasElement> {
-  if (picture.angle)
-    return (await loadAngles(picture, `${picture.key}/${picture.least}/0_0`)).canvas;
-  const parts = picture.mixed ?? [picture];
-  const images = await Promise.all(
-    parts.map(({ folder, least, format }) => loadPicture(`${folder}/${least}/0_0`, format)),
-  );
-  return picture.mixed ? blend(images).canvas : images[0]!;
 }
 
 interface Job {

@@ -1,14 +1,11 @@
 // Chooses among the pictures of the layer in one slot.
 import { effect } from "@preact/signals-core";
 import { make, swatch } from "../shared/element";
-import type { Point } from "../shared/pane";
-import { angleKey, hasAngles, progress, RANGES, USUAL_RANGE } from "./angle";
 import { bandNumber, bandsOf, mixKey, mixNumbers, pictureOf, proposeMix } from "./mixing";
 import type { Layer, Legend, Picture } from "./record";
 import type { Choice, Slot, State } from "./state";
 
 const MIX = "mix";
-const ANGLE = "angle";
 const GROUPS: [Picture["kind"], string][] = [
   ["colour", "As seen"],
   ["light", "Under another light"],
@@ -27,18 +24,6 @@ export class Picker {
   private readonly legend = make("div", { class: "legend" });
   private readonly bandLine: HTMLElement;
   private readonly mixLine: HTMLElement;
-  private readonly range = make(
-    "select",
-    {},
-    ...RANGES.map((degrees) => make("option", { value: degrees }, `${degrees}°`)),
-  );
-  private readonly take = make(
-    "button",
-    { type: "button", class: "small" },
-    "Take the pinned place",
-  );
-  private readonly angleLine: HTMLElement;
-  private readonly computing = make("p", { class: "note soft", role: "status" });
   private offered: Layer | null = null;
 
   constructor(
@@ -58,10 +43,6 @@ export class Picker {
     );
     this.bandLine = make("div", { class: "band-line" }, this.slider);
     this.mixLine = make("div", { class: "band-line mix" }, ...this.inks);
-    this.range.value = String(USUAL_RANGE);
-    this.range.setAttribute("aria-label", `Largest angle shown in ${name}`);
-    const scale = make("label", {}, "Scale to ", this.range);
-    this.angleLine = make("div", { class: "band-line angle-line" }, scale, this.take);
     const mark = make("span", { class: `slot slot-${slot}`, "aria-hidden": "true" }, name);
     this.element = make(
       "div",
@@ -69,9 +50,7 @@ export class Picker {
       make("div", { class: "picker-line" }, mark, this.select),
       this.bandLine,
       this.mixLine,
-      this.angleLine,
       this.note,
-      this.computing,
       this.legend,
     );
     this.listen();
@@ -79,52 +58,21 @@ export class Picker {
       const choice = state[slot].value;
       if (choice) this.show(choice);
     });
-    effect(() => {
-      const facts = state[slot].value?.picture.angle;
-      const pin = state.pin.value;
-      this.take.disabled = !pin || !facts || pixelOf(pin).join() === facts.place.join();
-      this.computing.textContent = facts ? progress.value : "";
-      this.offerAngle();
-    });
   }
 
   private listen(): void {
-    this.take.addEventListener("click", () => this.showAngle());
-    this.range.addEventListener("change", () => this.scaleAngle());
     for (const ink of this.inks)
       ink.addEventListener("change", () =>
         this.pick(mixKey(this.inks.map((one) => Number(one.value)))),
       );
     this.select.addEventListener("change", () => {
       const { value } = this.select;
-      if (value === ANGLE) this.showAngle();
-      else this.pick(value === MIX && this.offered ? (proposeMix(this.offered) ?? "") : value);
+      this.pick(value === MIX && this.offered ? (proposeMix(this.offered) ?? "") : value);
     });
     this.slider.addEventListener("input", () => {
       const band = this.offered && bandsOf(this.offered)[Number(this.slider.value)];
       if (band) this.pick(band.key);
     });
-  }
-
-  /** Show the spectral angle to the pinned place. */
-  showAngle(): void {
-    const pin = this.state.pin.peek();
-    if (pin) this.pick(angleKey(pixelOf(pin), Number(this.range.value)));
-  }
-
-  private scaleAngle(): void {
-    const facts = this.state[this.slot].peek()?.picture.angle;
-    if (facts) this.pick(angleKey(facts.place, Number(this.range.value)));
-  }
-
-  /** Without a pinned place there is nothing to compare with, and the list says so. */
-  private offerAngle(): void {
-    const option = this.select.querySelector<HTMLOptionElement>(`option[value=${ANGLE}]`);
-    if (!option) return;
-    const shown = this.state[this.slot].value?.picture.angle;
-    const pinned = this.state.pin.value ?? shown?.place;
-    option.disabled = !pinned;
-    option.textContent = pinned ? "Spectral angle to a place" : "Spectral angle: pin a place first";
   }
 
   private pick(key: string): void {
@@ -142,15 +90,12 @@ export class Picker {
           ...bands.map((band) => make("option", { value: bandNumber(band) }, band.label)),
         );
       this.select.replaceChildren(...groupsOf(layer));
-      this.offerAngle();
       this.slider.max = String(Math.max(0, bands.length - 1));
     }
     const mixed = mixNumbers(picture.key);
     const at = bands.indexOf(picture);
     this.element.hidden = false;
-    this.select.value = mixed ? MIX : picture.angle ? ANGLE : picture.key;
-    this.angleLine.hidden = !picture.angle;
-    if (picture.angle) this.range.value = String(picture.angle.range);
+    this.select.value = mixed ? MIX : picture.key;
     this.mixLine.hidden = !mixed;
     mixed?.forEach((number, i) => (this.inks[i]!.value = String(number)));
     this.bandLine.hidden = at < 0 || bands.length < 2;
@@ -161,8 +106,6 @@ export class Picker {
   }
 }
 
-const pixelOf = (place: Point): Point => [Math.round(place[0]), Math.round(place[1])];
-
 function groupsOf(layer: Layer): HTMLElement[] {
   return GROUPS.flatMap(([kind, label]) => {
     const options = layer.pictures
@@ -170,8 +113,6 @@ function groupsOf(layer: Layer): HTMLElement[] {
       .map((picture) => make("option", { value: picture.key }, picture.label));
     if (kind === "colour" && proposeMix(layer))
       options.push(make("option", { value: MIX }, "False colour of three bands…"));
-    if (kind === "analysis" && hasAngles(layer))
-      options.push(make("option", { value: ANGLE }, "Spectral angle to a place"));
     return options.length ? make("optgroup", { label }, ...options) : [];
   });
 }

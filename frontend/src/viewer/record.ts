@@ -1,7 +1,5 @@
 // What the page of one object says to its script: the JSON in #record.
 
-import type { AngleFacts } from "./angle";
-
 export interface Legend {
   entries: { name: string; colour: string }[];
   least: string;
@@ -11,11 +9,9 @@ export interface Legend {
 export interface Picture {
   key: string;
   label: string;
-  kind: "colour" | "light" | "band" | "map" | "mix" | "analysis" | "angle";
+  kind: "colour" | "light" | "band" | "map" | "mix" | "analysis";
   /** Of a mixture: its red, green and blue part. */
   mixed?: Picture[];
-  /** Of a picture of spectral angles: what it is computed from. */
-  angle?: AngleFacts;
   note: string;
   /** Of a single band: the value that is shown as white; 0 is black. */
   white: number | null;
@@ -126,22 +122,11 @@ export interface Mark {
   trusted: boolean;
 }
 
-/** The IIIF canvas of the object: what notes name as their target. */
-export interface CanvasFacts {
-  id: string;
-  manifest: string;
-  width: number;
-  height: number;
-}
-
 export interface PageRecord {
-  /** What tells this database from others whose notes the browser keeps. */
+  /** What tells this database from others whose pins the browser keeps. */
   database: string;
-  canvas: CanvasFacts;
   /** How to cite the database, and its licence. */
   credits: string[];
-  /** Notes that were published, as Web Annotations. */
-  notes: unknown[];
   object: { name: string; title: string };
   grid: { width: number; height: number; px_per_mm: number | null };
   reference: string;

@@ -5,9 +5,7 @@ import { make } from "../shared/element";
 import { RATES } from "../shared/flicker";
 import type { Mode } from "../shared/stage";
 import { numbersOf, type Address } from "./address";
-import type { LevelPanel } from "./levelpanel";
 import type { PaintingStage } from "./stage";
-import type { State } from "./state";
 
 export const MODES: Option<Mode>[] = [
   { value: "single", label: "One", title: "A alone" },
@@ -23,15 +21,13 @@ const OPACITY: Range = { min: 0, max: 1, step: 0.01, value: 0.5 };
 /** What the toolbar works on. */
 interface Parts {
   stage: PaintingStage;
-  state: State;
-  levels: LevelPanel;
   address: Address;
 }
 
 /** Fill the toolbar above the picture. */
 export function fillToolbar(
   { modes, settings }: Record<"modes" | "settings", HTMLElement>,
-  { stage, state, levels, address }: Parts,
+  { stage, address }: Parts,
 ): void {
   const { curtain, flicker, opacity, gain } = stage;
   const keep = (change: () => void): void => {
@@ -52,8 +48,6 @@ export function fillToolbar(
   begin.addEventListener("click", () => flicker.wait(false));
   const level = pill("Level line", "A above the line, B below it (Shift C)");
   level.addEventListener("click", () => curtain.turn(!curtain.level.value));
-  const same = pill("Same levels", "One value is shown alike in all pictures (Shift E)");
-  same.addEventListener("click", () => levels.toggleLock());
   address.addSlider("rate", rate, RATES);
   address.addSlider("amplify", amplify, GAIN);
   address.addSlider("opacity", cover, OPACITY);
@@ -70,7 +64,7 @@ export function fillToolbar(
       curtain.turn(facts.get("line") === "level");
     },
   });
-  settings.append(begin, rate.element, other, amplify.element, cover.element, level, same);
+  settings.append(begin, rate.element, other, amplify.element, cover.element, level);
   radioGroup(modes, MODES, stage.mode, (mode) => stage.setMode(mode));
   effect(() => {
     const mode = stage.mode.value;
@@ -80,9 +74,7 @@ export function fillToolbar(
     amplify.element.hidden = mode !== "difference";
     cover.element.hidden = mode !== "opacity";
     level.hidden = mode !== "curtain";
-    same.hidden = mode === "single";
     level.setAttribute("aria-pressed", String(curtain.level.value));
-    same.setAttribute("aria-pressed", String(state.locked.value !== null));
   });
 }
 

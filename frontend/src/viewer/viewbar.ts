@@ -1,13 +1,9 @@
 // The line under the picture: how long a millimetre is, what is on the screen, and how it is looked at.
 import { effect, signal } from "@preact/signals-core";
 import { find, make } from "../shared/element";
-import type { Point } from "../shared/pane";
 import { numbersOf, type Address } from "./address";
-import { isPlain, whiteOf } from "./levels";
-import { Minimap } from "./minimap";
-import type { LevelFilters } from "./levelfilters";
 import type { PaintingStage } from "./stage";
-import type { Choice, Slot, State } from "./state";
+import type { Slot, State } from "./state";
 
 const ZOOM_STEP = 1.4;
 const QUARTER = 90;
@@ -15,30 +11,22 @@ const FIELD = "(max-width: 820px)"; // where the page scrolls, as the style shee
 const THUMB = "(pointer: coarse)";
 
 export class ViewBar {
-  readonly minimap: Minimap;
   private readonly percent = make("button", {
     type: "button",
     class: "percent",
     title: "Show one pixel of the picture as one of the screen (0)",
   });
-  private readonly overview = signal(!matchMedia(FIELD).matches);
   private readonly byTouch = signal(false);
 
   constructor(
     host: HTMLElement,
     private readonly stage: PaintingStage,
-    state: State,
-    { size, address, filters }: { size: Point; address: Address; filters: LevelFilters },
+    address: Address,
   ) {
-    this.minimap = new Minimap(stage.left, size, (place) => stage.look(...place, stage.heading[2]));
-    find("stage").append(this.minimap.element);
     const out = quiet("−", "Zoom out", () => stage.zoom(1 / ZOOM_STEP));
     const closer = quiet("+", "Zoom in", () => stage.zoom(ZOOM_STEP));
     const fit = quiet("Fit", "Fit the picture (F)", () => stage.fit());
     const turn = quiet("⟳", "Turn by 90° (T)", () => this.turn(1));
-    const overview = quiet("Overview", "Small picture of the whole (Z)", () =>
-      this.toggleOverview(),
-    );
     const touch = quiet(
       "Drag",
       "Drag with one finger: it moves the picture, and no longer the page",
@@ -50,15 +38,7 @@ export class ViewBar {
     screen.classList.add("screen"); // drawn, as few fonts have a sign for it
     screen.hidden = !document.fullscreenEnabled;
     this.percent.addEventListener("click", () => this.showPixels());
-    host.append(out, this.percent, closer, fit, turn, overview, touch, screen);
-    effect(() => {
-      overview.setAttribute("aria-pressed", String(this.overview.value));
-      this.minimap.shown = this.overview.value;
-    });
-    effect(() => {
-      const choice = state.a.value;
-      if (choice) void this.minimap.show(choice.picture, filters.filterOf("a", choice, state));
-    });
+    host.append(out, this.percent, closer, fit, turn, touch, screen);
     this.watchFingers(touch);
     this.register(address);
   }
@@ -72,10 +52,6 @@ export class ViewBar {
   toggleScreen(): void {
     if (document.fullscreenElement) void document.exitFullscreen();
     else void find("stage").closest(".wall")?.requestFullscreen();
-  }
-
-  toggleOverview(): void {
-    this.overview.value = !this.overview.value;
   }
 
   /** Show one pixel of the picture as one of the screen. */
@@ -92,7 +68,6 @@ export class ViewBar {
       this.percent.textContent = text;
       this.percent.setAttribute("aria-label", `Zoom ${text}; show pixels one to one`);
     }
-    this.minimap.update();
   }
 
   /** On a phone one finger scrolls the page, two move the picture, unless the button says otherwise. */
@@ -112,17 +87,12 @@ export class ViewBar {
     const { stage } = this;
     address.add({
       carried: true,
-      signals: [this.overview],
       write: (facts) => {
         if (stage.degrees) facts.set("turn", String(stage.degrees));
-        if (this.overview.value === matchMedia(FIELD).matches)
-          facts.set("overview", String(Number(this.overview.value)));
       },
       read: (facts) => {
         const degrees = numbersOf(facts, "turn", 1)?.[0] ?? 0;
         if (degrees % QUARTER === 0) stage.turnTo(((degrees % 360) + 360) % 360);
-        const wanted = facts.get("overview");
-        this.overview.value = wanted ? wanted === "1" : !matchMedia(FIELD).matches;
       },
     });
   }
@@ -141,7 +111,7 @@ export function sayWhatIsShown(caption: HTMLElement, stage: PaintingStage, state
     const turning = mode === "flicker" || stage.held.value;
     const name = (slot: Slot): string => {
       const choice = state[slot].value;
-      return choice ? describe(choice, state) : "nothing";
+      return choice ? `${choice.layer.name}, ${choice.picture.label}` : "nothing";
     };
     for (const { slot, label } of stage.cells) {
       label.textContent = `${slot.toUpperCase()}: ${name(slot)}`;
@@ -163,14 +133,4 @@ export function sayWhatIsShown(caption: HTMLElement, stage: PaintingStage, state
       ? `Now ${stage.inTurn.value === "a" ? a : b}`
       : (words[mode] ?? a);
   });
-}
-
-/** A choice in words: layer, picture, and its levels where they were changed. */
-function describe(choice: Choice, state: State): string {
-  const { layer, picture } = choice;
-  const levels = state.levelsOf(choice);
-  const words = `${layer.name}, ${picture.label}`;
-  if (picture.kind === "map" || isPlain(levels, whiteOf(picture))) return words;
-  const [black, white] = [levels.black, levels.white].map((value) => Number(value.toPrecision(2)));
-  return `${words} (${levels.inverted ? "inverted, " : ""}${black} to ${white})`;
 }

@@ -19,15 +19,10 @@ import type { Mode } from "../shared/stage";
 import { startTheme } from "../shared/theme";
 import { watch } from "../shared/watch";
 import { Address, numbersOf } from "./address";
-import { AngleMaps, provideAngles } from "./angle";
 import { Drawing } from "./drawing";
 import { LayerList } from "./layers";
-import { LevelFilters } from "./levelfilters";
-import { LevelPanel } from "./levelpanel";
 import { startCopying } from "./linking";
 import { MeasurePanel } from "./measures";
-import { NotePanel } from "./notes";
-import { savePicture } from "./picture";
 import { PinList } from "./pins";
 import { Readout } from "./readout";
 import { readRecord } from "./record";
@@ -36,16 +31,12 @@ import { ScaleBar } from "./scalebar";
 import { openSpectra } from "./spectra";
 import { PaintingStage } from "./stage";
 import { SLOTS, State, type Slot } from "./state";
+import { fillTone } from "./tone";
 import { fillToolbar, MODES } from "./toolbar";
 import { sayWhatIsShown, ViewBar } from "./viewbar";
 
 const ZOOM_STEP = 1.4;
 const NEAR_PX = 6; // of the screen
-// Of what addresses carry: what the caption says, and what changes no picture.
-const NO_SETTINGS =
-  "a b c d mode curtain line amplify opacity rate overview grid marks measured histogram against spectra range".split(
-    " ",
-  );
 const HINT = "Point at the painting to read its spectrum; click to pin a place.";
 
 const record = readRecord();
@@ -56,10 +47,6 @@ const size: Point = [width, height];
 const stage = new PaintingStage(find("stage"), size, state);
 const layers = new LayerList(find("layers"), record, state);
 const spectra = openSpectra(record);
-const angles = new AngleMaps(spectra, record.flags, () =>
-  SLOTS.map((slot) => state[slot].peek()?.picture.angle),
-);
-provideAngles(angles);
 const readout = new Readout(find("spectrum"), record, spectra, HINT, address);
 const go = (place: Point): void => {
   state.pin.value = place;
@@ -76,21 +63,15 @@ const inView = (): [Point, Point] => {
   return [within(low), within(high)];
 };
 new RegionPanel(find("regions"), record, spectra, state, drawing, inView, address);
-const notes = new NotePanel(find("notes"), record, state, {
-  drawing,
-  go,
-  here: () => state.pin.value ?? within(stage.left.centre),
-});
 const measures = new MeasurePanel(find("measures"), record, state, drawing, address);
 const scaleBar = new ScaleBar(record.grid.px_per_mm);
 
 startTheme(find<HTMLButtonElement>("theme"));
 find("scale").append(scaleBar.element);
-const filters = new LevelFilters(stage, state);
-const levels = new LevelPanel(find("levels"), stage, state, address);
-const bar = new ViewBar(find("view"), stage, state, { size, address, filters });
+fillTone(find("tone"), stage, address);
+const bar = new ViewBar(find("view"), stage, address);
 const sections = { modes: find("modes"), settings: find("settings") };
-fillToolbar(sections, { stage, state, levels, address });
+fillToolbar(sections, { stage, address });
 stage.setMode("single");
 layers.onCompare = () => {
   if (stage.mode.value === "single") stage.setMode("curtain");
@@ -203,8 +184,6 @@ const keys: Key[] = [
   modeKey("S", "side", "Side by side"),
   modeKey("Q", "grid", "Four pictures"),
   modeKey("D", "difference", "Difference"),
-  shiftKey("E", "The same levels for all pictures, or each its own", () => levels.toggleLock()),
-  key("E", ["e"], "Levels: black, gamma, white", () => levels.open()),
   key("X", ["x"], "Swap A and B", () => state.swap()),
   key("[", ["["], "Previous object", follow("previous")),
   key("]", ["]"], "Next object", follow("next")),
@@ -212,7 +191,6 @@ const keys: Key[] = [
   key("0", ["0"], "One pixel of the picture as one of the screen", () => bar.showPixels()),
   shiftKey("T", "Turn by 90°, anticlockwise", () => bar.turn(-1)),
   key("T", ["t"], "Turn by 90°, clockwise", () => bar.turn(1)),
-  key("Z", ["z"], "Small picture of the whole, on and off", () => bar.toggleOverview()),
   key("W", ["w"], "The whole screen for the picture, on and off", () => bar.toggleScreen()),
   key("+ −", ["+", "=", "-", "_"], "Zoom", (event) =>
     stage.zoom("+=".includes(event.key) ? ZOOM_STEP : 1 / ZOOM_STEP),
@@ -237,11 +215,7 @@ const keys: Key[] = [
     },
   ),
   key("M", ["m"], "Measure a length", () => void measures.start("line")),
-  key("A", ["a"], "Spectral angle of every pixel to the pinned place", () => layers.showAngle()),
   key("G", ["g"], "Grid on and off", () => (state.grid.value = !state.grid.value)),
-  key("N", ["n"], "Write a note on the pinned place, or the middle of the view", () =>
-    notes.writeHere(),
-  ),
   key(
     "H",
     ["h"],
@@ -309,28 +283,11 @@ address.add({
 });
 const say = (sentence: string): void => void (find("said").textContent = sentence);
 startCopying(find<HTMLButtonElement>("copy-link"), address, say);
-find("save-picture").addEventListener("click", () => {
-  const choices = stage.slots.value.flatMap((slot) => state[slot].value ?? []);
-  const notes = choices.map(
-    ({ layer, picture }) => picture.note && `${layer.name}: ${picture.note}`,
-  );
-  const settings = address.settings(NO_SETTINGS);
-  const lines = [
-    find("caption").textContent,
-    settings && `Shown with ${settings}.`,
-    ...new Set(notes),
-    ...record.credits,
-  ];
-  const legend = { title: record.object.title, bar: scaleBar.shown, lines: lines.filter(Boolean) };
-  const name = `${record.object.name}_${stage.mode.value}.png`;
-  void savePicture(find("stage"), name, legend).then(say);
-});
 if (layers.layers.length) {
   address.start();
   stage.onMove = () => {
     scaleBar.update(stage.left.scale);
     bar.update();
-    levels.count();
     measures.scaleGrid(stage.left.scale, scaleBar);
     drawing.render();
     address.remember();
@@ -338,4 +295,4 @@ if (layers.layers.length) {
 }
 
 // For tests and for the curious: the parts by name.
-Object.assign(window, { levkasViewer: { stage, layers, state, readout, pins, angles, record } });
+Object.assign(window, { levkasViewer: { stage, layers, state, readout, pins, record } });

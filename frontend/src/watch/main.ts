@@ -4,16 +4,13 @@ import "./watch.css";
 import { make, refill, saveFile } from "../shared/element";
 import { startTheme } from "../shared/theme";
 import { enter, messageOf } from "../workbench/api";
-import { Curtains } from "./curtains";
 import { asText, sentence, Session, type Frame, type News } from "./session";
-import { Speaker } from "./sound";
 
 const WORDS = { green: "green", look: "look", stop: "stop", waiting: "being written" };
 const MOST_FAULTS = 60;
 
 class Page {
   private readonly session = new Session();
-  private readonly speaker = new Speaker();
   private readonly title = make("h1", {}, "The session");
   private readonly notes = make("div", { class: "notes", role: "status" });
   private readonly counts = make("p", { class: "counts" });
@@ -21,7 +18,6 @@ class Page {
   private readonly faults = make("section", { class: "faults" });
   private readonly missing = make("section", { class: "missing" });
   private readonly all = make("section", { class: "all" });
-  private readonly curtains = new Curtains();
   private chosen: string | null = null;
 
   constructor() {
@@ -30,7 +26,6 @@ class Page {
       "nav",
       { "aria-label": "Page" },
       this.large(),
-      this.sound(),
       this.file(),
       this.print(),
       theme,
@@ -39,7 +34,7 @@ class Page {
     document.body.append(
       make("header", {}, make("div", {}, this.title, this.counts), tools),
       this.notes,
-      make("main", {}, this.now, this.missing, this.faults, this.curtains.root, this.all),
+      make("main", {}, this.now, this.missing, this.faults, this.all),
     );
     document.addEventListener("keydown", (event) => {
       if (event.key === "l" && !event.ctrlKey && !event.metaKey && !event.altKey)
@@ -52,7 +47,6 @@ class Page {
     source.addEventListener("message", ({ data }: MessageEvent<string>) => {
       const fresh = this.session.take(JSON.parse(data) as News);
       if (fresh.length) this.chosen = null;
-      this.speaker.tell(fresh);
       this.draw();
     });
     source.addEventListener("error", () => {
@@ -80,7 +74,6 @@ class Page {
     refill(this.now, ...nowOf(shown ?? null, this.chosen !== null));
     this.drawMissing(news);
     this.drawFaults();
-    this.curtains.show(news.layers ?? []);
     this.drawAll();
   }
 
@@ -174,14 +167,6 @@ class Page {
     return button;
   }
 
-  private sound(): HTMLButtonElement {
-    const button = make("button", { type: "button", id: "sound" }, "Sound: silent");
-    button.addEventListener("click", () => {
-      button.textContent = `Sound: ${this.speaker.next()}`;
-    });
-    return button;
-  }
-
   private file(): HTMLButtonElement {
     const button = make("button", { type: "button" }, "Save the list");
     button.addEventListener("click", () => {
@@ -198,7 +183,7 @@ class Page {
   }
 }
 
-function notesOf({ away, guessed, strays, problems, build_problems }: News): string[] {
+function notesOf({ away, guessed, strays, problems }: News): string[] {
   const few = strays.slice(0, 3).join(", ") + (strays.length > 3 ? " …" : "");
   return [
     away ? "The folder cannot be reached. What was known of it is shown." : "",
@@ -207,7 +192,6 @@ function notesOf({ away, guessed, strays, problems, build_problems }: News): str
       : "",
     strays.length ? `No pattern of campaign.toml fits ${few}.` : "",
     ...problems,
-    ...(build_problems ?? []),
   ].filter(Boolean);
 }
 

@@ -28,19 +28,7 @@ export interface Missing {
   why: string;
 }
 
-export interface Layer {
-  object: string;
-  camera: string;
-  setup: string;
-  verdict: string;
-  reasons: string[];
-  next_step: string;
-  built: number;
-}
-
 export interface News {
-  layers?: Layer[];
-  build_problems?: string[];
   folder: string;
   counts: Record<Verdict, number>;
   frames: Frame[];

@@ -52,7 +52,6 @@ from levkas.stages.written import Written
 
 if TYPE_CHECKING:
     from levkas.building.cluster_executor import ClusterExecutor
-    from levkas.building.tasks import ReferenceMemory
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
 
@@ -142,49 +141,6 @@ def build(
             yield from _numbered(steps, plan.graph, total)
         if not objects:
             templates.remove_all_but(_used_templates(records))
-        records.hashes.save()
-
-
-def build_layers(path: str | Path, objects: list[str], memory: ReferenceMemory) -> Iterator[Step]:
-    """Build the layers of some objects in this process, and leave pages and catalogue to `build`.
-
-    Parameters
-    ----------
-    path : path
-        A campaign's folder or its campaign.toml.
-    objects : list of str
-    memory : ReferenceMemory
-        Of this process, which builds again and again: holds the reference from one time to the next, and what is registered as pictures.
-
-    Yields
-    ------
-    step : Step
-
-    Raises
-    ------
-    Refused
-        As of `build`.
-    """
-    from levkas.core.sweeping import sweep
-
-    campaign = load_campaign(path)
-    places = places_of(campaign)
-    whole = plan_of(campaign)
-    plan = whole.of(objects)
-    claim(campaign, places, whole.captures, whole.names)
-    with building(places.kept, workers=False):
-        for folder in (places.output, places.kept):
-            sweep(folder)
-        session = hashes_of_session(campaign.root)
-        records = BuildRecords(places.kept, places.output, session=session)
-        digests = records.hashes.of_frame if len(whole.names) > 1 else None
-        templates = TemplateCache(places.kept / "templates", digests)
-        outcomes = Outcomes(campaign, places, records, plan.graph)
-        for step in (step for steps in plan.lost().values() for step in steps):
-            refused = plan.refusals.get((step.key.object, step.key.camera, step.key.setup))
-            yield outcomes.lose(step, refused)
-        tasks = [task for task in plan.graph.values() if task.capture is not None]
-        yield from Executor(outcomes, templates, memory).run(tasks)
         records.hashes.save()
 
 

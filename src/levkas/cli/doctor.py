@@ -41,7 +41,6 @@ OLDEST_LIBRAW = (0, 22, 1)
 OLDEST_NODE = 20
 
 PURPOSES = {
-    "bagit": "publish: BagIt",
     "exifread": "EXIF of photographs",
     "filelock": "locks of databases and edits",
     "imagecodecs": "compressed TIFFs",

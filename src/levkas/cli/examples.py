@@ -18,7 +18,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "levkas estimate score icons/database predictions --from d80 --train icon1 --test icon2 -o scores",
     ),
     "evaluate": ("levkas evaluate icons", "levkas evaluate icons --points checks.csv --maps ssim"),
-    "export": ("levkas export icons --for envi", "levkas export icons --for matlab --object icon1 --camera d80 -o out"),
+    "export": ("levkas export icons --for envi", "levkas export icons --for qgis --object icon1 --camera d80 -o out"),
     "inspect": ("levkas inspect icons", "levkas inspect icons --port 8800 --no-open"),
     "look": ("levkas look captures", "levkas look captures --write"),
     "map": (

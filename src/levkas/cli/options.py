@@ -42,7 +42,7 @@ EXCLUDES: dict[str, Needs] = {
     "publish": {"--check": ("--no-iiif",)},
     "simulate": {"--setups": ("--setup",)},
     "status": {"--graph": ("--json",)},
-    "watch": {"--once": ("--bell", "--build", "--port", "--no-open")},
+    "watch": {"--once": ("--bell", "--port", "--no-open")},
 }
 """Command → option → others that would have no effect beside it."""
 GONE = {

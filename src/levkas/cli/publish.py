@@ -35,19 +35,6 @@ def publish(
     check: Annotated[
         bool, typer.Option("--check", help="Only list missing metadata and where to write them.")
     ] = False,
-    bag: Annotated[
-        Path | None,
-        typer.Option(
-            "--bag", help="Also copy the publication as a BagIt bag into this new folder."
-        ),
-    ] = None,
-    notes: Annotated[
-        Path | None,
-        typer.Option(
-            "--notes",
-            help="File of notes from the viewer, or a folder of them; default notes/ of the campaign.",
-        ),
-    ] = None,
     url: Annotated[str, typer.Option(help="Web address of the published folder.")] = "",
     analyse: Annotated[
         list[str] | None,
@@ -66,19 +53,18 @@ def publish(
     from levkas.publish import run
 
     if check:
-        missing = run.check(subject, notes, output=output, url=url, analyse=analyse or (), bag=bag)
+        missing = run.check(subject, output=output, url=url, analyse=analyse or ())
         print_report("publish", as_json, missing.ok, list(missing.problems), **missing.to_dict())
         if not as_json:
             typer.echo(missing.text)
         raise typer.Exit(0 if missing.ok else 1)
-    wanted = run.find_subject(subject, notes=notes)
+    wanted = run.find_subject(subject)
     publication = run.publish(
         wanted,
         output=output,
         url=url,
         iiif=not no_iiif,
         analyse=analyse or (),
-        bag=bag,
     )
     steps = draw_steps(publication, as_json)
     report = run.summarise(steps)
@@ -98,17 +84,11 @@ def export(
     ],
     form: Annotated[
         Literal[
-            "imagej",
             "envi",
-            "matlab",
-            "ntire",
             "qgis",
             "netcdf",
             "photoshop",
-            "ecirgb",
-            "prophoto",
             "ngff",
-            "csv-spectra",
         ],
         typer.Option("--for", help="Program that will read the export."),
     ],

@@ -34,13 +34,6 @@ def watch(
         bool,
         typer.Option("--bell", help="Ring the terminal once at a look, three times at a stop."),
     ] = False,
-    build: Annotated[
-        bool,
-        typer.Option(
-            "--build",
-            help="Build objects into the database when the session pauses, and show them registered.",
-        ),
-    ] = False,
     port: Annotated[
         int, typer.Option(help="Port of the page; 0 uses any free one.", min=0, max=65535)
     ] = 0,
@@ -57,22 +50,18 @@ def watch(
     session = WatchedSession(folder)
     if once or as_json:
         _finish(session.settle(), as_json)
-    _follow(session, port, browse=not no_open, bell=bell, build=build)
+    _follow(session, port, browse=not no_open, bell=bell)
 
 
-def _follow(session: WatchedSession, port: int, *, browse: bool, bell: bool, build: bool) -> None:
+def _follow(session: WatchedSession, port: int, *, browse: bool, bell: bool) -> None:
     """Print what happens, and show it on the page, until Ctrl-C."""
     from levkas.workbench.watching.page import SessionBoard, WatchServer
-    from levkas.workbench.watching.previews import RegisteredPreviews
 
-    previews = RegisteredPreviews(session) if build else None
-    board = SessionBoard(session, previews)
+    board = SessionBoard(session)
     server = WatchServer(board, port)
     root, verdicts = session.watch.root, dict[str, str]()
     typer.echo(f"Watching {root} by looking at it three times a second. Press Ctrl-C to end.")
     typer.echo(f"The page is at {server.address.url}")
-    if previews is not None:
-        previews.start()
     if browse:
         server.opening.show()
     try:
@@ -83,8 +72,6 @@ def _follow(session: WatchedSession, port: int, *, browse: bool, bell: bool, bui
         typer.echo()
     finally:
         server.stop()
-        if previews is not None:
-            previews.stop()
     print_missing(session.state())
 
 

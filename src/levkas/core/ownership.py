@@ -1,7 +1,7 @@
 """Marks of files that Levkas wrote: only these are ever replaced or removed.
 
 A database bears `MARK` in the first line of its database.toml, which a build writes before anything
-else; a finished one also in its manifest, as a publication does; a bag in its bag-info.txt. Of files
+else; a finished one also in its manifest, as a publication does. Of files
 that are written into a folder of somebody else's, such as an export, a record beside them says which.
 """
 
@@ -22,7 +22,7 @@ from levkas.core.files import DROPPINGS, OURS
 from levkas.core.problems import SCHEMES, Problem, Refused
 from levkas.core.text import read_json, what_stands_at
 
-Kind = Literal["database", "publication", "bag"]
+Kind = Literal["database", "publication"]
 
 IMPRINT = "database.toml"
 """Facts of a database as a whole; its first line is `MARK`."""
@@ -32,15 +32,12 @@ RECORD = "levkas-files.json"
 LONGEST_MARK = 4096
 """Bytes of a file that a mark is looked for in."""
 _MANIFEST = re.compile(rb"# levkas manifest 1: ")
-_BAG = re.compile(rb"^Bag-Software-Agent: levkas ", re.MULTILINE)
 _DATABASE = re.compile(re.escape(MARK.encode()))
 
 
 def made(folder: str | Path) -> Kind | None:
     """Return what of ours a folder is, by its mark; None where it has none."""
     folder = Path(folder)
-    if _BAG.search(_head(folder / "bag-info.txt")):
-        return "bag"
     if _MANIFEST.match(_head(folder / "manifest-sha256.txt")):
         return "publication" if (folder / "ro-crate-metadata.json").is_file() else "database"
     return "database" if _DATABASE.match(_head(folder / IMPRINT)) else None

@@ -32,8 +32,6 @@ from levkas.database.manifest import (
 )
 from levkas.database.remote import THREADS, RemoteRefused, is_remote
 
-BAG, TAGS = "bagit.txt", "tagmanifest-sha256.txt"
-
 
 @dataclass(frozen=True)
 class Checked:
@@ -106,8 +104,8 @@ def validate(
     Parameters
     ----------
     database : path
-        A folder as `levkas build` writes it, that of the campaign that it was built from, one of the same kind by other
-        hands, or a BagIt bag; or the address of such a one that has a manifest.
+        A folder as `levkas build` writes it, that of the campaign that it was built from, or one of the same kind by other
+        hands; or the address of such a one that has a manifest.
     threads : int, optional
         For hashing; default: `levkas.core.machine.count_threads`.
     draw : callable
@@ -159,7 +157,7 @@ def check_files(database: str | Path, *, threads: int | None = None) -> Iterator
 
 
 def _find_manifest(root: Path) -> Manifest | None:
-    """Read the manifest, that of a bag with its tag files; refuse a folder that is no database."""
+    """Read the manifest; refuse a folder that is no database."""
     found = (root / NAME).is_file()
     if not found and not (root / CATALOGUE).is_file() and not (root / "objects").is_dir():
         raise no_database(root, f"a folder with {CATALOGUE}, {NAME} or objects/")
@@ -168,14 +166,7 @@ def _find_manifest(root: Path) -> Manifest | None:
     manifest = read_manifest(root / NAME)
     if is_remote(root) and manifest.problems:  # to decode every file, each would come over the net
         raise DatabaseRefused(*manifest.problems)
-    if not (root / BAG).is_file() or not (root / TAGS).is_file():
-        return manifest
-    tags = read_manifest(root / TAGS)
-    files = {**{n: f for n, f in tags.files.items() if n != NAME}, **manifest.files}
-    problems = (*manifest.problems, *tags.problems)
-    if (own := tags.files.get(NAME)) and hash_file(root / NAME) != own.sha256:
-        problems += (_problem(root, NAME, "E_DAMAGED", "it differs from the bag's tag manifest"),)
-    return Manifest(manifest.path, files, manifest.bytes, problems)
+    return manifest
 
 
 # --- by hash ----------------------------------------------------------------------------------
@@ -184,8 +175,7 @@ def _find_manifest(root: Path) -> Manifest | None:
 def _by_hash(root: Path, manifest: Manifest, names: list[str], threads: int) -> Iterator[Checked]:
     """Compare every file with the manifest."""
     listed = {plain(name): entry for name, entry in manifest.files.items()}
-    own = {NAME, TAGS} if (root / BAG).is_file() else {NAME}
-    there = {plain(name): name for name in names if name not in own}
+    there = {plain(name): name for name in names if name != NAME}
     missing = [listed[key] for key in listed if key not in there]
     extra = [there[key] for key in there if key not in listed]
     total = len(names) + len(missing)
@@ -199,7 +189,7 @@ def _by_hash(root: Path, manifest: Manifest, names: list[str], threads: int) -> 
                 damaged[key] = listed[key]
             else:
                 yield Checked(there[key], done=done, total=total)
-    for name in (n for n in names if n in own):
+    for name in (n for n in names if n == NAME):
         yield Checked(name, done=len(there) + 1, total=total)
     for key, entry in damaged.items():
         problem = _damage_of(root, there[key], entry, found[key], listed)
@@ -219,23 +209,22 @@ def _by_hash(root: Path, manifest: Manifest, names: list[str], threads: int) -> 
 
 def _check_catalogue(root: Path, listed: dict[str, Listed]) -> Iterator[Problem]:
     """Hold the catalogue's own hashes against the manifest's, which were just found to be true."""
-    base = root / "data" if (root / BAG).is_file() else root
-    if not (base / CATALOGUE).is_file():
+    if not (root / CATALOGUE).is_file():
         return
     try:
-        entries = read_catalogue(base)
+        entries = read_catalogue(root)
     except DatabaseRefused as refused:
         yield from refused.problems
         return
     for entry in entries:
-        name = f"{'data/' if base != root else ''}{entry.layer.path}.tif"
+        name = f"{entry.layer.path}.tif"
         file = listed.get(plain(name))
         if file is None:
             yield _problem(root, name, "E_MISSING", f"{CATALOGUE} lists it, but it is missing")
         elif file.sha256 != entry.sha256.lower():
             details = {"field": f"sha256 of {name}", "found": entry.sha256, "expected": file.sha256}
             yield _problem(
-                base, CATALOGUE, "E_DAMAGED", "a hash in it differs from the file", **details
+                root, CATALOGUE, "E_DAMAGED", "a hash in it differs from the file", **details
             )
 
 

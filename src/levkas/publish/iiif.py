@@ -15,14 +15,12 @@ import numpy as np
 from levkas.colour.srgb import srgb_profile
 from levkas.core.json_safe import to_json
 from levkas.core.text import counted
-from levkas.publish.annotations import annotations_of
 from levkas.publish.citation import cite
 from levkas.publish.publication import describe_dataset
 from levkas.publish.viewer.pyramid import cut, encode_jpeg, fit_within, halve
 
 if TYPE_CHECKING:
     from levkas.database.catalogue import Entry
-    from levkas.publish.annotations import Annotations
     from levkas.publish.publication import Publication
 
 FOLDER = "iiif"
@@ -35,7 +33,6 @@ def write_iiif(publication: Publication) -> Iterator[str]:
     if not publication.iiif:
         return
     base = publication.base
-    notes = annotations_of(publication)
     manifests = []
     for name in dict.fromkeys(entry.object for entry in publication.entries()):
         layers = _layers(publication, name)
@@ -48,7 +45,7 @@ def write_iiif(publication: Publication) -> Iterator[str]:
             for file, data in cut_tiles(picture, service):
                 publication.write_bytes(f"{FOLDER}/{name}/{layer}/{file}", data)
             shown.append(_image(entry, service, picture.shape[:2], rendering))
-        manifest = describe_object(publication, name, layers, shown, notes)
+        manifest = describe_object(publication, name, layers, shown)
         publication.write_text(f"{FOLDER}/{name}/manifest.json", to_json(manifest))
         manifests.append(manifest)
     yield "collection"
@@ -61,7 +58,6 @@ def describe_object(
     name: str,
     layers: list[Entry],
     shown: list[dict[str, Any]],
-    notes: Annotations,
 ) -> dict[str, Any]:
     """Return the manifest of an object."""
     facts, base = publication.facts.objects.get(name, {}), publication.base
@@ -90,9 +86,6 @@ def describe_object(
             }
         ],
     }
-    if items := notes.of(name):
-        page = {"id": f"{here}/canvas/notes", "type": "AnnotationPage", "items": items}
-        canvas["annotations"] = [page]
     return {
         "@context": CONTEXT,
         "id": f"{here}/manifest.json",

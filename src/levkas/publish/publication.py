@@ -54,8 +54,6 @@ class Publication:
         Address under which the folder will be found, with ``/`` at its end; empty where not known.
     iiif : bool
         Whether tiles are wanted.
-    notes : tuple of Path
-        Files of notes that it carries.
     analyses : tuple of Analysis
         That are wanted.
     hashes : dict
@@ -72,7 +70,6 @@ class Publication:
     facts: PublicationFacts
     url: str = ""
     iiif: bool = True
-    notes: tuple[Path, ...] = ()
     analyses: tuple[Analysis, ...] = ()
     hashes: dict[str, str] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
@@ -186,8 +183,8 @@ def require_ours(folder: Path, kind: Kind, *, fix: str) -> None:
     ----------
     folder : Path
         One that is not there, or is empty, is free.
-    kind : "publication" or "bag"
-        A publication or a bag is replaced whole: a file in it that its manifest does not list is
+    kind : "publication"
+        It is replaced whole: a file in it that its manifest does not list is
         somebody else's.
     fix : str
 
@@ -201,7 +198,7 @@ def require_ours(folder: Path, kind: Kind, *, fix: str) -> None:
     if not found:
         return
     ours = made(folder) if found == "a folder" else None
-    foreign = _foreign_files(folder, kind) if ours == kind else []
+    foreign = _foreign_files(folder) if ours == kind else []
     if ours == kind and not foreign:
         return
     if foreign:
@@ -214,7 +211,7 @@ def require_ours(folder: Path, kind: Kind, *, fix: str) -> None:
 
 
 def require_earlier(folder: Path, database: Path, facts: PublicationFacts, *, fix: str) -> None:
-    """Refuse to replace a publication, or a bag of one, unless it is an earlier one of this database.
+    """Refuse to replace a publication unless it is an earlier one of this database.
 
     It is where both hold an object, and this object's raw files in common (the same title or DOI, where a
     database does not list its raw files); objects that would go with it need the same title or DOI as well.
@@ -222,7 +219,7 @@ def require_earlier(folder: Path, database: Path, facts: PublicationFacts, *, fi
     Parameters
     ----------
     folder : Path
-        A publication or bag by Levkas; nothing is refused where there is none.
+        A publication by Levkas; nothing is refused where there is none.
     database : Path
         What is published.
     facts : PublicationFacts
@@ -237,13 +234,12 @@ def require_earlier(folder: Path, database: Path, facts: PublicationFacts, *, fi
     from levkas.publish.metadata import read_facts
 
     kind = made(folder)
-    if kind not in ("publication", "bag"):
+    if kind != "publication":
         return
-    earlier = folder / "data" if kind == "bag" else folder
-    held, ours = _objects(earlier), _objects(database)
-    there = read_facts(earlier)
+    held, ours = _objects(folder), _objects(database)
+    there = read_facts(folder)
     alike = there.title == facts.title or bool(there.doi and there.doi == facts.doi)
-    one, other = (_raw_files(root, held & ours) for root in (earlier, database))
+    one, other = (_raw_files(root, held & ours) for root in (folder, database))
     related = bool(one & other) if one and other else alike
     if held and ours and not held & ours:
         related = False
@@ -278,14 +274,9 @@ def _raw_files(root: Path, objects: set[str]) -> set[str]:
     return hashes - {""}
 
 
-def _foreign_files(folder: Path, kind: Kind) -> list[str]:
+def _foreign_files(folder: Path) -> list[str]:
     """Files that the manifests of a folder do not list."""
     listed = {NAME}
-    if kind == "bag":
-        listed |= {
-            "tagmanifest-sha256.txt",
-            *read_manifest(folder / "tagmanifest-sha256.txt").files,
-        }
     manifest = read_manifest(folder / NAME)
     if manifest.problems:
         return [NAME]  # what it lists cannot be relied on

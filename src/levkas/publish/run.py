@@ -35,11 +35,10 @@ SPACE = 1.6
 
 @dataclass(frozen=True)
 class PublishSubject:
-    """What is to be published: a database, the campaign it was built from where that was given, and files of notes."""
+    """What is to be published: a database, and the campaign it was built from where that was given."""
 
     database: Path
     campaign: Path | None = None
-    notes: tuple[Path, ...] = ()
 
     @property
     def default_output(self) -> Path:
@@ -78,7 +77,6 @@ class PublishReport:
     output: Path
     files: int
     bytes: int
-    bag: Path | None = None
     deposit: tuple[Problem, ...] = ()
     """What a repository must know before it gives a DOI."""
     left_out: tuple[str, ...] = ()
@@ -88,7 +86,6 @@ class PublishReport:
     def text(self) -> str:
         """Report for people."""
         text = f"Published {self.output}: {self.files} files, {self.bytes / 1e6:.1f} MB"
-        text += f"\nBag, checked: {self.bag}" if self.bag else ""
         text += "".join(f"\nLeft out: {note}" for note in self.left_out)
         missing = ", ".join(p.message for p in self.deposit)
         return text + (f"\nBefore it gets a DOI: {missing}" if missing else "")
@@ -99,7 +96,6 @@ class PublishReport:
             "output": str(self.output),
             "files": self.files,
             "bytes": self.bytes,
-            "bag": str(self.bag) if self.bag else None,
             "left_out": list(self.left_out),
         }
 
@@ -141,12 +137,10 @@ class CheckReport:
 
 def check(
     path: str | Path,
-    notes: str | Path | None = None,
     *,
     output: str | Path | None = None,
     url: str = "",
     analyse: Sequence[str] = (),
-    bag: str | Path | None = None,
 ) -> CheckReport:
     """Check what is missing before a database can be published, and before it can get a DOI; nothing is written.
 
@@ -157,9 +151,7 @@ def check(
     ----------
     path : path
         A database, or its campaign, whose facts are taken as they are now.
-    notes : path, optional
-        As `find_subject` has it.
-    output, url, analyse, bag
+    output, url, analyse
         As of `publish`.
 
     Returns
@@ -171,11 +163,9 @@ def check(
     from levkas.publish.citation import check_datacite
 
     problems: list[Problem] = []
-    subject = noted = find_subject(path, fresh=False)
+    subject = find_subject(path, fresh=False)
     analyses: tuple[Analysis, ...] = ()
     whole = False
-    with _listed(problems):
-        noted = find_subject(path, fresh=False, notes=notes)
     with _listed(problems):
         analyses = parse_analyses(analyse)
     with _listed(problems):
@@ -183,11 +173,9 @@ def check(
     with _listed(problems):
         whole = bool(find_manifest(subject.database))
     for step in (
-        lambda: check_notes(noted),
         lambda: find_subject(path),
         lambda: check_analyses(subject.database, analyses),
-        lambda: check_places(subject, facts_of_subject(subject), output, None),
-        lambda: _check_bag(subject, facts_of_subject(subject), output, bag),
+        lambda: check_places(subject, facts_of_subject(subject), output),
     ):
         with _listed(problems):
             if whole:
@@ -208,9 +196,7 @@ def _listed(problems: list[Problem]) -> Iterator[None]:
         problems += [problem for problem in refused.problems if problem not in problems]
 
 
-def find_subject(
-    path: str | Path, *, fresh: bool = True, notes: str | Path | None = None
-) -> PublishSubject:
+def find_subject(path: str | Path, *, fresh: bool = True) -> PublishSubject:
     """Find the database of a campaign, or take a path as a database.
 
     Parameters
@@ -218,21 +204,15 @@ def find_subject(
     path : path
     fresh : bool
         Whether the database must be up to date with its campaign.
-    notes : path, optional
-        A file of notes, or a folder of them; default the folder ``notes`` beside campaign.toml, where there
-        is one.
 
     Raises
     ------
     Refused
-        Where a campaign cannot be read, or has not been built to the end; where there are no notes.
+        Where a campaign cannot be read, or has not been built to the end.
     """
-    from levkas.publish.annotations import FOLDER, find_annotations
-
     path = Path(path)
-    files = find_annotations(Path(notes)) if notes is not None else ()
     if path.name != "campaign.toml" and not (path / "campaign.toml").is_file():
-        return PublishSubject(path, None, files)
+        return PublishSubject(path)
     from levkas.building import status
     from levkas.campaign.campaign import load_campaign
 
@@ -249,19 +229,7 @@ def find_subject(
                 fix=f"Run levkas build {campaign.root} first, or give the database folder to publish it unchanged.",
             )
         )
-    if notes is None and (campaign.root / FOLDER).is_dir():
-        files = find_annotations(campaign.root / FOLDER)
-    return PublishSubject(campaign.output, campaign.path, files)
-
-
-def check_notes(subject: PublishSubject) -> None:
-    """Read the files of notes and keep nothing; raises PublishRefused where one is not as it should be."""
-    from levkas.database.catalogue import read_catalogue
-    from levkas.publish.annotations import read_annotations
-
-    if subject.notes:
-        entries = read_catalogue(subject.database)
-        read_annotations(subject.notes, {e.object: (e.width, e.height) for e in entries})
+    return PublishSubject(campaign.output, campaign.path)
 
 
 def publish(
@@ -271,14 +239,13 @@ def publish(
     url: str = "",
     iiif: bool = True,
     analyse: Sequence[str] = (),
-    bag: str | Path | None = None,
 ) -> Iterator[PublishStep]:
     """Publish a database, yielding what is done, and in the end a report.
 
     Parameters
     ----------
     path : path or PublishSubject
-        A database, or a campaign that has been built; with notes as `find_subject` returns it.
+        A database, or a campaign that has been built.
     output : path, optional
         Default: ``NAME.published`` beside the database. An earlier publication there is replaced
         when the new one is whole.
@@ -288,14 +255,12 @@ def publish(
         Whether tiles and IIIF manifests are made.
     analyse : sequence of str
         Analyses of the layers, as `levkas.publish.analysis_names.parse_analyses` reads them.
-    bag : path, optional
-        Folder for a BagIt bag, a copy of the publication.
 
     Raises
     ------
     PublishRefused
-        Where facts are missing, the database is not whole, `output` holds it, or lies in it, or `output` or
-        `bag` is the publication of another database.
+        Where facts are missing, the database is not whole, `output` holds it, or lies in it, or `output` is the
+        publication of another database.
     WriteRefused
         Where `output` is anything but an earlier publication, or the disk refuses; an earlier
         publication is kept then.
@@ -304,40 +269,33 @@ def publish(
     from levkas.core.sweeping import sweep_beside
     from levkas.database.manifest import write_manifest
     from levkas.publish.analysis import check_analyses
-    from levkas.publish.bagging import write_bag
     from levkas.publish.citation import check_datacite
 
     analyses = parse_analyses(analyse)
     _check_address(url)
     subject = path if isinstance(path, PublishSubject) else find_subject(path)
     manifest = find_manifest(subject.database)
-    check_notes(subject)
     check_analyses(subject.database, analyses)
     facts = facts_of_subject(subject)
     if problems := missing_facts(facts):
         raise PublishRefused(*problems)
-    final = check_places(subject, facts, output, bag)
+    final = check_places(subject, facts, output)
     if final.parent.is_dir():
         sweep_beside(final)
     with publishing(final, bytes_needed=int(SPACE * manifest.bytes)) as folder:
         source, address = subject.database.resolve(), _with_slash(url)
         publication = Publication(
             *(source, manifest, folder, facts, address, iiif),
-            *(subject.notes, analyses),
+            analyses,
             campaign=subject.campaign,
         )
         yield from _run(publication)
         made = write_manifest(folder.path, publication.hashes)
         _check_whole(publication)
         _check_output(final, source, facts)  # files may have come into it meanwhile
-    if bag is not None:
-        for what in write_bag(final, bag, facts):
-            yield PublishStep("bag", what, len(PARTS), len(PARTS))
-        yield PublishStep("bag", "", len(PARTS), len(PARTS), True, "done")
-    packed = Path(bag).resolve() if bag else None
     needed = tuple(check_datacite(facts)[0])
     left_out = tuple(publication.left_out)
-    report = PublishReport(final, len(made.files) + 1, made.bytes, packed, needed, left_out)
+    report = PublishReport(final, len(made.files) + 1, made.bytes, needed, left_out)
     yield PublishStep("publication", "", len(PARTS), len(PARTS), True, "done", report)
 
 
@@ -433,34 +391,15 @@ def check_places(
     subject: PublishSubject,
     facts: PublicationFacts,
     output: str | Path | None,
-    bag: str | Path | None,
 ) -> Path:
-    """Return the folder of a publication; refuse it, or that of its bag, where something else is there."""
+    """Return the folder of a publication; refuse it where something else is there."""
     final = _final(subject, output)
     _check_output(final, subject.database.resolve(), facts)
-    _check_bag(subject, facts, output, bag)
     return final
 
 
 def _final(subject: PublishSubject, output: str | Path | None) -> Path:
     return Path(output or subject.default_output).resolve()
-
-
-def _check_bag(
-    subject: PublishSubject,
-    facts: PublicationFacts,
-    output: str | Path | None,
-    bag: str | Path | None,
-) -> None:
-    """Refuse a folder of a bag where something else is, or that holds, or lies in, what is published."""
-    from levkas.publish.bagging import NEW_BAG, check_target
-
-    if bag is None:
-        return
-    database, place = subject.database.resolve(), Path(bag).resolve()
-    for root in (database, _final(subject, output)):
-        check_target(root, place)
-    require_earlier(place, database, facts, fix=NEW_BAG)
 
 
 def _check_address(url: str) -> None:

@@ -2,7 +2,6 @@
 
 import subprocess
 
-import bagit
 import pytest
 
 from levkas.building import build, summarise
@@ -60,30 +59,14 @@ def test_a_layer_whose_files_would_have_too_long_a_name_is_refused_by_name(make_
 
 
 @pytest.mark.slow
-def test_an_odd_name_survives_checksums_and_a_bag(make_plates, tmp_path):
+def test_an_odd_name_survives_checksums(make_plates, tmp_path):
     folder = make_plates(tmp_path / "campaign", [ODD])
     text = (folder / "campaign.toml").read_text()
     head = '[campaign]\ncreator = "Doe, Jane"\nlicence = "CC-BY-4.0"\n'
     (folder / "campaign.toml").write_text(text.replace("[campaign]\n", head))
     assert summarise(build(folder)).ok
-    list(run.publish(folder / "database", output=tmp_path / "out", bag=tmp_path / "bag"))
-    bagit.Bag(str(tmp_path / "bag")).validate()
-    for place in (folder / "database", tmp_path / "out", tmp_path / "bag"):
+    list(run.publish(folder / "database", output=tmp_path / "out"))
+    for place in (folder / "database", tmp_path / "out"):
         command = ["sha256sum", "-c", "--quiet", "manifest-sha256.txt"]
         done = subprocess.run(command, cwd=place, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout
-
-
-@pytest.mark.slow
-def test_a_foreign_file_that_a_bag_cannot_name_is_refused_by_its_name(make_plates, tmp_path):
-    folder = make_plates(tmp_path / "campaign", ["one"])
-    text = (folder / "campaign.toml").read_text()
-    head = '[campaign]\ncreator = "Doe, Jane"\nlicence = "CC-BY-4.0"\n'
-    (folder / "campaign.toml").write_text(text.replace("[campaign]\n", head))
-    assert summarise(build(folder)).ok
-    (folder / "database/objects/one/at 50%.txt").write_text("a note")
-    assert summarise(build(folder)).ok
-    with pytest.raises(run.PublishRefused) as refused:
-        list(run.publish(folder / "database", bag=tmp_path / "bag"))
-    (problem,) = refused.value.problems
-    assert problem.code == "E_VALUE" and problem.file.endswith("at 50%.txt")

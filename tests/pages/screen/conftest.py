@@ -154,7 +154,7 @@ def add_viewer():
     except ScreenMissing:
         pytest.skip("the pages are not built: run `make frontend`")
 
-    def add(folder, notes=None, **about):
+    def add(folder, **about):
         def write(name, data):
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -167,7 +167,7 @@ def add_viewer():
             "licence_url": "https://creativecommons.org/licenses/by/4.0/",
             "citation": "Painter, Ada (2019). A small database.",
         }
-        list(write_viewer(folder, write, About(**{**facts, **about}), notes=notes))
+        list(write_viewer(folder, write, About(**{**facts, **about})))
         return folder
 
     return add

@@ -1,13 +1,10 @@
-"""Levels, four pictures, opacity, curtains, turning, overview and touch, in a real browser."""
+"""Brightness, four pictures, opacity, curtains, turning and touch, in a real browser."""
 
 import io
 
 import numpy as np
 import pytest
 from PIL import Image
-
-from levkas.database.tiff_pages import open_pages
-from levkas.publish.viewer.pictures import shown_band
 
 from .serving import pause
 from .test_viewer import SETTLED, click_pixel, open_object, rendered, shown_colour
@@ -20,139 +17,6 @@ def settle(page):
     pause(page, 350)
 
 
-def srgb(light):
-    light = np.clip(light, 0, 1)
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-
-
-def handle(page, name):
-    return page.get_by_role("slider", name=name, exact=True)
-
-
-def value_of(viewer, camera, band, x, y):
-    return float(open_pages(viewer / f"objects/icon1/icon1_{camera}.tif").read_page(band)[y, x])
-
-
-# --- levels ---------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("how", ["file", pytest.param("http", marks=pytest.mark.slow)])
-def test_levels_show_the_values_of_the_file_as_they_say(browser, viewer, address, how):
-    fragment = "#a=vis/band-3&levels=0.1,0.45,1,0,vis/band-3"
-    page = open_object(browser, address(how, fragment=fragment))
-    settle(page)
-    assert "(0.1 to 0.45)" in page.locator("#caption").inner_text()
-    for x, y in ((25, 25), (95, 65), (35, 75)):
-        value = value_of(viewer, "vis", 3, x, y)
-        expected = 255 * srgb((value - 0.1) / 0.35)
-        assert np.abs(shown_colour(page, x, y) - expected).max() < 12, (x, y)
-    page.keyboard.press("e")
-    page.get_by_role("button", name="Invert").click()
-    pause(page, 200)
-    assert np.abs(shown_colour(page, 95, 65) - (255 - 255 * srgb(
-        (value_of(viewer, "vis", 3, 95, 65) - 0.1) / 0.35))).max() < 12  # fmt: skip
-    page.get_by_role("button", name="Reset").click()
-    pause(page, 200)
-    image, _ = shown_band(open_pages(viewer / "objects/icon1/icon1_vis.tif").read_page(3))
-    assert np.abs(shown_colour(page, 95, 65) - int(image[65, 95])).max() < 8
-    assert page.locator("#caption").inner_text() == "vis, 540 nm"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("width", WIDTHS)
-def test_handles_are_dragged_and_moved_with_the_keyboard(browser, address, width):
-    page = open_object(browser, address("file", fragment="#a=vis/colour"), width=width, height=844)
-    page.keyboard.press("e")
-    assert page.evaluate("document.activeElement.getAttribute('aria-label')") == "Black"
-    before = shown_colour(page, 75, 65) if width == 1440 else None
-    for _ in range(3):
-        page.keyboard.press("Shift+ArrowRight")
-    assert handle(page, "Black").get_attribute("aria-valuenow") == "12"
-    page.keyboard.press("Home")
-    assert handle(page, "Black").get_attribute("aria-valuetext") == "0"
-    white = handle(page, "White")
-    white.scroll_into_view_if_needed()
-    box = white.bounding_box()
-    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    page.mouse.down()
-    page.mouse.move(box["x"] - 90, box["y"] + 5, steps=3)
-    page.mouse.up()
-    assert float(white.get_attribute("aria-valuetext")) < 0.6
-    if before is not None:
-        pause(page, 200)
-        assert (shown_colour(page, 75, 65) > before + 15).all()
-    handle(page, "Gamma").focus()
-    page.keyboard.press("ArrowLeft")
-    assert float(handle(page, "Gamma").get_attribute("aria-valuetext")) > 1
-    # White cannot be drawn below black.
-    white.focus()
-    page.keyboard.press("Home")
-    levels = page.evaluate("Object.values(levkasViewer.state.levels.value)[0]")
-    assert levels["white"] > levels["black"] >= 0
-    pause(page, 600)
-    again = open_object(browser, page.url)
-    assert again.evaluate("Object.values(levkasViewer.state.levels.value)[0].gamma") == (
-        pytest.approx(levels["gamma"], rel=1e-3)
-    )
-
-
-def test_stretching_takes_one_to_ninety_nine_per_cent_of_view_or_whole(browser, viewer, address):
-    page = open_object(browser, address("file", fragment="#a=vis/band-0"))
-    settle(page)
-    page.keyboard.press("e")
-    page.get_by_role("button", name="Stretch whole").click()
-    page.wait_for_function("() => levkasViewer.state.levels.value['vis/band-0']")
-    found = page.evaluate("levkasViewer.state.levels.value['vis/band-0']")
-    values = open_pages(viewer / "objects/icon1/icon1_vis.tif").read_page(0)
-    seen = np.where(np.isfinite(values), values, 0)  # what was not seen is drawn black
-    low, high = np.percentile(seen, [1, 99])
-    assert found["black"] == pytest.approx(max(low, 0), abs=0.01)
-    assert found["white"] == pytest.approx(high, abs=0.01)
-    page.evaluate("levkasViewer.stage.look(45, 55, 60)")  # one dark or light square
-    settle(page)
-    page.get_by_role("button", name="Stretch view").click()
-    pause(page, 300)
-    view = page.evaluate("levkasViewer.state.levels.value['vis/band-0']")
-    assert view["white"] - view["black"] < 0.8 * (found["white"] - found["black"])
-    assert page.locator("#levels svg[role=img]").get_attribute("aria-label") == (
-        "Histogram of what is in view"
-    )
-
-
-def test_a_map_has_no_levels_and_says_so(browser, address):
-    page = open_object(browser, address("file", fragment="#a=vis/flags"))
-    page.locator("#levels summary").click()
-    assert "A map has fixed colours" in page.locator("#levels").inner_text()
-    assert handle(page, "Black").count() == 0 or handle(page, "Black").is_hidden()
-
-
-def test_the_same_levels_take_mere_scaling_out_of_a_difference(browser, viewer, address):
-    fragment = "#a=vis/band-3&b=vis/band-4&mode=difference&amplify=1"
-    page = open_object(browser, address("file", fragment=fragment))
-    settle(page)
-    x, y = 95, 65
-    whites = page.evaluate("['a', 'b'].map(s => levkasViewer.state[s].value.picture.white)")
-    assert whites[0] != whites[1], "each band has its own white"
-    values = [value_of(viewer, "vis", band, x, y) for band in (3, 4)]
-
-    def expected(scales):
-        a, b = (255 * srgb(v / s) for v, s in zip(values, scales, strict=True))
-        return abs(a - b)
-
-    assert np.abs(shown_colour(page, x, y) - expected(whites)).max() < 8
-    page.keyboard.press("Shift+E")
-    pause(page, 300)
-    top = max(whites)
-    assert page.evaluate("levkasViewer.state.locked.value.white") == top
-    assert np.abs(shown_colour(page, x, y) - expected([top, top])).max() < 8
-    pressed = page.get_by_role("button", name="Same levels", exact=True)
-    assert pressed.get_attribute("aria-pressed") == "true"
-    page.wait_for_function("() => location.hash.includes('locked=')")
-    page.keyboard.press("Shift+E")
-    assert page.evaluate("levkasViewer.state.locked.value") is None
-
-
 @pytest.mark.parametrize("turn", [0, 90])
 def test_a_difference_of_nothing_is_black_to_its_edge(browser, address, turn):
     fragment = f"#a=vis/band-3&b=vis/band-3&mode=difference&amplify=16&turn={turn}"
@@ -162,14 +26,16 @@ def test_a_difference_of_nothing_is_black_to_its_edge(browser, address, turn):
     assert np.asarray(image.convert("RGB"), int)[3:-3, 3:-3].max() <= 3
 
 
-def test_nonsense_levels_in_an_address_change_nothing(browser, address):
-    fragment = "#a=vis/colour&levels=1,2,vis/colour&levels=0,-1,1,0,vis/colour&locked=a,b,c,d"
-    page = open_object(browser, address("file", fragment=fragment))
-    assert page.evaluate("levkasViewer.state.levels.value") == {}
-    assert page.evaluate("levkasViewer.state.locked.value") is None
-
-
-# --- comparing ------------------------------------------------------------------------------------
+def test_a_picture_is_brightened_and_reset(browser, viewer, address):
+    page = open_object(browser, address("file", fragment="#a=vis/colour&brightness=1.5"))
+    settle(page)
+    plain = rendered(viewer, "vis", 85, 55)
+    assert np.abs(shown_colour(page, 85, 55) - np.minimum(1.5 * plain, 255)).max() < 14
+    page.locator("#tone summary").click()
+    page.get_by_role("button", name="Reset", exact=True).click()
+    page.wait_for_function("() => !location.hash.includes('brightness')")
+    settle(page)
+    assert np.abs(shown_colour(page, 85, 55) - plain).max() < 14
 
 
 def test_opacity_mixes_b_over_a(browser, viewer, address):
@@ -343,16 +209,6 @@ def test_a_link_to_the_flicker_waits_for_a_person_to_start_it(browser, address):
 # --- looking --------------------------------------------------------------------------------------
 
 
-def test_nothing_of_the_page_lies_on_the_painting(browser, address):
-    page = open_object(browser, address("file"), width=1440)
-    settle(page)
-    stage = page.locator("#stage").bounding_box()
-    for name in ("#caption", ".scalebar", "#view"):
-        box = page.locator(name).bounding_box()
-        assert box["y"] >= stage["y"] + stage["height"] - 1, name
-    assert page.locator(".minimap").is_hidden(), "the whole picture is in view"
-
-
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_the_ground_of_the_painting_is_a_neutral_grey(browser, address, scheme):
     page = open_object(browser, address("file"), scheme=scheme)
@@ -401,28 +257,6 @@ def test_turning_turns_regions_pins_and_curtain_along(browser, viewer, address):
     assert again.evaluate("levkasViewer.stage.degrees") == 90
     page.keyboard.press("Shift+T")
     assert page.evaluate("levkasViewer.stage.degrees") == 0
-
-
-def test_the_overview_frames_what_is_in_view_and_leads_there(browser, address):
-    page = open_object(browser, address("file"))
-    page.evaluate("levkasViewer.stage.look(40, 40, 20)")
-    settle(page)
-    overview = page.locator(".minimap")
-    assert overview.is_visible()
-    box = overview.bounding_box()
-    page.mouse.click(box["x"] + 0.8 * box["width"], box["y"] + 0.75 * box["height"])
-    pause(page, 300)
-    x, y = page.evaluate("levkasViewer.stage.left.centre")
-    assert x == pytest.approx(0.8 * 150, abs=3) and y == pytest.approx(0.75 * 130, abs=3)
-    points = page.locator(".minimap-frame").get_attribute("points").split(" ")
-    middle = np.mean([[float(v) for v in p.split(",")] for p in points], axis=0)
-    size = page.evaluate(
-        "[...document.querySelectorAll('.minimap canvas')].map(c => [c.clientWidth, c.clientHeight])[0]"
-    )
-    np.testing.assert_allclose(middle, np.multiply(size, [0.8, 0.75]), atol=3)
-    page.keyboard.press("z")
-    assert overview.is_hidden()
-    page.wait_for_function("() => location.hash.includes('overview=0')")
 
 
 @pytest.mark.slow

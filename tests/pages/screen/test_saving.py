@@ -1,4 +1,4 @@
-"""What the viewer shows is saved as PNG, and its plots as SVG and CSV, also from file://."""
+"""Plots of the viewer are saved as SVG and CSV, also from file://."""
 
 import csv
 import io
@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from .serving import pause
-from .test_viewer import SETTLED, click_pixel, drag, open_object, region_numbers
+from .test_viewer import click_pixel, drag, open_object, region_numbers
 
 NAMESPACE = "{http://www.w3.org/2000/svg}"
 
@@ -19,77 +18,6 @@ def saved(page, button):
     with page.expect_download() as download:
         page.get_by_role("button", name=button, exact=True).click()
     return Path(download.value.path()), download.value.suggested_filename
-
-
-def picture_of(page):
-    """Return the saved picture, and the part of the screen that it should show."""
-    page.wait_for_function(SETTLED)
-    pause(page, 400)
-    page.evaluate("document.getElementById('said').textContent = ''")
-    box = page.locator("#stage").bounding_box()
-    screen = Image.open(io.BytesIO(page.screenshot(clip=box))).convert("RGB")
-    path, name = saved(page, "Save picture")
-    return np.asarray(Image.open(path).convert("RGB"), int), np.asarray(screen, int), name
-
-
-MODES = ["single", "curtain", "opacity", "side", "grid", "difference", "flicker"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("how", ["file", pytest.param("http", marks=pytest.mark.slow)])
-def test_the_saved_picture_is_what_the_screen_shows_in_every_mode(browser, address, how):
-    page = open_object(browser, address(how, fragment="#a=vis/colour&b=nir/colour&amplify=3"))
-    found = {}
-    for mode in MODES:
-        page.evaluate(f"levkasViewer.stage.setMode('{mode}')")
-        if mode == "flicker":
-            page.evaluate("levkasViewer.stage.flicker.rate = 0.01")
-        picture, screen, name = picture_of(page)
-        found[mode] = picture
-        assert name == f"icon1_{mode}.png"
-        height, width = screen.shape[:2]
-        assert picture.shape[1] == width and height + 90 < picture.shape[0] < height + 260
-        inner = (slice(40, height - 90), slice(30, width - 30))
-        apart = np.abs(picture[:height][inner] - screen[inner]).max(-1)
-        # Handles of the curtain and other controls are not in the picture.
-        # Pictures beside one another may lie half a pixel off the screen's own: edges differ there.
-        beside = mode in ("side", "grid")
-        assert (apart > 24).mean() < (0.05 if beside else 0.01) and apart.mean() < 4, mode
-        legend = picture[height:]
-        assert (legend[2] == 255).all() and 0.005 < (legend < 128).mean() < 0.2
-    assert np.abs(found["single"][100:500] - found["difference"][100:500]).mean() > 20
-
-
-@pytest.mark.slow
-def test_a_saved_picture_has_marks_scale_bar_and_words(browser, address, tmp_path):
-    page = open_object(browser, address("file", fragment="#a=vis/light-a"))
-    without, *_ = picture_of(page)
-    page.evaluate(
-        "levkasViewer.state.measures.value = [{name: 'M', kind: 'line', points: [[20, 20], [120, 100]]}]"
-    )
-    click_pixel(page, 60, 30)
-    page.evaluate(
-        """() => {
-          window.words = [];
-          const { prototype } = CanvasRenderingContext2D, write = prototype.fillText;
-          prototype.fillText = function (text, ...rest) {
-            window.words.push(text);
-            return write.call(this, text, ...rest);
-          };
-        }"""
-    )
-    picture, *_ = picture_of(page)
-    words = page.evaluate("words")
-    assert {"First icon", page.locator(".scalebar").inner_text()} <= set(words)
-    text = " ".join(words)
-    assert (
-        "vis, A, incandescent lamp" in text
-        and "CC BY 4.0" in text
-        and "Painter, Ada (2019)" in text
-    )
-    x, y = page.evaluate("levkasViewer.stage.left.placeOf(70, 60)")
-    change = np.abs(picture - without)[round(y) - 3 : round(y) + 4, round(x) - 3 : round(x) + 4]
-    assert change.max() > 60, "the measured line is in the picture"
 
 
 def drawing_of(path):

@@ -1,4 +1,4 @@
-"""Layers of a database in the formats of other programs: ``levkas export DATABASE --for imagej``."""
+"""Layers of a database in the formats of other programs: ``levkas export DATABASE --for envi``."""
 
 from __future__ import annotations
 

@@ -135,26 +135,3 @@ class ExportLayer:
         step = max(1, most // (pages.dtype.itemsize * width * count))
         for start in range(0, height, step):
             yield pages.read(start, start + step)
-
-    def whole(self, kind: str = "values") -> np.ndarray:
-        """Return all bands, (height, width, bands)."""
-        from levkas.database.tiff_pages import open_pages
-
-        pages = open_pages(self.file(kind))
-        return pages.read().reshape(pages.shape)
-
-    def limit_bytes(self, most: int, form: str, instead: str) -> None:
-        """Refuse a layer that the format cannot hold."""
-        height, width, count = self.shape
-        size = 4 * height * width * count
-        if size > most:
-            raise ExportRefused(
-                Problem(
-                    "E_SIZE",
-                    f"{self.stem} is too large for {form}",
-                    file=str(self.path),
-                    found=f"{size / 1e9:.1f} GB",
-                    expected=f"at most {most / 1e9:.1f} GB",
-                    fix=f"Use --for {instead}.",
-                )
-            )

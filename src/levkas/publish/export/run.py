@@ -11,17 +11,11 @@ from levkas.core.problems import Problem, closest_match, unknown_name
 from levkas.publish.export.layer import ExportLayer, ExportRefused
 
 FORMS = {
-    "imagej": "levkas.publish.export.imagej:write_imagej",
     "envi": "levkas.publish.export.envi:write_envi",
-    "matlab": "levkas.publish.export.matlab:write_matlab",
-    "ntire": "levkas.publish.export.ntire:write_ntire",
     "qgis": "levkas.publish.export.qgis:write_qgis",
     "netcdf": "levkas.publish.export.netcdf:write_netcdf",
     "photoshop": "levkas.publish.export.photoshop:write_photoshop",
-    "ecirgb": "levkas.publish.export.master:write_ecirgb",
-    "prophoto": "levkas.publish.export.master:write_prophoto",
     "ngff": "levkas.publish.export.ngff:write_ngff",
-    "csv-spectra": "levkas.publish.export.spectra:write_spectra",
 }
 """Name of a format → where the function is that writes one layer into a folder and returns its files."""
 

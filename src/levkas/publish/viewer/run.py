@@ -9,9 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.pages.screen import ScreenMissing, read_built
-from levkas.publish.annotations import Annotations, annotations_of
 from levkas.publish.landing import describe_landing
-from levkas.publish.publication import LOCAL
 from levkas.publish.viewer.objects import (
     UP,
     card_of,
@@ -48,9 +46,8 @@ def write_part(publication: Publication) -> Iterator[str]:
         publication.write_bytes(name, data)
 
     about = replace(about_of(publication.facts), record=describe_landing(publication))
-    notes = annotations_of(publication)
     beside = _beside(publication)
-    yield from write_viewer(publication.folder, write, about, beside=beside, notes=notes)
+    yield from write_viewer(publication.folder, write, about, beside=beside)
     _link_reports(publication)
 
 
@@ -84,7 +81,6 @@ def write_viewer(
     about: About,
     *,
     beside: Sequence[tuple[str, str]] = (),
-    notes: Annotations | None = None,
 ) -> Iterator[str]:
     """Write ``index.html`` and ``viewer/`` beside a database, reporting what is done.
 
@@ -97,8 +93,6 @@ def write_viewer(
     about : About
     beside : sequence of (words, name), optional
         Files of the folder that pages lead to; ``{object}`` in a name is the object's.
-    notes : Annotations, optional
-        Notes that are published, and the canvases that they and those of readers lie on.
 
     Raises
     ------
@@ -107,7 +101,6 @@ def write_viewer(
     TiffRefused
         Where a layer cannot be read.
     """
-    notes = notes or Annotations(LOCAL)
     built = {name: read_built(name) for name in SCRIPTS}
     for name, data in built.items():
         write(f"viewer/{name}", data)
@@ -121,12 +114,11 @@ def write_viewer(
             layers.append(layer)
         links = {**_neighbours(items, place), "more": _links(beside, item)}
         record = object_record(item, layers, links)
-        size = record["grid"]["width"], record["grid"]["height"]
-        # Browsers keep notes by this name, whatever else changes from version to version.
+        # Browsers keep pins by this name, whatever else changes from version to version.
         record["database"] = ", ".join(filter(None, (about.title, about.creator)))
         licence = f"Licence: {about.licence}" if about.licence else ""
         record["credits"] = [text for text in (about.citation, licence) if text]
-        page = render_object(about, {**record, **notes.describe(item.name, size)})
+        page = render_object(about, record)
         write(f"viewer/objects/{item.name}/index.html", page.encode("utf-8"))
         cards.append(card_of(item, layers, write_thumbnail(write, item)))
     yield "contact sheet"

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from starlette.responses import Response
 
     from levkas.workbench.watching.files import FrameState
-    from levkas.workbench.watching.previews import RegisteredPreviews
     from levkas.workbench.watching.session import SessionState, WatchedSession
 
 ASSETS = {"watch.js": "text/javascript", "watch.css": "text/css"}
@@ -49,7 +48,6 @@ class SessionBoard:
     """
 
     session: WatchedSession
-    previews: RegisteredPreviews | None = None
     version: int = 0
     state: SessionState | None = None
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -58,8 +56,6 @@ class SessionBoard:
         """Show a state from now on."""
         with self._lock:
             self.state, self.version = state, self.version + 1
-            if self.previews is not None:
-                self.previews.state = state
 
     def news(self, shown: dict[str, FrameState]) -> dict[str, Any] | None:
         """Return what a browser has not shown yet, JSON-ready, and note it in `shown`; None before the first state."""
@@ -74,17 +70,15 @@ class SessionBoard:
             del shown[name]
         record = state.to_dict()
         record["frames"] = [frame.to_dict() for frame in fresh.values()]
-        built = self.previews.to_dict() if self.previews is not None else {}
-        return {**record, **built, "gone": gone, "folder": self.session.watch.root.name}
+        return {**record, "gone": gone, "folder": self.session.watch.root.name}
 
     async def events(self) -> AsyncIterator[str]:
         """Yield server-sent events: at first the whole session, then what changes."""
         shown: dict[str, FrameState] = {}
-        version, silent = (0, 0), 0.0
+        version, silent = 0, 0.0
         while True:
-            newest = self.version, self.previews.version if self.previews is not None else 0
-            if newest != version:
-                version, silent = newest, 0.0
+            if self.version != version:
+                version, silent = self.version, 0.0
                 news = await asyncio.to_thread(self.news, shown)
                 if news is not None:
                     yield f"data: {json.dumps(plain(news), ensure_ascii=False)}\n\n"
@@ -121,13 +115,6 @@ def make_watch_app(
             raise FrameMissing(Problem("E_NO_FILE", "there is no such frame"))
         return Response(data, media_type="image/png")
 
-    def layer(request: Request, body: dict[str, Any]) -> Response:
-        names = (request.query_params.get(key, "") for key in ("object", "camera", "setup"))
-        data = board.previews.picture_of(*names) if board.previews is not None else None
-        if data is None:
-            raise FrameMissing(Problem("E_NO_FILE", "there is no such layer"))
-        return Response(data, media_type="image/png")
-
     def session(request: Request, body: dict[str, Any]) -> Response:
         return JSONResponse(plain({"ok": True, **(board.news({}) or {})}))
 
@@ -139,7 +126,6 @@ def make_watch_app(
         Route("/assets/{name}", routes.answering(asset), methods=["GET"]),
         Route("/enter", routes.answering(enter), methods=["POST"]),
         Route("/api/session", routes.answering(session), methods=["GET"]),
-        Route("/api/layer", routes.answering(layer), methods=["GET"]),
         Route("/api/picture", routes.answering(picture), methods=["GET"]),
         Route("/api/events", events, methods=["GET"]),
     ]
