@@ -17,7 +17,7 @@ from levkas.building.tasks import Stages
 from levkas.core.machine import keep_memory
 
 if TYPE_CHECKING:
-    from levkas.building.tasks import ReferenceMemory, Write
+    from levkas.building.tasks import Write
     from levkas.stages.template_cache import TemplateCache
 
     Layer = tuple[str, str]
@@ -40,12 +40,11 @@ class Executor:
         self,
         outcomes: Outcomes,
         templates: TemplateCache,
-        memory: ReferenceMemory | None = None,
     ) -> None:
         self._outcomes, self._records = outcomes, outcomes.records
         self._graph, self._lost = outcomes.graph, outcomes.lost
         self._stages = Stages(
-            outcomes.campaign, outcomes.places, outcomes.records, templates, outcomes.graph, memory
+            outcomes.campaign, outcomes.places, outcomes.records, templates, outcomes.graph
         )
         self._held = self._stages.held
         self._checked: set[Key] = set()
@@ -71,7 +70,6 @@ class Executor:
                     self._held.let_go()
                 for step in self._written():
                     yield note(step)
-                self._held.remember()
             finally:
                 self._hasher.shutdown(wait=False, cancel_futures=True)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from levkas.database.layout import Places
     from levkas.stages.native_cubes import CalibratedCapture
     from levkas.stages.reference import ReferenceFrame
-    from levkas.stages.register import Measured
     from levkas.stages.template_cache import TemplateCache
 
     Write = Callable[[Callable[[], object]], Written]
@@ -33,24 +31,6 @@ class Damaged(Refused):
         self.key = key
 
 
-@dataclass
-class ReferenceMemory:
-    """The reference of the object that was built last, from one build to the next of a process that lasts longer.
-
-    Parameters
-    ----------
-    frame : ReferenceFrame, optional
-    made_of : object
-        Its campaign, and the fingerprints of its calibration and its registration.
-    pictures : dict of Key to bytes
-        Captures on a coarse grid, PNG, by the key of their registration: drawn before they are resampled.
-    """
-
-    frame: ReferenceFrame | None = None
-    made_of: object = None
-    pictures: dict[Key, bytes] = field(default_factory=dict)
-
-
 class CalibratedCache:
     """Calibrated cubes of one capture and the reference of one object: in memory, else calibrated again."""
 
@@ -60,11 +40,9 @@ class CalibratedCache:
         places: Places,
         records: BuildRecords,
         templates: TemplateCache,
-        memory: ReferenceMemory | None = None,
     ) -> None:
         self.campaign, self.places, self.records = campaign, places, records
         self.templates = templates
-        self.memory = memory
         self._capture: Capture | None = None
         self._native: CalibratedCapture | None = None
         self._frame: ReferenceFrame | None = None
@@ -100,33 +78,9 @@ class CalibratedCache:
         if self._frame is None or self._frame.capture is not lead:
             self._frame = None
             mine = [t.capture for t in graph.values() if t.key.object == lead.object and t.capture]
-            if not task.leads and (frame := self._remembered(lead, [lead, *mine])):
-                self._frame = frame
-                return frame
             native = self.native(lead) if task.leads else self._read(lead)
             self._frame = ReferenceFrame(self.campaign, self.places, [lead, *mine], native)
         return self._frame
-
-    def remember(self) -> None:
-        """Keep the reference for the build after this one, where such a one is to come."""
-        if self.memory is not None and self._frame is not None:
-            made_of = self._made_of(self._frame.capture)
-            self.memory.frame, self.memory.made_of = self._frame, made_of
-
-    def _remembered(self, lead: Capture, captures: list[Capture]) -> ReferenceFrame | None:
-        """Return the reference of the build before this one where it is made of the same."""
-        if self.memory is None or self.memory.frame is None:
-            return None
-        frame = self.memory.frame
-        if self.memory.made_of != self._made_of(lead):
-            return None
-        return frame if frame.serve(self.campaign, self.places, captures) else None
-
-    def _made_of(self, lead: Capture) -> object:
-        """Return everything that a reference depends on."""
-        stages = ("calibrate", "register", "resample")
-        prints = [self.records.fingerprint(key_of(lead, stage)) for stage in stages]
-        return (self.campaign, self.places, prints) if all(prints) else object()
 
     def let_go(self) -> None:
         """Let go of the capture's cubes."""
@@ -149,7 +103,6 @@ class Stages:
     records : BuildRecords
     templates : TemplateCache
     graph : Graph
-    memory : ReferenceMemory, optional
     """
 
     def __init__(
@@ -159,11 +112,10 @@ class Stages:
         records: BuildRecords,
         templates: TemplateCache,
         graph: Graph,
-        memory: ReferenceMemory | None = None,
     ) -> None:
         self.campaign, self.places, self.records = campaign, places, records
         self.graph = graph
-        self.held = CalibratedCache(campaign, places, records, templates, memory)
+        self.held = CalibratedCache(campaign, places, records, templates)
 
     def compute(self, task: Task) -> Write:
         """Do what a task computes; return what writes it. Raises Refused or MemoryError."""
@@ -192,21 +144,10 @@ class Stages:
         native, frame = self.held.native(capture), self.held.frame(task, self.graph)
         found = measure(capture, native, frame, self.campaign)
         write = partial(publish_registration, found, capture, self.places)
-        if self.held.memory is not None and not found.problems:
-            self._draw(task, found, self.held.memory)
         if not found.problems or capture.tiles:
             return write
         picture = draw_recorded(self.held.native(capture))
         return lambda before: _with_notes(write(before), recorded=picture)
-
-    def _draw(self, task: Task, found: Measured, memory: ReferenceMemory) -> None:
-        """Draw a capture that is registered, for whoever does not wait until it is resampled."""
-        from levkas.stages.resample import draw_coarse
-
-        capture, _ = captures_of(task)
-        native, frame = self.held.native(capture), self.held.frame(task, self.graph)
-        if (picture := draw_coarse(capture, native, frame, found.record)) is not None:
-            memory.pictures[task.key] = picture
 
     def _resample(self, task: Task) -> Write:
         from levkas.core.files import make_folder

@@ -143,12 +143,6 @@ class ReferenceFrame:
                 self._release()
         return self._prepared
 
-    def serve(self, campaign: Campaign, places: Places, captures: Sequence[Capture]) -> bool:
-        """Serve the captures of a later build, made of the same; False where these need what was let go."""
-        self.campaign, self.places, self.captures = campaign, places, captures
-        self.capture = captures[0]
-        return self._tiled is None and self._anchor_suffices()
-
     def registered(self, own: Registration) -> None:
         """Take the reference camera's own registration; its single bands go."""
         self._own = own

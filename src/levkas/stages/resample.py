@@ -13,14 +13,14 @@ from levkas.core.disk import require_space
 from levkas.core.rounding import STEP_PER_SIGMA
 from levkas.database.credits import credits_of
 from levkas.database.grey import read_grey
-from levkas.database.layers import Layer, render_layer, write_layer
+from levkas.database.layers import Layer, write_layer
 from levkas.database.preview import encode_png
 from levkas.geometry.joining import describe_steps
-from levkas.geometry.transforms import Affine, Composed
+from levkas.geometry.transforms import Composed
 from levkas.quality.evaluation.similarity import structural_similarity
 from levkas.readers.frames import read_facts
 from levkas.stages.capture_statistics import DefaultLayer, LayerStatistics, describe_flags
-from levkas.stages.native_cubes import Native, least_bytes
+from levkas.stages.native_cubes import least_bytes
 from levkas.stages.reference import maps_of
 from levkas.stages.spectra import broad_centroids
 from levkas.stages.tiles import TiledCapture
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 
 LONGEST_MAP = 640
 """Longest side of an SSIM map on a page, px."""
-LONGEST_COARSE = 480
-"""Longest side of the picture of a capture that is registered and not yet resampled, px."""
 
 
 @dataclass(frozen=True)
@@ -96,29 +94,6 @@ def _is_encoded(capture: Capture, campaign: Campaign) -> bool:
     if campaign.cameras[capture.camera].traits.is_calibrated:
         return False  # below: colours of a camera raw are proportional to light
     return read_facts(capture.sensors[0].object[0].path).kind != "raw-colours"
-
-
-def draw_coarse(
-    capture: Capture, native: CalibratedCapture, frame: ReferenceFrame, record: dict[str, Any]
-) -> bytes | None:
-    """Return a capture on a coarse grid as PNG, before it is resampled; `record` is that of its registration.
-
-    None of tiles and of scans larger than memory, which are read as they are written.
-    """
-    if not isinstance(native, Native):
-        return None
-    grid = frame.layout()[0]
-    shrink = max(1.0, max(grid.size) / LONGEST_COARSE)
-    size = tuple(max(1, round(side / shrink)) for side in grid.size)
-    coarse = Affine.scaling(*(side / small for side, small in zip(grid.size, size, strict=True)))
-    to_native = maps_of(record)
-    maps = {b.label: Composed(coarse, grid.transform, to_native[b.label]) for b in native.bands}
-    cubes = {name: replace(cube, sigma=None) for name, cube in native.cubes.items()}
-    plain = replace(native, cubes=cubes, sigmas={})
-    encoded = _is_encoded(capture, frame.campaign)
-    return render_layer(
-        plain.on_grid(maps, (size[0], size[1])), encoded=encoded, white=native.white
-    )
 
 
 @dataclass(frozen=True)
