@@ -10,14 +10,14 @@ from levkas.estimation.plan import ExperimentPlan
 
 
 def main(database: Path, output: Path) -> Figure:
-    plan = ExperimentPlan(database, methods=("wiener", "matern"), budget=False)
+    plan = ExperimentPlan(database, methods=("wiener", "matern"))
     report = list(run_experiment(plan))[-1].report
     figure = Figure((7.4, 3.6), layout="constrained")
     for axes, source in zip(
         figure.subplots(1, len(report.sources), squeeze=False)[0], report.sources, strict=True
     ):
         for score in source.ranked:
-            axes.plot(report.wavelengths, score.by_band()[0], label=score.method)
+            axes.plot(report.wavelengths, score.by_band(), label=score.method)
         axes.axhline(
             source.ceiling or 0, color="grey", linestyle=":", label="noise of the reference"
         )

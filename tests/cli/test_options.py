@@ -205,7 +205,7 @@ def bases(root, database):
         "map": [database, "icon1", root / "points.csv"], "plan light": [BENCH],
         "plan exposure": frames,
         "agree": [database, database],
-        "estimate score": [database, root], "estimate apply": [database, root / "m.npz", "new"],
+        "estimate apply": [database, root / "m.npz", "new"],
         "points convert": [root / "checks.csv", root / "out.csv"],
     }  # fmt: skip
 

@@ -12,7 +12,6 @@ from levkas.core.problems import Refused
 from levkas.database.catalogue import read_catalogue
 from levkas.database.validation import validate
 from levkas.estimation.applying import apply_model
-from levkas.estimation.scoring import find_predictions
 
 
 def command(*arguments):
@@ -24,7 +23,7 @@ def models(paintings, tmp_path_factory):
     """Folder of models: Wiener and a Gaussian process from rgb."""
     out = tmp_path_factory.mktemp("models") / "out"
     ran = command(paintings, "--from", "rgb", "--method", "wiener", "--method", "gaussian-process",
-                  "--train", "icon1", "--test", "icon2", "--no-budget", "-o", out)  # fmt: skip
+                  "--train", "icon1", "--test", "icon2", "-o", out)  # fmt: skip
     assert ran.exit_code == 0, ran.stderr
     return out / "models"
 
@@ -145,91 +144,6 @@ def test_the_viewer_says_that_a_layer_was_estimated(own_paintings, models):
     }
     assert layers["guess"]["verdict"] == "estimated" and layers["guess"]["spectra"]["sigma"]
     assert layers["vis"]["verdict"] != "estimated"
-
-
-# --- predictions made elsewhere ------------------------------------------------------------------
-
-
-@pytest.fixture
-def predictions(paintings, tmp_path):
-    """Predictions of icon2 that are off by 0.05 everywhere."""
-    folder = tmp_path / "network"
-    folder.mkdir()
-    values = levkas.open(paintings)["icon2"]["vis"].values
-    np.save(folder / "icon2_vis.npy", np.nan_to_num(values) + 0.05)
-    return folder
-
-
-def test_predictions_made_elsewhere_get_the_same_scores(paintings, predictions):
-    ran = command("score", paintings, predictions, "--from", "rgb", "--test", "icon2", "--json")
-    assert ran.exit_code == 0, ran.stderr
-    (method,) = json.loads(ran.stdout)["results"][0]["methods"]
-    assert method["method"] == "network" and method["rmse"] == pytest.approx(0.05, rel=1e-4)
-
-
-def test_what_was_exported_for_the_challenges_scores_as_perfect(paintings, tmp_path):
-    pytest.importorskip("h5py")
-    from levkas.publish.export.run import export
-
-    list(export(paintings, "ntire", output=tmp_path / "out", objects=["icon2"], cameras=["vis"]))
-    folder = tmp_path / "out" / "vis"
-    ran = command(
-        "score",
-        paintings,
-        folder,
-        "--from",
-        "rgb",
-        "--test",
-        "icon2",
-        "--json",
-        "-o",
-        tmp_path / "page",
-    )
-    assert ran.exit_code == 0, ran.stderr
-    assert json.loads(ran.stdout)["results"][0]["methods"][0]["rmse"] < 1e-6
-    assert (tmp_path / "page" / "estimation.html").is_file()
-
-
-@pytest.mark.parametrize(
-    ("harm", "code", "named"),
-    [
-        (lambda f: (f / "icon2_vis.npy").unlink(), "E_MISSING", "icon2_vis"),
-        (lambda f: np.save(f / "icon2_vis.npy", np.zeros((3, 4, 16))), "E_SIZE", "icon2_vis.npy"),
-        (lambda f: np.save(f / "icon1_vis.npy", np.zeros((40, 48, 16))), "E_SPLIT_LEAK", "icon1_vis.npy"),
-        (lambda f: (f / "icon2_vis.npy").write_bytes(b"no"), "E_UNREADABLE", "icon2_vis.npy"),
-        (lambda f: np.save(f / "icon2_vis.npy", np.full((40, 48, 16), np.nan)), "E_VALUE", "icon2_vis.npy"),
-    ],
-)  # fmt: skip
-def test_unusable_predictions_are_refused_by_name(paintings, predictions, harm, code, named):
-    harm(predictions)
-    ran = command("score", paintings, predictions, "--from", "rgb", "--test", "icon2", "--json")
-    (problem,) = json.loads(ran.stdout)["problems"]
-    assert ran.exit_code == 1 and problem["code"] == code
-    assert named in f"{problem['file']} {problem['expected']}"
-
-
-def test_every_missing_and_every_leaking_file_is_named_at_once(tmp_path):
-    np.save(tmp_path / "a_vis.npy", np.zeros(1))
-    with pytest.raises(Refused) as refused:
-        find_predictions(tmp_path, "vis", ["b", "c"], ["a"])
-    assert [p.code for p in refused.value.problems] == ["E_MISSING", "E_MISSING", "E_SPLIT_LEAK"]
-
-
-def test_a_prediction_that_leads_to_another_file_is_refused(paintings, tmp_path):
-    """The bytes of any file of the computer would stand in errors and maps."""
-    h5py = pytest.importorskip("h5py")
-    (tmp_path / "secret").write_bytes(bytes(4 * 16 * 48 * 40))
-    folder = tmp_path / "network"
-    folder.mkdir()
-    with h5py.File(folder / "icon2_vis.mat", "w") as mat:
-        plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-        plan.set_external(str(tmp_path / "secret").encode(), 0, h5py.h5f.UNLIMITED)
-        space = h5py.h5s.create_simple((16, 48, 40))
-        h5py.h5d.create(mat.id, b"cube", h5py.h5t.IEEE_F32LE, space, plan)
-    ran = command("score", paintings, folder, "--from", "rgb", "--test", "icon2", "--json")
-    (problem,) = json.loads(ran.stdout)["problems"]
-    assert ran.exit_code == 1 and problem["code"] == "E_UNREADABLE"
-    assert "another file" in problem["message"]
 
 
 # --- models made elsewhere -----------------------------------------------------------------------

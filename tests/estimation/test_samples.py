@@ -5,8 +5,7 @@ import levkas
 from levkas.core.cube import Flag
 from levkas.core.problems import Refused
 from levkas.database.catalogue import read_catalogue, write_catalogue
-from levkas.estimation.budget import effective_sensitivities
-from levkas.estimation.samples import SampleSource, cubic_weights, require_layers
+from levkas.estimation.samples import SampleSource, require_layers
 
 WAVES = np.arange(410.0, 711.0, 20.0)
 
@@ -29,32 +28,6 @@ def test_samples_are_the_values_of_the_layers_at_their_places(paintings):
     np.testing.assert_array_equal(samples.spectra, vis[samples.rows, samples.columns])
     np.testing.assert_array_equal(samples.responses[:, :3], rgb[samples.rows, samples.columns])
     assert samples.responses.shape[1] == 6 and set(samples.rows % 3) == {0}
-
-
-def test_a_shift_by_whole_pixels_is_the_neighbour_and_by_none_the_pixel(paintings):
-    source = source_of(paintings)
-    samples = source.read("icon1", ["rgb"])
-    vis = levkas.open(paintings)["icon1"]["vis"].values
-    inner = samples.take(samples.columns < 46)
-    shifted = source.shifted_spectra("icon1", inner, 1.0)
-    np.testing.assert_allclose(shifted, vis[inner.rows, inner.columns + 1], atol=1e-6)
-    np.testing.assert_allclose(
-        source.shifted_spectra("icon1", inner, 0.0), inner.spectra, atol=1e-6
-    )
-
-
-def test_cubic_convolution_keeps_straight_lines():
-    for part in (0.0, 0.25, 0.5, 0.9):
-        weights = np.array(cubic_weights(part))
-        assert weights.sum() == pytest.approx(1) and weights @ [-1, 0, 1, 2] == pytest.approx(part)
-
-
-def test_effective_sensitivities_are_those_that_made_the_responses(paintings, sensitivities):
-    """Planted: three Gaussians; noise of 0.004 on both sides moves the sum of a channel by under 2 %."""
-    source = source_of(paintings)
-    found = effective_sensitivities([source.read(n, ["rgb"]) for n in ("icon1", "icon2", "icon3")])
-    np.testing.assert_allclose(found, sensitivities, atol=0.03)
-    np.testing.assert_allclose(found.sum(1), 1, atol=0.02)
 
 
 def test_gold_is_what_another_lighting_brightens_and_what_rises_to_red(own_paintings):

@@ -155,7 +155,7 @@ def test_what_neighbours_are_missed_by_is_measured_whatever_their_noise_is():
     residuals = paints_missed.reshape(-1, 1) + rng.normal(0, 0.03, (192 * 192, 5))
     gold = np.zeros(len(x), bool)
     gold[::7] = True
-    errors = PixelErrors("icon", y, x, gold, {}, residuals, residuals, None, gold, None)
+    errors = PixelErrors("icon", y, x, gold, {}, residuals, residuals, None)
     score = MethodScore("wiener", (errors,))
     first, second = score.pairs(4)
     apart = np.hypot(y[~gold][first] - y[~gold][second], x[~gold][first] - x[~gold][second])

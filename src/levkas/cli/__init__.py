@@ -30,13 +30,14 @@ ORDER = {
     "Capture": ("watch",),
     "Build": ("build", "status", "inspect", "points"),
     "Measure": ("radiometry", "chart", "evaluate", "agree", "validate"),
-    "Use": ("map", "estimate", "estimate apply", "estimate score", "splice", "export", "publish"),
+    "Use": ("map", "estimate", "estimate apply", "splice", "export", "publish"),
 }
 """Commands as `levkas --help` lists them: in groups, in the order of work."""
 
 
 GONE = {
     "loops": "register two cameras by `levkas.register`, and follow points around",
+    "estimate score": "predictions made elsewhere are compared in a line of numpy: the layers are arrays of `levkas.open`",
     "plan filter": "`levkas plan exposure WHITE` names the weakest channel",
     "plan series": "expose once for the white (`levkas plan exposure`), then longer, each four times the one before",
     "methods": "`python benchmarks/methods.py CAMPAIGN` in a checkout compares methods of registration",
@@ -113,7 +114,6 @@ for _name, _command in {
     "status": build.status,
     "estimate": estimate.estimate,
     "estimate apply": estimate.apply,
-    "estimate score": estimate.score,
     "splice": estimate.splice,
     "evaluate": evaluate.evaluate,
     "agree": evaluate.agree,

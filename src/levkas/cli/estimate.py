@@ -1,4 +1,4 @@
-"""Commands that make layers from registered ones: estimate, estimate apply, estimate score, splice."""
+"""Commands that make layers from registered ones: estimate, estimate apply, splice."""
 
 from __future__ import annotations
 
@@ -40,16 +40,12 @@ def estimate(
         list[str] | None,
         typer.Option("--method", help="Only this method; may be repeated. Default: all."),
     ] = None,
-    split: Annotated[
-        str, typer.Option(help="painting, chart, camera, lighting, or random (optimistic).")
-    ] = "painting",
     train: Train = None,
     test: Test = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Folder for page, JSON, CSV, error maps and models."),
+        typer.Option("--output", "-o", help="Folder for page, JSON and models."),
     ] = None,
-    no_budget: Annotated[bool, typer.Option("--no-budget", help="Skip the error budget.")] = False,
     choose_by: Annotated[
         str,
         typer.Option(
@@ -65,39 +61,10 @@ def estimate(
     from levkas.estimation.plan import ExperimentPlan
 
     plan = ExperimentPlan(
-        database, sources or (), target, methods or (), split, train or (), test or (),
-        budget=not no_budget, models=output is not None, choose_by=choose_by, seed=seed,
+        database, sources or (), target, methods or (), train or (), test or (),
+        models=output is not None, choose_by=choose_by, seed=seed,
     )  # fmt: skip
     _report("estimate", run_experiment(plan), output, overwrite, as_json)
-
-
-@refusing("estimate score")
-def score(
-    database: Database,
-    predictions: Annotated[
-        Path, typer.Argument(help="Folder with one cube for each test painting.")
-    ],
-    sources: Sources = None,
-    target: Target = "",
-    train: Train = None,
-    test: Test = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Folder for page, JSON, CSV and error maps."),
-    ] = None,
-    seed: Seed = 1,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-) -> None:
-    """Score spectra that other software predicted as the methods of Levkas are scored."""
-    from levkas.estimation.plan import ExperimentPlan
-    from levkas.estimation.scoring import score_predictions
-
-    plan = ExperimentPlan(
-        database, sources or (), target, train=train or (), test=test or (), seed=seed
-    )
-    steps = score_predictions(plan, predictions)
-    _report("estimate score", steps, output, overwrite, as_json)
 
 
 @refusing("estimate apply")

@@ -13,10 +13,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "levkas estimate apply icons/database estimation/models/d80_matern.npz vis-estimated",
         "levkas estimate apply icons/database d80_wiener.npz vis-estimated --object icon2",
     ),
-    "estimate score": (
-        "levkas estimate score icons/database predictions --from d80 --test icon2",
-        "levkas estimate score icons/database predictions --from d80 --train icon1 --test icon2 -o scores",
-    ),
     "evaluate": ("levkas evaluate icons", "levkas evaluate icons --points checks.csv --maps ssim"),
     "export": ("levkas export icons --for envi", "levkas export icons --for qgis --object icon1 --camera d80 -o out"),
     "inspect": ("levkas inspect icons", "levkas inspect icons --port 8800 --no-open"),

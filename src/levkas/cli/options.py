@@ -20,7 +20,6 @@ NEEDS: dict[str, Needs] = {
     "build": {"--insecure": ("--cluster", "$DASK_SCHEDULER_ADDRESS")},
     "chart": {"--overwrite": ("--output",)},
     "estimate": {"--overwrite": ("--output",)},
-    "estimate score": {"--overwrite": ("--output",)},
     "evaluate": {"--frame": ("--points",), "--overwrite": ("--maps",)},
     "map": {"--overwrite": ("--output",)},
     "agree": {"--overwrite": ("--output",)},
@@ -46,9 +45,13 @@ EXCLUDES: dict[str, Needs] = {
 }
 """Command → option → others that would have no effect beside it."""
 GONE = {
+    "estimate": {
+        "--split": "Leave it out: each painting is left out in turn.",
+        "--no-budget": "Leave it out: there is no error budget.",
+    },
     "publish": {
         "--edition": "Layers are published at full size; leave it out. `size` in [grid] of campaign.toml makes a smaller database."
-    }
+    },
 }
 """Command → option of an earlier version → what to do instead."""
 

@@ -1,4 +1,4 @@
-"""What an experiment estimates from what: layers, methods and split, by default found in the database."""
+"""What an experiment estimates from what: layers and methods, by default found in the database."""
 
 from __future__ import annotations
 
@@ -14,19 +14,8 @@ from levkas.core.problems import Problem, Refused, closest_match, unknown_name
 from levkas.database.layout import LayerId
 from levkas.database.reader import Database
 from levkas.database.registrations import read_registrations
-from levkas.estimation.charts import charts_of
 from levkas.estimation.methods import METHODS, EstimationMethod
 from levkas.estimation.samples import EstimationRefused, require_layers
-from levkas.estimation.splits import (
-    SPLITS,
-    EstimationSplit,
-    lightings_of,
-    require_no_leak,
-    split_at_random,
-    split_between,
-    split_chart,
-    split_paintings,
-)
 from levkas.estimation.training import Criterion, mean_square
 
 CRITERIA = {
@@ -53,12 +42,8 @@ class ExperimentPlan:
         Layer whose spectra are estimated; default the reference camera where it is spectral.
     methods : sequence of str
         Names of methods, or ``all``.
-    split : str
-        Key of `SPLITS`.
     train, test : sequence of str
         Paintings, instead of each left out in turn.
-    budget : bool
-        Whether the error budget is measured too.
     models : bool
         Whether models fitted on all paintings are part of the report.
     choose_by : str
@@ -70,10 +55,8 @@ class ExperimentPlan:
     sources: Sequence[str] = ()
     target: str = ""
     methods: Sequence[str] = ()
-    split: str = "painting"
     train: Sequence[str] = ()
     test: Sequence[str] = ()
-    budget: bool = True
     models: bool = False
     choose_by: str = "rmse"
     seed: int = 1
@@ -196,76 +179,6 @@ def _default_target(database: Database, wavelengths: dict[str, np.ndarray]) -> s
             )
         )
     return max(narrow, key=lambda name: (narrow[name], name))
-
-
-def questions_of(
-    plan: ExperimentPlan, sources: list[tuple[str, ...]]
-) -> list[list[tuple[str, ...]]]:
-    """Return groups of layers that are experimented with together: all of them where cameras are compared."""
-    return [sources] if plan.split == "camera" else [[group] for group in sources]
-
-
-def splits_of(
-    database: Database, plan: ExperimentPlan, target: str, groups: list[tuple[str, ...]]
-) -> tuple[EstimationSplit, EstimationSplit]:
-    """Return the requested split and the one of random pixels for comparison."""
-    if plan.split not in SPLITS:
-        raise EstimationRefused(
-            Problem(
-                "E_VALUE",
-                f"unknown split {plan.split!r}",
-                field="--split",
-                found=plan.split,
-                expected=", ".join(SPLITS),
-                fix=closest_match(plan.split, SPLITS),
-            )
-        )
-    if plan.split != "painting" and (plan.train or plan.test):
-        raise EstimationRefused(
-            Problem(
-                "E_VALUE",
-                f"paintings cannot be named for the split {plan.split!r}, which takes all of them",
-                field="--train" if plan.train else "--test",
-                found=", ".join((*plan.train, *plan.test)),
-                expected="--split painting",
-                fix="Leave --train and --test out, or the split.",
-            )
-        )
-    sources = groups[0]
-    names = require_layers(database, [*{s for g in groups for s in g}, target], "--from")
-    random = split_at_random(names, sources)
-    if plan.split == "lighting":
-        alternatives = lightings_of(database, sources)
-        names = require_layers(database, [*{s for g in alternatives for s in g}, target], "--from")
-        main = split_between("lighting", names, alternatives)
-    elif plan.split == "camera":
-        _require_alike(database, names[0], groups)
-        main = split_between("camera", names, groups)
-    elif plan.split == "chart":
-        main = split_chart(names, sources, charts_of(database.path, sources, target))
-    elif plan.split == "random":
-        return random, EstimationSplit("none", ())
-    else:
-        main = split_paintings(names, sources, train=plan.train, test=plan.test)
-    return require_no_leak(main), random
-
-
-def _require_alike(database: Database, name: str, groups: Sequence[tuple[str, ...]]) -> None:
-    counts = {}
-    for group in groups:
-        keys = [LayerId.parse(name, layer) for layer in group]
-        counts["+".join(group)] = sum(database[name][k.camera, k.setup].shape[2] for k in keys)
-    if len(set(counts.values())) > 1:
-        raise EstimationRefused(
-            Problem(
-                "E_BAND_COUNT",
-                "a model of one camera is tried on another only where both have as many channels",
-                field="--from",
-                found=", ".join(f"{group}: {count}" for group, count in counts.items()),
-                expected="as many channels each",
-                fix="Give --from once for each of two cameras of the same kind.",
-            )
-        )
 
 
 def wavelengths_of(database: Database, layer: str) -> np.ndarray:

@@ -191,57 +191,6 @@ class SampleSource:
                     found.append(ratio > BRIGHTENED * np.nanmedian(ratio))
         return np.logical_or.reduce(found)
 
-    def shifted_spectra(self, name: str, samples: PaintSamples, shift_px: float) -> np.ndarray:
-        """Return the spectra `shift_px` to the right of samples, (n, bands); NaN beside what was captured.
-
-        Cubic convolution, Keys 1981 (10.1109/TASSP.1981.1163711), as registration error of that size
-        would resample them.
-        """
-        target = self.layer(name, self.target)
-        whole, part = divmod(shift_px, 1.0)
-        weights = cubic_weights(part)
-        width = target.shape[1]
-        shifted = np.empty_like(samples.spectra)
-        at = 0
-        for start, block in zip(range(0, target.shape[0], ROWS), _blocks(target, 1), strict=True):
-            here = samples.rows[(samples.rows >= start) & (samples.rows < start + ROWS)] - start
-            columns = samples.columns[at : at + len(here)] + int(whole)
-            beside = [block[here, np.clip(columns + k, 0, width - 1)] for k in range(-1, 3)]
-            shifted[at : at + len(here)] = sum(
-                w * b for w, b in zip(weights, beside, strict=True) if w
-            )
-            at += len(here)
-        return shifted
-
-    def position_sigma(self, names: Sequence[str], sources: Sequence[str]) -> float | None:
-        """Return how well positions of the layers are known, median, reference px; None if unknown."""
-        variances = []
-        for name in names:
-            for layer in sources:
-                key = LayerId.parse(name, layer)
-                try:
-                    sigma = self.database[name].position_sigma(key.camera, setup=key.setup)
-                except Refused:  # no record of a registration
-                    continue
-                if sigma is not None:
-                    variances.append(float(np.nanmedian(sigma.values)) ** 2)
-        return sqrt(sum(variances) / len(variances)) if variances else None
-
-
-def cubic_weights(part: float) -> tuple[float, float, float, float]:
-    """Return the weights of four neighbours for a place `part` of the way from the second to the third.
-
-    >>> cubic_weights(0.0), cubic_weights(0.5)
-    ((0.0, 1.0, 0.0, 0.0), (-0.0625, 0.5625, 0.5625, -0.0625))
-    """
-    t = part
-    return (
-        -0.5 * t + t**2 - 0.5 * t**3,
-        1 - 2.5 * t**2 + 1.5 * t**3,
-        0.5 * t + 2 * t**2 - 1.5 * t**3,
-        -0.5 * t**2 + 0.5 * t**3,
-    )
-
 
 def read_lattice(layer: LayerArray, step: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return values, usable pixels and sigma of every `step`-th row and column of a layer."""

@@ -7,7 +7,6 @@ spectra (m, bands) and their sigma, or None.
 from __future__ import annotations
 
 import io
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +16,6 @@ from levkas.core.problems import Problem, Refused, closest_match
 from levkas.estimation.methods.gaussian_process import GaussianProcessModel, fit_gaussian_process
 from levkas.estimation.methods.kernel_ridge import KernelModel, fit_kernel_ridge
 from levkas.estimation.methods.linear_model import LinearModel
-from levkas.estimation.methods.local_linear import LocalModel, fit_local_linear
-from levkas.estimation.methods.logit import fit_with_logit, read_with_logit
 from levkas.estimation.methods.pseudo_inverse import fit_pseudo_inverse
 from levkas.estimation.methods.root_polynomial import fit_root_polynomial
 from levkas.estimation.methods.wiener import fit_wiener
@@ -32,7 +29,6 @@ __all__ = [
     "find_method",
     "load_model",
     "save_model",
-    "with_logit",
 ]
 
 VERSION = 2
@@ -60,49 +56,22 @@ ROWS = [
         "heikkinen2013",
     ),
     EstimationMethod(
-        "local-linear", "Locally weighted linear", fit_local_linear, LocalModel.from_arrays,
-        r"\min_{b, B} \sum_i w_i |y_i - b - (x_i - x) B|^2 + \lambda |B|^2,\; \hat y = b", "liang2017",
-    ),
-    EstimationMethod(
         "gaussian-process", "Gaussian process", fit_gaussian_process, GaussianProcessModel.from_arrays,
         r"\sigma^2 = s^2 c^2 (1 + \lambda - k^\top (K + \lambda I)^{-1} k)", "rasmussen2006",
     ),
 ]  # fmt: skip
-LOGIT = "-logit"
-"""Behind the name of a method: the method under the logit link."""
-
-
-def with_logit(method: EstimationMethod) -> EstimationMethod:
-    """Return a method that works on the logarithm of the odds of reflectance.
-
-    >>> with_logit(METHODS["wiener"]).name
-    'wiener-logit'
-    """
-    return EstimationMethod(
-        method.name + LOGIT,
-        f"{method.title}, logit link",
-        partial(fit_with_logit, fit=method.fit),
-        partial(read_with_logit, read=method.read),
-        rf"\log\frac{{y}}{{1 - y}} = z:\; {method.equation}",
-        "heikkinen2013",
-    )
-
 
 METHODS = {method.name: method for method in ROWS}
-METHODS["matern-logit"] = with_logit(METHODS["matern"])
 
 
 def find_method(name: str) -> EstimationMethod:
-    """Return a method by its name; any has its like under the logit link, `NAME-logit`.
+    """Return a method by its name.
 
     Raises
     ------
     Refused
         With code ``E_METHOD`` for a name that no method has.
     """
-    base = name.removesuffix(LOGIT)
-    if name not in METHODS and base in METHODS:
-        return with_logit(METHODS[base])
     if name not in METHODS:
         raise Refused(
             Problem(
