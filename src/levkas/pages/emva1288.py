@@ -70,10 +70,6 @@ def _section(sensor: SensorReport) -> dict[str, Any]:
         "codes": describe_levels(sensor.levels, sensor.facts.full),
         "rows": sensor.rows() if sensor.channels else [],
         "problems": sensor.problems,
-        "bounds": [
-            (channel or "all", ", ".join(str(b) for b in found))
-            for channel, found in sensor.bounds.items()
-        ],
         "notes": sensor.notes,
         "transfer": draw_transfer(sensor.channels),
         "snr": draw_snr(sensor.channels),

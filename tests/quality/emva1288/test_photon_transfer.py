@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from levkas.calibration.clipped_darks import fit_clipped_dark, is_clipped
 from levkas.calibration.code_spacing import count_codes, find_levels
 from levkas.calibration.drift import CellMeans, measure_drift
 from levkas.calibration.noise_model import Sensor
@@ -49,8 +48,6 @@ class Camera:
 
     def darks(self):
         frames = list(self.shots(0.0))
-        if is_clipped(frames[0]):
-            return [Dark.of_clipped(fit_clipped_dark(frames))]
         stack = average(frames, saturation=self.sensor.saturation)
         return [Dark.of_blocks(block_statistics(stack, clipped=True)[""])]
 
@@ -81,12 +78,9 @@ def plain():
     ("sensor", "curved"),
     [
         (known(black=64.0), False),
-        # Three darks of four are zero.
-        pytest.param(known(black=0.0, dark=2.0, dsnu=0.3), False, marks=pytest.mark.slow),
         pytest.param(known(black=16.0), True, marks=pytest.mark.slow),
-        pytest.param(known(black=0.0, dark=0.0, dsnu=0.0, read=8.0), True, marks=pytest.mark.slow),
     ],
-    ids=["plain", "clipped", "curved", "curved and clipped"],
+    ids=["plain", "curved"],
 )
 def test_a_known_sensor_comes_back(sensor, curved):
     found, levels = Camera(sensor, curved=curved).measure(draws=40)
@@ -167,23 +161,6 @@ def test_what_tells_nothing_is_refused_with_what_to_capture():
     assert "half the exposure" in refusal(darks, [camera.stack(0.95)], "E_WHITE_SATURATED")
     swapped = [Dark.of_blocks(camera.stack(0.4))]
     assert "swapped" in refusal(swapped, [camera.stack(0.0)], "E_WHITE_DARK")
-
-
-def test_a_single_clipped_dark_with_a_strong_pattern_leaves_the_noise_to_the_lit_shots():
-    rng, shape = np.random.default_rng(8), (320, 320)
-    fixed = rng.normal(0, 6, shape)  # counts: of one shot it cannot be told from noise over time
-
-    def shots(electrons, count):
-        for _ in range(count):
-            light = rng.poisson(electrons, shape) * 0.05
-            yield np.rint(light + fixed + rng.normal(8, 1.5, shape)).clip(0, 255).astype(np.uint8)
-
-    dark = Dark.of_clipped(fit_clipped_dark(list(shots(0, 1))))
-    lit = [block_statistics(average(shots(e, 6), saturation=255))[""] for e in (1000, 2000, 3000)]
-    found = measure_sensor([dark], (), lit, saturation=255, rng=np.random.default_rng(1))
-    assert dark.spread > 30 and np.isnan(dark.temporal)
-    assert found.gain.value == pytest.approx(0.05, rel=0.03)
-    assert found.dark_noise.value == pytest.approx(1.5 / 0.05, rel=0.1)
 
 
 def test_noise_that_falls_with_the_light_is_refused():

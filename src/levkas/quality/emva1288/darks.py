@@ -1,4 +1,4 @@
-"""Darks of a sensor over exposures: level, dark current, fixed pattern; also where the camera clipped them at 0."""
+"""Darks of a sensor over exposures: level, dark current, fixed pattern."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from levkas.calibration.clipped_darks import DarkLevel
 from levkas.calibration.darks import SAME_TIME
 from levkas.quality.emva1288.blocks import Blocks
 
@@ -21,8 +20,6 @@ class Dark:
     level, temporal, fixed : ndarray, (blocks,), or float
         Mean, variance of one shot with rounding, variance from sensel to sensel; NaN if not known.
     exposure_s : float, optional
-    errors : tuple of float
-        Standard errors of the three where they are no blocks.
     spread : ndarray, (blocks,), or float
         Of a single shot: variance from sensel to sensel, noise over time included.
     band : str, optional
@@ -33,7 +30,6 @@ class Dark:
     temporal: np.ndarray | float
     fixed: np.ndarray | float
     exposure_s: float | None = None
-    errors: tuple[float, float, float] = (0.0, 0.0, 0.0)
     spread: np.ndarray | float = float("nan")
     band: str | None = None
 
@@ -46,35 +42,19 @@ class Dark:
         level, temporal = blocks.mean + sound, blocks.temporal + sound
         return cls(level, temporal, fixed, blocks.exposure_s, spread=spread, band=blocks.band)
 
-    @classmethod
-    def of_clipped(cls, level: DarkLevel, exposure_s: float | None = None) -> Dark:
-        """Return a dark that was clipped and fitted as censored; of a single shot the noise over time stays open."""
-        if np.isnan(level.fixed):
-            spread = level.noise**2 + 1 / 12
-            return cls(level.black, np.nan, np.nan, exposure_s, (level.black_error, 0, 0), spread)
-        errors = (
-            level.black_error,
-            2 * level.noise * level.noise_error,
-            2 * level.fixed * level.fixed_error,
-        )
-        return cls(level.black, level.noise**2 + 1 / 12, level.fixed**2, exposure_s, errors)
-
 
 def model_darks(darks: Sequence[Dark]) -> DarkModel:
     """Return the level and fixed pattern without light over exposures, of all blocks alike."""
-    return DarkModel([DrawnDark(dark, np.ones(np.size(dark.level)), np.zeros(3)) for dark in darks])
+    return DarkModel([DrawnDark(dark, np.ones(np.size(dark.level))) for dark in darks])
 
 
 class DrawnDark:
     """One dark in one draw of the bootstrap: weighted means, and its level block by block."""
 
-    def __init__(self, dark: Dark, weights: np.ndarray, shift: np.ndarray) -> None:
-        parts = (dark.level, dark.temporal, dark.fixed)
+    def __init__(self, dark: Dark, weights: np.ndarray) -> None:
         self.spread = _mean(dark.spread, weights)
-        self.level, self.temporal, self.fixed = (
-            _mean(part, weights) + error * move
-            for part, error, move in zip(parts, dark.errors, shift, strict=True)
-        )
+        parts = (dark.level, dark.temporal, dark.fixed)
+        self.level, self.temporal, self.fixed = (_mean(part, weights) for part in parts)
         self.under = dark.level if isinstance(dark.level, np.ndarray) else self.level
         self.exposure_s = dark.exposure_s
         self.band = dark.band

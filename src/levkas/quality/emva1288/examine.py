@@ -14,8 +14,6 @@ from levkas.calibration.templates import CalibrationRefused
 from levkas.core.problems import Problem, Refused, unknown_name
 from levkas.quality.emva1288.facts import FrameFacts, describe_files, describe_frame
 from levkas.quality.emva1288.photon_transfer import (
-    Bound,
-    bound_sensor,
     measure_sensor,
     without_full_scale,
 )
@@ -118,7 +116,6 @@ def _report(sensor: SensorStacks, rng: np.random.Generator) -> SensorReport:
     )
     full = white or facts.full
     channels, problems = {}, []
-    bounds: dict[str, list[Bound]] = {}
     for channel in dict.fromkeys([*sensor.whites, *sensor.scenes]):
         try:
             found = measure_sensor(
@@ -132,8 +129,6 @@ def _report(sensor: SensorStacks, rng: np.random.Generator) -> SensorReport:
             )
             channels[channel] = found if declared else without_full_scale(found)
         except CalibrationRefused as refused:
-            if least := _bounds(sensor, channel, full):
-                bounds[channel] = least
             folder = str(sensor.bench.sensor.object[0].path.parent)
             problems += [
                 replace(
@@ -156,16 +151,6 @@ def _report(sensor: SensorStacks, rng: np.random.Generator) -> SensorReport:
         sensor.linearity,
         notes,
         list(dict.fromkeys(problems)),
-        bounds,
-    )
-
-
-def _bounds(sensor: SensorStacks, channel: str, full: float | None) -> list[Bound]:
-    """Return the bounds that single shots give of a channel; none where saturation is not known."""
-    if full is None:
-        return []
-    return bound_sensor(
-        sensor.darks.get(channel, []), sensor.whites.get(channel, []), saturation=full
     )
 
 

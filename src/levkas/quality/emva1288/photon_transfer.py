@@ -144,10 +144,10 @@ def measure_sensor(
     rounding = levels or Levels(0, 0, 0)
     count = len(lit[0].mean)
 
-    def draw(weights: np.ndarray, shift: np.ndarray) -> dict[str, float]:
-        return estimate(darks, whites, scenes, saturation, rounding, weights, shift)
+    def draw(weights: np.ndarray) -> dict[str, float]:
+        return estimate(darks, whites, scenes, saturation, rounding, weights)
 
-    best = draw(np.ones(count), np.zeros((len(darks), 3)))
+    best = draw(np.ones(count))
     if not best["gain"] > 0:
         raise _refusal(
             "E_NOISE",
@@ -159,8 +159,7 @@ def measure_sensor(
     drawn: dict[str, list[float]] = {name: [] for name in best}
     for _ in range(draws):
         weights = rng.multinomial(count, np.full(count, 1 / count)).astype(float)
-        again = draw(weights, rng.standard_normal((len(darks), 3)))
-        for name, value in again.items():
+        for name, value in draw(weights).items():
             drawn[name].append(value)
     found = {name: _interval(value, drawn[name]) for name, value in best.items()}
     notes = _notes(best, model_darks(darks), lit, whites, reached)
@@ -241,10 +240,11 @@ def _check_stacks(darks: Sequence[Dark], lit: Sequence[Blocks]) -> None:
     if not darks:
         raise _refusal(
             "E_TEMPLATE_MISSING",
-            "there is no dark",
+            "there is no dark that can be used",
             0,
-            "two shots or more",
-            "Capture two darks with the lens covered, at the exposure of the white.",
+            "two shots or more, above zero",
+            "Capture two darks with the lens covered, at the exposure of the white; of a camera that takes its black "
+            "off and clips at zero, state `black = 0` in campaign.toml.",
         )
     sizes = {np.size(b.mean) for b in lit}
     sizes |= {np.size(d.level) for d in darks if isinstance(d.level, np.ndarray)}
@@ -316,10 +316,9 @@ def estimate(
     saturation: float,
     rounding: Levels,
     weights: np.ndarray,
-    shift: np.ndarray,
 ) -> dict[str, float]:
-    """Return every number from blocks drawn `weights` times, fitted darks moved by their errors."""
-    model = DarkModel([DrawnDark(dark, weights, s) for dark, s in zip(darks, shift, strict=True)])
+    """Return every number from blocks drawn `weights` times."""
+    model = DarkModel([DrawnDark(dark, weights) for dark in darks])
     first, room = model.first, saturation - model.black
     quiet = first.temporal - float(rounding.quantisation(first.level))
     gain, quiet, known = _gain([*whites, *scenes], model, room, quiet, rounding, weights)
@@ -443,90 +442,3 @@ def _linearity(
     design = np.stack([t[used], np.ones(used.sum())], 1) / y[used, None]
     solved = np.linalg.lstsq(design, np.ones(used.sum()), rcond=None)[0]
     return float(np.sqrt(np.mean((design @ solved - 1) ** 2)))
-
-
-LIT = (0.15, 0.9)
-"""Of saturation, above dark: where the spread of a white is that of noise and PRNU."""
-
-
-@dataclass(frozen=True)
-class Bound:
-    """A number with the side on which it binds: ``"="``, ``"≤"`` or ``"≥"``."""
-
-    name: str
-    sign: str
-    value: float
-    unit: str
-
-    def __str__(self) -> str:
-        return f"{self.name} {self.sign} {self.value:.3g} {self.unit}".rstrip()
-
-
-def bound_sensor(
-    darks: Sequence[Dark], whites: Sequence[Blocks], *, saturation: float
-) -> list[Bound]:
-    """Return bounds of one channel from single shots of a dark and of a white.
-
-    Parameters
-    ----------
-    darks : sequence of Dark
-    whites : sequence of Blocks
-        Of an even, lit surface, one shot each.
-    saturation : float
-        Counts.
-
-    Returns
-    -------
-    bounds : list of Bound
-        Empty where there is neither.
-
-    Examples
-    --------
-    A white of 1,000 counts whose spread is 10 in each of nine blocks, over a dark of 0 with a spread of 2.
-
-    >>> white = Blocks(np.full(9, 1000.0), np.full(9, np.nan), np.full(9, 100.0), 1)
-    >>> dark = Dark(np.zeros(9), np.nan, np.nan)
-    >>> [str(b) for b in bound_sensor([dark], [white], saturation=4095)]
-    ['black = 0 DN', 'gain K ≤ 0.1 DN/e⁻', 'PRNU ≤ 1 %', 'full well ≥ 4.1e+04 e⁻', 'SNR of the white ≥ 100']
-    """
-    found, level, quiet, model = [], 0.0, 0.0, None
-    if darks:
-        level = _middle(darks[0].level)
-        model = model_darks(darks)
-        found.append(Bound("black", "=", level, "DN"))
-        spread = _middle(darks[0].spread)
-        if np.isfinite(spread):
-            quiet = spread
-            found.append(Bound("noise in the dark, DSNU included", "≤", np.sqrt(quiet), "DN"))
-    signal, variance = _lit(whites, model, saturation - level)
-    if len(signal) < FEWEST_BLOCKS:
-        return found
-    each = np.maximum(variance - quiet, 0)
-    gain = float(np.median(each / signal))
-    return [
-        *found,
-        Bound("gain K", "≤", gain, "DN/e⁻"),
-        Bound("PRNU", "≤", 100 * float(np.median(np.sqrt(each) / signal)), "%"),
-        Bound("full well", "≥", (saturation - level) / max(gain, 1e-12), "e⁻"),
-        Bound("SNR of the white", "≥", float(np.median(signal / np.sqrt(variance))), ""),
-    ]
-
-
-def _lit(
-    whites: Sequence[Blocks], model: DarkModel | None, room: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return signal and spatial variance of blocks that are well lit."""
-    above = [
-        b.mean - (_middle(model.under(b.band, b.exposure_s)) if model is not None else 0.0)
-        for b in whites
-    ]
-    signal = np.concatenate(above) if whites else np.empty(0)
-    variance = np.concatenate([b.spatial for b in whites]) if whites else np.empty(0)
-    used = np.isfinite(signal + variance) & (signal > LIT[0] * room) & (signal < LIT[1] * room)
-    return signal[used], variance[used]
-
-
-def _middle(values: np.ndarray | float) -> float:
-    known = np.atleast_1d(values)
-    known = known[np.isfinite(known)]
-    return float(np.median(known)) if len(known) else float("nan")

@@ -11,7 +11,7 @@ from levkas.calibration.drift import Drift
 from levkas.calibration.linearity import Linearity
 from levkas.core.problems import Problem
 from levkas.quality.emva1288.facts import FrameFacts, describe_levels, facts_table
-from levkas.quality.emva1288.photon_transfer import Bound, Interval, PhotonTransfer
+from levkas.quality.emva1288.photon_transfer import Interval, PhotonTransfer
 
 if TYPE_CHECKING:
     from levkas.calibration.code_spacing import Levels
@@ -51,8 +51,6 @@ class SensorReport:
     notes : list of str
     problems : list of Problem
         Why something could not be measured.
-    bounds : dict of list of Bound
-        By channel: bounds from single shots.
     """
 
     camera: str
@@ -64,7 +62,6 @@ class SensorReport:
     linearity: list[tuple[str, Linearity]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
-    bounds: dict[str, list[Bound]] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -111,11 +108,6 @@ class SensorReport:
                 for name, d in self.light
             ],
             "linearity": [{"stack": name, **asdict(found)} for name, found in self.linearity],
-            "bounds": [
-                {"channel": channel, **asdict(bound)}
-                for channel, found in self.bounds.items()
-                for bound in found
-            ],
             "notes": self.notes,
         }
 
@@ -196,8 +188,6 @@ def sensor_text(sensor: SensorReport) -> str:
             "  " + "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip()
             for row in rows
         ]
-    for channel, bounds in sensor.bounds.items():
-        lines.append(f"  {channel or 'one shot'}: {', '.join(str(b) for b in bounds)}")
     for name, drift in sensor.light:
         flicker = (
             "" if drift.flicker != drift.flicker else f", flicker {100 * drift.flicker:.2f} % rms"

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.calibration.clipped_darks import DarkLevel, fit_clipped_dark, is_clipped
+from levkas.calibration.clipped_darks import is_clipped
 from levkas.calibration.code_spacing import Levels
 from levkas.calibration.drift import Drift
 from levkas.calibration.linearity import Linearity
-from levkas.calibration.patterns import channel_table, split
-from levkas.calibration.sensor_context import SHOTS, SensorContext, exposure_of
-from levkas.calibration.templates import CalibrationRefused, Template
+from levkas.calibration.sensor_context import SensorContext, exposure_of
+from levkas.calibration.templates import Template
 from levkas.quality.emva1288.blocks import Blocks, block_statistics
 from levkas.quality.emva1288.darks import Dark, model_darks
 
@@ -99,65 +98,24 @@ def _flat_bands(stack: Template) -> Template:
     return Template(flat(stack.mean), variance, stack.count, *marks, stack.exposure_s)
 
 
-MOST_CLIPPED = 1_000_000  # pixels of a dark in the likelihood
-
-
 def measure_dark(sensor: SensorStacks, shots: Sequence[FrameRef]) -> dict[str, Dark]:
-    """Return the dark of one exposure, channel by channel."""
-    bench, time = sensor.bench, exposure_of(shots[0])
+    """Return the dark of one exposure, channel by channel; none, with a note, where it is clipped at zero."""
+    bench = sensor.bench
     first = next(iter(bench.read(shots[:1])))
     if first.dtype.kind == "u" and is_clipped(first):
-        return _clipped_dark(sensor, shots, time)
+        note_clipped(sensor, exposure_of(shots[0]))
+        return {}
     stack = bench.average(list(shots))
     return {k: Dark.of_blocks(b) for k, b in reduce_stack(stack, bench, dark=True).items()}
 
 
-def _clipped_dark(
-    sensor: SensorStacks, shots: Sequence[FrameRef], time: float | None
-) -> dict[str, Dark]:
-    """Fit a clipped dark as censored; leave it out, with a note, where the fit is refused."""
-    frames = list(sensor.bench.read(shots[:SHOTS]))
-    rows = max(1, min(frames[0].shape[0], MOST_CLIPPED // max(1, frames[0].shape[1])))
-    return fit_clipped(sensor, _channels([f[:rows] for f in frames], sensor.bench), time)
-
-
-def fit_clipped(
-    sensor: SensorStacks, channels: Mapping[str, Sequence[np.ndarray]], time: float | None
-) -> dict[str, Dark]:
-    """Fit the clipped codes of each channel, frame by frame, with a note; nothing where that is refused."""
+def note_clipped(sensor: SensorStacks, time: float | None) -> None:
+    """Say that the darks of an exposure are clipped, and what to do."""
     where = f"darks of {time:g} s" if time else "darks"
-    found: dict[str, DarkLevel] = {}
-    for channel, planes in channels.items():
-        try:
-            found[channel] = fit_clipped_dark(planes, step=sensor.bench.step or 1.0)
-        except CalibrationRefused as refused:
-            problem = refused.problems[0]
-            if not any(problem.message in note for note in sensor.notes):
-                sensor.notes.append(f"{where}: {problem}")
-            return {}
-    blacks = [f"{c} {d.black:.2f} ± {d.black_error:.2f}".strip() for c, d in found.items()]
     sensor.notes.append(
-        f"{where} were clipped at zero ({next(iter(found.values())).zeros:.0%} of the pixels) and are "
-        f"fitted as censored: black {', '.join(blacks)}"
+        f"{where} are clipped at zero and not used: raise the camera's offset and capture them again, or state `black` "
+        "in campaign.toml"
     )
-    return {channel: Dark.of_clipped(level, time) for channel, level in found.items()}
-
-
-def _channels(frames: Sequence[np.ndarray], bench: SensorContext) -> dict[str, list[np.ndarray]]:
-    """Return the codes of each channel, flat, frame by frame."""
-    pattern = bench.sensor.pattern
-    if pattern is None or not bench.camera.traits.is_demosaiced:
-        return {"": [f.ravel() for f in frames]}
-    names = [name for row in pattern for name in row]
-    size = channel_table(pattern).shape
-    stacks: dict[str, list[np.ndarray]] = {name: [] for name in dict.fromkeys(names)}
-    for frame in frames:
-        phases = split(frame, *size)
-        for name, flat in stacks.items():
-            flat.append(
-                np.concatenate([p.ravel() for n, p in zip(names, phases, strict=True) if n == name])
-            )
-    return stacks
 
 
 def put_darks(sensor: SensorStacks, levels: dict[Key, dict[str, Dark]]) -> None:

@@ -12,26 +12,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.calibration.agreement import compare_facts
-from levkas.calibration.clipped_darks import is_clipped, pairs_of_lines
+from levkas.calibration.clipped_darks import is_clipped
 from levkas.calibration.code_spacing import MOST_CODES, count_codes, find_levels
 from levkas.calibration.drift import CellMeans, Drift, measure_drift
 from levkas.calibration.linearity import RECIPROCAL, Linearity, check_linearity
 from levkas.calibration.sensor_context import SensorContext, exposure_of, read_cube
-from levkas.calibration.templates import Template, average
+from levkas.calibration.templates import CalibrationRefused, Template, average
+from levkas.core.problems import Problem
 from levkas.quality.emva1288.blocks import (
     SIDE,
     Blocks,
     block_statistics,
     cut_blocks,
-    pair_blocks,
 )
 from levkas.quality.emva1288.darks import Dark, model_darks
 from levkas.quality.emva1288.sensor_stacks import (
     SensorStacks,
     by_exposure,
-    fit_clipped,
     level_under,
     measure_dark,
+    note_clipped,
     put_black,
     put_darks,
     reduce_stack,
@@ -84,7 +84,6 @@ def _gather_frames(
     darks = by_exposure(f for f in frames.dark if f.band in (None, *bands))
     levels = {key: measure_dark(sensor, shots) for key, shots in darks.items()}
     put_darks(sensor, levels)
-    hidden = bool(darks) and not any(levels.values())
     histogram = np.zeros(MOST_CODES, np.int64)
     for kind, name, shots in (
         *((sensor.whites, "white", f) for f in by_exposure(frames.white).values()),
@@ -101,8 +100,8 @@ def _gather_frames(
         for channel, found in blocks.items():
             kind.setdefault(channel, []).append(found)
     sensor.levels = find_levels(histogram)
-    if not sensor.darks and (hidden or bench.black is not None):
-        put_black(sensor, 0.0 if bench.black is None else bench.black)
+    if not sensor.darks and bench.black is not None:
+        put_black(sensor, bench.black)
     _scaling(sensor, objects, bands, hidden=not any(levels.values()))
 
 
@@ -180,48 +179,57 @@ def _no_scaling(series: str, found: Linearity) -> str:
 CHANNEL = "all"
 THIN = 4
 """Side, sensels, of a block where there are fewer than 16 bands."""
-MOST_PAIRS = 64
-"""Pairs of neighbouring lines of a mirror scanner's white that are looked at."""
 
 
 def gather_lines(sensor: SensorStacks, frames: SensorFrames) -> None:
     """Gather the stacks of a line scanner: each line of dark and white is a shot of all samples and bands.
 
-    A push-broom camera looks at one place of the white all the time. A mirror leads the view over the board, so
-    that each line has other light; two neighbouring ones, brought to one level block by block, stand in for
-    repeats: the sensels of (sample, band) are the same in both.
+    A push-broom camera looks at one place of the white all the time.
+
+    Raises
+    ------
+    CalibrationRefused
+        E_SHOTS of a mirror scanner, whose lines have other light each.
     """
-    mirror = sensor.bench.camera.scan == "mirror"
+    if sensor.bench.camera.scan == "mirror":
+        raise CalibrationRefused(
+            Problem(
+                "E_SHOTS",
+                "the mirror leads the view over the board: no two lines of the white have one light",
+                str(frames.object[0].path),
+                f"cameras.{sensor.camera}.scan",
+                "mirror",
+                "a white captured while the mirror stands still",
+                'Capture dark and white with the mirror at rest, as a campaign with scan = "push-broom".',
+            )
+        )
     for (_, time), shots in by_exposure(frames.dark).items():
-        sensor.darks.setdefault(CHANNEL, []).append(_dark_of(sensor, shots, time))
+        if dark := _dark_of(sensor, shots, time):
+            sensor.darks.setdefault(CHANNEL, []).append(dark)
     for (_, time), shots in by_exposure(frames.white).items():
         stack, side, light = _averaged(sensor, shots)
         level = level_under(sensor, None, time)
         drift = measure_drift(light.cells, level)
-        if drift is not None and not mirror:
+        if drift is not None:
             label = f"white {f'{time:g} s' if time else ''}".strip()
             sensor.light.append((f"{label}, line by line", drift))
-        sensor.whites.setdefault(CHANNEL, []).append(
-            _white_of(sensor, shots, stack, side, drift, level)
-        )
+        white = _white_of(sensor, stack, side, drift, level)
+        sensor.whites.setdefault(CHANNEL, []).append(white)
     if frames.white:
         sensor.levels = find_levels(_codes_of(frames.white))
+    if not sensor.darks and sensor.bench.black is not None:
+        put_black(sensor, sensor.bench.black)
     sensor.notes.append(
-        "mirror scanner: neighbouring lines of the white stand in for shots, and texture of the board counts as "
-        "noise; drift and flicker of the lamp cannot be separated from the unevenness of its light"
-        if mirror
-        else "line scanner: every line is a shot; texture of the white board counts as noise"
+        "line scanner: every line is a shot; texture of the white board counts as noise"
     )
 
 
-def _dark_of(sensor: SensorStacks, shots: Sequence[FrameRef], time: float | None) -> Dark:
-    """Reduce the dark of one exposure; one that was clipped is fitted, where enough of it is above zero."""
+def _dark_of(sensor: SensorStacks, shots: Sequence[FrameRef], time: float | None) -> Dark | None:
+    """Reduce the dark of one exposure; None, with a note, where it is clipped at zero."""
     cube = read_cube(shots[0])
-    pairs = [cube[y].ravel() for y in pairs_of_lines(*cube.shape[:2])]
-    if pairs[0].dtype.kind == "u" and is_clipped(np.concatenate(pairs)):
-        fitted = fit_clipped(sensor, {CHANNEL: pairs}, time)
-        if fitted:
-            return fitted[CHANNEL]
+    if cube.dtype.kind == "u" and is_clipped(np.asarray(cube[:1]).ravel()):
+        note_clipped(sensor, time)
+        return None
     stack, side, _ = _averaged(sensor, shots)
     return Dark.of_blocks(block_statistics(stack, clipped=True, side=side)[""])
 
@@ -237,57 +245,14 @@ def _averaged(sensor: SensorStacks, shots: Sequence[FrameRef]) -> tuple[Template
 
 
 def _white_of(
-    sensor: SensorStacks,
-    shots: Sequence[FrameRef],
-    stack: Template,
-    side: int,
-    drift: Drift | None,
-    level: float,
+    sensor: SensorStacks, stack: Template, side: int, drift: Drift | None, level: float
 ) -> Blocks:
-    """Reduce the white; the spread is taken along the samples, of a mirror scanner's mean over the board."""
-    mirror = sensor.bench.camera.scan == "mirror"
+    """Reduce the white; the spread is taken along the samples."""
     found = block_statistics(stack, drift=drift, dark=level, side=side)[""]
     centre, darks = found.mean - level, sensor.darks.get(CHANNEL, [])
     fixed = model_darks(darks).fixed(found) if darks else 0.0
-    pairs = [_pair(sensor, *two, level) for two in _neighbours(shots)] if mirror else []
-    if not pairs:
-        noise = np.nan_to_num(found.temporal) / stack.count + fixed
-        spatial = _spread_along_samples(stack.mean - level, centre, noise, side)
-        temporal = np.full_like(centre, np.nan) if mirror else found.temporal
-        return replace(found, temporal=temporal, spatial=spatial)
-    # Each pair has noise of its own level: per signal they can be put together.
-    with np.errstate(invalid="ignore"):
-        each = np.stack([pair.temporal for pair in pairs])
-        known = np.isfinite(each)
-        count = known.sum(0)
-        sums = [
-            np.where(known, part, 0).sum(0) / np.maximum(count, 1)
-            for part in (each, np.stack([pair.mean for pair in pairs]))
-        ]
-    temporal, mean = (np.where(count > 0, part, np.nan) for part in sums)
-    scale = mean / centre  # the spread belongs to the mean of all lines
-    noise = temporal / scale / stack.count + fixed
-    spatial = _spread_along_samples(stack.mean - level, centre, noise, side)
-    return Blocks(mean + level, temporal, spatial * scale**2, stack.count, stack.exposure_s)
-
-
-def _neighbours(shots: Sequence[FrameRef]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield pairs of neighbouring lines, (samples, bands), evenly over all cubes of the white."""
-    most = max(1, MOST_PAIRS // len(shots))
-    for frame in shots:
-        cube = read_cube(frame)
-        if len(cube) < 2:
-            continue
-        starts = np.unique(np.linspace(0, len(cube) - 2, most).round().astype(int))
-        for k in starts.tolist():
-            yield cube[k], cube[k + 1]
-
-
-def _pair(sensor: SensorStacks, first: np.ndarray, second: np.ndarray, level: float) -> Blocks:
-    full = sensor.bench.saturation
-    a, side = _laid_out(average([first], saturation=full))
-    b, _ = _laid_out(average([second], saturation=full))
-    return pair_blocks(a, b, dark=level, side=side)
+    noise = np.nan_to_num(found.temporal) / stack.count + fixed
+    return replace(found, spatial=_spread_along_samples(stack.mean - level, centre, noise, side))
 
 
 def _codes_of(shots: Sequence[FrameRef]) -> np.ndarray:
