@@ -32,14 +32,6 @@ STEPS = (0.1, 0.05, 0.02)
 """Of the refinement, in pitches."""
 NEAR = 0.5
 """How far, in pitches, one sensor of a camera may see a chart from where another does."""
-TIED = 0.02
-"""Corners stay as they were given where another order agrees no better than by this."""
-TURNS = (
-    "",
-    *(f"turned by {90 * k} degrees" for k in (1, 2, 3)),
-    *("mirrored" if k == 0 else f"mirrored and turned by {90 * k} degrees" for k in range(4)),
-)
-"""What `charts.turned_corners` does to four corners, in its order."""
 NEARLY_ALL = 0.75
 """Side of the areas that are made even, over the pitch: most of a patch, so that edges show."""
 
@@ -50,7 +42,7 @@ class Located(NamedTuple):
     `corners` (4, 2) px: centres of the corner patches clockwise from the first; `areas` (n, 4, 2)
     px; `agreement`: rank correlation with the published values, the mean of the bands that fit;
     `means` (n, bands); `bands` (bands,): the rank correlation of each band, NaN where nothing is
-    published of it; `turned`: how the corners that were given had to be renamed, "" as they were.
+    published of it.
     """
 
     corners: np.ndarray
@@ -58,7 +50,6 @@ class Located(NamedTuple):
     agreement: float
     means: np.ndarray
     bands: np.ndarray
-    turned: str = ""
 
     @property
     def fits(self) -> np.ndarray:
@@ -79,7 +70,7 @@ def locate_chart(
     *,
     corners: np.ndarray | None = None,
 ) -> Located:
-    """Find a chart, or check the corners that are given; they may be given in any order round the chart.
+    """Find a chart, or check the corners that are given.
 
     Parameters
     ----------
@@ -97,15 +88,14 @@ def locate_chart(
     ------
     ChartRefused
         ``E_CHART_MISSING`` where none is found, ``E_CHART_ORDER`` where patches do not rank as
-        those of the chart in any band, however the corners are named, ``E_CHART_FRAME``,
+        those of the chart in any band, ``E_CHART_FRAME``,
         ``E_CHART_SIZE``; ``E_CHART_DETECTOR`` where this OpenCV has no detector.
     """
     known = corners is not None
     found = np.asarray(corners, float).reshape(4, 2) if known else find_corners(values, chart)
     size = (values.shape[1], values.shape[0])
     place_patches(found, chart, size)
-    # Grey pictures do not say which way up a chart lies, and corners are easily named in another
-    # order; the patches decide.
+    # Grey pictures do not say which way up a chart lies: of corners that were found the patches decide.
     compare = partial(rank_agreement, wavelengths=wavelengths, chart=chart, reference=reference)
     best = _best_way(values, found, chart, compare, known=known)
     if best.agreement < LEAST_AGREEMENT and np.isnan(wavelengths).all():
@@ -126,24 +116,23 @@ Compare = Callable[[np.ndarray], tuple[float, np.ndarray]]
 def _best_way(
     values: np.ndarray, corners: np.ndarray, chart: Chart, compare: Compare, *, known: bool
 ) -> Located:
-    """Return the order of four corners in which the patches agree best; those that were given where none is better."""
+    """Return the order of four corners in which the patches agree best; of those that were given, as they are."""
+    if known:
+        return _located(values, corners, chart, compare)
     ways = []
-    for way, turned in zip(turned_corners(corners), TURNS, strict=True):
+    for way in turned_corners(corners):
         try:
-            ways.append(_located(values, way, chart, compare, turned))
+            ways.append(_located(values, way, chart, compare))
         except ChartRefused:  # turned by a right angle, the patches are too narrow to be sampled
             continue
-    best = max(ways, key=lambda way: (np.count_nonzero(way.fits), way.agreement))
-    return ways[0] if known and best.agreement < ways[0].agreement + TIED else best
+    return max(ways, key=lambda way: (np.count_nonzero(way.fits), way.agreement))
 
 
-def _located(
-    values: np.ndarray, corners: np.ndarray, chart: Chart, compare: Compare, turned: str = ""
-) -> Located:
+def _located(values: np.ndarray, corners: np.ndarray, chart: Chart, compare: Compare) -> Located:
     areas = place_patches(corners, chart, (values.shape[1], values.shape[0]))
     means = patch_means(values, areas)
     agreement, bands = compare(means)
-    return Located(corners, areas, agreement, means, bands, turned)
+    return Located(corners, areas, agreement, means, bands)
 
 
 def locate_in_cube(
@@ -192,10 +181,10 @@ def _disagrees(agreement: float, chart: Chart, known: bool) -> Problem:
         f"what was {'given' if known else 'found'} does not look like a {chart.name}",
         field="--corners" if known else None,
         found=f"rank correlation {agreement:.2f} of its patches with the published ones, the best of bands",
-        expected=f"{LEAST_AGREEMENT} or more in a band, in any order of the corners",
+        expected=f"{LEAST_AGREEMENT} or more in a band",
         fix=(
-            "Check on the picture that these are the centres of its four corner patches, in any order round the "
-            f"chart, and that it is a {chart.name} without glare or shadow. Else capture it again, or capture a white."
+            "Check on the picture that these are the centres of its four corner patches, clockwise from the first "
+            f"(dark skin), and that it is a {chart.name} without glare or shadow. Else capture it again, or capture a white."
             if known
             else "Give its four corners with --corners x,y,x,y,x,y,x,y, or capture the chart "
             "flat, whole and free of glare."

@@ -315,11 +315,7 @@ def _misfits(
     bands: Sequence[Band], sightings: Sequence[Sighting], reference: ChartReference | None
 ) -> list[str]:
     """Report which bands rank the patches otherwise than their wavelength should, and what they look like."""
-    notes = [
-        f"the corners were {s.located.turned} to fit the chart"
-        for s in sightings
-        if s.located.turned
-    ]
+    notes = []
     columns = np.concatenate([s.located.means for s in sightings], 1)
     fit = np.concatenate([s.located.bands for s in sightings])
     for i in map(int, np.flatnonzero(np.concatenate([s.located.unfit for s in sightings]))):
