@@ -1,12 +1,14 @@
 """Time of builds, starts, `look` and registrations beside the code before, in turns in one run, and where a build's time goes.
 
     python benchmarks/speed.py [FOLDER] [--before COMMIT] [--preset small] [--rounds 2] [--files 20000] [--pairs 8]
+    python benchmarks/speed.py FOLDER --full [--results FILE]
 
 FOLDER keeps the simulated campaign, the band files that `look` reads and the sources of COMMIT (default: the last but one) for the
 next run. Both codes are measured in turns, each from an empty database; the least of the rounds counts, as nothing makes a
 program faster than it is; the first one compiles. Where time goes is sampled every 10 ms over threads that do not wait, by the package whose code,
 or library on its behalf, runs. The floor is to read every raw frame and to write every published layer once.
-Ten minutes with the preset `small`; compare times within a run only.
+Ten minutes with the preset `small`; compare times within a run only. `--full` builds a full-size campaign (2.4 GB, simulated into FOLDER
+where it is not there yet) once, with its time, the peak of memory and its errors.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from results import add_option, record
 from unchanged import HERE, levkas, unpack
 
 WAITING = ("threading.py", "queue.py", "selectors.py", "thread.py", "_base.py", "subprocess.py")
@@ -85,16 +88,15 @@ def measure_build(campaign: Path, output: Path) -> dict:
 
 def measure_pairs(count: int) -> dict:
     """Return seconds of the clock to accept a right pair and to refuse an impostor, medians of those so decided."""
-    from pairs import Studio, impostor, right_pair
-    from verdict import judge_pair
+    from verdict import Studio, impostor, judged, right_pair
 
     studio, times = Studio(1), {"accept": [], "refuse": []}
     for number in range(count):
         for kind, make in enumerate((right_pair, impostor)):
             pair = make(studio, np.random.default_rng([1, kind, number]), number)
             if not number:
-                judge_pair(number, *pair, method="levkas")  # compiles
-            row = judge_pair(number, *pair, method="levkas")
+                judged(*pair)  # compiles
+            row = judged(*pair)
             right = row["decision"] != "refuse"
             if right == row["true"]:
                 times["accept" if right else "refuse"].append(row["seconds"])
@@ -202,6 +204,40 @@ def tell(before: dict, after: dict) -> None:
     print(f"\nthe build takes {over:.1f} times the floor")
 
 
+def build_full(folder: Path, results: Path | None) -> None:
+    """Build a full-size campaign; print and record time, memory, and errors of every camera in reference px."""
+    import shutil
+
+    from levkas.building import build
+    from levkas.quality.evaluation.layer_report import assess
+    from levkas.simulation import simulate_campaign
+
+    if not (folder / "campaign.toml").is_file():
+        for _ in simulate_campaign(folder, preset="full"):
+            pass
+    output = folder.with_name(folder.name + ".database")
+    for path in (output, output.with_name(output.name + ".kept")):
+        shutil.rmtree(path, ignore_errors=True)
+    start = time.perf_counter()
+    for step in build(folder, output=output):
+        if step.state in ("refused", "failed"):
+            print(step.line)
+    total, usage = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_SELF)
+    memory = usage.ru_maxrss / 1e6
+    print(f"{total:.0f} s, {usage.ru_utime + usage.ru_stime:.0f} s of CPU, peak {memory:.2f} GB")
+    found = assess(output, truth=folder / "truth")
+    print(found.text)
+    record(results, "build", {"time": total, "memory, peak": memory})
+    errors = {}
+    for layer in found.results:
+        bands = [b for b in layer["bands"] if b["error_mean"] is not None]
+        if bands:
+            camera = layer["layer"].rpartition("/")[2]
+            errors[camera, "mean"] = float(np.mean([b["error_mean"] for b in bands]))
+            errors[camera, "largest"] = max(b["error_max"] for b in bands)
+    record(results, "full-size", errors)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
@@ -212,11 +248,15 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--files", type=int, default=20_000, help="that `look` reads")
     parser.add_argument("--pairs", type=int, default=8, help="right pairs, and as many impostors")
+    parser.add_argument("--full", action="store_true", help="build a full-size campaign once")
     parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
+    add_option(parser)
     given = parser.parse_args()
     if given.rounds < 2:
         parser.error("--rounds: 2 at least, as the first one compiles")
     folder = (given.folder or Path(tempfile.mkdtemp())).resolve()
+    if given.full:
+        return build_full(folder, given.results)
     if given.measure:
         given.measure.write_text(json.dumps(measure(folder, given.pairs)))
         return

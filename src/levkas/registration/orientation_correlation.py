@@ -47,7 +47,7 @@ class OrientationSettings:
         Degrees, and ratio of scales, beyond which two poses differ.
     least_ratio : float
         Correlation of the best pose over that of the best one far from it. 1.00 to 1.22 before other
-        objects, 1.14 to 2.8 before the same (`benchmarks/modalities.py`).
+        objects, 1.14 to 2.8 before the same (`benchmarks/verdict.py unlike`).
     least_overlap : float, 0..1
         Share of the smaller picture's edges that lie within the other.
     blocks : (int, int)

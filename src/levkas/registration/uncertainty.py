@@ -35,7 +35,7 @@ class UncertaintySettings:
     folds_factor : float
         The variance over folds is this much too small: of few of them it is uncertain, and what errs
         alike over more than a block none of them shows. Measured on pairs of pictures
-        (`benchmarks/pairs.py`).
+        (`benchmarks/verdict.py battery`).
     bands_factor : float
         The same for a band against its neighbours in wavelength; measured on nine simulated campaigns and two paintings of another
         simulation: with 1.4 the errors of the reference's own bands are 0.6 to 1.3 sigmas, in the median 0.84.
@@ -45,7 +45,7 @@ class UncertaintySettings:
         frame: nine folds say little of one place.
     stray : float, px a px
         How far a map may stray for each px that it reaches beyond what windows confirm; measured on cut
-        and bent pairs (those of `benchmarks/verdict_classes.py`).
+        and bent pairs (those of `benchmarks/verdict.py classes`).
     """
 
     lattice: tuple[int, int] = (9, 7)

@@ -2,7 +2,7 @@
 
 A rule that finds a contradiction makes a map doubtful (``"warn"``) or refuses it. Where nothing contradicts a
 map and nothing confirms it either, it is accepted, and the part that was not checked is named and counted: most
-correct maps have such a part, and a warning on most maps would be ignored. `benchmarks/verdict_classes.py`
+correct maps have such a part, and a warning on most maps would be ignored. `benchmarks/verdict.py classes`
 measures how often each class is correct.
 """
 

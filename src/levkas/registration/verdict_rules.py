@@ -93,7 +93,7 @@ class VerdictSettings:
         Share of the reference below which the compared share is stated; share of what both show
         below which a map only reaches over too much, and is doubtful.
     marks : float
-        Correlation of marks in one light that it is not above: of copies by one pattern (`benchmarks/replicas.py`).
+        Correlation of marks in one light that it is not above: of copies by one pattern (`benchmarks/verdict.py classes`).
     alike : float
         Cells in one plane differ in how far they are off by at most this share of it.
     least_outlines, least_outlines_share : int, float
