@@ -36,10 +36,10 @@ from levkas.database.registrations import read_registrations
 from levkas.geometry import from_dict
 from levkas.geometry.transforms import Composed
 from levkas.quality.evaluation.layer_report import find_truth, locate
-from levkas.quality.evaluation.native_layers import NativeLayer, read_native_layer
 from levkas.registration import BandImage, register
 
 sys.path.insert(0, str(Path(__file__).with_name("peers")))
+from levkas_peers.native import NativeLayer, read_native_layer
 from levkas_peers.pair import AnyMap, NoAnswer, pair_of, spread
 
 Map = Callable[[np.ndarray], np.ndarray]

@@ -8,7 +8,7 @@ import pytest
 from levkas.building import build, status, summarise
 from levkas.core.digests import hash_tree
 from levkas.database.spectral_tiff import read_tiff_pages
-from levkas.quality.evaluation.native_layers import ComparisonRefused, read_native_layer
+from levkas.quality.evaluation.native_layers import ComparisonRefused, native_files
 from levkas.workbench.library import Library
 
 KEY = "[database]\nnative = true\n"
@@ -101,7 +101,7 @@ def test_the_workbench_shows_the_pixels_that_the_database_does_not_hold(plate):
 
 def test_what_reads_native_pixels_alone_names_the_key(plate):
     with pytest.raises(ComparisonRefused) as refused:
-        read_native_layer(plate[0] / "database", "one", "photo", "")
+        native_files(plate[0] / "database", "one", "photo", "")
     (problem,) = refused.value.problems
     assert (problem.field, problem.expected) == ("database.native", "true")
     assert "native = true" in problem.fix and "campaign.toml" in problem.fix
