@@ -1,6 +1,6 @@
 """Models of the base map, and which of them is taken: blocked cross-validation.
 
-From a similarity to a quintic, with a lens, a spline and a step in depth. A model is fitted to the shifts of
+From a similarity to a cubic, with a lens, a spline and a step in depth. A model is fitted to the shifts of
 windows, each with its own 2 x 2 information, by re-weighted least squares. It is judged on spatial blocks
 that it was not fitted to ([roberts2017]_): neighbouring windows err alike, so that single windows left out
 are no independent evidence. A richer model is taken only where it predicts those blocks better.
@@ -29,7 +29,6 @@ from levkas.registration.models import (
     fit_spline,
     scale_covariance,
 )
-from levkas.registration.parallax import fit_parallax
 
 Fit = Callable[[Observations], Transform]
 Folds = list[tuple[np.ndarray, np.ndarray]]
@@ -76,7 +75,7 @@ class SelectionSettings:
 
 
 SETTINGS = SelectionSettings()
-POLYNOMIALS = {1: "affine", 2: "quadratic", 3: "cubic", 4: "quartic", 5: "quintic"}
+POLYNOMIALS = {1: "affine", 2: "quadratic", 3: "cubic"}
 
 
 @dataclass(frozen=True)
@@ -85,8 +84,7 @@ class ModelSpec:
 
     Parameters
     ----------
-    family : {"similarity", "polynomial", "homography", "parallax"}
-        "parallax" is a homography with a lens behind the heights of a warped panel.
+    family : {"similarity", "polynomial", "homography"}
     order : int
         Of a polynomial.
     lens : bool
@@ -126,8 +124,8 @@ class ModelSpec:
 
 
 SIMILARITY, HOMOGRAPHY = ModelSpec("similarity"), ModelSpec("homography")
-AFFINE, QUADRATIC, CUBIC, QUARTIC, QUINTIC = (ModelSpec("polynomial", n) for n in POLYNOMIALS)
-LENS, PARALLAX = ModelSpec("homography", lens=True), ModelSpec("parallax")
+AFFINE, QUADRATIC, CUBIC = (ModelSpec("polynomial", n) for n in POLYNOMIALS)
+LENS = ModelSpec("homography", lens=True)
 
 #: Model → (least number of observations, fit); from the stiffest to the most yielding.
 MODELS: dict[ModelSpec, tuple[int, Fit]] = {
@@ -136,17 +134,12 @@ MODELS: dict[ModelSpec, tuple[int, Fit]] = {
     HOMOGRAPHY: (16, partial(fit_projective, lens=False)),
     QUADRATIC: (24, partial(fit_polynomial, order=2)),
     LENS: (36, partial(fit_projective, lens=True)),
-    PARALLAX: (40, fit_parallax),
     CUBIC: (40, partial(fit_polynomial, order=3)),
-    QUARTIC: (60, partial(fit_polynomial, order=4)),
-    QUINTIC: (84, partial(fit_polynomial, order=5)),
 }
-#: On coarse grids nothing richer than a cubic: what is left is for a finer grid.
-COARSE = (SIMILARITY, AFFINE, HOMOGRAPHY, QUADRATIC, LENS, CUBIC)
+#: Under which observations are weighted, where it is no model for itself: it follows much of a step in depth.
+QUINTIC: tuple[int, Fit] = (84, partial(fit_polynomial, order=5))
 #: Models that are tame where nothing was observed.
 STIFF = (SIMILARITY, AFFINE, HOMOGRAPHY, LENS)
-#: Tried with a step in depth whatever did best without one → order of a polynomial as yielding.
-WITH_DEPTH_STEP = {PARALLAX: 5, CUBIC: 3, QUARTIC: 4}
 #: Name of a given map that no model improves.
 STANDING = "as it was"
 
@@ -164,7 +157,7 @@ class SelectionTerms:
     cell : float, reference px
         Side of the cells of the windows.
     coarse, stiff : bool
-        Only `COARSE`, only `STIFF` models.
+        Neither spline nor step in depth, which are for finer grids; only `STIFF` models.
     depth_step : bool
         Whether a step in depth may be looked for.
     fixed : int
@@ -181,10 +174,17 @@ class SelectionTerms:
 
     def models(self, count: int) -> list[ModelSpec]:
         """Return the plain models that `count` observations determine."""
-        tried: Sequence[ModelSpec] = COARSE if self.coarse else tuple(MODELS)
-        if self.stiff:
-            tried = STIFF[: -1 if self.coarse else None]
+        tried = STIFF[: -1 if self.coarse else None] if self.stiff else tuple(MODELS)
         return [model for model in tried if count >= MODELS[model][0]]
+
+    def yielding(self, count: int) -> Fit:
+        """Return the fit under which `count` observations are weighted: more yielding than any model, so that none declares its misfit outliers."""
+        least, fit = QUINTIC
+        return (
+            fit
+            if count >= least and not (self.coarse or self.stiff)
+            else MODELS[self.models(count)[-1]][1]
+        )
 
 
 @dataclass(frozen=True)
@@ -324,7 +324,7 @@ def select_model(
     models = terms.models(len(observations))
     if not models:
         raise ValueError(f"a similarity needs at least 6 windows, got {len(observations)}")
-    most_yielding, weighted, weights = _reweight(observations, MODELS[models[-1]][1], terms.fixed)
+    weighted, weights = _reweight(observations, terms.yielding(len(observations)), terms.fixed)
     # Which model is right shows in some thousands of windows; all of them decide how it lies.
     every = 1 + len(weighted) // SETTINGS.most_judged
     judged = weighted.part(np.arange(len(weighted)) % every == 0)
@@ -341,9 +341,8 @@ def select_model(
             steps = find_depth_steps(weighted, terms.cell)
         _add_bending(comparison, comparison.best, terms.spacing, steps)
     best = comparison.best
-    fitted = most_yielding if best.spec == models[-1] else best.fit(weighted)
     return SelectedModel(
-        best.spec, fitted, comparison.scores, weighted, weights, terms,
+        best.spec, best.fit(weighted), comparison.scores, weighted, weights, terms,
         () if terms.coarse else comparison.fold_fits(),
         () if terms.coarse else comparison.alternatives(SETTINGS.near),
         best.fit, partial(comparison.alternatives, SETTINGS.far),
@@ -352,8 +351,8 @@ def select_model(
 
 def scattered_information(observations: Observations, terms: SelectionTerms) -> float:
     """Return the `total_information` of the model that would be selected: it is the same for all of them."""
-    fit = MODELS[terms.models(len(observations))[-1]][1]
-    return _total(_reweight(observations, fit, terms.fixed)[1])
+    fit = terms.yielding(len(observations))
+    return _total(_reweight(observations, fit, terms.fixed)[0])
 
 
 def _total(observations: Observations) -> float:
@@ -459,18 +458,16 @@ def _add_bending(
     if best.spec not in specs:
         best = min(bent, key=lambda one: one.score)
     # Without its term richer models were needed than with it.
-    plain = [comparison.candidates[m] for m in WITH_DEPTH_STEP if m in comparison.candidates]
+    plain = [comparison.candidates[m] for m in (LENS, CUBIC) if m in comparison.candidates]
     for one in dict.fromkeys([*plain, *bent[:2], best]):
-        if steps and one.spec != LENS and not (one.spec.spline and one.spec.plain == PARALLAX):
+        if steps:
             fits = [_with_depth_step(one, step) for step in steps]
             comparison.add(replace(one.spec, depth_step=True), one.least, *fits)
 
 
 def _with_depth_step(model: Candidate, step: DepthStep) -> Fit:
-    """Return the fit of a model with a step in depth: as one more height, or displaced freely."""
-    if model.spec == PARALLAX:
-        return partial(fit_parallax, step=step)
-    order = WITH_DEPTH_STEP.get(model.spec, ORDERS[-1])
+    """Return the fit of a model with a step in depth, which is displaced freely."""
+    order = ORDERS[0] if model.spec in (LENS, CUBIC) else ORDERS[-1]
     return partial(fit_with_depth_step, step=step, fit=model.fit, order=order)
 
 
@@ -480,9 +477,7 @@ def _fit_spline_before(
     return fit_spline(observations, under(observations), spacing, price)
 
 
-def _reweight(
-    observations: Observations, fit: Fit, fixed: int
-) -> tuple[Transform, Observations, np.ndarray]:
+def _reweight(observations: Observations, fit: Fit, fixed: int) -> tuple[Observations, np.ndarray]:
     """Re-weight under the most yielding model, so that no stiffer one declares its misfit outliers."""
     current, weights = observations, np.ones(len(observations))
     model = fit(current)
@@ -492,7 +487,7 @@ def _reweight(
         weights[len(weights) - fixed :] = 1.0
         current = replace(observations, information=information).weighted(weights)
         model = fit(current)
-    return model, current, weights
+    return current, weights
 
 
 def spatial_folds(points: np.ndarray, apart: float = 0.0, over: np.ndarray | None = None) -> Folds:
