@@ -1,8 +1,5 @@
 """Pairs of another program are candidates of a start: right ones among wrong ones help, wrong ones alone change nothing."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -96,72 +93,3 @@ def test_sets_of_pairs_are_tried_from_the_largest_to_the_smallest():
     assert not list(start_candidates(pairs[:5], (300, 300)))
     (coarse,) = start_candidates(np.hstack([p, p / 20]), (300, 300))
     assert coarse.scale == pytest.approx(1 / 20)
-
-
-MATCHER = """
-import numpy as np
-def match(reference, target):
-    assert reference.shape == (230, 300) and target.dtype == np.float32
-    {body}
-"""
-SCRIPT = """
-import sys
-import numpy as np
-from levkas.campaign.campaign import CampaignInvalid, load_campaign
-from levkas.campaign.methods import STARTS, STARTS_GROUP, code_of
-from levkas.registration import BandImage, RegistrationRefused, register
-try:
-    print(load_campaign(sys.argv[1]).registration_of("vis"), len(code_of("mine", STARTS_GROUP)))
-except CampaignInvalid as refused:
-    print(refused.problems[0].message)
-noise = [BandImage.of(n, np.random.default_rng(k).random((230, 300))) for k, n in enumerate("ab")]
-try:
-    register(noise[:1], noise[1:], reference_band="a", starts="mine")
-except RegistrationRefused as refused:
-    print(refused.problems[0].code, refused.problems[0].field)
-"""
-CAMPAIGN = """
-[campaign]
-reference = "vis"
-[cameras.vis]
-kind = "image"
-files = "{target}.png"
-[targets]
-objects = ["icon1"]
-[registration]
-starts = "mine"
-"""
-
-
-@pytest.mark.slow
-def test_a_matcher_of_an_installed_package_is_called_where_the_pictures_are_refused(tmp_path):
-    body, printed = "return [[1, 2, 3]]", ["{'starts': 'mine'} 16", "E_METHOD registration.starts"]
-    info = tmp_path / "site" / "mine-1.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[levkas.starts]\nmine = my_matcher:match\n")
-    (tmp_path / "site" / "my_matcher.py").write_text(MATCHER.format(body=body))
-    (tmp_path / "campaign.toml").write_text(CAMPAIGN)
-    script = f"import sys; sys.path.insert(0, {str(tmp_path / 'site')!r})\n{SCRIPT}"
-    toml = str(tmp_path / "campaign.toml")
-    done = subprocess.run(
-        [sys.executable, "-c", script, toml], capture_output=True, text=True, check=False
-    )
-    assert done.stdout.splitlines() == printed, done.stderr
-
-
-def test_a_matcher_that_is_not_installed_is_refused(tmp_path):
-    from levkas.campaign.campaign import CampaignInvalid, load_campaign
-
-    (tmp_path / "campaign.toml").write_text(CAMPAIGN)
-    with pytest.raises(CampaignInvalid, match="a matcher of a package which is installed"):
-        load_campaign(tmp_path / "campaign.toml")
-
-
-def test_the_report_says_how_many_pairs_agree():
-    from levkas.building.report_pages import _checks
-
-    counts = {"given": 50, "agreeing": 30, "used": True}
-    errors = {"sensors": {"": {"start_pairs": counts}, "far": {"start_pairs": None}}}
-    expected = "Of 50 pairs of another program, 30 agree with the map; they started the search."
-    assert _checks(errors) == expected and _checks({"sensors": {"": {}}}) == ""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.building.build_records import UNREADABLE, Key, key_of
-from levkas.campaign.methods import DEFAULT_METHOD, STARTS_GROUP, code_of
+from levkas.campaign.methods import DEFAULT_METHOD, code_of
 from levkas.core.internal_errors import CODE as INTERNAL
 from levkas.stages.control_points import fingerprint_points
 from levkas.stages.sources import made_with
@@ -231,8 +231,6 @@ def of_registration(
     prints |= {f"registration.{key}": value for key, value in options.items()}
     if code := code_of(options.get("method") or DEFAULT_METHOD):
         prints["code of the registration method"] = code
-    if code := code_of(options.get("starts") or "", STARTS_GROUP):
-        prints["code of the matcher"] = code
     for sensor in capture.sensors:
         prints[f"sensors.{sensor.name}.align"] = sensor.align
     mine = {capture.layer: campaign.edits.of_layer(capture.object, capture.layer)}

@@ -2,8 +2,7 @@
 
 A row holds what a campaign has to know of a method, so that it can be checked without the registration
 itself; `levkas.registration` binds the functions of the built-in ones. An installed package adds a method by an
-entry point of the group `levkas.registration`: its name is the method's, and it loads a `Method`. One of the group
-`levkas.starts` adds a matcher, whose pairs are candidates of a start: a function of two pictures. What
+entry point of the group `levkas.registration`: its name is the method's, and it loads a `Method`. What
 cannot be loaded is named in a warning; only campaigns that choose it are refused.
 """
 
@@ -19,11 +18,11 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from levkas.campaign.schema.values import Number, Whole
 
-GROUP, STARTS_GROUP = "levkas.registration", "levkas.starts"
+GROUP = "levkas.registration"
 DEFAULT_METHOD = "levkas"
 
 
@@ -33,23 +32,6 @@ class MethodOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-#: Matcher of an installed package → function of two pictures, (h, w) float32 each, NaN where invalid, that returns
-#: pairs, (n, 4): x, y in the first and x, y in the second, px, centres at whole numbers.
-STARTS: dict[str, Callable[[Any, Any], Any]] = {}
-#: Matcher of an installed package → why it cannot be used.
-UNUSABLE_STARTS: dict[str, str] = {}
-
-
-def _installed_matcher(name: Any) -> Any:
-    """Refuse a matcher that is not installed, or cannot be loaded."""
-    if not isinstance(name, str) or name in STARTS:
-        return name
-    if name in UNUSABLE_STARTS:
-        raise ValueError(f"be another one: {name!r} cannot be used, {UNUSABLE_STARTS[name]}")
-    known = f"be one of {', '.join(map(repr, STARTS))}, or " if STARTS else "be "
-    raise ValueError(f"{known}a matcher of a package which is installed beside Levkas")
-
-
 class LevkasOptions(MethodOptions):
     """Options of the default method.
 
@@ -57,13 +39,10 @@ class LevkasOptions(MethodOptions):
     ----------
     reject, stop : float, reference px
         The thresholds of the paper's method, which change nothing here.
-    starts : str
-        A key of `STARTS`: where the pictures alone are refused, its pairs are candidates of a start.
     """
 
     reject: Annotated[Number, Field(gt=0)] | None = None
     stop: Annotated[Number, Field(gt=0)] | None = None
-    starts: Annotated[str, BeforeValidator(_installed_matcher)] | None = None
 
 
 class PaperOptions(MethodOptions):
@@ -131,8 +110,8 @@ METHODS = {
 
 #: Method of an installed package → why it cannot be used.
 UNUSABLE: dict[str, str] = {}
-#: Group and name of what an installed package adds → its module.
-_MODULES: dict[tuple[str, str], str] = {}
+#: Method of an installed package → its module.
+_MODULES: dict[str, str] = {}
 
 
 def method_of(keys: dict[str, Any]) -> Method:
@@ -141,15 +120,15 @@ def method_of(keys: dict[str, Any]) -> Method:
 
 
 @cache
-def code_of(name: str, group: str = GROUP) -> str:
-    """Return the hash of the code of an installed package's method, or matcher: all modules of its top package; empty of a built-in one.
+def code_of(name: str) -> str:
+    """Return the hash of the code of an installed package's method: all modules of its top package; empty of a built-in one.
 
     >>> code_of("levkas")
     ''
     """
-    if (group, name) not in _MODULES:
+    if name not in _MODULES:
         return ""
-    path = Path(str(import_module(_MODULES[group, name].partition(".")[0]).__file__))
+    path = Path(str(import_module(_MODULES[name].partition(".")[0]).__file__))
     files = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
     digest = hashlib.sha256()
     for file in files:
@@ -170,37 +149,21 @@ def owners_of(option: str) -> list[str]:
     ]
 
 
-def _load_installed(
-    group: str,
-    what: str,
-    table: dict[str, Any],
-    unusable: dict[str, str],
-    fault: Callable[[Any], str],
-) -> None:
-    """Add what installed packages have under an entry point group; warn of what cannot be used, or has a `fault`."""
-    for entry in entry_points(group=group):
+def _load_installed() -> None:
+    """Add the methods of installed packages; warn of those that cannot be used."""
+    for entry in entry_points(group=GROUP):
         try:
             found = entry.load()
         except Exception as error:  # whatever the code of another package raises
-            unusable[entry.name] = f"{entry.value} raises {type(error).__name__}: {error}"
+            UNUSABLE[entry.name] = f"{entry.value} raises {type(error).__name__}: {error}"
             continue
-        if why := fault(found):
-            unusable[entry.name] = f"{entry.value} is {why}"
-        elif table.setdefault(entry.name, found) is found:
-            _MODULES[group, entry.name] = entry.module
-    for name, why in unusable.items():
-        warnings.warn(f"the {what} {name!r} cannot be used: {why}", stacklevel=2)
-
-
-def _fault_of_method(row: Any) -> str:
-    usable = isinstance(row, Method) and callable(row.register)
-    return "" if usable else "not a Method with a function"
-
-
-def _fault_of_matcher(found: Any) -> str:
-    return "" if callable(found) else "not a function"
+        if not (isinstance(found, Method) and callable(found.register)):
+            UNUSABLE[entry.name] = f"{entry.value} is not a Method with a function"
+        elif METHODS.setdefault(entry.name, found) is found:
+            _MODULES[entry.name] = entry.module
+    for name, why in UNUSABLE.items():
+        warnings.warn(f"the registration method {name!r} cannot be used: {why}", stacklevel=2)
 
 
 # Last, so that a package whose method is loaded finds all names of this module.
-_load_installed(GROUP, "registration method", METHODS, UNUSABLE, _fault_of_method)
-_load_installed(STARTS_GROUP, "matcher", STARTS, UNUSABLE_STARTS, _fault_of_matcher)
+_load_installed()

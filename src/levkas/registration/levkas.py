@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.campaign.methods import STARTS
-from levkas.core.problems import Problem
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform, solve_2x2
 from levkas.registration.alignment import declared_map, read_alignments
@@ -112,16 +110,11 @@ def register_levkas(request: Request, options: LevkasOptions) -> Registration:
             labels = [image.label for image in target if image.sensor == name]
             return _of_all_maps(found, labels, stack.shape) if one_scan else found
 
-        def pairs_of(name: str, *, refused: bool) -> np.ndarray:
-            given = request.given.get(name) or ManualPoints()
-            if options.starts is None or not refused:
-                return given.starts
-            greys = base.keys.greys[0], pictures_of(name)[2].greys[0]
-            return np.concatenate([given.starts, matched_pairs(options.starts, *greys)])
+        pairs = {name: (request.given.get(name) or ManualPoints()).starts for name in names}
 
         known: dict[str, Transform] = {anchor.sensor: Affine.identity()} if own else {}
         align = {target[0].sensor: Affine.identity()} | read_alignments(request.align)
-        sensors += _register_sensors(names, register_one, align, known, pairs_of, stack.shape)
+        sensors += _register_sensors(names, register_one, align, known, pairs, stack.shape)
     labels, object_share = [image.label for image in target], base.area.share_of(request.layer)
     return _assemble(sensors, labels, base.area.to_dict(), object_share)
 
@@ -131,13 +124,13 @@ def _register_sensors(
     register_one: Callable[..., RegisteredSensor],
     align: Mapping[str, Transform],
     known: Mapping[str, Transform],
-    pairs_of: Callable[..., np.ndarray],
+    pairs: Mapping[str, np.ndarray],
     shape: tuple[int, int],
 ) -> list[RegisteredSensor]:
     """Register every sensor by itself; where a declared alignment helps or contradicts, begin with it too, and where the verdict refuses, with pairs.
 
     `align` are declared maps from the first sensor's px, the first one's identity among them; `known` are maps of
-    sensors that are not registered; `pairs_of` returns the candidates of a sensor's start; `shape` is the reference's. Raises RegistrationRefused of the first sensor without
+    sensors that are not registered; `pairs` are the candidates of a sensor's start; `shape` is the reference's. Raises RegistrationRefused of the first sensor without
     a map. Of two registered sensors the distance from the declared alignment is the second's alone.
     """
     first = next(iter(align))
@@ -160,7 +153,7 @@ def _register_sensors(
         if declared is not None:
             again = partial(register_one, name, partial(begin_with, declared))
             one = _begun_anew(one, again, declared, shape)
-        one = _begun_with_pairs(one, partial(register_one, name), partial(pairs_of, name), shape)
+        one = _begun_with_pairs(one, partial(register_one, name), pairs[name], shape)
         checked = name != first or declared_map(name, align, known) is not None
         if declared is not None and checked and isinstance(one, RegisteredSensor):
             one = replace(one, apart_px=_apart(one, declared, shape))
@@ -192,7 +185,7 @@ def _begun_anew(
 def _begun_with_pairs(
     one: RegisteredSensor | RegistrationRefused,
     again: Callable[[Begin], RegisteredSensor],
-    pairs: Callable[..., np.ndarray],
+    pairs: np.ndarray,
     shape: tuple[int, int],
 ) -> RegisteredSensor | RegistrationRefused:
     """Register a refused sensor again from where pairs put it; return the first map that is not refused, else what it was.
@@ -200,16 +193,15 @@ def _begun_with_pairs(
     Where there is a map, how many of the pairs agree with it is counted.
     """
     if isinstance(one, RegisteredSensor) and (one.placed or not _is_refused(one)):
-        return _counted(one, pairs(refused=False), shape, used=False)
-    every = pairs(refused=True)
-    for candidate in start_candidates(every, shape):
+        return _counted(one, pairs, shape, used=False)
+    for candidate in start_candidates(pairs, shape):
         try:
             other = again(partial(begin_with_pairs, candidate))
         except RegistrationRefused:
             continue
         if not _is_refused(other):
-            return _counted(other, every, shape, used=True)
-    return _counted(one, every, shape, used=False) if isinstance(one, RegisteredSensor) else one
+            return _counted(other, pairs, shape, used=True)
+    return _counted(one, pairs, shape, used=False) if isinstance(one, RegisteredSensor) else one
 
 
 def _counted(
@@ -225,26 +217,6 @@ def _counted(
 def _is_refused(sensor: RegisteredSensor) -> bool:
     """Whether the verdict refuses a sensor's map by itself; the object's share of the layer has no part in that."""
     return judge_windows({ONLY: _numbers(sensor) | {"object_share": 1.0}}).decision == "refuse"
-
-
-def matched_pairs(matcher: str, reference: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Return the pairs, (n, 4), that the matcher of an installed package finds in two pictures, (h, w).
-
-    Raises RegistrationRefused where it returns anything else.
-    """
-    found = np.asarray(STARTS[matcher](reference.copy(), target.copy()))
-    if found.ndim == 2 and found.shape[1] == 4 and found.dtype.kind in "iuf":
-        return found.astype(float)
-    raise RegistrationRefused(
-        Problem(
-            "E_METHOD",
-            f"the matcher {matcher!r} returns no pairs",
-            field="registration.starts",
-            found=f"an array {found.shape} of {found.dtype}",
-            expected="an array (n, 4): x, y in the first picture and x, y in the second",
-            fix="Report this to the author of the matcher, or remove `starts`.",
-        )
-    )
 
 
 def _agreeing(sensor: RegisteredSensor) -> int:

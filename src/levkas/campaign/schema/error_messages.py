@@ -21,6 +21,7 @@ EXAMPLES = {
     "cameras": "a table [cameras.NAME] for each camera",
 }
 
+IN_A_FILE = 'Write the pairs of the matcher into a CSV: points = "pairs.csv", use = "start".'
 ALONE = "Take it out: every capture is registered by itself."
 GONE = {
     "cameras.*.isos": "Leave it out: a plan is for one ISO, the lowest.",
@@ -30,6 +31,8 @@ GONE = {
     "object.sure": "Leave it out: no unit is asked about any more.",
     "setups.*.lamps.*.sure": "Leave it out: no unit is asked about any more.",
     "registration.joint": ALONE,
+    "registration.starts": IN_A_FILE,
+    "cameras.*.registration.starts": IN_A_FILE,
     "cameras.*.registration.joint": ALONE,
     "cameras.*.stray_light": "Nothing takes stray light off: state it as uncertainty = { stray_light = 0.01 }.",
 }
