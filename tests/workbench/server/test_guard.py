@@ -179,13 +179,13 @@ HOSTILE = [
     *(f'{{"{name}": {value}}}'
       for value in ("null", "true", "[]", "{}", '"\\ud800"', '"\\u0000"', "9" * 100, "-" + "9" * 400, "1e999", "-1e308",
                     "0.1", '"' + "x" * 300 + '"', '["\\ud800"]', "[[1, 2, 3, 4]]", f"[{'9' * 100}, 1, 1, 1]")
-      for name in ("token", "operation", "pair", "dialect", "files", "known")),
+      for name in ("token", "operation", "pair", "dialect", "file", "known")),
     *(f'{{"operation": "{name}", "pair": {pair}, "to": {to}, "name": {what}, "value": {to}, "text": {to}, "target": "{band}"}}'
       for name in ("delete", "move", "snap", "slide", "note", "undo")
       for pair, to, what, band in (("[1, 2, 3, 4]", "[1, 2]", "7", "999999"), ("[1e308, 2, 3, 4]", "9" * 9, "[]", "1,1"),
                                    ("[NaN, 2, 3, 4]", '"\\udc00"', '"stop"', "-1"), ("[1, 2, 3, 4]", "1e308", '"reject"', "١"))),
-    *(f'{{"files": {files}, "dialect": {dialect}, "pair": [1, 2, 3, 4], "operation": "add", "to": [1e308, 1, 1, 1]}}'
-      for files in ('["AAAA"]', '["é"]', '["AAAA", "AAAA"]') for dialect in ('"levkas"', '"nothing"', "[1]", "{}", "1e308")),
+    *(f'{{"file": {file}, "dialect": {dialect}, "pair": [1, 2, 3, 4], "operation": "add", "to": [1e308, 1, 1, 1]}}'
+      for file in ('"AAAA"', '"é"', '["AAAA"]') for dialect in ('"levkas"', '"nothing"', "[1]", "{}", "1e308")),
 ]  # fmt: skip
 QUERIES = [
     "x=1&y=1&from=target&target=7", "x=1&y=1&reference=999999", "x=1&y=1&reference=1,2,9", "x=1e308&y=-1e308&reach=5",
@@ -367,8 +367,8 @@ def test_hostile_bodies_change_nothing_and_are_told_why(client, correctable):
             client, "POST", f"/api/cameras/{PARAMS['id']}/edit", COOKIE, json.dumps(body).encode()
         )
         assert answer.status_code == 422 and answer.json()["problems"], body
-    for files in ([], "x", ["%%%"], [base64.b64encode(b"\x89PNG").decode()] * 3, [None]):
-        body = json.dumps({"files": files}).encode()
+    for file in ([], "x", "%%%", base64.b64encode(b"\x89PNG").decode(), None):
+        body = json.dumps({"file": file}).encode()
         assert (
             send(client, "POST", f"/api/cameras/{PARAMS['id']}/import", COOKIE, body).status_code
             == 422
