@@ -240,7 +240,6 @@ def test_the_report_shows_the_tiles(built):
     folder, _ = built
     page = (folder / "database/objects/one/report.html").read_text()
     assert "6 tiles of 6" in page
-    assert "loops of tiles close to" in page
     assert 'aria-label="tiles of the layer"' in page
 
 
