@@ -257,7 +257,7 @@ def test_changed_code_of_an_installed_method_makes_what_it_registered_stale(
     module = tmp_path / "my_method.py"
     module.write_text("STEP = 1\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setitem(methods._MODULES, (methods.GROUP, methods.DEFAULT_METHOD), "my_method")
+    monkeypatch.setitem(methods._MODULES, methods.DEFAULT_METHOD, "my_method")
     found = []
     for text in ("STEP = 1\n", "STEP = 2\n"):
         module.write_text(text)
