@@ -385,7 +385,9 @@ def test_a_home_in_the_shells_way_is_refused_in_every_path(key, text):
     assert [p for p in problems if p.field.endswith(key) and "~ means" in p.message], problems
 
 
-@pytest.mark.parametrize("key", GONE)
+@pytest.mark.parametrize(  # object and lamps are the planner's
+    "key", [key for key in GONE if not key.startswith(("object.", "setups."))]
+)
 def test_a_key_that_is_gone_is_refused_with_what_to_write(key):
     record = copy.deepcopy(EVERY)
     *tables, last = key.replace("*", next(iter(EVERY["cameras"]))).split(".")
