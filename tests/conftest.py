@@ -274,6 +274,33 @@ def turned_plates() -> TurnedPlates:
     return TurnedPlates()
 
 
+@pytest.fixture(scope="session")
+def doubtful(tmp_path_factory):
+    """A built campaign: of an infrared picture 3, 5 px aside the right part shows something else, and an X-ray shows nothing."""
+    import cv2
+
+    from levkas.building import build
+
+    folder = tmp_path_factory.mktemp("doubtful")
+    seen, else_, none = (
+        cv2.resize(strokes(seed), (300, 260), interpolation=cv2.INTER_AREA) for seed in (1, 2, 3)
+    )
+    seen, moved = seen[10:, 10:], np.roll(seen, (3, 5), (0, 1))[10:, 10:]
+    moved[:, 190:] = else_[10:, 200:]
+    pictures = {"photo": np.dstack([seen] * 3), "infrared": moved, "xray": none[10:, 10:]}
+    text = TURNED.replace("NAMES", '["one"]')
+    for part, picture in pictures.items():
+        (folder / part).mkdir()
+        data = cv2.imencode(".png", picture.astype(np.uint8))[1]
+        (folder / part / "one.png").write_bytes(data.tobytes())
+    infrared = (
+        text.partition("[cameras.xray]")[2].partition("[targets]")[0].replace("xray", "infrared")
+    )
+    (folder / "campaign.toml").write_text(f"{text}[cameras.infrared]{infrared}")
+    list(build(folder))
+    return folder
+
+
 class Unsteady:
     """A WSGI application that counts its requests, and answers some of them badly.
 

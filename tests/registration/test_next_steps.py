@@ -12,6 +12,7 @@ from levkas.registration import OF_PICTURES
 from levkas.registration.advice import (
     ACCEPT,
     COMPARED,
+    CONFIRM,
     LEAST_PAIRS,
     REGION,
     advise,
@@ -122,11 +123,11 @@ def test_the_next_step_of_a_refusal_names_the_workbench_and_does_not_want_pairs_
 
 def test_where_pairs_were_given_a_part_that_is_not_checked_wants_no_more_of_them():
     assert advise(REGION, 0, "accept") == REGION
-    for decision in ("accept", "warn"):
-        assert advise(REGION, 3, decision) == COMPARED
+    for decision, more in (("accept", ""), ("warn", f" {CONFIRM}")):
+        assert advise(REGION, 3, decision) == f"{COMPARED}{more}"
         assert "add pairs" not in advise(REGION, 3, decision)
-    assert advise("Check the lamp.", 4, "warn") == "Check the lamp."
-    assert "levkas" not in in_workbench(REGION) + in_workbench(COMPARED)
+    assert advise("Check the lamp.", 4, "warn") == f"Check the lamp. {CONFIRM}"
+    assert all("levkas" not in in_workbench(step) for step in (REGION, COMPARED, CONFIRM))
 
 
 def test_the_lowest_order_is_not_to_be_lowered():

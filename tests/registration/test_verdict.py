@@ -268,6 +268,18 @@ def test_what_is_contradicted_is_doubtful_and_what_was_not_checked_is_counted(
         assert named == (unchecked > 0.1)  # named where it is much
 
 
+@pytest.mark.parametrize(("shifts", "named"), [((1.9, 6.0), 1), ((1.9, 2.1), 1), ((1.9, 1.2), 0)])
+def test_a_map_is_wrong_only_where_windows_lie_farther_than_one_that_agrees(shifts, named):
+    """Windows within twice the tolerance agree with a map: where all lie so, nothing contradicts it."""
+    cells = [CELL, [50.0, 20.0, 40.0, 30.0]]
+    off = {"off": cells, "off_share": 0.1, "off_shift": [[0.0, shift] for shift in shifts]}
+    verdict = judge_windows({"sensor": {**SOUND, "verification": {**CONFIRMED, **off}}})
+    assert verdict.decision == "warn"
+    assert ("wrong" in verdict.reasons[0]) == bool(named)
+    assert ("10, 20, 40, 30" in verdict.reasons[0]) != bool(named)
+    assert f"{5 if named else 10} %" in verdict.reasons[0]
+
+
 def test_what_stands_in_another_plane_is_named(pictures):
     """A picture whose middle stands nearer to the camera, and so lies 6 px elsewhere."""
     reference, (values, valid) = pictures

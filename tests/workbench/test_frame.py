@@ -155,11 +155,11 @@ def test_points_come_back_as_they_went(frame, dialect):
 
 def test_every_change_stands_in_the_file_and_the_others_stay(library, frame):
     path = library.edits_path
-    path.write_text('version = 1\n[objects.icon.cameras."photo"]\nnote = "by hand"\n')
+    path.write_text('version = 1\n[objects.icon.cameras."photo"]\nstop = 2.5\n')
     frame.session.apply("add", [100, 100, 150, 150])
     edits = read_edits(path)
     assert edits.frames["icon", "xray"].added == ((100.0, 100.0, 150.0, 150.0),)
-    assert edits.frames["icon", "photo"].note == "by hand"
+    assert edits.frames["icon", "photo"].stop == 2.5
     frame.session.undo()
     assert ("icon", "xray") not in read_edits(path).frames
 

@@ -77,15 +77,14 @@ def test_undo_after_a_restart_leaves_what_an_editor_wrote_meanwhile(folder):
     assert corrected(folder) == FrameEdits(added=((50.0, 50.0, 100.0, 90.0),))
 
 
-def test_all_is_taken_back_but_the_note_and_comes_back_with_undo(folder):
+def test_all_is_taken_back_and_comes_back_with_undo(folder):
     session = session_of(folder)
     pairs = describe(session)["pairs"].tolist()
     session.apply("delete", pairs[0])
     session.apply("check", pairs[4])
-    session.note("nails in the margin")
     before = corrected(folder)
     session.take_all_back()
-    assert corrected(folder) == FrameEdits(note="nails in the margin")
+    assert corrected(folder) == FrameEdits()
     assert session.edits == corrected(folder)
     session.undo()
     assert corrected(folder) == before
@@ -150,7 +149,7 @@ def test_new_pairs_of_a_later_build_take_no_number_that_a_person_knows():
             for step in (
                 {"removed": {"__class__": [[1, 2, 3, 4]]}, "new": {}, "values": {}},
                 {"removed": {"added": [[1, 2, 3]]}, "new": {}, "values": {}},
-                {"removed": {}, "new": {"note": [[1, 2, 3, 4]]}, "values": {}},
+                {"removed": {}, "new": {"stop": [[1, 2, 3, 4]]}, "values": {}},
                 {"removed": {}, "new": {}, "values": {"added": [1, 2]}},
                 {"removed": {}, "new": {}, "values": {"stop": ["<b>", 2.0]}},
             )
@@ -222,7 +221,7 @@ def test_an_outline_that_leaves_the_reference_or_crosses_itself_is_refused(folde
 ROW = st.tuples(*[st.floats(0, 99).map(lambda v: round(v, 2))] * 4)
 ROWS = st.lists(ROW, max_size=5).map(lambda rows: tuple(sorted(set(rows))))
 STATES = st.builds(
-    FrameEdits, deleted=ROWS, added=ROWS, pinned=ROWS, stop=st.none() | st.floats(0.1, 9), note=st.text(max_size=5)
+    FrameEdits, deleted=ROWS, added=ROWS, pinned=ROWS, stop=st.none() | st.floats(0.1, 9)
 )  # fmt: skip
 
 

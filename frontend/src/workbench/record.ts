@@ -81,7 +81,15 @@ export interface FrameInfo {
   maps: string[];
   /** Whether the method removes wrong pairs by thresholds. */
   removes: boolean;
-  verdict: { decision: string; words: string; reasons: string[]; next_step: string };
+  verdict: {
+    decision: string;
+    words: string;
+    reasons: string[];
+    next_step: string;
+    /** The decision on the layer as a whole, which a person may confirm, and the digest of its map. */
+    layer: string;
+    map: string;
+  };
   /** Degrees clockwise by which the pictures are turned, a multiple of 90. */
   turn: number;
   /** The corrections that the last registration knew; null where nothing says. */
@@ -151,7 +159,6 @@ export interface SessionState {
   accept: "by hand" | "";
   /** Corners of the object, reference px, as a person drew it for all its cameras. */
   outline: Point[];
-  note: string;
   can: { undo: number; redo: number };
 }
 

@@ -14,6 +14,7 @@ interface Building {
 }
 
 const POLL_MS = 400;
+const NAME = "levkas-name"; // the cookie in which the browser keeps who confirms, from one port to the next
 const ENOUGH = 4; // pairs from which a new registration can begin
 
 /** The verdict of the last build, the sum of the pairs, and a new registration. */
@@ -57,6 +58,7 @@ export class VerdictCard {
       this.again,
       " ",
       this.byHand,
+      this.confirmation(),
       this.progress,
     );
     effect(() => {
@@ -73,6 +75,54 @@ export class VerdictCard {
       this.byHand.hidden = !frame || !session || frame.is_reference || !(placed || enough(session));
       this.byHand.textContent = placed ? "Register by the pictures" : "Place by hand";
     });
+  }
+
+  /** A person's word that a doubtful layer is right: name and a sentence, or to take it back. */
+  private confirmation(): HTMLElement {
+    const name = make("input", { id: "confirm-name", autocomplete: "name", required: true });
+    const words = make("input", { id: "confirm-words", required: true });
+    const button = make("button", { id: "confirm" }, "Confirm");
+    const form = make(
+      "form",
+      { class: "confirm" },
+      make("label", {}, "Your name", name),
+      make("label", {}, "What you saw", words),
+      button,
+    );
+    const summary = make("summary", { id: "confirm-head" }, "I looked: it is right");
+    const open = make("details", {}, summary, form);
+    const back = make("button", { type: "button", id: "unconfirm" }, "Take confirmation back");
+    const send = async (body: Record<string, string | boolean>): Promise<void> => {
+      const { frame, path } = this.store;
+      if (!frame.value) return;
+      try {
+        await getJson(`${path}/confirm`, { ...body, map: frame.value.verdict.map });
+        await this.store.open(frame.value.id);
+        await this.store.loadCameras();
+        this.progress.textContent =
+          "Saved in edits.toml; the next build writes it into catalogue, report and pages.";
+      } catch (error) {
+        this.progress.textContent = messageOf(error);
+      }
+    };
+    form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      const kept = encodeURIComponent(name.value);
+      document.cookie = `${NAME}=${kept}; max-age=31536000; samesite=strict; path=/`;
+      void send({ name: name.value, words: words.value });
+    });
+    back.addEventListener("click", () => void send({ take_back: true }));
+    effect(() => {
+      const layer = this.store.frame.value?.verdict.layer;
+      // Corrections that no registration knows yet will change the map.
+      open.hidden = layer !== "warn" || this.store.stale.value;
+      open.open = false;
+      back.hidden = layer !== "confirmed";
+      const kept = new RegExp(`(?:^|; )${NAME}=([^;]*)`).exec(document.cookie);
+      name.value = decodeURIComponent(kept?.[1] ?? "");
+      words.value = "";
+    });
+    return make("div", {}, open, back);
   }
 
   /** Place the layer by the pairs alone, or by the pictures again, and build it so. */

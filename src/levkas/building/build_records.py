@@ -244,6 +244,13 @@ class BuildRecords:
         self._known[key] = _sound(key, [row])
         self.drop_report(key)
 
+    def keep_again(self, key: Key, **notes: Any) -> None:
+        """Record a finished stage as made of the same, where something was written into its files, and these notes."""
+        record = self._record(key)
+        made = [self.output / name for name in record["products"]]
+        aside = [self.folder / name for name in record["aside"]]
+        self.keep(key, record["fingerprint"], made, aside=aside, **record["notes"] | notes)
+
     def _hashed(self, paths: Iterable[Path], folder: Path) -> dict[str, str]:
         """Return the hashes of files by their names in a folder."""
         return {p.relative_to(folder).as_posix(): self.hashes(p, own=True) for p in sorted(paths)}

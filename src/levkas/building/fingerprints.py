@@ -285,6 +285,9 @@ def of_report(
         prints[f"objects.{name}.{key}"] = value
     for key in ("title", "date", "licence", "reference"):
         prints[f"campaign.{key}"] = getattr(campaign.campaign, key)
+    for layer in order:
+        if word := campaign.edits.confirmed.get((name, layer)):
+            prints[f"edits.toml: confirmation of {layer}"] = dict(word)
     for capture in captures if len(captures) > 1 else ():  # which are compared
         spectra = _spectra_of_bands(campaign, capture, hashes)
         prints |= {f"bands of {capture.layer}: {key}": value for key, value in spectra.items()}

@@ -6,10 +6,14 @@ from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
+from levkas.building.build_records import key_of
+from levkas.core.files import write_json
 from levkas.core.problems import Refused
 from levkas.core.text import read_json
+from levkas.database.catalogue import entry_of
 from levkas.database.layout import Places, layer_name
 from levkas.database.registrations import (
+    apply_confirmation,
     mm_per_px,
     outside_share,
     read_registration,
@@ -18,13 +22,16 @@ from levkas.database.registrations import (
 )
 from levkas.pages.summary import describe_length
 from levkas.registration.advice import percent
-from levkas.registration.record import DECISIONS
+from levkas.registration.record import DECISIONS, decided
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
+    from levkas.building.build_records import BuildRecords
     from levkas.building.graph import BuildReport, Step
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.campaign.edits import Edits
 
 PROVENANCE = "provenance.json"
 STAGES = ("calibrate", "register", "resample")
@@ -43,6 +50,26 @@ def layer_verdicts(report: BuildReport) -> list[dict[str, Any]]:
         if step.key.stage in STAGES:
             layers.setdefault((step.key.object, step.key.camera, step.key.setup), []).append(step)
     return [_row(report.output, *layer, steps) for layer, steps in sorted(layers.items())]
+
+
+def confirm_layers(
+    captures: Iterable[Capture], edits: Edits, places: Places, records: BuildRecords
+) -> None:
+    """Write what a person says of layers, or says no more, into records that stand; no pixel depends on it."""
+    for capture in captures:
+        registered, resampled = (key_of(capture, stage) for stage in ("register", "resample"))
+        path = places.registration(capture.object, capture.layer)
+        if path.relative_to(places.output).as_posix() not in records.products(registered):
+            continue
+        record = read_registration(path)
+        verdict = apply_confirmation(record, edits, capture)
+        if verdict == record["verdict"]:
+            continue
+        write_json(path, record | {"verdict": verdict})
+        records.keep_again(registered)
+        if row := records.notes(resampled).get("entry"):
+            entry = replace(entry_of(row), verdict=decided(verdict))
+            records.keep_again(resampled, entry=entry.to_row())
 
 
 def verdict_lines(report: BuildReport) -> list[str]:
@@ -97,12 +124,13 @@ def describe_verdict(row: Mapping[str, Any]) -> str:
     """
     px, mm, checked = (row.get(key) for key in ("held_out_px", "held_out_mm", "checked_share"))
     leads = row["verdict"] == "accept" and row["camera"] == row["reference"] and not row["setup"]
-    parts = [DECISIONS["reference" if leads else row["verdict"]]]
+    decision = "reference" if leads else decided({**row, "decision": row["verdict"]})
+    parts = [DECISIONS.get(decision, decision)]
     if px is not None:
         parts.append(f"held-out error {describe_length(px, mm / px if mm and px else None)}")
     if checked is not None:
         parts.append(f"checked over {percent(checked)} of the layer")
-    doubts = row["reasons"] if row["verdict"] == "warn" else []
+    doubts = {"warn": row["reasons"], "confirmed": row["reasons"][1:]}.get(row["verdict"], [])
     return ": ".join([", ".join(parts), *(["; ".join(doubts)] if doubts else [])])
 
 
@@ -131,6 +159,7 @@ def _row(output: Path, name: str, camera: str, setup: str, steps: Sequence[Step]
         "reference": record.get("reference", {}).get("camera", ""),
         "reasons": list(verdict.get("reasons", [])),
         "next_step": verdict.get("next_step", ""),
+        **{key: verdict[key] for key in ("confirmed",) if key in verdict},
         "method": record.get("method", ""),
         **_errors(record),
         **_chart_white(output, name, camera, setup),

@@ -124,9 +124,10 @@ def _check_edits(campaign: Campaign, captures: list[Capture], refusals: Refusals
     }
     lost_objects = {capture.object for capture in lost}
     outlines = {n: o for n, o in campaign.edits.outlines.items() if n not in lost_objects}
-    if frames or outlines:
+    confirmed = {k: word for k, word in campaign.edits.confirmed.items() if k not in lost_frames}
+    if frames or outlines or confirmed:
         check_edits(
-            Edits(frames, outlines),
+            Edits(frames, outlines, confirmed),
             captures,
             campaign.root / FILE_NAME,
             campaign.reference.camera,

@@ -55,6 +55,7 @@ from levkas.quality.evaluation.camera_agreement import PairAgreement, agreement_
 from levkas.quality.image_quality.light import choose_places
 from levkas.readers.frames import files_of
 from levkas.registration.advice import percent
+from levkas.registration.record import decided
 from levkas.registration.shares import LEAST_OUTSIDE
 from levkas.stages.budget import budget_of
 from levkas.stages.sources import LIBRARIES, LIBRARIES_OF_PAGES, library_version
@@ -282,6 +283,7 @@ def _layer(
         decision="reference"
         if is_reference and verdict["decision"] == "accept"
         else verdict["decision"],
+        decided=decided(verdict),
         method=record["method"],
         model=describe_model(record.get("model", {})),
         reasons=verdict["reasons"],

@@ -405,9 +405,11 @@ def _report(plan: Plan, outcomes: Outcomes, task: Task, steps: list[Step]) -> It
     name, places, records = task.key.object, outcomes.places, outcomes.records
 
     def write() -> Written:
+        from levkas.building.layer_verdicts import confirm_layers
         from levkas.building.report_pages import write_report  # heavy
 
         captures = [c for c in plan.captures if c.object == name]
+        confirm_layers(captures, plan.campaign.edits, places, records)
         return Written(write_report(plan.campaign, places, records, captures, steps), {})
 
     prints = partial(_report_prints, plan, outcomes.inputs, name, steps)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -138,11 +139,14 @@ class Stages:
         return lambda before: _with_notes(write(before), templates=used)
 
     def _register(self, task: Task) -> Write:
+        from levkas.database.registrations import apply_confirmation
         from levkas.stages.register import draw_recorded, measure, publish_registration
 
         capture, _ = captures_of(task)
         native, frame = self.held.native(capture), self.held.frame(task, self.graph)
         found = measure(capture, native, frame, self.campaign)
+        verdict = apply_confirmation(found.record, self.campaign.edits, capture)
+        found = replace(found, record={**found.record, "verdict": verdict})
         write = partial(publish_registration, found, capture, self.places)
         if not found.problems or capture.tiles:
             return write

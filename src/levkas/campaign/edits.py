@@ -16,11 +16,14 @@ from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
+
+if TYPE_CHECKING:
+    from levkas.campaign.schema.tables import ConfirmKeys
 
 FILE_NAME, HISTORY_NAME = "edits.toml", ".edits.history.json"
 """Beside campaign.toml: the corrections, and by which steps the workbench came to them."""
@@ -69,8 +72,6 @@ class FrameEdits:
         Instead of the campaign's.
     accept : {"by hand", ""}
         Whether the map is fitted to the person's pairs and to nothing else.
-    note : str
-        A person's own words; no build depends on them.
 
     Examples
     --------
@@ -88,7 +89,6 @@ class FrameEdits:
     reject: float | None = None
     stop: float | None = None
     accept: str = ""
-    note: str = ""
 
     def __bool__(self) -> bool:
         return self != FrameEdits()
@@ -107,10 +107,10 @@ class FrameEdits:
     def describe(self) -> str:
         """Return in a few words what a build depends on, with a hash of all of it; empty for nothing.
 
-        >>> FrameEdits(added=((1, 2, 3, 4),), note="by eye").describe()
+        >>> FrameEdits(added=((1, 2, 3, 4),)).describe()
         '1 added (e67e0ce8)'
         """
-        record = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "note"}
+        record = {f.name: getattr(self, f.name) for f in fields(self)}
         if not self.accept:  # as before there was this key: what was built then stays fresh
             del record["accept"]
         parts = [f"{len(v)} {name}" for name, v in record.items() if isinstance(v, tuple) and v]
@@ -125,13 +125,13 @@ class FrameEdits:
 
 
 def merge(base: FrameEdits, ours: FrameEdits, theirs: FrameEdits) -> FrameEdits:
-    """Return what came of `base` by the changes of both; where both changed one number or the note, theirs.
+    """Return what came of `base` by the changes of both; where both changed one number, theirs.
 
     Pairs are merged one by one: what either added is there, what either took away is not.
 
     >>> base = FrameEdits(deleted=((1, 2, 3, 4), (5, 6, 7, 8)))
     >>> merge(base, FrameEdits(deleted=base.deleted[:1]), replace(base, pinned=((9, 9, 9, 9),)))
-    FrameEdits(deleted=((1, 2, 3, 4),), restored=(), pinned=((9, 9, 9, 9),), added=(), moved=(), checks=(), reject=None, stop=None, accept='', note='')
+    FrameEdits(deleted=((1, 2, 3, 4),), restored=(), pinned=((9, 9, 9, 9),), added=(), moved=(), checks=(), reject=None, stop=None, accept='')
     """
     merged: dict[str, Any] = {}
     for name in (f.name for f in fields(FrameEdits)):
@@ -155,10 +155,13 @@ class Edits:
         a tile of the reference beside its neighbour.
     outlines : mapping
         Object → the corners of its outline, reference px, in place of campaign.toml's.
+    confirmed : mapping
+        (object, layer) → who accepts it in spite of doubts.
     """
 
     frames: Mapping[tuple[str, str], FrameEdits] = field(default_factory=dict)
     outlines: Mapping[str, Outline] = field(default_factory=dict)
+    confirmed: Mapping[tuple[str, str], ConfirmKeys] = field(default_factory=dict)
 
     def of_layer(self, name: str, layer: str) -> dict[str, FrameEdits]:
         """Return the corrections of a layer: band ("" for its first sensor) → what was corrected."""
@@ -227,8 +230,12 @@ def _validated(record: dict[str, Any], path: Path) -> Edits:
         for name, table in document.objects.items()
         if table.outline is not None
     }
-    edits = Edits({key: value for key, value in frames.items() if value}, outlines)
-    if problems := list(islice(_contradictions(edits), MOST_PROBLEMS)):
+    confirmed = {one.camera.partition("/")[::2]: one for one in document.confirm}
+    edits = Edits({key: value for key, value in frames.items() if value}, outlines, confirmed)
+    problems = list(islice(_contradictions(edits), MOST_PROBLEMS))
+    if len(confirmed) < len(document.confirm):
+        problems.append(Problem("E_VALUE", "a layer is confirmed twice", field="confirm"))
+    if problems:
         raise EditsInvalid(*(with_explanation(p, path) for p in problems))
     return edits
 
@@ -326,6 +333,16 @@ def change_outline(path: Path, name: str, before: Outline, after: Outline) -> Ou
     return _change(path, changed).outlines.get(name, ())
 
 
+def change_confirmation(path: Path, name: str, layer: str, word: ConfirmKeys | None) -> None:
+    """Write who accepts a layer into edits.toml, None that nobody does any more; raises as `change_outline`."""
+
+    def changed(edits: Edits) -> Edits:
+        others = {key: value for key, value in edits.confirmed.items() if key != (name, layer)}
+        return replace(edits, confirmed=others | ({(name, layer): word} if word else {}))
+
+    _change(path, changed)
+
+
 def _change(path: Path, changed: Callable[[Edits], Edits]) -> Edits:
     """Write what `changed` makes of the corrections that the file holds by now; return what it holds then."""
     from levkas.core.files import together, write_text
@@ -400,7 +417,7 @@ def _clashes(
             expected=getattr(before, name),
             fix=AGAIN,
         )
-        for name in ("reject", "stop", "accept", "note")
+        for name in ("reject", "stop", "accept")
         if getattr(before, name) not in (getattr(after, name), getattr(present, name))
         and getattr(after, name) != getattr(present, name)
     ]
@@ -465,6 +482,10 @@ def _revised_in_place(text: str, edits: Edits, wanted: Edits) -> str:
                 )
             for key, value in values.items():
                 _revise(table, key, value)
+    if wanted.confirmed != edits.confirmed:
+        document.pop("confirm", None)
+        if wanted.confirmed:
+            added.append(to_text(Edits(confirmed=wanted.confirmed)).removeprefix(f"{HEAD}\n"))
     text = tomlkit.dumps(document)
     return "\n\n".join([text.rstrip(), *added]) if added else text
 
@@ -532,6 +553,9 @@ def to_text(edits: Edits) -> str:
             elif value:
                 lines.append(f"{key} = {to_inline_toml(value)}")
         lines.append("")
+    for _, word in sorted(edits.confirmed.items()):
+        rows = (f"{key} = {to_inline_toml(value)}" for key, value in word)
+        lines += ["[[confirm]]", *rows, ""]
     return "\n".join(lines)
 
 

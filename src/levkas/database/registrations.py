@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,8 +20,12 @@ from levkas.geometry import from_dict
 from levkas.readers.orientation import describe_turn, grid_keys
 from levkas.registration.advice import describe_placement
 from levkas.registration.foreground import contains
-from levkas.registration.record import Sigma
+from levkas.registration.record import Sigma, decided
 from levkas.registration.window_matching import CheckWindows
+
+if TYPE_CHECKING:
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.campaign.edits import Edits
 
 KINDS: dict[str, tuple[type, ...]] = {
     "object": (str,),
@@ -42,6 +49,7 @@ WHOLE = ("object", "camera", "reference", "verdict")
 """Parts of every record that a build writes."""
 MOST_PX = 1 << 20
 """Sides of grids and frames; far more than any sensor or scan has."""
+NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 WRONG = (ValueError, KeyError, TypeError, IndexError, AttributeError, ArithmeticError, MemoryError)
 """What numpy and `levkas.geometry.transforms` raise on numbers that are not those of a transform."""
 
@@ -119,6 +127,35 @@ def describe_pairs(record: Mapping[str, Any]) -> str:
     if not count:
         return ""
     return f"aligned with {counted(count, 'pair')} by hand"
+
+
+def digest_of_map(record: Mapping[str, Any]) -> str:
+    """Return a digest of a layer's maps, by six digits of every number: a thousandth of a pixel is nothing."""
+    parts = [record, *(record.get("tiles") or {}).values()]
+    maps = [
+        {k: band.get("transform") for k, band in part.get("bands", {}).items()} for part in parts
+    ]
+    text = NUMBER.sub(lambda found: f"{float(found[0]):.6g}", json.dumps(maps, sort_keys=True))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def apply_confirmation(record: Mapping[str, Any], edits: Edits, capture: Capture) -> dict[str, Any]:
+    """Return the verdict of a record with a person's word on it: a doubtful layer is accepted while it has the map that was looked at."""
+    verdict = dict(record["verdict"])
+    verdict |= verdict.pop("confirmed", {}).get("program", {})
+    word = edits.confirmed.get((capture.object, capture.layer))
+    lapsed = word is not None and word.map != digest_of_map(record)
+    if word is None or verdict["decision"] not in ("warn", *(["refuse"] if lapsed else [])):
+        return verdict
+    program = {key: verdict[key] for key in ("decision", "reasons", "next_step")}
+    if lapsed:
+        text = f"{word.name} accepted another map, {word.date}: that has lapsed."
+        verdict["reasons"] = [text, *program["reasons"]]
+    else:
+        doubts = f"The program: doubtful, because {' '.join(program['reasons'])}"
+        reasons = [f"Accepted by {word.name}, {word.date}: {word.words}", doubts]
+        verdict |= {"decision": "confirmed", "reasons": reasons, "next_step": ""}
+    return verdict | {"confirmed": {**dict(word), "lapsed": lapsed, "program": program}}
 
 
 def describe_lying(record: Mapping[str, Any]) -> list[str]:
@@ -245,6 +282,7 @@ def _check(place: str, part: Any) -> None:
         if any(len(cell) != 4 for cell in unconfirmed_cells({"verdict": part})):
             raise TypeError("a cell of the verdict is not a rectangle")
         describe_pairs({"verdict": part})
+        decided(part)
     elif place in ("reference", "target") and isinstance(part, dict):
         for key in ("camera", "setup", "band"):
             if not isinstance(part.get(key) or "", str):

@@ -52,6 +52,7 @@ class LayerReport:
     quantity: str
     decision: str
     method: str
+    decided: str = ""
     model: str = ""
     error_px: float | None = None
     checked: float | None = None
@@ -85,7 +86,8 @@ class LayerReport:
     @property
     def decision_text(self) -> str:
         """The decision in a user's word."""
-        return describe_decision(self.decision, self.unchecked, self.unchecked_area)
+        words = self.decided if self.decision == "confirmed" else self.decision
+        return describe_decision(words, self.unchecked, self.unchecked_area)
 
     @property
     def anchor(self) -> str:

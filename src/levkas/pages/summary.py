@@ -60,7 +60,7 @@ def summarise_layers(
 
 def _overlay(layers: Sequence[LayerReport], mm_per_px: float | None) -> Iterator[tuple[str, str]]:
     yield from _own_bands(layers, mm_per_px)
-    laid = [one for one in layers if one.decision in ("accept", "warn", "by hand")]
+    laid = [one for one in layers if one.decision in ("accept", "confirmed", "warn", "by hand")]
     reference = next((one.name for one in layers if one.decision == "reference"), "the reference")
     known = [one for one in laid if one.error_px is not None]
     mark = "warn" if any(one.decision in ("warn", "by hand") for one in laid) else "ok"
@@ -85,6 +85,8 @@ def _overlay(layers: Sequence[LayerReport], mm_per_px: float | None) -> Iterator
             yield "warn", f"{one.name}: {one.lying}"
         if one.decision == "refuse":
             yield "refuse", f"{one.name} was left out: its registration was refused."
+        elif one.decision == "confirmed":
+            yield "ok", f"{one.name}: {one.reasons[0]}"
         elif one.by_hand:
             yield mark, f"{one.name} was {one.by_hand}."
         elif one.decision == "warn":

@@ -35,16 +35,15 @@ BETWEEN = (
 )
 LOOK = "Compare both pictures in the report, with the flicker, before you use this layer."
 REGION = "Do not use the layer there, or add pairs there in `levkas inspect CAMPAIGN`."
-COMPARED = (
-    "Do not use the layer there, unless both pictures agree there in `levkas inspect CAMPAIGN`."
-)
+COMPARED = "Do not use the layer there before you have compared both pictures there."
 """In place of `REGION` where pairs were given: they move the map, and confirm none of it."""
+CONFIRM = "If both pictures agree, confirm the layer in `levkas inspect CAMPAIGN`."
 IN_WORKBENCH = (
     (f" {SCREEN}", ""),
     (SCREEN, ""),
     (POINTS.partition("mark")[0], ""),
     (ACCEPT.partition(", ")[2], 'press "Place by hand"'),
-    (" in `levkas inspect CAMPAIGN`", " here"),
+    (" in `levkas inspect CAMPAIGN`", ""),
 )
 """Words of a step, and what stands for them where the workbench is open already."""
 
@@ -85,11 +84,12 @@ def advise(step: str, pairs: int, decision: str = "refuse") -> str:
     ('Check the focus. `levkas inspect CAMPAIGN', 0)
     >>> advise(f"{POINTS}.", 3)
     'run `levkas inspect CAMPAIGN`, open this camera and mark 1 more point that both pictures show.'
-    >>> advise(REGION, 0, "warn") == REGION, advise(REGION, 1, "warn") == COMPARED
+    >>> advise(REGION, 0, "accept") == REGION, advise(REGION, 1, "warn") == f"{COMPARED} {CONFIRM}"
     (True, True)
     """
     if decision != "refuse":
-        return step.replace(REGION, COMPARED) if pairs else step
+        step = step.replace(REGION, COMPARED) if pairs else step
+        return f"{step} {CONFIRM}".strip() if decision == "warn" else step
     if pairs >= LEAST_PAIRS:
         if POINTS in step:
             return step.replace(POINTS, ACCEPT)

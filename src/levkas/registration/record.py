@@ -35,12 +35,26 @@ Decision = Literal["accept", "warn", "by hand", "refuse"]
 DECISIONS = {
     "accept": "accepted",
     "warn": "doubtful, please check",
+    "confirmed": "confirmed, by a person",
     "by hand": "placed by hand",
     "refuse": "refused",
     "reference": "reference",
     "not built": "not built yet",
 }
 """Decisions in the words of every page, screen and table; records hold the keys."""
+
+
+def decided(verdict: Mapping[str, Any]) -> str:
+    """Return the decision of a record's verdict; of a doubtful one that a person confirmed, who and when.
+
+    >>> decided({"decision": "confirmed", "confirmed": {"name": "A. Maker", "date": "2026-10-03"}})
+    'accepted by A. Maker, 2026-10-03'
+    """
+    if verdict.get("decision") != "confirmed":
+        return str(verdict.get("decision", ""))
+    return f"accepted by {verdict['confirmed']['name']}, {verdict['confirmed']['date']}"
+
+
 #: Windows of one sensor that a record lists; of more an even selection.
 MOST_WINDOWS = 1000
 

@@ -324,7 +324,9 @@ def predicts_matches(n: Numbers) -> Objection | None:
         text = f"{miss:.2f} px in the median" if np.isfinite(miss) else "not measurable"
         return Objection(
             "refuse",
-            f"The held-out error is {text}: the map fits its own matches and is wrong between them.",
+            f"The held-out error is {text}: nothing confirms the map between its matches."
+            if np.isinf(miss)
+            else f"The held-out error is {text}: the map fits its own matches and is wrong between them.",
             _with_lower_order(n),
         )
     if n["held_out_p90"] > 3 * n["tolerance"]:
@@ -398,7 +400,7 @@ def matches_cover(n: Numbers) -> Objection | None:
     if n["off_share"] > SETTINGS.off_share:
         return Objection(
             "refuse",
-            f"The map is wrong in {percent(n['off_share'])} of the overlap.",
+            f"Check windows lie beside the map in {percent(n['off_share'])} of the overlap.",
             f"{OTHER}; if they do, raise `reject` or {TRY_LEVKAS}.",
         )
     if n["coverage"] < SETTINGS.coverage.refuse:
@@ -418,7 +420,7 @@ def windows_cover(n: Numbers) -> Objection | None:
         return Objection(
             "refuse",
             f"Check windows confirm the map in only {percent(n['coverage'])} of the overlap"
-            + (f" and contradict it in {percent(n['off_share'])}." if n["off_share"] else "."),
+            + (f" and lie beside it in {percent(n['off_share'])}." if n["off_share"] else "."),
             BY_HAND,
             lacks_evidence=n["off_share"] <= SETTINGS.off_share,
         )
@@ -428,11 +430,15 @@ def windows_cover(n: Numbers) -> Objection | None:
 def _off_or_unconfirmed(n: Numbers) -> Objection | None:
     """Doubt a map that is off in cells, or not confirmed in more than a quarter of them; else say what was not checked."""
     if n["off"]:
-        return Objection(
-            "warn",
-            f"The map is wrong in {_part(n, n['off_share'])} {_places(n['off'])}{_plane(n)}.",
-            REGION,
-        )
+        # A window agrees up to twice the tolerance: only beyond that does it contradict the map.
+        shifts = n.get("off_shift") or [(np.inf, 0.0)] * len(n["off"])
+        far = [
+            c for c, s in zip(n["off"], shifts, strict=True) if np.hypot(*s) > 2 * n["tolerance"]
+        ]
+        part = _part(n, n["off_share"] * len(far or n["off"]) / len(n["off"]))
+        what = "The map is wrong" if far else "Check windows do not confirm the map"
+        where = f"{_places(far or n['off'])}{_plane(n) if far else ''}"
+        return Objection("warn", f"{what} in {part} {where}.", REGION)
     if n["coverage"] >= SETTINGS.coverage.warn:
         return None
     return Objection(

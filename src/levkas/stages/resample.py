@@ -19,6 +19,7 @@ from levkas.geometry.joining import describe_steps
 from levkas.geometry.transforms import Composed
 from levkas.quality.evaluation.similarity import structural_similarity
 from levkas.readers.frames import read_facts
+from levkas.registration.record import decided
 from levkas.stages.capture_statistics import DefaultLayer, LayerStatistics, describe_flags
 from levkas.stages.native_cubes import least_bytes
 from levkas.stages.reference import maps_of
@@ -86,7 +87,7 @@ def target_of(
     if capture.setup and native.quantity == "reflectance":
         values, flags = (places.layer(name, capture.camera, kind=k) for k in (".tif", ".flags.tif"))
         default = DefaultLayer.open(values, flags, shape)
-    verdict, encoded = record["verdict"]["decision"], _is_encoded(capture, campaign)
+    verdict, encoded = decided(record["verdict"]), _is_encoded(capture, campaign)
     return GridTarget(capture, layer, grid, maps_of(record), verdict, encoded, default)
 
 

@@ -75,7 +75,6 @@ def describe(session: CorrectionSession, known: str = "") -> dict[str, Any]:
         "corrections": session.edits.describe(),
         "outline": session.outline,
         "accept": session.edits.accept,
-        "note": session.edits.note,
         "can": session.can,
     }
 

@@ -36,7 +36,7 @@ class CorrectionStep:
     removed, new : dict of str to tuple of pairs
         By the field of `FrameEdits`: what the change took away, and what it brought.
     values : dict of str to (before, after)
-        Of `reject`, `stop`, `accept` and `note`.
+        Of `reject`, `stop` and `accept`.
     outline : (before, after) or None
         Corners in reference px, none where no outline was drawn. Such a step changes nothing else.
 
@@ -108,7 +108,7 @@ class CorrectionStep:
             rows.append({name: _rows(name, found) for name, found in part.items()})
         values = {}
         for name, (before, after) in record["values"].items():
-            kinds = (str,) if name in ("accept", "note") else (float, type(None))
+            kinds = (str,) if name == "accept" else (float, type(None))
             if isinstance(getattr(empty, name), tuple) or not all(
                 isinstance(value, kinds) for value in (before, after)
             ):

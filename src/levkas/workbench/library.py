@@ -7,6 +7,7 @@ import io
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from datetime import date
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,7 @@ from levkas.campaign.edits import (
     Edits,
     FrameEdits,
     Outline,
+    change_confirmation,
     change_edits,
     change_outline,
     read_edits,
@@ -29,9 +31,9 @@ from levkas.campaign.methods import method_of
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_json
 from levkas.database.layout import Places
-from levkas.database.registrations import unchecked_share
+from levkas.database.registrations import apply_confirmation, digest_of_map, unchecked_share
 from levkas.pages.page import describe_decision
-from levkas.registration.record import COLUMNS, Matches
+from levkas.registration.record import COLUMNS, DECISIONS, Matches, decided
 from levkas.stages.native_cubes import part_name
 from levkas.workbench.frame import RegistrationView, SensorView, id_of, sensor_of
 from levkas.workbench.history import History, HistoryFile
@@ -214,6 +216,33 @@ class Library:
         facts = self.campaign.objects.get(frame.capture.object)
         return (facts.outline if facts else None) or ()
 
+    def judge(self, frame: RegistrationView) -> None:
+        """Give a camera's record the verdict of by now; `layer` is the decision on the whole layer, `map` the digest of its map."""
+        record = self._judged(self._whole(frame.capture), read_edits(self.edits_path))
+        verdict = (frame.record if frame.capture.tile else record)["verdict"]
+        layer = {"layer": record["verdict"]["decision"], "map": digest_of_map(record)}
+        frame.record["verdict"] = verdict | layer
+
+    def confirm(self, frame: RegistrationView, name: str | None, words: str, map_: str) -> None:
+        """Accept a doubtful layer in a person's name, without one take that back; raises OperationRefused for any other layer or map."""
+        from levkas.campaign.schema.tables import ConfirmKeys
+
+        whole = self._whole(frame.capture)
+        record = self._judged(whole, Edits())
+        decision = record["verdict"]["decision"]
+        if name is not None and (decision != "warn" or map_ != digest_of_map(record)):
+            why = "only a doubtful layer can be confirmed, as it was registered last"
+            raise OperationRefused(Problem("E_VALUE", why, found=DECISIONS[decision]))
+        camera, day = f"{whole.object}/{whole.layer}", date.today().isoformat()
+        given = {"camera": camera, "name": name, "date": day, "words": words, "map": map_}
+        word = None if name is None else ConfirmKeys.model_construct(None, **given)
+        change_confirmation(self.edits_path, whole.object, whole.layer, word)
+
+    def _judged(self, capture: Capture, edits: Edits) -> dict[str, Any]:
+        """Return the record of a layer with what a person says of it; empty where it was not built."""
+        record = self._record(capture)
+        return record and record | {"verdict": apply_confirmation(record, edits, capture)}
+
     def list(self) -> list[dict[str, Any]]:
         """Return every camera, or tile of one, with the verdict of its last build, JSON-ready."""
         listed = []
@@ -222,14 +251,14 @@ class Library:
         for view in self.views.values():
             capture = view.capture
             where = capture.object, capture.layer
-            whole = records[where] = records.get(where) or self._record(capture)
+            whole = records[where] = records.get(where) or self._judged(capture, edits)
             if capture.tile and self._leads(capture):
                 number = self._beside(view, whole)
                 view = replace(view, beside=self._whole(capture).tiles[number], number=number)
             record = whole.get("tiles", {}).get(capture.tile) if capture.tile else whole
             record = record or whole
-            decision = record.get("verdict", {}).get("decision", "not built")
-            reasons = record.get("verdict", {}).get("reasons", [])
+            verdict = record.get("verdict", {"decision": "not built"})
+            decision, reasons = verdict["decision"], verdict.get("reasons", [])
             is_reference = self._is_reference(view)
             facts = self.campaign.objects.get(capture.object)
             listed.append(
@@ -245,7 +274,8 @@ class Library:
                     "reference": is_reference,
                     "decision": decision,
                     "verdict": describe_decision(
-                        "reference" if is_reference else decision, unchecked_share(record)
+                        "reference" if is_reference else decided(verdict),
+                        unchecked_share(record),
                     ),
                     "reason": next(iter(reasons), ""),
                     "corrections": self._edits(view, edits).describe(),

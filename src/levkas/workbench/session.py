@@ -367,8 +367,8 @@ class CorrectionSession:
         self._change(edits)
 
     def take_all_back(self) -> None:
-        """Take back all corrections but the note, as one change that can be undone."""
-        self._change(FrameEdits(note=self.edits.note))
+        """Take back all corrections, as one change that can be undone."""
+        self._change(FrameEdits())
 
     def accept(self, by_hand: bool) -> None:
         """Place the layer by the person's pairs alone, or by the pictures again."""
@@ -391,10 +391,6 @@ class CorrectionSession:
         if before != after:
             self._set_outline(before, after)
             self._keep(CorrectionStep(outline=(before, after)), self.edits)
-
-    def note(self, text: str) -> None:
-        """Keep a person's own words."""
-        self._change(replace(self.edits, note=text[:2000]))
 
     def undo(self) -> None:
         """Take the last change back; nothing where there is none."""

@@ -2,6 +2,7 @@
 
 import io
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -337,6 +338,35 @@ def test_a_refused_camera_is_placed_by_hand_and_by_its_picture_again(
         timeout=180_000,
     )
     assert read_edits(folder / "edits.toml").frames["bad", "xray"].accept == ""
+
+
+@pytest.mark.slow
+def test_a_doubtful_layer_is_confirmed_and_the_word_taken_back(
+    doubtful, inspected, browser, tmp_path
+):
+    folder = shutil.copytree(doubtful, tmp_path / "campaign")
+    page = opened(browser, inspected(folder))
+    page.locator("nav button", has_text="infrared").click()
+    page.locator("#confirm-head").click()
+    page.locator("#confirm-name").fill("Doe, Jané")
+    page.locator("#confirm-words").fill("the contours agree")
+    page.locator("#confirm").click()
+    badge = page.locator(".verdict .badge", has_text="accepted by Doe, Jané, ")
+    badge.wait_for()
+    (word,) = read_edits(folder / "edits.toml").confirmed.values()
+    assert (word.name, word.words) == ("Doe, Jané", "the contours agree")
+    assert word.words in page.locator(".verdict").inner_text()
+    assert page.locator("#confirm-head").is_hidden()
+    page.locator("#unconfirm").click()
+    page.locator("#confirm-head").wait_for()
+    assert read_edits(folder / "edits.toml").confirmed == {}
+    page.locator("#confirm-head").click()
+    assert page.locator("#confirm-name").input_value() == "Doe, Jané"
+    page.locator("nav button", has_text="xray").click()
+    page.wait_for_function(
+        "() => document.querySelector('.verdict .badge').textContent === 'refused'"
+    )
+    assert page.locator("#confirm-head").is_hidden() and page.locator("#unconfirm").is_hidden()
 
 
 @pytest.mark.slow

@@ -112,7 +112,6 @@ def test_undo_takes_back_ones_own_change_and_nobody_elses(folder, servers):
         ({"operation": "pin"}, {"operation": "delete"}, "pinned"),
         ({"operation": "move", "to": place(3)}, {"operation": "move", "to": place(4)}, "moved"),
         ({"operation": "slide", "name": "stop", "value": 3}, {"operation": "slide", "name": "stop", "value": 2}, "stop"),
-        ({"operation": "note", "text": "a"}, {"operation": "note", "text": "b"}, "note"),
     ],
 )  # fmt: skip
 def test_a_change_that_contradicts_anothers_is_refused_with_what_is_there(
@@ -177,7 +176,7 @@ deleted = [
   [1, 2, 3, 4], # twice
   [5.001, 6, 7, 8],
 ]
-note = 'by "hand"'
+stop = 2.25 # "by hand"
 
 # Nothing was done to the other one.
 [objects.icon2.cameras.xray]
@@ -194,7 +193,7 @@ def test_what_a_person_wrote_stays_where_it_is(tmp_path):
     path.write_text(BY_HAND)
     before = read_edits(path).frames[("icon", "xray")]
     after = FrameEdits(deleted=(*before.deleted[1:], (9.0, 9.0, 9.0, 9.0)), pinned=((2.0, 2.0, 2.0, 2.0),),
-                       stop=2.5, note=before.note)  # fmt: skip
+                       stop=before.stop)  # fmt: skip
     assert change(path, before, after) == after
     text = path.read_text()
     for line in BY_HAND.splitlines():

@@ -105,6 +105,11 @@ def check_edits(edits: Edits, captures: Iterable[Capture], path: Path, reference
             "E_VALUE", "unknown object", None, f"objects.{name}", name, ", ".join(sorted(known))
         )
         problems.append(with_explanation(problem, path))
+    for name, layer in sorted(edits.confirmed):
+        if layer not in known.get(name, {}):
+            there = ", ".join(f"{n}/{one}" for n, layers in sorted(known.items()) for one in layers)
+            problem = Problem("E_VALUE", "unknown layer", None, "confirm", f"{name}/{layer}", there)
+            problems.append(with_explanation(problem, path))
     for name, frame in sorted(edits.frames):
         whole, _, band = frame.partition(":")
         layer, *parts = whole.split("#")

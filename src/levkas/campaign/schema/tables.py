@@ -415,7 +415,6 @@ class FrameKeys(Table):
     reject: Annotated[Number, Field(gt=0)] | None = None
     stop: Annotated[Number, Field(gt=0)] | None = None
     accept: Literal["by hand", ""] = ""
-    note: Text = ""
 
 
 class ObjectKeys(Table):
@@ -425,8 +424,19 @@ class ObjectKeys(Table):
     cameras: dict[str, FrameKeys] = Field(default={})
 
 
+class ConfirmKeys(Table):
+    """A person's word that a doubtful layer is right, as long as it has this map; `camera` is OBJECT/CAMERA[@SETUP]."""
+
+    camera: Text
+    name: Annotated[Text, Field(min_length=1)]
+    date: Date
+    words: Annotated[Text, Field(min_length=1)]
+    map: Text
+
+
 class EditsDocument(Table):
     """edits.toml as a whole."""
 
     version: Literal[1]
     objects: dict[str, ObjectKeys] = Field(default={})
+    confirm: tuple[ConfirmKeys, ...] = ()

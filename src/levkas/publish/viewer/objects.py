@@ -29,7 +29,7 @@ from levkas.publish.viewer.pages import address, worst
 from levkas.publish.viewer.pictures import Source, analyses_of, pictures_of
 from levkas.publish.viewer.pyramid import encode_jpeg, fit_within, write_pyramid
 from levkas.publish.viewer.spectra import write_lattices, write_spectra
-from levkas.registration.record import DECISIONS
+from levkas.registration.record import DECISIONS, decided
 
 if TYPE_CHECKING:
     from levkas.publish.viewer.pyramid import Write
@@ -422,7 +422,7 @@ def _known(value: float) -> float | None:
 
 
 def _say(item: Item, camera: str, setup: str, record: dict[str, Any]) -> str:
-    decision = str((record.get("verdict") or {}).get("decision", "accept"))
+    decision = decided(record.get("verdict") or {}) or "accept"
     if camera == item.reference and not setup and decision == "accept":
         return "reference"
     return describe_decision(decision, unchecked_share(record))

@@ -26,7 +26,7 @@ POLICY = (
     "img-src 'self' file: data: blob:; base-uri 'none'; form-action 'none'"
 )
 UNSAFE = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
-ORDER = ("refuse", "by hand", "warn", "accept")
+ORDER = ("refuse", "by hand", "warn", "confirmed", "accept")
 
 
 def render_sheet(

@@ -26,6 +26,7 @@ from levkas.database.registrations import object_outline, unchecked_share
 from levkas.pages.page import describe_decision
 from levkas.pages.screen import read_built
 from levkas.registration.advice import in_workbench
+from levkas.registration.record import decided
 from levkas.workbench.answer import describe, to_bytes
 from levkas.workbench.frame import SIDES, RegistrationView, SensorView
 from levkas.workbench.history import QUARTERS
@@ -253,7 +254,14 @@ class Handlers:
             "beside": self.library.neighbours(frame.view),
             **self.library.registered_with(frame),
         }
+        self.library.judge(frame)
         return JSONResponse({"ok": True, **describe_frame(frame), **more})
+
+    def confirm(self, request: Request, body: dict[str, Any]) -> Response:
+        name, words, map_ = (str(body.get(key, "")).strip() for key in ("name", "words", "map"))
+        given = None if body.get("take_back") is True else name
+        self.library.confirm(self._frame(request), given, words, map_)
+        return JSONResponse({"ok": True})
 
     def turn(self, request: Request, body: dict[str, Any]) -> Response:
         frame, degrees = self._frame(request), body.get("degrees")
@@ -342,6 +350,7 @@ def routes(
         (f"{one}/pairs", handlers.pairs, "GET"),
         (f"{one}/edit", handlers.edit, "POST"),
         (f"{one}/turn", handlers.turn, "POST"),
+        (f"{one}/confirm", handlers.confirm, "POST"),
         (f"{one}/attempt", handlers.attempt, "POST"),
         (f"{one}/partner", handlers.partner, "GET"),
         (one + "/tiles/{which}/{level}/{column}/{row}", handlers.tile, "GET"),
@@ -375,8 +384,6 @@ def change(frame: RegistrationView, body: dict[str, Any]) -> None:
         session.draw(_corners(body.get("corners")))
     elif name == "accept":
         session.accept(body.get("value") is True)
-    elif name == "note":
-        session.note(str(body.get("text", "")))
     elif name == "snap":
         bands = {side: _bands(str(body.get(side, ""))) for side in SIDES}
         frame.snap(_pair(body.get("pair")), bands)
@@ -393,8 +400,8 @@ def describe_frame(frame: RegistrationView) -> dict[str, Any]:
     if not len(outline):  # of a refused camera the record does not say: that of the reference does
         outline = object_outline(frame.main_record)
     found = frame.session.found
-    judged = {k: verdict.get(k) for k in ("decision", "reasons", "next_step")}
-    judged["words"] = describe_decision(str(judged["decision"]), unchecked_share(frame.record))
+    judged = {k: verdict.get(k) for k in ("decision", "reasons", "next_step", "layer", "map")}
+    judged["words"] = describe_decision(decided(verdict), unchecked_share(frame.record))
     judged["next_step"] = in_workbench(judged["next_step"] or "")
     judged["reasons"] = reasons_of(frame, judged["reasons"] or [])
     sensors = [s for s in model.get("sensors", []) if isinstance(s, dict)]
