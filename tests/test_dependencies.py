@@ -17,12 +17,10 @@ NOT_INSTALLED = {
     "SimpleITK": "simpleitk", "ants": "antspyx", "itk": "itk-elastix", "mahotas": "mahotas",
 }  # fmt: skip
 """Import name → distribution of the extras that the tests' environment does not have."""
-USED = ("cluster", "export", "peers", "remote")
+USED = ("export", "peers", "remote")
 """Extras that the package, or the comparison with its peers, imports."""
 ELSEWHERE = {"ngff_zarr"}
 """One test reads a scene with another library where it is there."""
-UNNAMED = {"cryptography"}
-"""What no source of the package imports: dask's certificates for the workers of one machine."""
 UNIX = ("resource", "fcntl", "pwd", "grp", "termios", "tty", "pty", "syslog")
 
 
@@ -96,7 +94,7 @@ def test_every_package_that_is_declared_is_imported():
     extras = PROJECT["optional-dependencies"]
     used = set().union(*map(distributions, imported()))
     requested = declared([*PROJECT["dependencies"], *(one for e in USED for one in extras[e])])
-    assert requested - used == UNNAMED
+    assert requested - used == set()
 
 
 def test_locks_name_what_is_declared_and_no_registry():
@@ -129,9 +127,9 @@ def test_the_lock_for_use_has_the_versions_of_development_and_nothing_of_it():
 
 
 def test_every_module_imports_where_there_is_nothing_of_unix():
-    """As on Windows: a module that is not there is None in `sys.modules`; distributed finds others there."""
+    """As on Windows: a module that is not there is None in `sys.modules`."""
     code = (
-        "import importlib, pkgutil, sys, distributed\n"
+        "import importlib, pkgutil, sys\n"
         f"sys.modules.update(dict.fromkeys({UNIX!r}))\n"
         "import levkas\n"
         "failed = []\n"

@@ -79,6 +79,8 @@ def parse(line, *, whole):
 
 @each_page
 def test_commands_of_a_page_exist_with_their_options(page):
+    if page.name == "CHANGELOG.md":
+        pytest.skip("it names commands that are gone")
     for line, whole in commands(page):
         try:
             parse(line, whole=whole)

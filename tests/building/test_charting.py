@@ -14,7 +14,7 @@ import levkas
 from levkas.building import build, status, summarise
 from levkas.cli import app
 from levkas.colour.srgb import SRGB_TO_XYZ, encode_srgb, observer_under
-from levkas.core.digests import hash_file
+from levkas.core.digests import hash_file, hash_tree
 from levkas.core.problems import Refused
 from levkas.database.validation import validate
 from levkas.quality.targets.charts import CHARTS, reference_of
@@ -188,6 +188,37 @@ def test_a_build_keeps_the_chart_the_light_and_what_was_measured_of_the_camera(c
     (folder / "halogen.csv").write_text("wavelength,power\n400,0.2\n700,1\n")
     assert [s.key.stage for s in build(folder) if s.state == "done"] == ["catalogue"]
     assert "400,0.2" in (database / "setups/proposed/spd.csv").read_text()
+
+
+@pytest.mark.slow
+def test_a_chart_that_campaign_toml_declares_stays_while_its_frames_cannot_be_read(
+    campaign, tmp_path
+):
+    folder = shutil.copytree(
+        campaign, tmp_path / "campaign", ignore=shutil.ignore_patterns("database*")
+    )
+    assert summarise(build(folder)).ok
+    charts = hash_tree(folder / "database/charts")
+    assert charts
+    frame = folder / "raw/macbeth/540nm_0.tif"
+    whole = frame.read_bytes()
+    frame.write_bytes(whole[:400])
+    report = summarise(build(folder))
+    assert any(w.startswith("charts/macbeth_vis: of an earlier build") for w in report.warnings)
+    (folder / "raw/macbeth").rename(folder / "away")
+    for _ in range(2):
+        list(build(folder))
+        assert hash_tree(folder / "database/charts") == charts
+    (folder / "away").rename(folder / "raw/macbeth")
+    frame.write_bytes(whole)
+    report = summarise(build(folder))
+    assert hash_tree(folder / "database/charts") == charts
+    assert not any("of an earlier build" in warning for warning in report.warnings)
+    text = (folder / "campaign.toml").read_text()
+    without = text.replace('charts = { macbeth = "ColorChecker24" }\n', "")
+    (folder / "campaign.toml").write_text(without)
+    assert summarise(build(folder)).ok
+    assert not (folder / "database/charts").exists()
 
 
 @pytest.mark.slow

@@ -12,7 +12,6 @@ import pytest
 from typer.testing import CliRunner
 
 from levkas.building import build, status, summarise
-from levkas.building.claiming import building
 from levkas.building.records_file import NAME
 from levkas.cli import app
 from levkas.core.digests import hash_tree
@@ -220,18 +219,3 @@ def test_a_record_that_names_a_file_elsewhere_costs_nobody_that_file(campaign):
     (campaign / "campaign.toml").write_text(head + "[targets]" + rest.partition("[targets]")[2])
     assert summarise(build(campaign)).ok
     assert victim.read_text() == "three years"
-
-
-def test_builds_in_one_process_go_together_and_one_with_workers_is_alone(tmp_path):
-    with building(tmp_path, workers=False), building(tmp_path, workers=False):
-        with pytest.raises(Refused) as said, building(tmp_path, workers=True):
-            pass
-        assert said.value.problems[0].code == "E_BUSY"
-        assert "one process" in said.value.problems[0].found
-    for workers in (False, True):
-        with building(tmp_path, workers=True):
-            with pytest.raises(Refused) as said, building(tmp_path, workers=workers):
-                pass
-            assert f"process {os.getpid()} of" in said.value.problems[0].found
-    with building(tmp_path, workers=True):  # the lock ends with the block
-        pass

@@ -18,7 +18,7 @@ def kept(tmp_path):
     frame, index = tmp_path / "frame \udcff.tif", tmp_path / NAME
     frame.write_bytes(b"frame")
     hashes = Hashes(index)
-    hashes.take(frame, [*stamp_of(frame), "f" * 64])
+    hashes._learn(frame, (*stamp_of(frame), "f" * 64), old_enough=True)
     hashes.save()
     return frame, index
 
@@ -41,7 +41,7 @@ def test_an_index_that_is_damaged_is_made_anew(kept, damage):
         index.write_bytes({"empty": b"", "garbage": b"no index" * 1000, "torn": torn}[damage])
     hashes = Hashes(index)
     assert hashes.known(frame) is None
-    hashes.take(frame, [*stamp_of(frame), "e" * 64])
+    hashes._learn(frame, (*stamp_of(frame), "e" * 64), old_enough=True)
     hashes.save()
     assert hashes(frame) == Hashes(index)(frame) == "e" * 64
 
@@ -56,7 +56,7 @@ def test_a_damaged_row_of_the_index_is_read_again(kept, change):
         rows.execute(f"UPDATE files SET {change}")
     hashes = Hashes(index)
     assert hashes(frame) == hash_file(frame)
-    hashes.take(frame, [*stamp_of(frame), "e" * 64])
+    hashes._learn(frame, (*stamp_of(frame), "e" * 64), old_enough=True)
     hashes.save()
     assert Hashes(index)(frame) == "e" * 64
 
@@ -68,7 +68,7 @@ def test_a_hash_that_another_process_took_late_enough_counts_over_one_of_a_file_
     hashes = Hashes(index, verify=True)
     monkeypatch.setattr("levkas.building.hashes.is_old_enough", lambda stamp, now: False)
     assert hashes(frame) == hash_file(frame)
-    hashes.take(frame, [*stamp_of(frame), "e" * 64])
+    hashes._learn(frame, (*stamp_of(frame), "e" * 64), old_enough=True)
     monkeypatch.undo()
     time.sleep(0.2)  # past the tick: a reading by `save` would be recorded
     hashes.save()
@@ -91,7 +91,7 @@ def test_an_index_of_another_form_is_made_anew(kept, table):
         rows.execute(table)
     hashes = Hashes(index)
     assert hashes(frame) == hash_file(frame)
-    hashes.take(frame, [*stamp_of(frame), "e" * 64])
+    hashes._learn(frame, (*stamp_of(frame), "e" * 64), old_enough=True)
     hashes.save()
     assert Hashes(index)(frame) == "e" * 64
 

@@ -1,8 +1,5 @@
 """An exception that no check foresaw refuses one capture or page, with a report to send; the rest is built."""
 
-import json
-import os
-import subprocess
 import sys
 from types import ModuleType
 
@@ -177,40 +174,3 @@ def test_a_page_or_the_catalogue_that_cannot_be_made_is_refused_and_the_rest_is_
     monkeypatch.undo()
     assert summarise(build(folder)).ok
     assert not [*folder.rglob("*.error.txt")] and not ended(status(folder))
-
-
-PLUG_IN = """
-from levkas.campaign.methods import Method, MethodOptions
-
-
-def register(request, options):
-    raise ArithmeticError("on a worker")
-
-
-METHOD = Method(MethodOptions, register)
-"""
-
-
-@pytest.mark.slow
-def test_on_workers_too_an_exception_refuses_one_capture(make_plates, tmp_path):
-    folder = planted(make_plates, tmp_path / "campaign", ["one", "two"], "faulty")
-    info = tmp_path / "site" / "faulty-1.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: faulty\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[levkas.registration]\nfaulty = faulty_method:METHOD\n")
-    (tmp_path / "site" / "faulty_method.py").write_text(PLUG_IN)
-    path = os.pathsep.join([str(tmp_path / "site"), *sys.path])
-    command = [sys.executable, "-c", "from levkas.cli import main; main()", "build", str(folder)]
-    done = subprocess.run(
-        [*command, "--workers", "2", "--json"],
-        capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path}, check=False,
-    )  # fmt: skip
-    assert done.returncode == 1, done.stderr
-    record = json.loads(done.stdout)
-    lost = [s for s in record["stages"] if s["state"] == "refused"]
-    assert {(s["object"], s["camera"], s["stage"]) for s in lost} == {
-        ("one", "infrared", "register"), ("two", "infrared", "register"),
-    }  # fmt: skip
-    assert {p["code"] for p in record["problems"]} == {CODE}
-    kept = folder / "database.kept/one/infrared/register.error.txt"
-    assert "on a worker" in kept.read_text() and "faulty_method.py" in kept.read_text()

@@ -5,6 +5,7 @@ import shutil
 import cv2
 import numpy as np
 import pytest
+import tifffile
 from scipy import ndimage
 
 import levkas
@@ -14,7 +15,6 @@ from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.problems import Refused
 from levkas.core.text import read_json
 from levkas.database.layout import Places
-from levkas.readers.frames import read_frame
 from levkas.stages.calibrate import calibrate
 from levkas.stages.template_cache import TemplateCache
 
@@ -56,9 +56,10 @@ def campaign(tmp_path_factory):
     cv2.imwrite(str(folder / "photo/icon1.png"), codes)
     blocks = layers[:3, :720, :896].reshape(3, 90, COARSE, 112, COARSE).mean((2, 4))
     maps = rng.poisson(15 * (0.2 + np.concatenate([blocks, 0 * blocks[:1]]))).astype(np.float32)
-    head = f"2\n112 90 {len(maps)}\n".encode()
-    (folder / "xrf/icon1.dms").write_bytes(head + maps.tobytes() + "\n".join(NAMES).encode())
-    (folder / "campaign.toml").write_text(CAMPAIGN.format(suffix="dms"))
+    stack = {"photometric": "minisblack", "metadata": None}
+    tifffile.imwrite(folder / "xrf/icon1.tif", maps, **stack)
+    named = f'tif"\nbands = {list(NAMES)}'
+    (folder / "campaign.toml").write_text(CAMPAIGN.replace('{suffix}"', named).format())
     return folder
 
 
@@ -73,9 +74,8 @@ def files(campaign, tmp_path_factory):
     """The same maps in a file each: ``Pb_L.tif``, ``Hg_L.tif`` and so on in the object's folder."""
     folder = tmp_path_factory.mktemp("files")
     (folder / "xrf/icon1").mkdir(parents=True)
-    stack = read_frame(campaign / "xrf/icon1.dms")
-    for k, name in enumerate(NAMES):
-        cv2.imwrite(str(folder / f"xrf/icon1/{name.replace('_', '-')}.tif"), stack[..., k])
+    for name, plane in zip(NAMES, tifffile.imread(campaign / "xrf/icon1.tif"), strict=True):
+        cv2.imwrite(str(folder / f"xrf/icon1/{name.replace('_', '-')}.tif"), plane)
     (folder / "photo").symlink_to(campaign / "photo")
     text = CAMPAIGN.format(suffix="tif").replace("{target}.tif", "{target}/{band}.tif")
     (folder / "campaign.toml").write_text(text)

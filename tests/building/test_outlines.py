@@ -2,11 +2,14 @@
 
 import json
 
+import cv2
+import numpy as np
 import pytest
 
 from levkas.building import build, status, summarise
 from levkas.campaign.edits import Edits, EditsInvalid, write_edits
 from levkas.core.text import read_json
+from levkas.database.catalogue import read_catalogue
 from levkas.workbench.library import Library, id_of
 
 HALF = ((10.0, 10.0), (119.0, 10.0), (119.0, 189.0), (10.0, 189.0))
@@ -74,3 +77,55 @@ def test_an_outline_of_an_object_that_is_not_there_is_refused(make_plates, tmp_p
         list(build(folder))
     (problem,) = refused.value.problems
     assert (problem.field, problem.found, problem.expected) == ("objects.ono", "ono", "one")
+
+
+def panel(folder):
+    """Write a campaign of one photograph: a panel of 160 x 200 px on a ground that is brighter than its lower half."""
+    rng = np.random.default_rng(3)
+    picture = 60 + rng.normal(0, 0.6, (340, 300))
+    light = np.linspace(230, 25, 200)[:, None] * np.where(np.arange(200) < 130, 1, 0.5)[:, None]
+    picture[70:270, 70:230] = light + rng.normal(0, 6, (200, 160))
+    folder.mkdir()
+    cv2.imwrite(str(folder / "icon.png"), picture.clip(0, 255).astype(np.uint8))
+    (folder / "campaign.toml").write_text(
+        '[campaign]\nreference = { camera = "photo" }\n[grid]\nregion = "auto"\n'
+        '[cameras.photo]\nkind = "image"\nfiles = "{target}.png"\n'
+        "[objects.icon]\nsize_mm = [100, 125]\n"
+    )
+    return folder
+
+
+def test_the_grid_and_the_sampling_are_of_the_outline_that_is_drawn(tmp_path):
+    folder = panel(tmp_path / "campaign")
+
+    def built():
+        report = summarise(build(folder))
+        assert report.ok
+        (entry,) = read_catalogue(folder / "database")
+        unknown = any("outline = [[x, y]" in warning for warning in report.warnings)
+        assert unknown == np.isnan(entry.px_per_mm)
+        return entry
+
+    entry = built()
+    assert 160 <= entry.width <= 168 and 200 <= entry.height <= 208
+    assert entry.px_per_mm == pytest.approx(1.6, rel=0.01)
+    by_hand = ((70.0, 70.0), (229.0, 70.0), (229.0, 269.0), (70.0, 269.0))
+    write_edits(folder / "edits.toml", Edits().with_outline("icon", by_hand))
+    entry = built()
+    assert (entry.width, entry.height) == (160, 200)
+    assert entry.px_per_mm == pytest.approx(1.6, rel=0.01)
+    # The upper half has not the shape of the whole: its lengths are not known, and not wrong.
+    upper = (*by_hand[:2], (229.0, 169.0), (70.0, 169.0))
+    write_edits(folder / "edits.toml", Edits().with_outline("icon", upper))
+    entry = built()
+    assert (entry.width, entry.height) == (160, 100) and np.isnan(entry.px_per_mm)
+
+
+def test_lengths_of_what_fills_its_frame_are_not_known(tmp_path):
+    folder = panel(tmp_path / "campaign")
+    full = np.random.default_rng(1).integers(20, 235, (40, 50), np.uint8)
+    cv2.imwrite(str(folder / "icon.png"), cv2.resize(full, (300, 240)))
+    report = summarise(build(folder))
+    (entry,) = read_catalogue(folder / "database")
+    assert report.ok and (entry.width, entry.height) == (300, 240) and np.isnan(entry.px_per_mm)
+    assert any("outline = [[x, y]" in warning for warning in report.warnings)

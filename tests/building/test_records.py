@@ -205,7 +205,6 @@ def test_records_of_earlier_versions_are_removed_and_nothing_else(tmp_path):
     older = ("hashes.sqlite", "catalogue.json", "one/report.json", "one/photo/register.was")
     stays = (
         "campaign.json",
-        "build.lock",
         "one/photo/measured.npz",
         "one/photo/register.error.txt",
     )

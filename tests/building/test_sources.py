@@ -19,9 +19,8 @@ from levkas.stages.sources import HERE, NUMBERS, PAGES, PRODUCTS, STAGES, code_v
 PACKAGE = Path(levkas.__file__).parent
 WITHOUT_EFFECT = {
     *("boto3", "filelock", "h5py", "obstore", "psutil", "pydantic", "threadpoolctl"),
-    *("dask", "distributed"),
 }
-"""Locks, memory, threads, remote reading, checks of keys, work elsewhere: in no byte of a stage."""
+"""Locks, memory, threads, remote reading, checks of keys: in no byte of a stage."""
 MODULES = {
     "PIL": "pillow", "colour": "colour-science", "cv2": "opencv-python-headless", "skimage": "scikit-image"
 }  # fmt: skip

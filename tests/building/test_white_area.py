@@ -7,16 +7,11 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-from scipy.ndimage import gaussian_filter
 from sigma_of_builds import Camera, write_campaign
 
 from levkas.building import build, summarise
-from levkas.campaign.campaign import load_campaign
-from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.cube import Flag
 from levkas.database.spectral_tiff import read_tiff_pages
-from levkas.stages.calibrate import develop
-from levkas.stages.template_cache import TemplateCache
 
 SHAPE, EDGE = (100, 140), 40
 
@@ -117,19 +112,3 @@ def test_another_painting_for_a_white_is_refused_with_its_files(tmp_path, panel,
     (problem,) = report.problems
     assert problem.code == "E_WHITE_DETAIL" and "white" in problem.file
     assert "picture" in problem.message
-
-
-@pytest.mark.parametrize("kind", ["bands", "mosaic", "mirror"])
-def test_texture_of_the_board_is_said_and_in_sigma(tmp_path, panel, kind):
-    camera = Showing(SHAPE)
-    marks = gaussian_filter(np.random.default_rng(8).standard_normal(SHAPE), 2.0)
-    camera.white = 1 + 0.06 * marks / marks.std()
-    camera.response = camera.response**0.1  # of which none hides it at the frames' small size
-    smooth = gaussian_filter(panel, 3.0)
-    write_campaign(tmp_path / "c", kind, camera, smooth, times=(0.02,) * 4, shots=2)
-    (capture,), _ = find_captures(campaign := load_campaign(tmp_path / "c"))
-    native = develop(capture, campaign, TemplateCache(tmp_path))
-    assert any("fine detail" in warning for warning in native.warnings)
-    cube = native.cubes[""]
-    miss = (cube.values[8:-8, 8:-8] - smooth[8:-8, 8:-8, None]) / cube.sigma[8:-8, 8:-8]
-    assert 0.7 < miss.std() < 1.6  # detail is averaged over a mosaic's period

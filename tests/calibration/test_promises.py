@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from levkas.calibration.defects import find_defects, replace_defects
-from levkas.calibration.denoising import denoise
+from levkas.calibration.denoising import Projecting, find_subspace
 from levkas.calibration.drift import average_steady
 from levkas.calibration.equalising import equalise_phases
 from levkas.calibration.exposures import merge_exposures
@@ -81,7 +81,7 @@ STEPS = {
         noise=NOISE,
         choose=True,
     ),
-    "denoise": lambda: denoise(spectra()),
+    "denoise": lambda: Projecting(find_subspace([spectra()]))(spectra()),
 }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -62,3 +63,36 @@ def test_good_frames_end_with_0_and_json_lists_them(home):
     session = json.loads(done.stdout)["session"]
     assert session["counts"] == {"green": 3, "look": 0, "stop": 0, "waiting": 0}
     assert "grey: icon, 650 nm" in [item["what"] for item in session["missing"]]
+
+
+@pytest.mark.parametrize("how", ["--once", "--json"])
+@pytest.mark.parametrize("what", ["missing", "empty", "file", "no picture", "no pattern fits"])
+def test_without_a_frame_nothing_is_judged_and_that_at_once(home, how, what):
+    folder = home.parent / "there"
+    if what == "no pattern fits":
+        folder = home
+        tifffile.imwrite(home / "raw" / "other.tif", np.zeros((8, 8), np.uint16))
+    elif what == "file":
+        folder.write_text("no folder")
+    elif what != "missing":
+        folder.mkdir()
+    if what == "no picture":
+        (folder / "notes.txt").write_text("no picture")
+    begun = time.monotonic()
+    done = run(str(folder), how)
+    assert done.exit_code == 1 and time.monotonic() - begun < 20  # patience is 60 s
+    if how == "--json":
+        said = json.loads(done.stdout)
+        (problem,) = said["problems"]
+        assert not said["ok"] and problem["file"] == str(folder)
+        assert problem["code"] == ("E_UNREADABLE" if what == "missing" else "E_NO_FRAMES")
+
+
+def test_a_declared_camera_without_a_frame_is_missing(home):
+    text = CAMPAIGN.replace('objects = ["icon"]\n', "")
+    more = '[cameras.xray]\nkind = "image"\nfiles = "raw/xray/{target}.tif"\n'
+    (home / "campaign.toml").write_text(text.replace("[targets]", f"{more}[targets]"))
+    for k, (name, level) in enumerate({"dark": 64, "white": 3000, "icon": 1500}.items()):
+        put(home, f"{name}_550nm_1.tif", level, k)
+    session = json.loads(run(str(home), "--json").stdout)["session"]
+    assert [item["what"] for item in session["missing"] if "xray" in item["what"]] == ["xray"]

@@ -12,7 +12,7 @@ from levkas.core.files import write_json
 from levkas.core.problems import Refused
 from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer
-from levkas.database.pixel_frames import MappingRefused
+from levkas.database.regions import RegionRefused
 from levkas.geometry.transforms import Affine, Composed
 
 SHAPE = (60, 80, 3)
@@ -46,74 +46,80 @@ def layers(tmp_path_factory):
 POINTS = np.array([[3.0, 4.0], [0.0, 0.0], [2.5, 7.25]])
 
 
-@pytest.mark.parametrize(
-    ("crop", "start", "step"),
-    [
-        (lambda a: a.isel(x=slice(20, 50), y=slice(10, 40)), (20, 10), (1, 1)),
-        (lambda a: a[10:40, 20:50], (20, 10), (1, 1)),
-        (lambda a: a.sel(x=slice(20, 49), y=slice(10, 39)), (20, 10), (1, 1)),
-        (
-            lambda a: a.isel(x=slice(20, None)).isel(x=slice(3, None), y=slice(5, 30)),
-            (23, 5),
-            (1, 1),
-        ),
-        (lambda a: a.isel(x=slice(20, 60, 2), y=slice(10, 50, 3)), (20, 10), (2, 3)),
-        (lambda a: a.isel(x=slice(50, 20, -1), y=slice(10, 40)), (50, 10), (-1, 1)),
-        (lambda a: a.isel(x=np.arange(20, 60, 2), y=[10, 11, 12]), (20, 10), (2, 1)),
-        (lambda a: a.isel(band=0, x=slice(20, 50), y=slice(10, 40)), (20, 10), (1, 1)),
-        (lambda a: a.isel(x=20, y=10), (20, 10), (1, 1)),
-        (
-            lambda a: pickle.loads(pickle.dumps(a.isel(x=slice(20, 50), y=slice(10, 40)))),
-            (20, 10),
-            (1, 1),
-        ),
-        (lambda a: a, (0, 0), (1, 1)),
-    ],
-)
-def test_a_crop_maps_its_own_pixels(layers, crop, start, step):
-    whole = layers["vis"]
-    part = crop(whole)
-    there = whole.transform("grid", "nir")(np.array(start) + np.array(step) * POINTS)
-    np.testing.assert_allclose(part.transform("grid", "nir")(POINTS), there, atol=1e-9)
-    assert np.isfinite(there).any()
-    back = part.transform("nir", "grid")(there)
-    known = np.isfinite(there)
-    np.testing.assert_allclose(back[known], POINTS[known], atol=1e-6)
-    np.testing.assert_allclose(
-        part.transform("grid", "nir").inverse(there)[known], POINTS[known], atol=1e-6
+POLYGON = [(22.5, 12.0), (44.0, 14.0), (30.0, 34.5)]
+CROPS = {
+    "whole": lambda a: a,
+    "crop": lambda a: a[10:40, 20:50],
+    "by label": lambda a: a.sel(x=slice(20, 49), y=slice(10, 39)),
+    "of a crop": lambda a: a.isel(x=slice(20, None)).isel(x=slice(3, None), y=slice(5, 30)),
+    "thinned": lambda a: a.isel(x=slice(20, 60, 2), y=slice(10, 50, 3)),
+    "turned": lambda a: a.isel(x=slice(50, 20, -1), y=slice(10, 40)),
+    "uneven": lambda a: a.isel(x=[21, 25, 28, 40], y=[11, 13, 30]),
+    "a band": lambda a: a.isel(band=0, x=slice(20, 50), y=slice(10, 40)),
+    "pickled": lambda a: pickle.loads(pickle.dumps(a.isel(x=slice(20, 50), y=slice(10, 40)))),
+}
+
+
+@pytest.mark.parametrize("crop", CROPS)
+def test_places_are_the_x_and_y_of_the_array(layers, crop):
+    part, record = CROPS[crop](layers["vis"]), layers.transform("grid", "nir")
+    x, y = (a.ravel() for a in np.meshgrid(part.x.values, part.y.values))
+    places = np.stack([x, y], 1).astype(float)
+    there = part.transform("grid", "nir")(places)
+    np.testing.assert_allclose(there, record(places), atol=1e-9)
+    assert np.isfinite(there).all()
+    np.testing.assert_allclose(part.transform("nir", "grid")(there), places, atol=1e-6)
+    np.testing.assert_allclose(part.transform("grid", "nir").inverse(there), places, atol=1e-6)
+    # The same pixels by their own x and y, from values that are read at once.
+    inside = _inside(POLYGON, x, y).reshape(part.sizes["y"], part.sizes["x"])
+    values, flags = (np.atleast_3d(a.values)[inside] for a in (part, part.flags))
+    found = part.region(POLYGON)
+    assert int(found["pixels"]) == inside.sum() > 0
+    means = [v[f == 0].mean() for v, f in zip(values.T, flags.T, strict=True)]
+    np.testing.assert_allclose(found["mean"], means, rtol=1e-6)
+
+
+def _inside(polygon, x, y):
+    """By half planes; the corners of the triangle go round it with the sun."""
+    sides = [
+        (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0
+        for (ax, ay), (bx, by) in zip(polygon, polygon[1:] + polygon[:1], strict=True)
+    ]
+    return np.all(sides, axis=0)
+
+
+@pytest.mark.parametrize("region", [{"rectangle": (25, 15, 34, 22)}, {"circle": (30, 20, 4)}])
+def test_the_uncertainty_of_a_crop_is_that_of_the_whole_there(layers, region):
+    whole, part = layers["vis"], layers["vis"][10:40, 20:50]
+    assert part.uncertainty(**region).identical(whole.uncertainty(**region))
+    beside = {"rectangle": (21, 11, 24, 14)}
+    assert part.uncertainty(**region, beside=beside, of="difference").identical(
+        whole.uncertainty(**region, beside=beside, of="difference")
     )
-    one = part.transform("nir", "vis")(POINTS)
-    np.testing.assert_array_equal(one, whole.transform("nir", "vis")(POINTS))
+
+
+@pytest.mark.parametrize("apart", ["thinned", "turned", "uneven", "one row", "none"])
+def test_pixels_that_are_no_neighbours_have_no_uncertainty_of_a_mean(layers, apart):
+    one = {"one row": lambda a: a.isel(y=20), "none": lambda a: a[:0]}
+    with pytest.raises(RegionRefused) as said:
+        (CROPS | one)[apart](layers["vis"]).uncertainty(circle=(30, 20, 4))
+    assert (said.value.problems[0].code, said.value.problems[0].field[0] in "xy") == (
+        "E_REGION",
+        True,
+    )
 
 
 @pytest.mark.parametrize(
     "lose",
     [
-        lambda a: a.isel(x=[1, 5, 7]),
-        lambda a: a.isel(x=[3, 3, 3]),
-        lambda a: a.isel(x=slice(5, 5)),
         lambda a: a.isel(x=3, drop=True),
-        lambda a: a.isel(
-            x=xarray.DataArray([1, 2], dims="p"), y=xarray.DataArray([1, 2], dims="p")
-        ),
-    ],
-)
-def test_positions_at_no_even_steps_are_refused(layers, lose):
-    with pytest.raises(MappingRefused, match="not known where in the grid"):
-        lose(layers["vis"]).transform("grid", "nir")
-
-
-@pytest.mark.parametrize(
-    "lose",
-    [
-        lambda a: xarray.concat([a[:5], a[9:12]], "y"),
         lambda a: a.assign_coords(x=a.x / 2),
         lambda a: a.drop_vars("x"),
         lambda a: a.rename(x="column"),
     ],
 )
 def test_an_array_whose_places_are_lost_has_no_map(layers, lose):
-    with pytest.raises(MappingRefused, match="not known where in the grid"):
+    with pytest.raises(ValueError, match="the coordinate x"):
         lose(layers["vis"]).levkas.transform("grid", "nir")
 
 
@@ -220,7 +226,7 @@ def test_the_preview_of_a_crop_is_that_of_the_whole_there(layers):
 def test_coordinates_that_were_replaced_in_place_are_refused(layers):
     part = layers["vis"].isel(x=slice(0, 9))
     part.coords["x"] = part.x / 2
-    with pytest.raises(MappingRefused):
+    with pytest.raises(ValueError, match="the coordinate x"):
         part.transform("grid", "nir")
 
 
@@ -234,19 +240,12 @@ def test_coordinates_of_a_crop_are_pixels_of_the_grid(layers):
 def test_a_region_of_a_crop_is_that_of_the_whole_there(layers):
     whole, part = layers["vis"], layers["vis"][10:50, 20:70]
     there = whole.region(circle=(35, 25, 6), bins=8)
-    assert part.region(circle=(15, 15, 6), bins=8).identical(there)
+    assert part.region(circle=(35, 25, 6), bins=8).identical(there)
     band = part.sel(band="550 nm")
-    assert band.region(circle=(15, 15, 6))["mean"].item() == there["mean"].sel(band="550 nm").item()
-    with pytest.raises(Refused, match="not a region"):
-        part.isel(x=3).region(circle=(15, 15, 6))
-
-
-def test_components_of_an_unknown_name_are_refused_and_those_of_a_crop_are_its_own(layers):
-    with pytest.raises(Refused, match="no such method") as said:
-        layers["vis"].components("pcb")
-    assert said.value.problems[0].fix == "Did you mean 'pca'?"
-    part = layers["vis"][10:50, 20:70]
-    assert part.components("mnf").pixels <= part.shape[0] * part.shape[1]
+    assert band.region(circle=(35, 25, 6))["mean"].item() == there["mean"].sel(band="550 nm").item()
+    for other in (part.isel(x=3), part[:0], part[25:]):  # no rows; none of the circle's
+        with pytest.raises(Refused, match="not a region"):
+            other.region(circle=(35, 25, 6))
 
 
 def test_layers_and_crops_of_one_grid_are_aligned_by_it(layers):

@@ -145,8 +145,6 @@ def test_a_sigma_that_cannot_be_read_is_refused_and_not_unknown(tmp_path, form, 
         _ = thing["vis"].sigma.values
     with pytest.raises(Refused):
         _ = thing.sigma("vis").values
-    with pytest.raises(Refused):
-        thing["vis"].components("mnf")
     assert thing["d80", "45-degree"].sigma is None
 
 

@@ -2,6 +2,7 @@ import json
 import sys
 from typing import get_args, get_type_hints
 
+import h5py
 import numpy as np
 import pytest
 import rasterio
@@ -45,6 +46,7 @@ def test_envi_is_read_by_spectral_python_and_by_our_own_reader(database, tmp_pat
     same(np.asarray(image.load()), truth(database))
     assert image.bands.centers == list(WAVES) and image.bands.bandwidths == [10.0] * 4
     assert image.metadata["band names"][1] == "500.5 nm"
+    same(np.asarray(image[5, 7]).ravel(), truth(database)[5, 7])
     same(np.asarray(read_frame(tmp_path / "icon1_vis.hdr")), truth(database))
     assert list(read_facts(tmp_path / "icon1_vis.hdr").wavelengths) == list(WAVES)
     flags = spectral.open_image(str(tmp_path / "icon1_vis_flags.hdr"))
@@ -87,6 +89,11 @@ def test_photoshop_gets_a_layer_a_camera_with_its_name_and_coverage(database, tm
     alpha, *colours = (channel.data for channel in layers[2].channels)
     np.testing.assert_array_equal(np.dstack(colours), published)
     assert (alpha[:2, :3] == 0).all() and (alpha[2:] == 255).all()
+    assert {(one.rectangle.top, one.rectangle.left) for one in layers} == {(0, 0)}
+    beneath = np.asarray(Image.open(path))  # what programs without layers show: the first
+    np.testing.assert_array_equal(
+        beneath, np.asarray(Image.open(database / "objects/icon1/icon1_rgb.png").convert("RGB"))
+    )
     with tifffile.TiffFile(path) as tiff:
         assert b"sRGB" in tiff.pages[0].iccprofile and tiff.pages[0].tags["XResolution"].value == (
             40,
@@ -98,16 +105,66 @@ def test_photoshop_gets_a_layer_a_camera_with_its_name_and_coverage(database, tm
     ]
 
 
-def test_netcdf_opens_labelled_with_flags_and_sigma(database, tmp_path):
+def by_gdal(folder, form, stem, kind):
+    """Read a layer as GDAL, QGIS and rasterio do: pixels, the pixel at a place in mm, and what the bands are called."""
+    tail = "" if kind == "values" else f"_{kind}"
+    name = {
+        "netcdf": f"netcdf:{folder / stem}.nc:{kind}",
+        "qgis": f"{folder / stem}{tail}.tif",
+        "envi": f"{folder / stem}{tail}.img",
+    }[form]
+    with rasterio.open(name) as image:
+        pixels = np.moveaxis(image.read(), 0, 2)
+        labels, tags = image.descriptions, [image.tags(k) for k in image.indexes]
+        centres = [tag.get("wavelength", tag.get("NETCDF_DIM_band")) for tag in tags]
+        if form == "netcdf" and stem.endswith("rgb"):
+            labels = image.tags()["band#flag_meanings"].split()
+        elif form == "netcdf":
+            assert image.tags()["band#units"] == "nm"
+            labels = [f"{centre} nm" for centre in centres]
+        if form == "envi":  # without a place: rows are counted from the top
+            return pixels, None, [label.partition(" (")[0] for label in labels], centres
+        return pixels, image.index(7 * 0.25, -5 * 0.25), list(labels), centres
+
+
+@pytest.mark.parametrize("form", ["netcdf", "qgis", "envi"])
+@pytest.mark.parametrize(("camera", "labels"), [("vis", WAVES), ("rgb", "RGB")])
+def test_gdal_shows_each_export_upright_with_places_names_and_wavelengths(
+    database, tmp_path, form, camera, labels
+):
+    exported(database, form, tmp_path)
+    for kind in ("values", "flags", "sigma"):
+        there = truth(database, f"icon1_{camera}", "" if kind == "values" else f".{kind}")
+        pixels, place, names, centres = by_gdal(tmp_path, form, f"icon1_{camera}", kind)
+        same(pixels, there)
+        assert place in (None, (5, 7))
+        assert names == [f"{one:g} nm" if camera == "vis" else one for one in labels]
+        if camera == "vis":
+            assert [*map(float, centres)] == list(WAVES)
+
+
+@pytest.mark.parametrize("camera", ["vis", "rgb"])
+def test_xarray_and_h5py_find_labels_wavelengths_and_places_in_a_netcdf(database, tmp_path, camera):
     exported(database, "netcdf", tmp_path)
-    with xarray.open_dataset(tmp_path / "icon1_vis.nc", engine="h5netcdf") as dataset:
-        same(dataset["values"].values, truth(database))
-        same(dataset["sigma"].values, truth(database, kind=".sigma"))
-        same(dataset["flags"].values, truth(database, kind=".flags"))
-        assert dataset["wavelength"].values.tolist() == list(WAVES)
-        assert dataset["band"].values.tolist()[1] == "500.5 nm"
-        assert dataset["x"].values[1] == 0.25 and dataset.attrs["camera"] == "vis"
+    path = tmp_path / f"icon1_{camera}.nc"
+    there = {
+        kind: truth(database, f"icon1_{camera}", end)
+        for kind, end in {"values": "", "flags": ".flags", "sigma": ".sigma"}.items()
+    }
+    with xarray.open_dataset(path, engine="h5netcdf") as dataset:
+        for kind, cube in there.items():
+            same(dataset[kind].transpose("y", "x", "band").values, cube)
+        pixel = dataset["values"].sel(x=7 * 0.25, y=-5 * 0.25)
+        assert np.array_equal(pixel.values, there["values"][5, 7])
+        names, centres = dataset["label"].values.tolist(), dataset["wavelength"].values
+        assert names == [f"{one:g} nm" for one in WAVES] if camera == "vis" else names == [*"RGB"]
+        assert centres.tolist() == list(WAVES) if camera == "vis" else np.isnan(centres).all()
+        if camera == "vis":
+            assert dataset["band"].values.tolist() == list(WAVES)
+        assert dataset.attrs["camera"] == camera
         assert list(dataset["flags"].attrs["flag_masks"]) == [1, 2, 4, 8, 16, 32, 64, 128]
+    with h5py.File(path) as file:
+        same(np.moveaxis(file["values"][:], 0, 2), there["values"])
 
 
 def test_the_command_offers_every_form():

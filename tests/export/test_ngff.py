@@ -19,6 +19,7 @@ from levkas.core.problems import Refused
 from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer, write_tiffs
 from levkas.database.pixel_frames import map_points
+from levkas.database.spectral_tiff import read_tiff_pages
 from levkas.geometry.grid import Grid
 from levkas.geometry.transforms import Affine, Composed, Homography, Lens
 from levkas.publish.export import export
@@ -130,8 +131,6 @@ def test_transformations_as_written_lead_where_levkas_map_leads_there_and_back(d
 
 
 def test_pixels_are_the_native_ones_and_halves_lie_in_the_middle_of_theirs(database, scene):
-    from levkas.database.spectral_tiff import read_tiff_pages
-
     root, _ = read(scene)
     for frame, path, channel in images_of(root):
         camera, _, label = frame.partition(":")
@@ -202,9 +201,17 @@ def test_native_pixels_are_calibrated_where_the_campaign_is_given(make_plates, t
     assert hash_tree(folder / "database") == before
 
 
-def test_another_library_finds_the_scene_valid(scene):
+def test_another_library_finds_the_scene_valid_and_its_pixels_and_names(database, scene):
     read = ngff_zarr.from_ome_zarr(str(scene), kind="scene", validate=True)
     assert sorted(read.images) == ["ir_band-001", "ir_band-003", "photo"]
+    for path, found in read.images.items():
+        camera = path.partition("_")[0]
+        cube = read_tiff_pages(database / f"objects/icon1/native/icon1_{camera}.tif")
+        labels = [channel.label for channel in found.metadata.omero.channels]
+        assert list(found.images[0].dims) == ["c", "y", "x"] and set(labels) <= set(MAPS[camera])
+        for k, label in enumerate(labels):
+            pixel = found.images[0].data[k, 205, 111]
+            assert float(pixel) == cube[205, 111, list(MAPS[camera]).index(label)]
 
 
 OTHER_DIALECT = ("byDimension", "byDimension_inverse")

@@ -58,19 +58,3 @@ def letters(path):
     """The letters that a page listens to."""
     text = (ROOT / path).read_text(encoding="utf-8")
     return set(KEY.findall(text)) | set(re.findall(r'^ {2}\w+: "([A-Z])",$', text, re.M))
-
-
-def test_the_table_of_keys_names_every_letter_of_viewer_and_workbench():
-    table = (ROOT / "docs/screens.md").read_text(encoding="utf-8").partition("## Keys")[2]
-    rows = [line.split("|")[1:-1] for line in table.splitlines() if line.startswith("| ")]
-    for column, path in (
-        (3, "frontend/src/viewer/viewer.ts"),
-        (4, "frontend/src/workbench/commands.ts"),
-    ):
-        reported = {
-            letter
-            for cells in rows
-            if "●" in cells[column]
-            for letter in re.findall(r"`([A-Z])`", cells[0])
-        }
-        assert letters(path) <= reported, path

@@ -188,6 +188,28 @@ def test_full_scale_comes_from_the_campaign_that_the_frames_belong_to(tmp_path):
     assert "4095" in result.output and "campaign.toml" in result.output
 
 
+@pytest.mark.parametrize("pattern", ['"RGGB"', '[["a", "b"], ["b", "c"]]'])
+def test_the_mosaic_comes_from_the_campaign_that_the_frames_belong_to(tmp_path, pattern):
+    rng, folder = np.random.default_rng(17), tmp_path / "raw" / "white"
+    folder.parent.mkdir()
+    for shot in "123":
+        frame = white(20_000, 0.1, rng, colours=(0.5, 1.0, 1.0, 0.25))
+        write(folder, f"100ms_{shot}.tif", frame)
+    (tmp_path / "campaign.toml").write_text(
+        f'[campaign]\nreference = "cam"\n[cameras.cam]\nkind = "mosaic"\npattern = {pattern}\n'
+        'files = "raw/{target}/{exposure}ms_{shot}.tif"\nbits = 12\nblack = 64\n'
+        '[targets]\nwhite = { names = "white", reflectance = 0.98 }\n'
+    )
+    result = CliRunner().invoke(app, ["plan", "exposure", str(folder), "--json"])
+    (found,) = json.loads(result.stdout)["bands"]
+    means = {one["channel"]: one["mean"] for one in found["channels"]}
+    names = "RGB" if "R" in pattern else "abc"
+    assert means == pytest.approx(dict(zip(names, (1000, 2000, 500), strict=True)), rel=0.02)
+    assert found["prnu_known"] and found["prnu"] == pytest.approx(SENSOR.prnu, rel=0.1)
+    (given,) = advise_frames([folder], pattern="RGGB")
+    assert found["recommended_s"] == pytest.approx(given.first.time_s)
+
+
 def test_codes_that_pile_up_below_the_bits_are_the_full_scale(tmp_path):
     rng = np.random.default_rng(16)
     light = white(40_000, 0.1, rng)

@@ -28,13 +28,11 @@ def panel():
     return tones * (1 + 0.03 * ndimage.gaussian_filter(rng.standard_normal(SHAPE), 1.2) / 0.25)
 
 
-def made(folder, *, seed, truth=None, white=1.0):
+def made(folder, *, seed, truth=None, white=1.0, kind="bands"):
     lamp = lambda name, shot, band=0: white if name == "white" else 1.0  # noqa: E731
     camera = Camera(SHAPE)
     camera.rng = np.random.default_rng(seed)
-    write_campaign(
-        folder, "bands", camera, panel() if truth is None else truth, lamp=lamp, whites=2
-    )
+    write_campaign(folder, kind, camera, panel() if truth is None else truth, lamp=lamp, whites=2)
     assert summarise(build(folder)).ok
     return folder / "database"
 
@@ -67,6 +65,18 @@ def test_two_sessions_of_one_panel_agree_and_nothing_changed(databases):
     assert code == 0 and found["agrees"] and pair["patches"] >= 8
     assert all(abs(band["ratio"] - 1) < 0.01 for band in pair["bands"])
     assert found["changes"]["share"] < 0.02
+
+
+def test_colour_cameras_of_unknown_sensitivities_are_not_compared_and_do_not_agree(tmp_path):
+    pair = [str(made(tmp_path / name, seed=k, kind="mosaic")) for k, name in enumerate("ab")]
+    done = CliRunner().invoke(app, ["agree", *pair, "--json"])
+    said = json.loads(done.stdout)
+    assert done.exit_code == 1 and not said["ok"]
+    assert [problem["code"] for problem in said["problems"]] == ["E_BAND_MISSING"]
+    assert said["objects"][0]["agrees"] is None and said["objects"][0]["pairs"] == []
+    assert (
+        said["objects"][0]["changes"]["share"] < 0.02
+    )  # looked for all the same: bands of one name
 
 
 @pytest.mark.slow

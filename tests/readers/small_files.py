@@ -38,7 +38,6 @@ EDITS = b"""version = 1
 deleted = [[1.5, 2.0, 3.25, 4.0]]
 moved = [[1, 2, 3, 4, 1, 2, 3, 5]]
 reject = 12.0
-note = "by eye"
 [objects.icon1.cameras."msbs:IR"]
 added = [[10.0, 20.0, 30.0, 40.0]]
 """

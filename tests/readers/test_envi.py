@@ -119,6 +119,11 @@ def test_a_scanner_states_day_and_time_of_a_scan_apart(tmp_path):
     )
 
 
+def test_a_clock_at_its_zero_states_no_date(tmp_path):
+    said = "acquisition date = 1970-01-01"
+    assert read_facts(write_envi(tmp_path, CUBE, extra=said)).captured is None
+
+
 @pytest.mark.parametrize("zone", ["", "Z", "+02:00", "-0500", ".250+02:00"])
 def test_the_zone_of_an_acquisition_time_is_read(tmp_path, zone):
     said = f"acquisition time = 2024-05-03T16:00:00{zone}"

@@ -23,24 +23,6 @@ def ripple(folder, values, record="image", order="big-endian", **keys):
     return folder / "icon.rpl"
 
 
-def dms(folder, values=COUNTS, names=NAMES):
-    head = f"2\n{values.shape[1]} {values.shape[0]} {values.shape[2]}\n".encode()
-    path = folder / "icon.dms"
-    path.write_bytes(head + np.moveaxis(values, -1, 0).tobytes() + "\n".join(names).encode())
-    return path
-
-
-def table(folder, separator=";", quote=""):
-    names = ["row", "column", "Pb_L", "s(Pb_L)", "Hg_L", "Cu_K", "Fe_K", "chisq"]
-    rows = [separator.join(f"{quote}{name}{quote}" for name in names)]
-    for row, column in np.ndindex(2, 3):
-        pb, hg, cu, fe = (f"{value:.6E}" for value in COUNTS[row, column])
-        rows.append(separator.join([str(row), str(column), pb, "0.1", hg, cu, fe, "1.5"]))
-    path = folder / "icon.csv"
-    path.write_text("\n".join(rows) + "\n")
-    return path
-
-
 @pytest.mark.parametrize("record", ["image", "vector"])
 @pytest.mark.parametrize("dtype", ["u1", "u2", "i4", "f4", "f8"])
 def test_a_ripple_stack_is_read_in_any_order_and_type(tmp_path, dtype, record):
@@ -50,23 +32,6 @@ def test_a_ripple_stack_is_read_in_any_order_and_type(tmp_path, dtype, record):
         values = read_frame(path)
         assert values.dtype == np.dtype(dtype) and np.array_equal(values, COUNTS)
     assert [file.name for file in files_of(path)] == ["icon.rpl", "icon.raw"]
-
-
-def test_a_stack_of_xrf_explorer_has_its_names(tmp_path):
-    path = dms(tmp_path)
-    facts = read_facts(path)
-    assert (facts.kind, facts.shape, facts.band_names) == ("dms", (2, 3, 4), NAMES)
-    assert np.array_equal(read_frame(path), COUNTS)
-    assert read_facts(dms(tmp_path, names=NAMES[:3])).band_names is None
-
-
-@pytest.mark.parametrize(("separator", "quote"), [(";", ""), (",", '"'), ("\t", "")])
-def test_a_table_of_pymca_is_read_without_its_deviations(tmp_path, separator, quote):
-    path = table(tmp_path, separator, quote)
-    facts = read_facts(path)
-    assert (facts.shape, facts.band_names) == ((2, 3, 4), NAMES)
-    assert "2 columns" in facts.notes[0]
-    assert np.array_equal(read_frame(path), COUNTS)
 
 
 @pytest.mark.parametrize(
@@ -94,24 +59,19 @@ def test_numbers_that_are_not_there_are_named(tmp_path):
     (tmp_path / "icon.raw").unlink()
     with pytest.raises(UnreadableCapture, match=r"Put icon\.raw beside icon\.rpl"):
         read_facts(path)
-    short = dms(tmp_path)
-    short.write_bytes(short.read_bytes()[:60])
+    path = ripple(tmp_path, COUNTS)
+    (tmp_path / "icon.raw").write_bytes((tmp_path / "icon.raw").read_bytes()[:60])
     with pytest.raises(UnreadableCapture, match="truncated"):
-        read_facts(short)
-    short.write_bytes(b"no stack\n")
-    with pytest.raises(UnreadableCapture, match="does not declare a size"):
-        read_facts(short)
-
-
-def test_a_table_that_lacks_a_pixel_or_is_none_is_refused(tmp_path):
-    path = table(tmp_path)
-    lines = path.read_text().splitlines()
-    path.write_text("\n".join(lines[:3] + lines[4:]))
-    with pytest.raises(UnreadableCapture, match="every pixel once"):
-        read_frame(path)
-    path.write_text("object,camera\nicon,d80\n")
-    with pytest.raises(UnreadableCapture, match="no table of maps"):
         read_facts(path)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".dms"])
+def test_tables_are_refused_with_what_to_export(tmp_path, suffix):
+    path = tmp_path / f"icon{suffix}"
+    path.write_text("row;column;Pb\n0;0;1\n")
+    with pytest.raises(UnreadableCapture) as refused:
+        kind_of(path)
+    assert "Ripple" in refused.value.problems[0].fix
 
 
 def test_maps_of_an_hdf5_file_of_pymca_are_read_and_links_are_not_followed(tmp_path):

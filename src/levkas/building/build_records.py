@@ -7,22 +7,24 @@ import json
 import os
 import re
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import count, groupby
 from typing import TYPE_CHECKING, Any
 
 from levkas.building.hashes import Hashes
 from levkas.building.records_file import NAME, read_rows, write_rows
 from levkas.core.digests import hash_file
-from levkas.core.files import make_folder, move_files, remove, write_text
+from levkas.core.files import make_folder, move_files, remove, write_bytes, write_text
 from levkas.core.internal_errors import CODE as INTERNAL
 from levkas.core.internal_errors import InternalError
 from levkas.core.json_safe import plain
 from levkas.core.problems import Problem, Refused
+from levkas.database.catalogue import MEASURED, DatabaseRefused, Entry, entry_of, read_catalogue
 from levkas.database.containment import stays_inside
-from levkas.database.layout import layer_name
+from levkas.database.layout import LayerId, layer_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from levkas.building.records_file import Change
@@ -57,6 +59,11 @@ class Key:
     def layer(self) -> str:
         """Camera and setup as frames and files name them: ``d80`` or ``d80@45-degree``."""
         return layer_name(self.camera, self.setup)
+
+    @property
+    def of(self) -> LayerId:
+        """Which layer it is of."""
+        return LayerId(self.object, self.camera, self.setup)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -139,18 +146,6 @@ class BuildRecords:
         """Return what a finished stage noted for later ones."""
         return dict(self._record(key).get("notes", {}))
 
-    def sent(self, key: Key) -> dict[str, Any]:
-        """Return what later stages read of the record of a finished stage, for the worker of a cluster."""
-        if not (record := self._record(key)):
-            return {}
-        read = ("products", "aside", *(("notes",) if key.stage == "calibrate" else ()))
-        own = {"record": record["sha256"]}
-        return {"fingerprint": own, **{part: record.get(part, {}) for part in read}}
-
-    def take(self, key: Key, record: Mapping[str, Any]) -> None:
-        """Take what `sent` gave in the process that keeps the records."""
-        self._known[key] = {DONE: dict(record)} if record else {}
-
     def recorded(self) -> list[Key]:
         """Return the stages that are recorded, or were being done anew when a build was interrupted."""
         found = []
@@ -176,6 +171,50 @@ class BuildRecords:
             for name, sha in self.products(key).items():
                 if _is_file(f"{self.output}{os.sep}{name}"):
                     yield name, sha
+
+    # --- finished layers --------------------------------------------------------------------------
+
+    @cached_property
+    def listed(self) -> dict[LayerId, Entry]:
+        """Rows of the measured layers in the catalogue of the build before this one."""
+        try:
+            return {e.layer: e for e in read_catalogue(self.output) if e.kind == MEASURED}
+        except DatabaseRefused:
+            return {}
+
+    def layers(self) -> list[Key]:
+        """Return the last stages of all layers that are recorded or listed."""
+        listed = {Key(e.object, e.camera, e.setup, STAGES[-1]) for e in self.listed.values()}
+        return sorted(listed | {key for key in self.recorded() if key.stage == STAGES[-1]})
+
+    def finished(self, key: Key) -> Entry | None:
+        """Return the row of the layer that a stage belongs to, where a build has finished it and it stands.
+
+        What is kept may have been deleted: then the catalogue says which layers were finished.
+        """
+        last = replace(key, stage=STAGES[-1])
+        cells = self.notes(last).get("entry")
+        row = entry_of(cells) if cells else None if self.is_begun(last) else self.listed.get(key.of)
+        return row if row and _is_file(self.output / f"{row.layer.path}.tif") else None
+
+    def copied(self, key: Key) -> tuple[dict[str, Any], dict[str, bytes]]:
+        """Return the record of a finished stage and the bytes of its products, for `put_back`."""
+        paths = {name: self.output / name for name in self.products(key)}
+        return self._record(key), {
+            n: path.read_bytes() for n, path in paths.items() if _is_file(path)
+        }
+
+    def put_back(self, key: Key, record: dict[str, Any], products: dict[str, bytes]) -> None:
+        """Undo what was written and recorded of a stage since it was `copied`."""
+        if not record or self._record(key) == record:
+            return
+        self.forget(key)
+        for name in self.made_by(key) - products.keys():
+            remove(self.output / name)
+        for name, data in products.items():
+            write_bytes(self.output / name, data)
+        row = _row(key, DONE, {part: record[part] for part in record if part != "sha256"})
+        self._write(key, (DROP, [key.names]), (RECORD, [row]))
 
     # --- what is fresh --------------------------------------------------------------------------
 
@@ -204,10 +243,6 @@ class BuildRecords:
             if not _is_file(path) or hash_file(path) != digest:
                 return name
         return ""
-
-    def hashes_of(self, key: Key) -> dict[str, str]:
-        """Return paths and hashes of everything that a finished stage made."""
-        return {path: digest for path, _, digest in self._made(self._record(key))}
 
     def _made(self, record: dict[str, Any]) -> Iterator[tuple[str, str, str]]:
         """Yield path, name and hash of everything that a stage made."""

@@ -21,6 +21,7 @@ from levkas.core.disk import WriteRefused
 from levkas.core.files import make_folder, write_json, write_text
 from levkas.core.internal_errors import as_refusal
 from levkas.core.problems import Problem, Refused
+from levkas.database.layout import LayerId
 from levkas.quality.targets.indicators import WhiteEvenness, lightness_spread
 from levkas.quality.targets.stray_light import NOT_MEASURED
 from levkas.stages.budget import budget_of
@@ -119,12 +120,31 @@ def write_camera_page(
     described = path.parent / "camera.json"
     write_json(described, describe_camera(campaign, page.first, measured, budgets))
     files += [path, described, *write_sensitivity(path.parent, campaign, page.first)]
+    stay = _charts_that_stay(page, campaign, places, records, files)
+    files += [path for paths in stay.values() for path in paths]
     # A chart that cannot be measured is no fault of the objects: reported, not refused.
     warnings = (
+        *(f"charts/{name}: of an earlier build: not measured now" for name in stay),
         *(written(campaign, problem) for problem in problems),
         *(f"{m.name}: {m.stray_light}" for m in measures if m.stray_light),
     )
     return Written(files, {"warnings": list(warnings), STRAYED: strayed}, warnings=warnings)
+
+
+def _charts_that_stay(
+    page: CameraPage,
+    campaign: Campaign,
+    places: Places,
+    records: BuildRecords,
+    files: Sequence[Path],
+) -> dict[str, list[Path]]:
+    """Return the files of charts that campaign.toml declares, and that this camera's frames do not show now, by their names."""
+    made = {places.output / name for name in records.made_by(page_key(page.camera))}
+    left = sorted(path for path in made - {*files} if path.is_file())
+    setups = ("", *campaign.setups)
+    stems = (LayerId(c, page.camera, s).stem for c in campaign.targets.charts for s in setups)
+    gone = {s for s in stems if any(path.name == f"{s}.json" for path in left)}
+    return {s: [p for p in left if p.name.startswith((f"{s}.", f"{s}_"))] for s in sorted(gone)}
 
 
 def stray_light_of(records: BuildRecords, capture: Capture) -> Mapping[str, Any]:
@@ -145,13 +165,9 @@ def prints_of_page(
     lost: Mapping[tuple[str, str], Step],
 ) -> dict[str, Any]:
     """Return the fingerprint of a camera's page; `lost` is how layers ended, or would, that are refused."""
-    keys, described, first = campaign.cameras[page.camera], campaign.campaign, page.first
+    keys, first = campaign.cameras[page.camera], page.first
     prints: dict[str, Any] = {
         **made_with("camera"),
-        "campaign.title": described.title,
-        "campaign.creator": described.creator,
-        "campaign.date": described.date,
-        "campaign.licence": described.licence,
         **_measured_in(page, records, inputs, lost),
         "charts refused": [written(campaign, p) for p in page.refused],
     }
@@ -194,9 +210,12 @@ def _measured_in(
     for capture in page.captures:
         key = key_of(capture, "calibrate")
         step = lost.get((capture.object, capture.layer))
-        if capture.setup in known or (step is not None and step.key == key):
+        made_of = "" if step is not None and step.key == key else inputs.digests.get(key, "")
+        if not made_of and (earlier := records.fingerprint(key)):
+            made_of = digest(earlier)
+        if capture.setup in known or not made_of:
             continue
-        found[f"sensor and light, by {capture.object}/{capture.layer}"] = inputs.calibrated(key)
+        found[f"sensor and light, by {capture.object}/{capture.layer}"] = made_of
         if any(_of_camera(records, key).values()):
             known.add(capture.setup)
     return found
@@ -367,7 +386,6 @@ def _page(
     return render_camera(
         CameraReport(
             title=camera,
-            subtitle=campaign.campaign.title,
             sensors=sensors,
             lights=lights,
             light_notes=notes,

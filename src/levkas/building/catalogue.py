@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
+from levkas.building.build_records import CATALOGUE, BuildRecords, Key
 from levkas.building.derived_layers import (
     Outdated,
     describe_outdated,
@@ -16,14 +17,14 @@ from levkas.building.derived_layers import (
 )
 from levkas.building.fingerprints import digest
 from levkas.building.graph import Step
+from levkas.building.outcomes import is_named
 from levkas.campaign.campaign import Campaign
-from levkas.campaign.discovery.captures import Capture
 from levkas.core.ownership import IMPRINT, MARK
 from levkas.database.layout import LayerId, Places
 from levkas.stages.sources import made_with
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
+    from collections.abc import Collection, Iterable, Mapping
 
     from levkas.campaign.campaign import Campaign
     from levkas.database.catalogue import Entry
@@ -35,15 +36,15 @@ def write_catalogue_of(
     campaign: Campaign,
     places: Places,
     records: BuildRecords,
-    captures: list[Capture],
+    earlier: Mapping[LayerId, str],
     names: list[str],
     *,
     whole: bool = True,
 ) -> Step:
     """Catalogue, indices and manifest, where a layer came, changed or went; else nothing.
 
-    Where not the `whole` campaign is built, other objects keep their rows; so does what a campaign no
-    longer has where it is kept. A build that runs beside this one ends before or
+    `earlier` says why layers are of an earlier build. Where not the `whole` campaign is built, other objects keep their
+    rows; so does what a campaign no longer has where it is kept. A build that runs beside this one ends before or
     after: the last to end has them all.
     """
     from levkas.building.claiming import in_turn
@@ -52,18 +53,18 @@ def write_catalogue_of(
 
     key = CATALOGUE
     with in_turn(places.kept):
-        rows = _entries(places, records, captures, names, whole=whole)
-        outdated = _outdated(places, records, rows, names, whole=whole)
-        entries = [entry for entry in rows if entry.layer not in outdated]
+        entries, outdated, why = _entries(campaign, places, records, earlier, names, whole=whole)
         imprint = imprint_of(campaign, entries)
         spectra = spectra_of(campaign, imprint["setups"])
         others = by_others(places, records)
         prints = _prints(entries, records, imprint, spectra, others)
-        why = describe_outdated(outdated) or records.why_stale(key, prints)
+        why = why or records.why_stale(key, prints)
+        stay = tuple(one.describe(layer) for layer, one in outdated.items() if not one.goes)
         if not why:
-            return Step(key, "fresh", warnings=foreign_files(others))
+            return Step(key, "fresh", warnings=(*stay, *foreign_files(others)))
         records.forget(key)
-        warnings = put_away_outdated(places, records, outdated)
+        go = {layer: one for layer, one in outdated.items() if one.goes}
+        warnings = (*stay, *put_away_outdated(places, records, go))
         paths = _published(places, entries, names, imprint, spectra)
         manifest = places.output / MANIFEST
         listed = [path.relative_to(places.output).as_posix() for path in (*paths, manifest)]
@@ -73,34 +74,19 @@ def write_catalogue_of(
     return Step(key, "done", why, warnings=(*warnings, *foreign_files(others)))
 
 
-def _outdated(
-    places: Places,
-    records: BuildRecords,
-    rows: Sequence[Entry],
-    names: Collection[str],
-    *,
-    whole: bool,
-) -> dict[LayerId, Outdated]:
-    """Return the layers made from others that are not of the database's layers any more."""
-    every = whole and not records.keep_removed
-    return outdated_layers(places, rows, names if every else None)
-
-
 def why_catalogue_is_stale(
     campaign: Campaign,
     places: Places,
     records: BuildRecords,
-    captures: list[Capture],
+    earlier: Mapping[LayerId, str],
     names: list[str],
     others: dict[str, str],
 ) -> str:
     """Report why the files about all layers are stale; `others` are those of `by_others`."""
-    rows = _entries(places, records, captures, names, whole=True)
-    if outdated := _outdated(places, records, rows, names, whole=True):
-        return describe_outdated(outdated)
+    rows, _, why = _entries(campaign, places, records, earlier, names, whole=True)
     imprint = imprint_of(campaign, rows)
     spectra = spectra_of(campaign, imprint["setups"])
-    return records.why_stale(CATALOGUE, _prints(rows, records, imprint, spectra, others))
+    return why or records.why_stale(CATALOGUE, _prints(rows, records, imprint, spectra, others))
 
 
 def by_others(places: Places, records: BuildRecords) -> dict[str, str]:
@@ -172,37 +158,47 @@ def _prints(
         "layers": digest({"rows": [e.to_row() for e in entries], "files": files}),
         "campaign": digest({"imprint": imprint, "mark": MARK}),
         "order of cameras and setups": [[*imprint["cameras"]], [*imprint["setups"]]],
-        "spectra": digest(spectra),
-        "files by others": digest(others),
+        "spectra": digest({"spectra": spectra}),
+        "files by others": digest({"files": others}),
     }
 
 
 def _entries(
-    places: Places, records: BuildRecords, captures: list[Capture], names: list[str], *, whole: bool
-) -> list[Entry]:
-    """One row a layer that stands in the database."""
-    from levkas.database.catalogue import MEASURED, DatabaseRefused, entry_of, read_catalogue
+    campaign: Campaign,
+    places: Places,
+    records: BuildRecords,
+    earlier: Mapping[LayerId, str],
+    names: Collection[str],
+    *,
+    whole: bool,
+) -> tuple[list[Entry], dict[LayerId, Outdated], str]:
+    """Return one row a layer that stands, the layers made from others that do not fit any more, and what of these is new."""
+    from levkas.database.catalogue import MEASURED, DatabaseRefused, read_catalogue
 
-    built = {(c.object, c.camera, c.setup) for c in captures}
     try:
-        stood = list(read_catalogue(places.output))
+        stood = {entry.layer: entry for entry in read_catalogue(places.output)}
     except DatabaseRefused:
-        stood = []
+        stood = {}
+    derived = [entry for entry in stood.values() if entry.kind != MEASURED]
+    keys = (
+        k for k in records.layers() if records.is_begun(k) or not whole or is_named(campaign, k)
+    )
+    rows = [row for key in keys if (row := records.finished(key))] + derived
+
+    def has_left(name: str) -> bool:
+        return whole and not records.keep_removed and not is_named(campaign, Key(name))
+
+    outdated = outdated_layers(places, rows, has_left)
+    go = {layer for layer, one in outdated.items() if one.goes}
+    why = {layer: entry.earlier for layer, entry in stood.items() if entry.object not in names}
+    why |= {**earlier, **{layer: one.why for layer, one in outdated.items() if layer not in go}}
     entries = [
-        e
-        for e in stood
-        if e.kind != MEASURED
-        or (not whole and e.object not in names)
-        or (
-            records.keep_removed
-            and (e.object, e.camera, e.setup) not in built
-            and records.notes(Key(e.object, e.camera, e.setup, "resample"))
-        )
+        replace(row, earlier=why.get(row.layer, ""))
+        for row in sorted(rows, key=lambda row: (row.object, row.camera, row.setup))
+        if row.kind == MEASURED or row.layer not in go
     ]
-    for capture in captures:
-        if row := records.notes(key_of(capture, "resample")).get("entry"):
-            entries.append(entry_of(row))
-    return sorted(entries, key=lambda entry: (entry.object, entry.camera, entry.setup))
+    new = {n: one for n, one in outdated.items() if n in go or stood[n].earlier != one.why}
+    return entries, outdated, describe_outdated(new)
 
 
 def _published(

@@ -8,12 +8,10 @@ import os
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from socket import gethostname
 from typing import TYPE_CHECKING
 
 from levkas.campaign.campaign import CampaignInvalid
 from levkas.campaign.schema.cross_checks import unusable_output
-from levkas.core.disk import refusing
 from levkas.core.locks import take
 from levkas.core.ownership import IMPRINT, MARK, made, require_outside, require_path, stands_in
 from levkas.core.problems import Problem, Refused
@@ -27,8 +25,6 @@ if TYPE_CHECKING:
 
 OWNER = "campaign.json"
 """Among what is kept: the folder of the campaign, relative, so that both may be moved together."""
-IN_USE = "build.lock"
-"""Among what is kept: held by every build while it runs; who holds it alone is in it."""
 FIX = 'Give a new folder with -o, or write output = "database".'
 
 
@@ -196,48 +192,3 @@ def in_turn(folder: Path, *, patience_s: float = PATIENCE_S) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
-
-
-@contextlib.contextmanager
-def building(folder: Path, *, workers: bool) -> Iterator[None]:
-    """Hold the records of a database, in `folder`, for one build; builds with workers are alone.
-
-    Builds in one process each are let in together: they end in the same bytes. What a build with
-    workers requests is taken back by another one, whose records its workers then wait for. A lock ends
-    with its process, and on a file system without locks everybody is let in.
-
-    Raises
-    ------
-    Refused
-        ``E_BUSY``, at once.
-    """
-    path = folder / IN_USE
-    with refusing(path, None):
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-    try:
-        if take(descriptor, shared=not workers) is False:
-            alone = not (workers and take(descriptor, shared=True))
-            who = os.pread(descriptor, 200, 0).decode("utf-8", "replace") if alone else ""
-            raise Refused(_busy(path, who or "a build in one process", workers=workers))
-        if workers:
-            with contextlib.suppress(OSError):
-                os.ftruncate(descriptor, 0)
-                os.pwrite(descriptor, f"process {os.getpid()} of {gethostname()}".encode(), 0)
-        yield
-    finally:
-        os.close(descriptor)
-
-
-def _busy(path: Path, who: str, *, workers: bool) -> Problem:
-    message = "another build of this database is under way"
-    if not workers:
-        message = "a build with workers of this database is under way"
-    return Problem(
-        "E_BUSY",
-        message,
-        str(path.parent),
-        "--workers" if workers else None,
-        who,
-        "no other build while workers are used",
-        "Wait for it, or stop it; then build again. Finished stages are kept.",
-    )

@@ -1,4 +1,4 @@
-"""Layers of a database that were made from others, estimated or spliced: those that no longer fit their sources."""
+"""Layers of a database that were made from others, estimated or spliced: those that no longer fit their sources stay, marked."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from levkas.database.layout import KINDS, MADE_OF, LayerId
 from levkas.database.manifest import walk_files
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from levkas.building.build_records import BuildRecords
     from levkas.database.catalogue import Entry
@@ -19,17 +19,22 @@ if TYPE_CHECKING:
 
 
 class Outdated(NamedTuple):
-    """A layer made from others that is not of what the database holds now: how it was made, and why."""
+    """A layer made from others that is not of what the database holds now: how it was made, why, and whether it goes."""
 
     kind: str
     why: str
+    goes: bool = False
+
+    def describe(self, layer: LayerId) -> str:
+        """Return the warning of one that stays."""
+        return f"{layer.object}/{layer.name}: of an earlier build: {self.why}. {AGAIN[self.kind]}"
 
 
-MADE_BY = {ESTIMATED: "levkas estimate apply", SPLICED: "levkas splice"}
+AGAIN = {ESTIMATED: "`levkas estimate apply` makes it again", SPLICED: "splice its sources again"}
 
 
 def outdated_layers(
-    places: Places, entries: Sequence[Entry], names: Collection[str] | None
+    places: Places, entries: Sequence[Entry], has_left: Callable[[str], bool]
 ) -> dict[LayerId, Outdated]:
     """Return the layers made from others that are not of what the database holds now, and why.
 
@@ -38,16 +43,16 @@ def outdated_layers(
     places : Places
     entries : sequence of Entry
         Rows of the catalogue, those of measured layers as they are now.
-    names : collection of str, optional
-        Objects of the campaign; None where others may be in the database.
+    has_left : callable
+        Tells whether campaign.toml no longer names an object; its layers go, as one does whose name a camera takes.
     """
     measured = {entry.layer: entry.sha256 for entry in entries if entry.kind == MEASURED}
     found = {}
     for layer, kind in ((entry.layer, entry.kind) for entry in entries if entry.kind != MEASURED):
-        if names is not None and layer.object not in names:
-            found[layer] = Outdated(kind, f"{layer.object} is no longer in the campaign")
+        if has_left(layer.object):
+            found[layer] = Outdated(kind, f"{layer.object} is no longer in the campaign", goes=True)
         elif layer in measured:
-            found[layer] = Outdated(kind, "a camera of the campaign has its name")
+            found[layer] = Outdated(kind, "a camera of the campaign has its name", goes=True)
         elif why := _why_outdated(places, layer, kind, measured):
             found[layer] = Outdated(kind, why)
     return found
@@ -73,9 +78,9 @@ def describe_outdated(outdated: Mapping[LayerId, Outdated]) -> str:
     """Report in a line what is outdated; empty for nothing."""
     if not outdated:
         return ""
-    first, (_, why) = next(iter(outdated.items()))
+    first, one = next(iter(outdated.items()))
     more = f" and {len(outdated) - 1} more" if len(outdated) > 1 else ""
-    return f"{counted(len(outdated), 'layer')} made from others: {first.object}/{first.name}{more}, {why}"
+    return f"{counted(len(outdated), 'layer')} made from others: {first.object}/{first.name}{more}, {one.why}"
 
 
 def put_away_outdated(
@@ -83,11 +88,11 @@ def put_away_outdated(
 ) -> tuple[str, ...]:
     """Move outdated layers out of the database; return a warning for each."""
     warnings = []
-    for layer, (kind, why) in outdated.items():
+    for layer, (kind, why, _) in outdated.items():
         where = records.put_away(_files_of(places, layer))
         warnings.append(
             f"{layer.object}/{layer.name}: this layer is {kind}, and {why}; it was moved to "
-            f"{where or 'nowhere: its files are gone'}. `{MADE_BY[kind]}` makes it again"
+            f"{where or 'nowhere: its files are gone'}. {AGAIN[kind]}"
         )
     return tuple(warnings)
 

@@ -34,8 +34,6 @@ class Executor:
     written in a thread each.
     """
 
-    warnings: tuple[str, ...] = ()
-
     def __init__(
         self,
         outcomes: Outcomes,
@@ -91,6 +89,7 @@ class Executor:
             yield step
             return
         plan = [self._outcomes.due(task) for task in tasks]
+        yield from self._outcomes.describe(plan)
         due = [one.task for one in plan if one.why]
         for key in dict.fromkeys(key for task in due for key in (*task.needs, *task.uses)):
             if all(task.key != key for task in tasks):
@@ -126,7 +125,7 @@ class Executor:
 
     def _run(self, plan: Sequence[Due]) -> Iterator[Step]:
         layer = (plan[0].task.key.object, plan[0].task.key.layer)
-        for task, prints, why in plan:
+        for task, prints, why, _ in plan:
             registers = task.key.stage == "register"
             if registers:
                 # Two cubes at once are enough; the one of the capture before goes first.
@@ -205,8 +204,6 @@ class Executor:
 class DryRun:
     """Stands in for the executor where nothing is to be done: `status`."""
 
-    warnings: tuple[str, ...] = ()
-
     def __init__(self, outcomes: Outcomes) -> None:
         self._outcomes = outcomes
 
@@ -216,6 +213,7 @@ class DryRun:
         for task in tasks:
             layer = task.key.object, task.key.layer
             due = outcomes.due(task)  # other setups are compared with what this would be
+            yield from outcomes.describe([due])
             if layer in outcomes.lost:
                 continue
             step = outcomes.without_reference(task) or outcomes.state(due)

@@ -31,26 +31,25 @@ CALIBRATION_KEYS = (
 )  # fmt: skip
 ROLES = ("object", "dark", "white", "chart")
 OF_A_FRAME = ("band", "wavelength", "exposure_s", "shot", "page", "tile")
-ONLY_WRITTEN = {
-    "calibrate": ("campaign.", "objects.", "tag 65000", "database."),
-    "register": ("grid.", "objects.", "cameras.", "file "),
-}
-"""Beginnings of what a stage writes beside its numbers: credits, native pixels, the published frame, a camera's
-own channel. What is made of the numbers alone does not depend on it."""
+FACTS = ("campaign.creator", "campaign.date", "campaign.licence", "objects.", "tag 65000")
+"""Beginnings of what a stage writes about its pixels: credits, the object's size, centroids. It is written anew, and
+nothing else is done."""
 
 
-def digest(prints: dict[str, Any], *, numbers_of: str = "") -> str:
-    """Hash a fingerprint, so that what depends on it can name it.
+def digest(prints: dict[str, Any]) -> str:
+    """Hash what pixels are made of, so that what depends on them can name it: neither facts nor whether native ones are written.
 
-    `numbers_of` names a stage of whose products only the numbers are read.
-
-    >>> digest({"campaign.licence": "CC0"}, numbers_of="calibrate") == digest({})
+    >>> digest({"campaign.licence": "CC0"}) == digest({"database.native": True})
     True
     """
-    left_out = ONLY_WRITTEN.get(numbers_of, ())
-    prints = {k: v for k, v in prints.items() if not k.startswith(left_out or ("\0",))}
+    prints = without(prints, (*FACTS, "database."))
     text = json.dumps(prints, sort_keys=True, ensure_ascii=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def without(prints: dict[str, Any], beginnings: tuple[str, ...] = FACTS) -> dict[str, Any]:
+    """Return a fingerprint without what begins with one of some texts."""
+    return {k: v for k, v in prints.items() if not k.startswith(beginnings)}
 
 
 class Inputs:
@@ -67,7 +66,6 @@ class Inputs:
     def __init__(self, campaign: Campaign, records: BuildRecords, *, unread: bool = False) -> None:
         self.campaign, self.records, self._unread = campaign, records, unread
         self.digests: dict[Key, str] = {}
-        self._numbers: dict[Key, str] = {}
 
     def of(self, task: Task, refused: Collection[tuple[str, str]]) -> dict[str, Any]:
         """Return the fingerprint of a task; those that it reads have had theirs.
@@ -79,12 +77,7 @@ class Inputs:
         except Exception as error:  # the stage meets it again, and is refused for it
             prints = {UNREADABLE: f"{type(error).__name__}: {error}"}
         self.digests[task.key] = digest(prints)
-        self._numbers[task.key] = digest(prints, numbers_of=task.key.stage)
         return prints
-
-    def calibrated(self, key: Key) -> str:
-        """Return what the numbers of a calibration are made of; empty where it is not of this plan."""
-        return self._numbers.get(key, "")
 
     def _prints(self, task: Task, refused: Collection[tuple[str, str]]) -> dict[str, Any]:
         capture, lead = task.capture, task.reference
@@ -96,28 +89,29 @@ class Inputs:
         if stage == "resample":
             ends = (self.digests[key_of(c, "register")] for c in (capture, lead))
             default = Key(capture.object, capture.camera, "", "resample")
-            known = capture.setup and (default.object, default.layer) not in refused
-            other = self.digests.get(default, "") if known else ""
+            other = self.digests.get(default, "") if capture.setup else ""
+            if (
+                capture.setup and (default.object, default.layer) in refused
+            ):  # that of an earlier build
+                made_of = self.records.fingerprint(default)
+                other = digest(made_of) if made_of else ""
             return of_resampling(campaign, capture, hashes, *ends, default=other)
-        ends = (self._numbers[key_of(c, "calibrate")] for c in (capture, lead))
+        ends = (self.digests[key_of(c, "calibrate")] for c in (capture, lead))
         prints = of_registration(campaign, capture, hashes, *ends)
         if not task.leads:
-            prints["registration of the reference"] = self._numbers[key_of(lead, "register")]
+            prints["registration of the reference"] = self.digests[key_of(lead, "register")]
         return prints
 
 
 def of_calibration(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict[str, Any]:
     """Files, templates, keys of the camera and of its white."""
     camera = campaign.cameras[capture.camera]
-    prints: dict[str, Any] = {
-        **made_with("calibrate"),
-        **_credits(campaign, capture.object),
-    }
+    prints: dict[str, Any] = made_with("calibrate")
     if campaign.database.native:
-        prints["database.native"] = True
+        prints |= {"database.native": True, **_credits(campaign, capture.object)}
+        prints |= _centroids(campaign, capture, hashes)
     for key in CALIBRATION_KEYS:
         prints[f"cameras.{camera.name}.{key}"] = getattr(camera, key)
-    prints |= _centroids(campaign, capture, hashes)
     white = campaign.targets.white
     if white and any(sensor.white for sensor in capture.sensors):
         prints["targets.white.reflectance"] = white.reflectance
@@ -206,17 +200,16 @@ def of_registration(
     frame means.
     """
     grid, keys = _grid(campaign), campaign.cameras[capture.camera]
-    facts = campaign.objects.get(capture.object)
     prints: dict[str, Any] = {
         **made_with("register"),
         "calibrated frames": calibrated,
         "frames of the reference": reference,
         "campaign.reference": campaign.reference.model_dump(),
         f"cameras.{keys.name}.reference_band": keys.reference_band,
-        f"objects.{capture.object}.size_mm": facts.size_mm if facts else None,
+        f"objects.{capture.object}.size_mm": size_of(campaign, capture.object),
         **grid,
     }
-    # Not under "objects.": what is made of the numbers alone depends on it.
+    # Not under "objects.": it is no fact that is only written.
     if corners := campaign.outline_of(capture.object)[0]:
         prints["outline of the object"] = [list(corner) for corner in corners]
     if isinstance(grid["grid.region"], tuple):  # declared in the turned frame, registered within
@@ -266,8 +259,8 @@ def of_resampling(
         prints[f"cameras.{camera.name}.level_tiles"] = True
     prints |= {**_grid(campaign), **_credits(campaign, capture.object)}
     prints |= _centroids(campaign, capture, hashes)
-    size = _facts(campaign, capture.object).get("size_mm")
-    return plain({**prints, f"objects.{capture.object}.size_mm": size})
+    prints[f"objects.{capture.object}.size_mm"] = size_of(campaign, capture.object)
+    return plain(prints)
 
 
 def of_report(
@@ -283,11 +276,14 @@ def of_report(
     prints.update({f"layer {layer}": value for layer, value in layers.items()})
     for key, value in _facts(campaign, name).items():
         prints[f"objects.{name}.{key}"] = value
-    for key in ("title", "date", "licence", "reference"):
+    for key in ("title", "creator", "date", "licence", "reference"):
         prints[f"campaign.{key}"] = getattr(campaign.campaign, key)
     for layer in order:
         if word := campaign.edits.confirmed.get((name, layer)):
             prints[f"edits.toml: confirmation of {layer}"] = dict(word)
+    prints["database.native"] = campaign.database.native
+    for capture in captures:
+        prints |= _centroids(campaign, capture, hashes)
     for capture in captures if len(captures) > 1 else ():  # which are compared
         spectra = _spectra_of_bands(campaign, capture, hashes)
         prints |= {f"bands of {capture.layer}: {key}": value for key, value in spectra.items()}
@@ -329,6 +325,12 @@ def _credits(campaign: Campaign, name: str) -> dict[str, Any]:
     return titles | {
         f"campaign.{key}": getattr(described, key) for key in ("creator", "date", "licence")
     }
+
+
+def size_of(campaign: Campaign, name: str) -> tuple[float, float] | None:
+    """Return the declared size of an object, (width, height) mm."""
+    facts = campaign.objects.get(name)
+    return facts.size_mm if facts else None
 
 
 def _facts(campaign: Campaign, name: str) -> dict[str, Any]:

@@ -228,8 +228,7 @@ class Step:
     """One stage of one capture, as it begins (``state = "running"``) or as it has ended.
 
     `done` of `total` stages are behind us, this one counted where it has ended, and `place` is the stage's
-    in the graph. The last step of a build has the database's folder as its `output`. `where` says of a
-    cluster how many workers it has, and how many tasks wait for memory.
+    in the graph. The last step of a build has the database's folder as its `output`.
     """
 
     key: Key
@@ -241,7 +240,8 @@ class Step:
     warnings: tuple[str, ...] = ()
     output: Path | None = None
     place: int = 0
-    where: str = ""
+    earlier: str = ""
+    """Of a refused stage: why its layer stays, which an earlier build finished."""
 
     @property
     def finished(self) -> bool:
@@ -262,7 +262,8 @@ class Step:
 
     def to_dict(self) -> dict[str, str]:
         """Return the record of `build --json`."""
-        return {**self.key.to_dict(), "state": self.state, "why": self.why}
+        earlier = {"earlier": self.earlier} if self.earlier else {}
+        return {**self.key.to_dict(), "state": self.state, "why": self.why, **earlier}
 
 
 @dataclass(frozen=True)

@@ -110,12 +110,6 @@ class Hashes:
                 self._others = dict(_sound_entries(rows))
             return self._others.get(os.fsencode(path))
 
-    def take(self, path: str | Path, entry: Sequence[Any]) -> None:
-        """Take stamp and hash of a file that another process has read, where the file has that stamp still."""
-        with suppress(OSError):
-            if (stamp := stamp_of(path)) == (*entry[:-1],):
-                self._learn(path, (*stamp, entry[-1]), old_enough=True)
-
     def _learn(self, path: str | Path, entry: Entry, *, old_enough: bool) -> None:
         name = os.fsencode(path)
         with self._lock:

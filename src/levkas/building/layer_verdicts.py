@@ -85,7 +85,8 @@ def standing_lines(report: BuildReport) -> list[str]:
 
     A layer that a build would make anew has the verdict that it got before; one that was never built has no line.
     """
-    stale = {(s.key.object, s.key.layer) for s in report.stages if s.state == "stale"}
+    steps = (s for s in report.stages if s.state == "stale" and s.key.stage != "describe")
+    stale = {(s.key.object, s.key.layer) for s in steps}
     lines = []
     for row in layer_verdicts(report):
         if "stage" in row:
@@ -146,6 +147,7 @@ def _row(output: Path, name: str, camera: str, setup: str, steps: Sequence[Step]
             "codes": [p.code for p in problems],
             "reasons": [p.message for p in problems] or [first.why],
             "next_step": " ".join(dict.fromkeys(p.fix for p in problems if p.fix)),
+            **({"earlier": first.earlier} if first.earlier else {}),
         }
     path = Places(output).registration(name, layer_name(camera, setup))
     try:

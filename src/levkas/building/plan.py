@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from levkas.building.build_records import Key, key_of
+from levkas.building.build_records import BuildRecords, Key, key_of
 from levkas.building.camera_pages import CameraPage, camera_pages
 from levkas.building.graph import Graph, Step, graph_of, ordered
-from levkas.building.outcomes import NoReference, refused_step
+from levkas.building.outcomes import is_named, no_reference, refused_step
 from levkas.campaign.campaign import Campaign, CampaignInvalid, load_campaign
-from levkas.campaign.discovery.captures import Capture, Refusals
+from levkas.campaign.discovery.captures import Capture, CaptureRefused, Refusals
 from levkas.campaign.discovery.check_names import check_edits, check_names
 from levkas.campaign.discovery.file_index import scan_folders
 from levkas.campaign.discovery.find_captures import find_captures
@@ -54,8 +54,32 @@ class Plan:
             found[name].append(refused_step(Key(name, camera, setup, "calibrate"), refused))
         for capture in self.captures:
             if key_of(capture, "calibrate") not in self.graph:
-                found[capture.object].append(_without_reference(self, capture))
+                camera = self.campaign.reference.camera
+                lost = self.refusals.get((capture.object, camera, ""))
+                why = lost.problems[0].message if lost else "no capture"
+                found[capture.object].append(no_reference(capture, camera, why))
         return found
+
+    def with_missing(self, records: BuildRecords, objects: Container[str] | None = None) -> Plan:
+        """Return the plan with a refusal of every finished layer that campaign.toml names, and of which no frame was found."""
+        known = {(c.object, c.camera, c.setup) for c in self.captures} | {*self.refusals}
+        missing: Refusals = {
+            (key.object, key.camera, key.setup): CaptureRefused(
+                Problem(
+                    "E_NO_FRAMES",
+                    f"{key.layer}: no frame of {key.object} was found, of which the database has a layer",
+                    str(self.campaign.path),
+                    f"cameras.{key.camera}.files",
+                    fix="Bring the frames back, or take what is to go out of campaign.toml: the camera, or the object out "
+                    "of `targets.objects`. A single layer goes with its TIFF.",
+                )
+            )
+            for key in records.layers()
+            if (objects is None or key.object in objects)
+            and (key.object, key.camera, key.setup) not in known
+            if is_named(self.campaign, key) and records.finished(key)
+        }
+        return replace(self, refusals={**self.refusals, **missing})
 
     def of(self, objects: Sequence[str]) -> Plan:
         """Return the plan of some objects; raises CampaignInvalid where there is none of a name."""
@@ -132,17 +156,3 @@ def _check_edits(campaign: Campaign, captures: list[Capture], refusals: Refusals
             campaign.root / FILE_NAME,
             campaign.reference.camera,
         )
-
-
-def _without_reference(plan: Plan, capture: Capture) -> Step:
-    """Return the step of a capture that there is nothing to register to."""
-    name, reference = capture.object, plan.campaign.reference.camera
-    lost = plan.refusals.get((name, reference, ""))
-    problem = Problem(
-        "E_NO_REFERENCE",
-        f"{name}: the reference camera {reference} has no image, so no camera can be registered",
-        field="campaign.reference",
-        found=lost.problems[0].message if lost else "no capture",
-        fix="Correct the frames of the reference camera first.",
-    )
-    return refused_step(key_of(capture, "calibrate"), NoReference(problem))

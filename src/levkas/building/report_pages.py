@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -13,16 +14,19 @@ from levkas.building import fingerprints
 from levkas.building.build_records import Key, key_of
 from levkas.building.camera_pages import stray_light_of
 from levkas.building.fingerprints import written
-from levkas.building.graph import keys_of
+from levkas.building.graph import is_reference, keys_of
 from levkas.calibration.chart_light import CHART_WHITE
+from levkas.calibration.error_sources import ErrorSource
 from levkas.calibration.sensor_context import Times, times_of
+from levkas.campaign.discovery.captures import Capture, SensorFrames
 from levkas.campaign.schema.toml import to_toml
 from levkas.core.files import make_folder, together, write_json, write_text
 from levkas.core.instructions import describe_instructions
 from levkas.core.problems import Refused
-from levkas.core.text import counted
+from levkas.core.text import counted, read_json
 from levkas.core.threads import each
-from levkas.database.layout import LayerId
+from levkas.database.described import open_tiff
+from levkas.database.layout import LayerId, layer_name
 from levkas.database.region_uncertainty import LayerBudget
 from levkas.database.registrations import (
     describe_lying,
@@ -62,14 +66,12 @@ from levkas.stages.sources import LIBRARIES, LIBRARIES_OF_PAGES, library_version
 from levkas.stages.spectra import weights_of_bands
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from levkas.building.build_records import BuildRecords
     from levkas.building.graph import Step
-    from levkas.calibration.error_sources import ErrorSource
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
 
     Budgets = Mapping[str, tuple[ErrorSource, ...]]
@@ -88,27 +90,38 @@ def write_report(
     campaign: Campaign,
     places: Places,
     records: BuildRecords,
+    name: str,
     captures: list[Capture],
     steps: list[Step],
+    earlier: Mapping[LayerId, str],
 ) -> list[Path]:
     """Write the page of an object, its museum facts and its provenance; return the files.
+
+    `earlier` says which layers are of an earlier build, and why: what is known of these stays.
 
     Raises
     ------
     WriteRefused
     """
-    name = captures[0].object
+    why = {layer: text for layer, text in earlier.items() if layer.object == name}
+    captures = _as_layers_stand(campaign, places, captures, why)
     folder = places.folder(name)
     page, facts, made_of = (folder / n for n in ("report.html", "object.toml", PROVENANCE))
     described = campaign.objects.get(name)
     make_folder(folder)
+    before = _steps_of(made_of, why)
     budgets = {c.layer: _budget_of(campaign, records, c) for c in captures}
+    for layer, own in before.items():
+        rows = (row for step in own for row in step.get("uncertainty", ()))
+        budgets[layer] = tuple(map(ErrorSource.from_dict, rows))
     registered = _registrations(places, captures)
     compare = partial(_agreement, campaign, places, records, captures, budgets, registered)
     draw = partial(_drawn, campaign, places, records, captures, budgets, registered)
     # Layers are compared in compiled code, and drawn under the interpreter's lock.
     pairs, (layers, rows) = each(lambda make: make(), (compare, draw))
     sampling = _sampling(registered.get(captures[0].layer))
+    words = {layer.name: text for layer, text in why.items()}
+    layers = [replace(one, earlier=words.get(one.name, "")) for one in layers]
     html = report_of(campaign, places, captures, steps, layers, rows, sampling, pairs)
     with together(partial(records.forget, Key(name, stage="report"))):
         write_text(page, html)
@@ -116,6 +129,8 @@ def write_report(
             facts, to_toml({"name": name, **(described.museum_facts() if described else {})})
         )
         record = provenance_of(campaign, records, captures, budgets)
+        new = [s for s in record["steps"] if layer_name(s["camera"], s["setup"]) not in before]
+        record["steps"] = [*new, *(step for own in before.values() for step in own)]
         write_json(made_of, {**record, "agreement": [pair.to_dict() for pair in pairs]})
     return [page, facts, made_of]
 
@@ -181,6 +196,27 @@ def report_of(
     )
 
 
+def _as_layers_stand(
+    campaign: Campaign, places: Places, captures: Sequence[Capture], earlier: Iterable[LayerId]
+) -> list[Capture]:
+    """Return the captures of an object, the reference first; those of layers of earlier builds with the bands that these have."""
+    found = {LayerId(c.object, c.camera, c.setup): c for c in captures}
+    for one in earlier:
+        bands = open_tiff(places.output / f"{one.path}.tif").bands
+        sensors = (SensorFrames("", None, bands, "measure", ()),)
+        found[one] = Capture(one.object, one.camera, one.setup, sensors)
+    return sorted(found.values(), key=lambda capture: not is_reference(campaign, capture))
+
+
+def _steps_of(path: Path, earlier: Iterable[LayerId]) -> dict[str, list[dict[str, Any]]]:
+    """Return what a provenance has of some layers, by their names."""
+    names, found = {layer.name for layer in earlier}, dict[str, list[dict[str, Any]]]()
+    with suppress(Refused, KeyError):
+        for step in read_json(path)["steps"] if names else ():
+            found.setdefault(layer_name(step["camera"], step["setup"]), []).append(step)
+    return {layer: steps for layer, steps in found.items() if layer in names}
+
+
 def _registrations(places: Places, captures: Sequence[Capture]) -> Registrations:
     """Read the records of the layers of an object, by their names."""
     paths = {c.layer: places.registration(c.object, c.layer) for c in captures}
@@ -233,7 +269,8 @@ def _agreement(
         notes = records.notes(key_of(capture, "calibrate"))
         layer = LayerId(capture.object, capture.camera, capture.setup)
         written = places.layer(capture.object, capture.camera, capture.setup).is_file()
-        if not written or notes.get("quantity") != "reflectance":
+        grids = [registrations.get(one, {}).get("grid") for one in (order[0].layer, capture.layer)]
+        if not written or grids[0] != grids[1] or notes.get("quantity") != "reflectance":
             continue
         layers.append(layer)
         shared = records.notes(key_of(capture, "resample")).get("noise_correlation", [[1.0]])

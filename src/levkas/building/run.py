@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from importlib.util import find_spec
 from itertools import chain, groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from levkas.building import fingerprints
 from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
@@ -23,9 +20,8 @@ from levkas.building.catalogue import (
     why_catalogue_is_stale,
     write_catalogue_of,
 )
-from levkas.building.claiming import building, check_apart, claim, places_of
+from levkas.building.claiming import check_apart, claim, places_of
 from levkas.building.executor import DryRun, Executor
-from levkas.building.fingerprints import Inputs
 from levkas.building.graph import BuildReport, Graph, Step, Task, draw, page_key, summarise
 from levkas.building.hashes import hashes_of_session
 from levkas.building.outcomes import (
@@ -34,7 +30,7 @@ from levkas.building.outcomes import (
     Outcomes,
     describe,
     is_of_the_disk,
-    no_longer_there,
+    no_longer_named,
     put_away_stage,
     refused_step,
     removal,
@@ -45,18 +41,14 @@ from levkas.building.records_file import sweep_older_records
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.edits import sweep_corrections
 from levkas.core.internal_errors import as_refusal
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Refused
 from levkas.database.layout import Places
 from levkas.stages.template_cache import TemplateCache
 from levkas.stages.written import Written
 
 if TYPE_CHECKING:
-    from levkas.building.cluster_executor import ClusterExecutor
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
-
-SCHEDULER = "DASK_SCHEDULER_ADDRESS"
-"""The variable by which dask's own programs know their scheduler."""
 
 
 def build(
@@ -66,9 +58,6 @@ def build(
     objects: list[str] | None = None,
     keep_removed: bool = False,
     verify: bool = False,
-    cluster: str | None = None,
-    workers: int | None = None,
-    insecure: bool = False,
 ) -> Iterator[Step]:
     """Build the database of a campaign, yielding each stage as it begins and as it ends.
 
@@ -85,13 +74,6 @@ def build(
         are moved to the folder OUTPUT.removed otherwise.
     verify : bool
         Read every file anew, whatever its size, times and inode say.
-    cluster : str, optional
-        Address of a dask scheduler, ``tcp://HOST:PORT``, whose workers do the tasks; else that in
-        $DASK_SCHEDULER_ADDRESS. They see all files under the same paths.
-    workers : int, optional
-        Processes of this machine that do the tasks; 0: this one, whatever the variable says.
-    insecure : bool
-        Go on where the scheduler is another machine's and the connection is not encrypted.
 
     Yields
     ------
@@ -101,8 +83,7 @@ def build(
     Raises
     ------
     Refused
-        Where the campaign itself cannot be read, the output cannot be written, or the cluster cannot be
-        used.
+        Where the campaign itself cannot be read, or the output cannot be written.
 
     Examples
     --------
@@ -113,35 +94,32 @@ def build(
     """
     from levkas.core.sweeping import sweep
 
-    where = _chosen(cluster, workers, insecure)
     campaign = load_campaign(path)
     places = places_of(campaign, output)
     whole = plan_of(campaign)
     plan = whole.of(objects) if objects else whole
     spectra_of(campaign, setups_of(campaign))  # refused before any work
     claim(campaign, places, whole.captures, whole.names)
-    with building(places.kept, workers=where is not None):
-        for folder in (places.output, places.kept):
-            sweep(folder)
-        sweep_older_records(places.kept)
-        sweep_corrections(campaign.root)
-        records = BuildRecords(
-            places.kept, places.output, keep_removed=keep_removed, verify=verify,
-            session=hashes_of_session(campaign.root),
-        )  # fmt: skip
-        removed = no_longer_there(
-            campaign, records, plan.captures, plan.refusals, plan.pages, objects
-        )
-        total = _count(plan) + bool(describe(removed, records))
-        digests = records.hashes.of_frame if len(plan.names) > 1 else None
-        templates = TemplateCache(places.kept / "templates", digests)
-        outcomes = Outcomes(campaign, places, records, plan.graph)
-        with _executor(where, outcomes, templates) as executor:
-            steps = _steps(plan, outcomes, executor, templates, removed, whole=not objects)
-            yield from _numbered(steps, plan.graph, total)
-        if not objects:
-            templates.remove_all_but(_used_templates(records))
-        records.hashes.save()
+    for folder in (places.output, places.kept):
+        sweep(folder)
+    sweep_older_records(places.kept)
+    sweep_corrections(campaign.root)
+    records = BuildRecords(
+        places.kept, places.output, keep_removed=keep_removed, verify=verify,
+        session=hashes_of_session(campaign.root),
+    )  # fmt: skip
+    plan = plan.with_missing(records, objects)
+    removed = no_longer_named(campaign, records, objects)
+    total = _count(plan) + bool(describe(removed, records))
+    digests = records.hashes.of_frame if len(plan.names) > 1 else None
+    templates = TemplateCache(places.kept / "templates", digests)
+    outcomes = Outcomes(campaign, places, records, plan.graph)
+    executor = Executor(outcomes, templates)
+    steps = _steps(plan, outcomes, executor, templates, removed, whole=not objects)
+    yield from _numbered(steps, plan.graph, total)
+    if not objects:
+        templates.remove_all_but(_used_templates(records))
+    records.hashes.save()
 
 
 def _used_templates(records: BuildRecords) -> set[str]:
@@ -150,66 +128,10 @@ def _used_templates(records: BuildRecords) -> set[str]:
     return {name for key in keys for name in records.notes(key).get("templates", ())}
 
 
-class Where(NamedTuple):
-    """Workers of a cluster: of a scheduler, or so many of this machine."""
-
-    address: str
-    workers: int
-    insecure: bool
-
-
-def _chosen(cluster: str | None, workers: int | None, insecure: bool) -> Where | None:
-    """Return where tasks are done; None for this process. Raises Refused where that cannot be."""
-    if cluster and workers is not None:
-        raise Refused(
-            Problem(
-                "E_VALUE",
-                "--cluster and --workers cannot be combined",
-                field="--workers",
-                found=str(workers),
-                fix="Give one of them.",
-            )
-        )
-    address = cluster or (os.environ.get(SCHEDULER, "") if workers is None else "")
-    if not address and not workers:
-        return None
-    needed = {"distributed": "dask.distributed", "cryptography": "cryptography"}
-    if missing := [name for module, name in needed.items() if find_spec(module) is None]:
-        raise Refused(
-            Problem(
-                "E_MISSING",
-                f"the library {missing[0]} is not installed",
-                field="--cluster" if address else "--workers",
-                fix='Install it: pip install "levkas[cluster]".',
-            )
-        )
-    from levkas.building.cluster import check_address
-
-    if address:
-        check_address(address, insecure=insecure)
-    return Where(address, workers or 0, insecure)
-
-
-@contextmanager
-def _executor(
-    where: Where | None, outcomes: Outcomes, templates: TemplateCache
-) -> Iterator[Executor | ClusterExecutor]:
-    """Yield what does the tasks of captures."""
-    if where is None:
-        yield Executor(outcomes, templates)
-        return
-    from levkas.building.cluster import connected
-
-    with connected(where.address, where.workers, insecure=where.insecure) as cluster:
-        from levkas.building.cluster_executor import ClusterExecutor  # loaded beside the workers
-
-        yield ClusterExecutor(outcomes, cluster, outcomes.campaign.path)
-
-
 def _steps(
     plan: Plan,
     outcomes: Outcomes,
-    executor: Executor | DryRun | ClusterExecutor,
+    executor: Executor | DryRun,
     templates: TemplateCache,
     removed: Sequence[Key],
     *,
@@ -222,8 +144,11 @@ def _steps(
         refused = plan.refusals.get((step.key.object, step.key.camera, step.key.setup))
         yield outcomes.lose(step, refused)
     for name in plan.names:
-        if Key(name, stage="report") not in plan.graph and not outcomes.dry:
-            put_away_stage(Key(name, stage="report"), records)
+        page = Task(Key(name, stage="report"))
+        if page.key not in plan.graph and any(layer.object == name for layer in outcomes.earlier):
+            yield from _report(plan, outcomes, page, lost[name])
+        elif page.key not in plan.graph and not outcomes.dry:
+            put_away_stage(page.key, records)
     places_in_graph = {key: place for place, key in enumerate(plan.graph)}
 
     def write_page(task: Task) -> Iterator[Step]:
@@ -235,41 +160,31 @@ def _steps(
 
     tasks = [task for task in plan.graph.values() if task.key != CATALOGUE]
     stale = False
-    for step in _done(executor, tasks, write_page):
-        stale |= step.state == "stale"
-        yield step
+    for of_captures, group in groupby(tasks, lambda task: task.capture is not None):
+        mine = list(group)
+        pages = chain.from_iterable(map(write_page, mine))
+        for step in executor.run(mine) if of_captures else pages:
+            stale |= step.state == "stale"
+            yield step
     if not outcomes.dry:
         yield from removal(removed, records)
     elif why := describe(removed, records):
         stale = True
         yield Step(REMOVED, "stale", why)
     step = _catalogue(plan, outcomes, whole=whole, stale=stale)
-    warnings = (*campaign.without_effect, *executor.warnings, *step.warnings)
+    warnings = (*campaign.without_effect, *step.warnings)
     yield replace(step, output=places.output, warnings=warnings)
-
-
-def _done(
-    executor: Executor | DryRun | ClusterExecutor,
-    tasks: Sequence[Task],
-    write_page: Callable[[Task], Iterator[Step]],
-) -> Iterator[Step]:
-    """Yield the steps of all tasks but the catalogue's; on a cluster pages are written beside the others."""
-    if not isinstance(executor, Executor | DryRun):
-        yield from executor.run(tasks, write_page)
-        return
-    for of_captures, group in groupby(tasks, lambda task: task.capture is not None):
-        mine = list(group)
-        pages = chain.from_iterable(map(write_page, mine))
-        yield from executor.run(mine) if of_captures else pages
 
 
 def _catalogue(plan: Plan, outcomes: Outcomes, *, whole: bool, stale: bool) -> Step:
     """Write what lists all layers where it is stale; of a dry build, report whether it is."""
     campaign, places, records = plan.campaign, outcomes.places, outcomes.records
     if outcomes.dry:
-        return _state_of_catalogue(plan, places, records, listed_are_stale=stale)
+        return _state_of_catalogue(plan, outcomes, listed_are_stale=stale)
     try:
-        return write_catalogue_of(campaign, places, records, plan.captures, plan.names, whole=whole)
+        return write_catalogue_of(
+            campaign, places, records, outcomes.earlier, plan.names, whole=whole
+        )
     except Refused:
         raise
     except Exception as error:
@@ -339,7 +254,8 @@ def status(
     plan = plan_of(campaign)
     check_apart(campaign, places.output, plan.captures)
     records = BuildRecords(places.kept, places.output, verify=verify)
-    removed = no_longer_there(campaign, records, plan.captures, plan.refusals, plan.pages, None)
+    plan = plan.with_missing(records)
+    removed = no_longer_named(campaign, records)
     templates = TemplateCache(places.kept / "templates", records.hashes.of_frame)
     outcomes = Outcomes(campaign, places, records, plan.graph, dry=True, unread=not verify)
     steps = [*_steps(plan, outcomes, DryRun(outcomes), templates, removed, whole=True)]
@@ -360,7 +276,7 @@ def calibrate_aside(capture: Capture, campaign: Campaign, places: Places) -> Pat
 
     records = BuildRecords(places.kept, places.output)
     made_of = records.fingerprint(key_of(capture, "calibrate"))
-    version = fingerprints.digest(made_of, numbers_of="calibrate")
+    version = fingerprints.digest(made_of)
     folder = places.kept_native(capture.object, capture.layer, version)
     if not folder.is_dir():
         templates = TemplateCache(places.kept / "templates", records.hashes.of_frame)
@@ -369,20 +285,22 @@ def calibrate_aside(capture: Capture, campaign: Campaign, places: Places) -> Pat
     return folder
 
 
-def _state_of_catalogue(
-    plan: Plan, places: Places, records: BuildRecords, *, listed_are_stale: bool
-) -> Step:
+def _state_of_catalogue(plan: Plan, outcomes: Outcomes, *, listed_are_stale: bool) -> Step:
     """Return whether catalogue and manifest are stale, because what they list is, or by themselves."""
     if listed_are_stale:
         return Step(CATALOGUE, "stale", "it lists stale files")
+    places, records, earlier = outcomes.places, outcomes.records, outcomes.earlier
     others = by_others(places, records)
-    why = why_catalogue_is_stale(plan.campaign, places, records, plan.captures, plan.names, others)
+    why = why_catalogue_is_stale(plan.campaign, places, records, earlier, plan.names, others)
     warnings = foreign_files(others)
     return Step(CATALOGUE, "stale" if why else "fresh", why, warnings=warnings)
 
 
-def _report_prints(plan: Plan, inputs: Inputs, name: str, steps: Sequence[Step]) -> dict[str, Any]:
+def _report_prints(
+    plan: Plan, outcomes: Outcomes, name: str, steps: Sequence[Step]
+) -> dict[str, Any]:
     """Return the fingerprint of an object's page; `steps` is how its captures ended."""
+    inputs, earlier = outcomes.inputs, outcomes.earlier
     lost = [s for s in steps if s.state == "refused"]
     unbegun = {s.key for s in lost if s.key.stage == "calibrate"}
     made = [s.key for s in steps if s.key not in unbegun and s.key in inputs.digests]
@@ -390,6 +308,7 @@ def _report_prints(plan: Plan, inputs: Inputs, name: str, steps: Sequence[Step])
     for step in lost:
         written = (fingerprints.written(plan.campaign, p) for p in step.problems)
         layers[f"{step.key.layer} refused"] = "\n".join(written)
+        layers |= {f"{o.name} of an earlier build": earlier[o] for o in earlier if o == step.key.of}
     captures = [capture for capture in plan.captures if capture.object == name]
     hashes = inputs.records.hashes
     prints = fingerprints.of_report(plan.campaign, name, layers, captures, hashes)
@@ -410,9 +329,10 @@ def _report(plan: Plan, outcomes: Outcomes, task: Task, steps: list[Step]) -> It
 
         captures = [c for c in plan.captures if c.object == name]
         confirm_layers(captures, plan.campaign.edits, places, records)
-        return Written(write_report(plan.campaign, places, records, captures, steps), {})
+        made = write_report(plan.campaign, places, records, name, captures, steps, outcomes.earlier)
+        return Written(made, {})
 
-    prints = partial(_report_prints, plan, outcomes.inputs, name, steps)
+    prints = partial(_report_prints, plan, outcomes, name, steps)
     return _page(plan, outcomes, task, prints, write)
 
 
@@ -451,7 +371,6 @@ def _page(
             return
         refused = records.with_report(key, refused)
         if not is_of_the_disk(refused.problems):
-            put_away_stage(key, records)  # an older one lists layers that may be gone
             records.refuse(key, prints, within(plan.campaign, refused.problems))
         yield refused_step(key, refused)
         return

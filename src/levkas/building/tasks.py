@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from math import nan
 from typing import TYPE_CHECKING, Any
 
 from levkas.building.build_records import BuildRecords, Key, key_of
+from levkas.building.fingerprints import size_of
 from levkas.building.graph import Graph, Task, captures_of
+from levkas.core.digests import hash_file
 from levkas.core.machine import give_back_memory, steady_libraries
 from levkas.core.problems import Problem, Refused
 from levkas.stages.written import Written
@@ -95,16 +98,7 @@ class CalibratedCache:
 
 
 class Stages:
-    """Computes the tasks of a graph, one at a time; the records are only read.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    places : Places
-    records : BuildRecords
-    templates : TemplateCache
-    graph : Graph
-    """
+    """Computes the tasks of a graph, one at a time; the records are only read."""
 
     def __init__(
         self,
@@ -147,7 +141,8 @@ class Stages:
         found = measure(capture, native, frame, self.campaign)
         verdict = apply_confirmation(found.record, self.campaign.edits, capture)
         found = replace(found, record={**found.record, "verdict": verdict})
-        write = partial(publish_registration, found, capture, self.places)
+        size_mm = size_of(self.campaign, capture.object)
+        write = partial(publish_registration, found, capture, self.places, size_mm)
         if not found.problems or capture.tiles:
             return write
         picture = draw_recorded(self.held.native(capture))
@@ -170,3 +165,42 @@ class Stages:
 
 def _with_notes(written: Written, **notes: Any) -> Written:
     return written._replace(notes={**written.notes, **notes})
+
+
+def describe_anew(
+    task: Task,
+    campaign: Campaign,
+    places: Places,
+    records: BuildRecords,
+    before: Callable[[], object],
+) -> Written:
+    """Write anew what the files of a task say about their pixels, which stay; `before` as of `core.files.together`."""
+    from levkas.core.files import together, write_json
+    from levkas.database.catalogue import entry_of
+    from levkas.database.credits import credits_of
+    from levkas.database.layers import describe_files
+    from levkas.database.registrations import read_registration, with_size
+    from levkas.stages.register import lasting_warnings
+    from levkas.stages.spectra import broad_centroids
+
+    (capture, _), key = captures_of(task), task.key
+    files, notes = [places.output / name for name in records.products(key)], records.notes(key)
+    record = {}
+    if key.stage != "calibrate":  # native pixels have no sampling
+        path = places.registration(capture.object, capture.layer)
+        record = with_size(read_registration(path), size_of(campaign, capture.object))
+    if key.stage == "register":
+        notes["warnings"] = lasting_warnings(record, f"{capture.object}/{capture.layer}")
+        with together(before):
+            write_json(path, record)
+        return Written(files, notes)
+    scale = record["grid"]["px_per_mm"] if record else None
+    captured = records.notes(key_of(capture, "calibrate"))["captured"]
+    centroids = broad_centroids(campaign, capture.camera, capture.bands)
+    with together(before):
+        describe_files(files, credits_of(campaign, capture.object, captured), scale, centroids)
+    if record:
+        tiff = hash_file(places.layer(capture.object, capture.camera, capture.setup))
+        entry = replace(entry_of(notes["entry"]), px_per_mm=scale or nan, sha256=tiff)
+        notes["entry"] = entry.to_row()
+    return Written(files, notes)

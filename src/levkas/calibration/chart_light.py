@@ -255,10 +255,6 @@ def fit_light(patches: Patches, outline: ChartOutline, shape: LightShape | None 
     shape : LightShape, optional
         Shape from another band, for one in which the grey patches alone are known: level only is fitted.
 
-    Returns
-    -------
-    light : LightFit
-
     Examples
     --------
     >>> x, y = np.meshgrid(np.arange(6) * 100.0, np.arange(4) * 100.0)

@@ -88,10 +88,6 @@ def fit_clipped_dark(frames: Sequence[np.ndarray], *, step: float = 1.0) -> Dark
     step : float
         Counts from code to code.
 
-    Returns
-    -------
-    level : DarkLevel
-
     Raises
     ------
     CalibrationRefused

@@ -13,7 +13,6 @@ import numpy as np
 
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.compiled import njit
-from levkas.core.machine import tile_rows
 from levkas.core.problems import Problem
 from levkas.core.threads import in_threads
 
@@ -50,31 +49,6 @@ class Subspace:
         return self.basis.shape[1]
 
 
-@dataclass(frozen=True)
-class Denoised:
-    """Projection of a cube on its signal subspace, and the residual.
-
-    Parameters
-    ----------
-    values : ndarray like the input, float32
-    variance : ndarray like the input, float32, or None
-        Of `values`, where that of the input was given.
-    subspace : Subspace
-    removed : ndarray, (b,), float64
-        Rms of what was taken away, band by band; of the order of `subspace.noise` where nothing
-        but noise went.
-    removed_most : float
-        Of the pixel that lost most: rms over bands of (removed/noise). Little above 1 for noise,
-        far above where rare spectra (gold, glare) were lost.
-    """
-
-    values: np.ndarray
-    subspace: Subspace
-    removed: np.ndarray
-    removed_most: float
-    variance: np.ndarray | None = None
-
-
 def find_subspace(blocks: Iterable[np.ndarray]) -> Subspace:
     """Find the signal subspace by HySime in one pass.
 
@@ -82,10 +56,6 @@ def find_subspace(blocks: Iterable[np.ndarray]) -> Subspace:
     ----------
     blocks : iterable of ndarray, (…, b)
         Spectra in blocks of any shape; those with NaN are left out.
-
-    Returns
-    -------
-    subspace : Subspace
 
     Raises
     ------
@@ -161,64 +131,16 @@ def _neighbours(covariance: np.ndarray) -> float:
     return float(np.mean(np.diag(covariance, 1) / (root[1:] * root[:-1])))
 
 
-def denoise(
-    values: np.ndarray,
-    variance: np.ndarray | None = None,
-    *,
-    lines: int = 256,
-) -> Denoised:
-    """Project a cube on its signal subspace.
+class Projecting:
+    """Projects blocks of lines on a subspace, and gathers what that takes away.
 
-    Parameters
-    ----------
-    values : ndarray, (h, w, b), float32
-        Kept as it is by the caller: rare real spectra are what projection deletes.
-    variance : ndarray like `values`, float32, optional
-        Of the noise of `values`, independent from band to band.
-    lines : int
-        Rows that are held at a time beside the result, where $LEVKAS_TILE does not say how many;
-        the result is the same for any number.
-
-    Returns
-    -------
-    denoised : Denoised
-        Spectra with NaN come back as they were.
-
-    Raises
-    ------
-    CalibrationRefused
-        As `find_subspace`.
+    Rare real spectra are what projection deletes: `most`, of all blocks so far, is of the pixel that lost most the rms
+    over bands of (removed/noise), little above 1 for noise, far above where rare spectra (gold, glare) were lost.
 
     Notes
     -----
     With P = EEᵀ a denoised value has the variance Σⱼ Pᵢⱼ² uⱼ². A pixel that loses more than noise explains,
     Σ removed² > (1 + 4√(2/(b − k))) Σ u²(removed), gets what it lost, band by band, on top.
-    """
-    lines = tile_rows(lines, len(values))
-    starts = range(0, len(values), lines)
-    subspace = find_subspace(values[y : y + lines] for y in starts)
-    result, projecting = np.empty(values.shape, np.float32), Projecting(subspace)
-    spread = None if variance is None else np.empty(values.shape, np.float32)
-    for y in starts:
-        part = np.s_[y : y + lines]
-        known = None if variance is None else variance[part]
-        result[part], found = projecting(values[part], known)
-        if spread is not None and found is not None:
-            spread[part] = found
-    return Denoised(result, subspace, projecting.removed, projecting.most, spread)
-
-
-class Projecting:
-    """Projects blocks of lines on a subspace, and gathers what that takes away.
-
-    Parameters
-    ----------
-    subspace : Subspace
-
-    Attributes
-    ----------
-    most : float
-        As `Denoised.removed_most`, of all blocks so far.
     """
 
     def __init__(self, subspace: Subspace) -> None:
@@ -227,7 +149,7 @@ class Projecting:
 
     @property
     def removed(self) -> np.ndarray:
-        """As `Denoised.removed`, of all blocks so far."""
+        """Rms of what was taken away, band by band, of all blocks so far: that of the noise where nothing else went."""
         return np.asarray(np.sqrt(self._squares / max(self._count, 1)))
 
     def __call__(
@@ -263,7 +185,7 @@ class Projecting:
 
 
 def describe_removed(subspace: Subspace, removed: np.ndarray, most: float) -> str:
-    """Report what a projection took away, from the fields of `Denoised`."""
+    """Report what a projection took away, from the fields of `Projecting`."""
     share = float(np.median(removed / np.maximum(subspace.noise, 1e-12)))
     return (
         f"hysime kept {subspace.k} of {len(subspace.noise)} dimensions and removed {share:.2f} times "

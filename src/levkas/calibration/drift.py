@@ -15,9 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from levkas.calibration.differing_shots import STEADY, DifferingShots, find_differing_shots
+from levkas.calibration.differing_shots import (
+    STEADY,
+    DifferingShots,
+    find_differing_shots,
+    watch_shots,
+)
 from levkas.calibration.patterns import split
-from levkas.calibration.templates import ShotLevels, Template, average
+from levkas.calibration.templates import ShotLevels, Template, average, level_of
 
 CELL, CELLS = 32, 8  # pixels a side of a cell, of one phase; cells a side that a small frame has
 NOTICED = 0.002  # of the light: a fifth of what reflectance may be wrong by
@@ -271,7 +276,8 @@ def average_steady(
     times_s : sequence of float, optional
         When each shot was captured.
     white : bool
-        Whether nothing may stand in the scene: shots that show something else than most of them are left out.
+        Whether nothing may stand in the scene: shots that show something else than most of them are left out. Those of
+        an object are compared with the first, and its `shots` have what is unlike.
 
     Returns
     -------
@@ -287,8 +293,12 @@ def average_steady(
     (10, [[0.975], [1.025]])
     """
     light = CellMeans(period)
+    unlike: list[tuple[int, str, float]] = []
+    frames = light.watch(read())
+    if level is not None and not white:
+        frames = watch_shots(frames, unlike, period, level_of(np.asarray(level)), saturation)
     clips: dict[str, float | None] = {"saturation": saturation, "black_clip": black_clip}
-    template = average(light.watch(read()), exposure_s=exposure_s, **clips)
+    template = average(frames, exposure_s=exposure_s, **clips)
     channels, differing = light.channels, DifferingShots()
     moments = times_s if times_s is not None and len(times_s) == template.count else None
     if level is None:
@@ -305,7 +315,10 @@ def average_steady(
             moments = None if moments is None else [moments[k] for k in kept]
         shots = measure_light(channels[kept], under)
     shots = replace(
-        shots, times_s=None if moments is None else tuple(moments), **differing._asdict()
+        shots,
+        times_s=None if moments is None else tuple(moments),
+        unlike=tuple(unlike),
+        **differing._asdict(),
     )
     lamp = level is None or STEADY[0] < shots.levels.min() <= shots.levels.max() < STEADY[1]
     if lamp and _explained(template, shots, level, period) > EXPLAINED:

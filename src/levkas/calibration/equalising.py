@@ -60,10 +60,6 @@ def phase_gains(
     pattern : str or rows of channel names
         Its size alone matters: two places of one channel are measured apart.
 
-    Returns
-    -------
-    gains : PhaseGains
-
     Raises
     ------
     CalibrationRefused

@@ -136,10 +136,6 @@ def merge_exposures(
         Leave out exposures that do not scale with the others, instead of refusing; where no two
         scale, take the best one alone. A misfit that depends on the level is refused all the same.
 
-    Returns
-    -------
-    merged : Merged
-
     Raises
     ------
     CalibrationRefused
@@ -205,37 +201,6 @@ def merge_exposures(
             period=period,
         )
     return Merged(template, scaling, moved, left_out)
-
-
-def merge_weight(
-    rate: np.ndarray | float,
-    exposure_s: float,
-    *,
-    gain: float,
-    read_variance: float,
-    dark_share: float = 0.0,
-) -> np.ndarray:
-    """Return the weight that a merge gives one shot: one over the variance of its counts a second.
-
-    Parameters
-    ----------
-    rate : ndarray or float
-        Counts a second above the dark.
-    exposure_s : float
-    gain : float
-        Counts per photo-electron.
-    read_variance : float
-        Without light, counts².
-    dark_share : float
-        Variance of the mean dark over that of one dark: 1/n of n frames, 0 where black is given.
-
-    Examples
-    --------
-    >>> float(merge_weight(100.0, 2.0, gain=0.5, read_variance=50.0))
-    0.02666...
-    """
-    light = gain * np.maximum(rate, 0.0) * exposure_s
-    return exposure_s**2 / np.asarray(light + read_variance * (1 + dark_share))
 
 
 def read_variance_between(

@@ -171,15 +171,6 @@ def flat_field(
     return Calibrated(values, flags, variance.reshape(shape) if known else None, quantity, notes)
 
 
-def less_sure(flat: Calibrated, relative: np.ndarray | None) -> Calibrated:
-    """Return calibrated values with one more relative standard deviation, of all or of each (h, w), in their variance."""
-    if relative is None or flat.variance is None:
-        return flat
-    if relative.ndim < flat.values.ndim:
-        relative = relative[..., None]
-    return replace(flat, variance=flat.variance + np.square(flat.values * relative))
-
-
 def _join_bands(
     groups: list[np.ndarray], parts: Iterable[Calibrated], shape: tuple[int, ...]
 ) -> Calibrated:

@@ -104,10 +104,6 @@ def check_linearity(
     period : (rows, columns)
         Of a mosaic's pattern.
 
-    Returns
-    -------
-    linearity : Linearity
-
     Notes
     -----
     A pixel takes part at the exposures at which neither it nor one beside it comes near saturation,
@@ -245,10 +241,6 @@ def _without(values: np.ndarray, columns: np.ndarray, weight: np.ndarray) -> np.
 
 def require_reciprocity(found: Linearity) -> None:
     """Refuse to scale counts from one exposure to another where they do not scale.
-
-    Parameters
-    ----------
-    found : Linearity
 
     Raises
     ------

@@ -78,7 +78,8 @@ def calibrate(
     CalibrationRefused
         ``E_NO_FRAMES``, ``E_SIZE``, ``E_VALUE``, ``E_EXPOSURES`` or ``E_BAND_COUNT`` where frames or
         arguments do not fit; ``E_WHITE_DARK``, ``E_WHITE_SATURATED``, ``E_WHITE_DETAIL`` where more than half of a
-        white is not above dark, is full, or shows the object; ``E_WHITE_SHOTS`` where its shots contradict each other.
+        white is not above dark, is full, or shows the object; ``E_UNLIKE_SHOTS`` where its shots, or those of
+        the object, contradict each other.
 
     Notes
     -----
@@ -98,7 +99,7 @@ def calibrate(
     """
     from levkas.calibration.code_spacing import find_step
     from levkas.calibration.defects import find_defects, replace_defects
-    from levkas.calibration.flatfield import flat_field, less_sure
+    from levkas.calibration.flatfield import flat_field
     from levkas.calibration.mosaic import demosaic
     from levkas.calibration.white_area import WhiteArea, board_alone, find_white_area
     from levkas.calibration.whites import WhiteBoard
@@ -137,7 +138,6 @@ def calibrate(
         defects = found if defects is None else found | defects
     board = replace(board, labels=[band.label for band in bands])
     flat = flat_field(shot, under, lit, board=board, black=black, noise=noise, defects=defects)
-    flat = less_sure(flat, area.unsure)
     flags = _with_moved(flat, shot, under, black or 0.0, noise, pattern)
     values, flags, variance = replace_defects(flat.values, flags, flat.variance, pattern=pattern)
     if pattern is not None:

@@ -59,10 +59,9 @@ CLIPPED_DARKS, FULL_SCALE, BEND, STRAIGHTNESS = (
     "straightness",
 )
 QUIET_WHITE, SENSOR, OFFSET, WHITE_SHOTS = "quiet_white", "sensor", "offset", "white_shots"
-FLATTENING, DARK_OFFSET = "flattening", "dark_offset"
-UNLIKE_NOISE = "unlike_noise"
+FLATTENING, UNLIKE_NOISE = "flattening", "unlike_noise"
 """Names, among what is measured of a sensor, of darks that were clipped, the code at which it is full, its bend and how straight it is, a white
-without shot noise, gain and noise, the counts that its exposure series have without light, shots of a white that differ, bright pixels with less noise than a linear sensor has, the counts without light by the noise of dim ones, and
+without shot noise, gain and noise, the counts that its exposure series have without light, shots of a white that differ, bright pixels with less noise than a linear sensor has, and
 the variance of bands whose noise is not that of the others, over that."""
 BLACK, BLACK_ERROR = "black", 0.5
 """Name, among the same, of a black level by an exposure series; and its standard error, counts, at most: a quarter of a small read noise."""
@@ -319,9 +318,9 @@ class SensorContext:
                 black_clip=self.black_clip,
                 **({"dark": (self.step, self.period)} if dark else {}),
             )
+        with placing(frames):
+            require_agreement(template.shots, [str(frame.path) for frame in frames])
         if frames[0] in self.sensor.white:
-            with placing(frames):
-                require_agreement(template.shots)
             self.note_white(template, frames)
         return self.whole(template, frames)
 

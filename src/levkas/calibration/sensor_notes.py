@@ -6,14 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from levkas.calibration.code_checks import doubt_codes
 from levkas.calibration.sensor_context import (
     BEND,
     BLACK,
     CLIPPED_DARKS,
-    DARK_OFFSET,
     FLATTENING,
     FULL_SCALE,
     NAMED,
@@ -33,9 +30,6 @@ if TYPE_CHECKING:
     from levkas.calibration.sensor_context import SensorContext
 
 
-DARK_SIGMAS = 4.0  # standard errors of an offset of the dark, to be one
-DARK_DOUBT = 0.0002  # reflectance: a tenth of the darkest paint
-NEARLY_FULL = 0.1  # of the shot noise: with less nothing shows how much light is lacking
 AS_LIGHT = "they are taken as proportional to light: export linear frames"
 
 
@@ -136,7 +130,6 @@ def describe_sensor(context: SensorContext) -> list[str]:
         *_describe_darks(context),
         *_describe_bend(context),
         *_describe_offset(context),
-        *_describe_dark_offset(context),
         *_describe_black(context),
         *_describe_noise(context),
         *_describe_unlike_noise(context),
@@ -220,13 +213,12 @@ def _describe_flattening(context: SensorContext) -> list[str]:
     if not found:
         return []
     worst = min(found, key=lambda label: found[label]["share"])
-    signal, share, loss = (found[worst][name] for name in ("signal", "share", "loss"))
+    signal, share = (found[worst][name] for name in ("signal", "share"))
     where = f"{worst}; {len(found)} of {len(context.sensor.bands)} bands" if worst else "all bands"
-    lack = f"light, of the order of {loss:.0%}" if share > NEARLY_FULL else "light"
     return [
         f"{context.camera.name}: at {signal:.0f} counts above the dark its brightest pixels, the white's among them, have {share:.0%} "
         f"of the shot noise that a linear sensor has ({where}): the sensor is full there, or its response flattens; if so they "
-        f"lack {lack}, and reflectance is too high by as much. Capture the white with half the exposure. Frames that were "
+        "lack light, and reflectance is too high by as much. Capture the white with half the exposure. Frames that were "
         "averaged or smoothed before have less noise, too, and lack nothing"
     ]
 
@@ -241,26 +233,6 @@ def _describe_offset(context: SensorContext) -> list[str]:
         "the dark, where a linear sensor has none: the darks are of another temperature or setting, or the response bends at "
         f"its dark end. Dark paint is too {than} by about as much; capture darks beside the object"
     ]
-
-
-def _describe_dark_offset(context: SensorContext) -> list[str]:
-    """Report by how much the darks are off by the noise of dim pixels, in the mean of all bands and in the worst."""
-    found: dict[str, dict[str, float]] = context.measured.get(DARK_OFFSET, {})
-    if not found or OFFSET in context.measured:  # by its exposures it is known better
-        return []
-    counts, errors, light = np.array([[*one.values()] for one in found.values()]).T
-    every = float(np.average(counts, weights=errors**-2)), float(errors.min())
-    worst = int(np.argmax(np.abs(counts) / errors))
-    for mean, error in (every, (float(counts[worst]), float(errors[worst]))):
-        share = abs(mean) / float(np.median(light))
-        if abs(mean) > DARK_SIGMAS * error and share > DARK_DOUBT:
-            than, is_warm = ("dark", "too high") if mean < 0 else ("bright", "too low")
-            return [
-                f"{context.camera.name}: by their shot noise dim pixels have {abs(mean):.1f} ± {error:.1g} counts {'more' if mean < 0 else 'less'} "
-                f"light than they are above the dark: the darks are {is_warm}, of another temperature or setting. Dark paint is too {than} by "
-                f"a reflectance of about {share:.1g}; capture darks beside the object"
-            ]
-    return []
 
 
 def _describe_full_scale(context: SensorContext) -> list[str]:

@@ -14,11 +14,6 @@ DIM = 0.5  # of the brightest group: the noise of those below is that of a linea
 SURE = 0.05  # relative error of their gain, at most
 QUIET = 0.85  # of the variance of a linear sensor: a tenth more or less is an unsteady object
 SIGMAS = 5.0  # of a lack, to be one
-FEWEST = 4  # groups that show the noise without light
-LIT = 30.0  # of the dark's variance: groups with more shot noise say little of what there is without light
-KNOWN = 0.02  # of the dark's variance, to which a trembling object or a slight curve leaves that without light known
-ROUNDS = 5  # of the light, which its slope is a function of
-LEAST_SLOPE = 0.1  # of a response that flattens: what is flatter is full
 
 
 class Groups(NamedTuple):
@@ -38,15 +33,12 @@ class Flattening(NamedTuple):
         Counts above dark of the brightest groups.
     share : float
         Of the shot noise (variance) of a linear sensor that they have.
-    loss : float
-        By which light is more than its counts there if the response flattens, relative.
     linear : float
         Counts up to which the noise is that of a linear sensor.
     """
 
     signal: float
     share: float
-    loss: float
     linear: float
 
 
@@ -66,8 +58,8 @@ def find_flattening(groups: Groups) -> Flattening | None:
     >>> knee = np.minimum(light, 2500 + (light - 2500) / 2)
     >>> noise = 4 + 0.25 * light * np.where(light < 2500, 1, 0.25)
     >>> found = find_flattening(Groups(knee, noise, np.full(50, 5000.0)))
-    >>> round(found.signal), round(found.share, 2), round(found.loss, 2)
-    (2857, 0.28, 0.14)
+    >>> round(found.signal), round(found.share, 2)
+    (2857, 0.28)
     >>> find_flattening(Groups(light, 4 + 0.25 * light, np.full(50, 5000.0))) is None
     True
     """
@@ -84,61 +76,7 @@ def find_flattening(groups: Groups) -> Flattening | None:
     spread = np.sqrt(2 / np.sum(weight * expected**2)) + error
     if share > QUIET or 1 - share < SIGMAS * spread:
         return None
-    steep = np.ones_like(signal)
-    light = signal.copy()
-    for _ in range(ROUNDS):
-        steep = np.sqrt(np.maximum(shot, 0.0) / (gain * np.maximum(light, 1e-9)))
-        steep = np.where(signal > DIM * signal[-1], np.clip(steep, LEAST_SLOPE, 1.0), 1.0)
-        steps = np.diff(signal) * (1 / steep[1:] + 1 / steep[:-1]) / 2
-        light = signal[0] + np.append(0.0, np.cumsum(steps))
-    level = float(signal[bright].mean())
-    loss = float(np.mean(light[bright] / signal[bright]) - 1)
-    return Flattening(level, max(share, 0.0), loss, DIM * float(signal[-1]))
-
-
-class DarkOffset(NamedTuple):
-    """Counts without light above the dark, by shot noise; their error, one standard deviation; counts of the brightest group."""
-
-    counts: float
-    error: float
-    brightest: float
-
-
-def find_dark_offset(lit: Groups, dark: Groups) -> DarkOffset | None:
-    """Compare the noise that dim groups have at no light with that of the darks; None where either is not known.
-
-    Parameters
-    ----------
-    lit, dark : Groups
-        Of stacks above their darks, and of these darks.
-
-    Notes
-    -----
-    Where a dark is h counts too high, lit groups have the variance read² + gain·(signal + h). What makes the dark high must
-    have no shot noise itself: the offset of an amplifier has none, dark current has as much as light, and does not show.
-
-    Examples
-    --------
-    >>> light = np.linspace(0, 3000, 60)
-    >>> lit = Groups(light - 8, 6 + 0.25 * light, np.full(60, 5000.0))
-    >>> found = find_dark_offset(lit, Groups(np.zeros(1), np.full(1, 6.0), np.full(1, 1e5)))
-    >>> round(found.counts, 1), round(found.error, 1)
-    (-8.0, 0.7)
-    """
-    if not len(lit.signal) or not len(dark.signal):
-        return None
-    quiet = float(np.average(dark.variance, weights=dark.freedom))
-    top, first = float(lit.signal.max()), _dim_line(lit)
-    if first is None or quiet <= 0:
-        return None
-    near = (lit.signal <= DIM * top) & (first[0] * lit.signal < LIT * quiet)
-    if np.count_nonzero(near) < FEWEST:
-        return None
-    (gain, read), covariance = _line(*(values[near] for values in lit))
-    if gain <= 0:
-        return None
-    error = np.sqrt(covariance[1, 1] + 2 * quiet**2 / dark.freedom.sum() + (KNOWN * quiet) ** 2)
-    return DarkOffset(float((quiet - read) / gain), float(error / gain), top)
+    return Flattening(float(signal[bright].mean()), max(share, 0.0), DIM * float(signal[-1]))
 
 
 def _dim_line(groups: Groups) -> tuple[float, float, float] | None:

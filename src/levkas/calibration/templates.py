@@ -64,6 +64,8 @@ class ShotLevels:
         Shots that show something else than most of the stack, which neither its mean nor its levels hold.
     apart : float
         Of a white: relative deviation of a part of a shot from the others where no majority agrees, else 0.
+    unlike : tuple of (index, what, by how much)
+        Of an object: shots that differ from the first by more than noise and lamp, as `differing_shots.difference_between` has it.
     """
 
     levels: np.ndarray
@@ -71,6 +73,7 @@ class ShotLevels:
     times_s: tuple[float, ...] | None = None
     left_out: tuple[int, ...] = ()
     apart: float = 0.0
+    unlike: tuple[tuple[int, str, float], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.calibration.white_detail import SCALES, BoardDetail, detail, find_board_detail, near
+from levkas.calibration.white_detail import SCALES, detail, find_board_detail
 from levkas.core.problems import Problem
 from levkas.core.threads import each
 
@@ -47,22 +47,17 @@ class WhiteArea(NamedTuple):
     uncovered : ndarray, (h, w), bool, or None
         Where it shows the object; None where it does so nowhere.
     notes : tuple of str
-    unsure : ndarray, (h, w), float32, or None
-        Relative standard deviation that detail of the board gives to reflectance; None where there is none.
     """
 
     uncovered: np.ndarray | None = None
     notes: tuple[str, ...] = ()
-    unsure: np.ndarray | None = None
 
     def at(self, rows: np.ndarray, columns: np.ndarray) -> WhiteArea:
         """Return the area of a larger frame; `rows` and `columns` are where each of its own is in this one."""
-        uncovered, unsure = (
-            None if plane is None else plane[np.ix_(rows, columns)]
-            for plane in (self.uncovered, self.unsure)
-        )
-        notes = self.notes if uncovered is None else (_note(uncovered), *self.notes[1:])
-        return WhiteArea(uncovered, notes, unsure)
+        if self.uncovered is None:
+            return self
+        uncovered = self.uncovered[np.ix_(rows, columns)]
+        return WhiteArea(uncovered, (_note(uncovered), *self.notes[1:]))
 
 
 def find_white_area(
@@ -131,22 +126,21 @@ def find_white_area(
     mask, notes = None, list[str]()
     whole = (size[0] * spacing, size[1] * spacing)
     if share < LEAST:
-        edges = _edges(of_white, sound)
-        notes += _note_edges(edges, whole)
+        notes += _note_edges(_edges(of_white, sound), whole)
     else:
-        mask, edges = _at_size(uncovered, side, reduced, size), None
+        mask = _at_size(uncovered, side, reduced, size)
         notes.append(_note(mask))
         sound &= ~_at_size(uncovered, side, reduced, reduced)
     found = find_board_detail(scene, lit, sound)
     if found.picture and sound.mean() > MOST:
         brighter = float(np.median(scene[sound] / lit[sound])) > 1
         raise CalibrationRefused(_shows_a_picture(found.picture, found.smooth and brighter))
-    notes += _note_detail(found, edges, whole)
-    if not found.texture and found.specks is None:
-        return WhiteArea(mask, tuple(notes))
-    unsure = np.hypot(found.texture, 0 if found.specks is None else found.specks)
-    unsure = _reduced(np.broadcast_to(unsure, reduced), size)
-    return WhiteArea(mask, tuple(notes), unsure)
+    if found.texture and not notes:
+        notes.append(
+            f"the white has detail of {100 * found.texture:.2g} % rms that the object does not have: texture or dirt of the board "
+            "is divided into the object. Sigma does not include it; move or defocus the board from shot to shot"
+        )
+    return WhiteArea(mask, tuple(notes))
 
 
 def board_alone(white: Template, uncovered: np.ndarray | None) -> Template:
@@ -161,15 +155,10 @@ def board_alone(white: Template, uncovered: np.ndarray | None) -> Template:
 def joined_area(areas: Sequence[WhiteArea]) -> WhiteArea:
     """Return what some bands of one white show together: paint that one of them does not see is another's detail."""
     masks = [area.uncovered for area in areas if area.uncovered is not None]
-    doubts = [area.unsure for area in areas if area.unsure is not None]
-    unsure = np.maximum.reduce(doubts) if doubts else None
     if masks:
         mask = np.logical_or.reduce(masks)
-        return WhiteArea(mask, (_note(mask),), unsure)
-    best = max(
-        areas, key=lambda area: (area.unsure is not None, len(area.notes)), default=WhiteArea()
-    )
-    return WhiteArea(None, best.notes, unsure)
+        return WhiteArea(mask, (_note(mask),))
+    return max(areas, key=lambda area: len(area.notes), default=WhiteArea())
 
 
 def find_white_line(white: Template, level: np.ndarray) -> WhiteArea:
@@ -340,41 +329,6 @@ def _note_edges(edges: np.ndarray, size: tuple[int, int]) -> tuple[str, ...]:
         f"the white is not smooth: it has edges between columns {x[0]} and {x[1]}, rows {y[0]} and {y[1]} (the border of the "
         "board, a shadow or something before it); values there are wrong unless the object was captured with the same",
     )
-
-
-def _note_detail(found: BoardDetail, edges: np.ndarray | None, size: tuple[int, int]) -> list[str]:
-    """Report what detail of the board is divided into the object, and what specks may be; long edges are named already."""
-    from scipy.ndimage import binary_dilation, label
-
-    notes = []
-    if found.texture:
-        notes.append(
-            f"the white has fine detail of {100 * found.texture:.2g} % rms that the object does not have: texture or dirt of the "
-            "board is divided into the object. Sigma includes it; move or defocus the board from shot to shot"
-        )
-    beside = None if edges is None else near(edges)
-    for plane, what in (
-        (
-            found.specks,
-            "that the object does not have: dirt on the board, or dust that moved. Sigma includes them",
-        ),
-        (
-            found.unclear,
-            "of which the object's own detail hides whether they are dust in the camera, which divides out, or dirt on the board",
-        ),
-    ):
-        spots = np.zeros((1, 1), bool) if plane is None else plane > STEP
-        if beside is not None and plane is not None:
-            spots &= ~beside
-        if plane is None or not spots.any():
-            continue
-        x, y = _extent(spots, size)
-        count = label(binary_dilation(spots, iterations=2))[1]
-        notes.append(
-            f"the white has specks ({count}, columns {x[0]} to {x[1]}, rows {y[0]} to {y[1]}) of up to "
-            f"{100 * plane[spots].max():.2g} % {what}"
-        )
-    return notes
 
 
 def _note(mask: np.ndarray) -> str:

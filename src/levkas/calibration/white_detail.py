@@ -17,19 +17,12 @@ from levkas.core.threads import each
 SCALES = ((1.0, 4.0), (4.0, 16.0))  # px: of texture and dust; of painted fields and blurred ones
 SMALL = 150  # px of the shorter side of a frame below which its fields are smaller too
 AROUND = 3.0  # px over which the object's detail is averaged before it weighs
-BESIDE = 1.5  # px, the same of its slopes
 FLOOR = 0.002  # rms of an object's detail below which noise, not detail, weighs
 SIGMAS = 4.0  # of the estimate, for texture; a white is judged once a band
-FEW = 20  # px of undecided specks, together: less is not reported
-HALF = 0.5  # slope of the object's detail on a speck: 0 of the board's, 1 of the sensor's
-SPECK_SIGMAS = 2.5  # from that, which is 3.5 and more from the other side
 TEXTURE = 0.015  # rms of a pixel: good boards have less than half of it
 SINGLE = 0.1  # relative, of a pixel from those around it: dust of 20 % and 1.5 px is at half of it
 MOST_NOISE = 0.3  # relative, of a pixel: a dead one has more
-EVEN = 0.1  # share of a frame without specks by which texture is judged
 STRUCTURE, MUCH = 0.05, 0.5  # rms of a block, and share of blocks that have it, of a picture
-STEP, NOISE = 0.03, 6.0  # of a speck, relative; and over the detail that the whole white has
-ALIKE = 16.0  # px that are one by correlation: slopes of 656 simulated specks on fields and marks are as far off
 
 
 class BoardDetail(NamedTuple):
@@ -38,10 +31,7 @@ class BoardDetail(NamedTuple):
     Parameters
     ----------
     texture : float
-        Relative standard deviation of a pixel; 0 where none stands out.
-    specks, unclear : ndarray, (h, w), float32, or None
-        Relative deviation of the white where it has specks or edges that are not in the object, and such that the
-        object's own detail hides, else 0.
+        Relative standard deviation of a pixel by texture, specks and edges; 0 where none stands out.
     picture : float
         Relative rms over most of the frame at the scale of painted fields, of a white that is a picture; 0 of others.
     smooth : bool
@@ -49,8 +39,6 @@ class BoardDetail(NamedTuple):
     """
 
     texture: float = 0.0
-    specks: np.ndarray | None = None
-    unclear: np.ndarray | None = None
     picture: float = 0.0
     smooth: bool = False
 
@@ -85,10 +73,7 @@ def find_board_detail(scene: np.ndarray, lit: np.ndarray, sound: np.ndarray) -> 
     scene, lit = _without_single_pixels(scene, lit)
     noise = _noise_of(lit)
     of_object, of_white = each(lambda plane: detail(plane, SCALES[0]), (scene, lit))
-    marked = _standing_out(of_white.between, sound)
-    specks = _judged(scene, lit, sound, marked)
-    even = sound & ~near(marked)
-    fine = _shares(of_object, of_white, even, SCALES[0], noise)
+    fine = _shares(of_object, of_white, sound, SCALES[0], noise)
     small = min(1.0, min(lit.shape) / SMALL)
     fields = (SCALES[1][0] * small, SCALES[1][1] * small)
     wide, of_fields = each(lambda plane: detail(plane, fields), (scene, lit))
@@ -97,19 +82,11 @@ def find_board_detail(scene: np.ndarray, lit: np.ndarray, sound: np.ndarray) -> 
     if coarse.much > MUCH and (coarse.sure or (fine.sure and fine.board > STRUCTURE**2)):
         picture = float(np.sqrt(max(coarse.board, fine.board)))
     texture = 0.0
-    if fine.sure and even.mean() > EVEN:
+    if fine.sure:
         share = fine.board / max(fine.lit, 1e-12)
         texture = float(np.sqrt(share * max(fine.whole, fine.lit)))
-    if texture > TEXTURE:  # what is coarser than these scales is the board's in the same share
-        square = float(np.mean((of_fields.whole**2 - noise)[even]))
-        texture = max(texture, float(np.sqrt(share * max(square, 0))))
-    depth = np.abs(of_fields.whole).astype(np.float32)
-    of_board, unclear = (
-        np.where(np.isin(specks.parts, numbers), depth, 0) if numbers.size else None
-        for numbers in (specks.of_board, specks.unclear)
-    )
     smooth = bool(coarse.own < coarse.lit / 9)
-    return BoardDetail(texture if texture > TEXTURE else 0.0, of_board, unclear, picture, smooth)
+    return BoardDetail(texture if texture > TEXTURE else 0.0, picture, smooth)
 
 
 class RelativeDetail(NamedTuple):
@@ -162,14 +139,6 @@ def _shares(
     return _Shares(board, lit, whole, of_scene, board > max(SIGMAS * error, lit / 4), much)
 
 
-class _Specks(NamedTuple):
-    """Numbered parts of a frame, (h, w), and the numbers of those that are the board's, and of those that remain undecided."""
-
-    parts: np.ndarray
-    of_board: np.ndarray
-    unclear: np.ndarray
-
-
 def _without_single_pixels(scene: np.ndarray, lit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return object and white with the median of 3x3 px where a single pixel of the white is far from it: defects are no specks."""
     import cv2
@@ -178,56 +147,6 @@ def _without_single_pixels(scene: np.ndarray, lit: np.ndarray) -> tuple[np.ndarr
     of_object, of_white = (cv2.medianBlur(plane, 3) for plane in planes)
     single = np.abs(planes[1] - of_white) > SINGLE * np.abs(of_white)
     return np.where(single, of_object, planes[0]), np.where(single, of_white, planes[1])
-
-
-def near(marked: np.ndarray) -> np.ndarray:
-    """Return what is so near to marked pixels that detail of these reaches it, (h, w)."""
-    import cv2
-
-    side = 2 * int(4 * SCALES[0][1]) + 1
-    return cv2.dilate(marked.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
-
-
-def _standing_out(of_white: np.ndarray, sound: np.ndarray) -> np.ndarray:
-    """Return where a white has more than its usual detail, (h, w)."""
-    usual = 1.4826 * float(np.median(np.abs(of_white[sound]))) if sound.any() else 0.0
-    return np.asarray((np.abs(of_white) > max(STEP, NOISE * usual)) & sound)
-
-
-def _judged(scene: np.ndarray, lit: np.ndarray, sound: np.ndarray, marked: np.ndarray) -> _Specks:
-    """Report of every marked part of a white whether the object has it, all together and one by one.
-
-    Slopes of the logarithms are compared: an edge of the object beside a speck hides little of it.
-    """
-    from scipy.ndimage import binary_dilation, label, sum_labels
-
-    parts, count = label(binary_dilation(marked, iterations=int(SCALES[0][1])))
-    numbers = np.arange(1, count + 1)
-    if not count:
-        return _Specks(parts, numbers, numbers)
-    square, common = np.full(count, 1e-12), np.zeros(count)
-    for of_object, of_white in zip(_slopes(scene), _slopes(lit), strict=True):
-        weight = _weights(np.minimum(of_object**2, (of_object - of_white) ** 2), sound, BESIDE)
-        square += sum_labels(weight * of_white**2, parts, numbers)
-        common += sum_labels(weight * of_white * of_object, parts, numbers)
-    single = common / square - HALF, SPECK_SIGMAS * np.sqrt(ALIKE / square)
-    board, sensor = single[0] < -single[1], single[0] > single[1]
-    left = ~board & ~sensor
-    if left.any():
-        whole = square[left].sum()
-        both, error = common[left].sum() / whole - HALF, SPECK_SIGMAS * np.sqrt(ALIKE / whole)
-        board = board | (left & (both < -error))
-        size = sum_labels(marked, parts, numbers)[left].sum()
-        left = left & (-error <= both) & (both < 0) & (size > FEW)
-    return _Specks(parts, numbers[board], numbers[left])
-
-
-def _slopes(plane: np.ndarray) -> list[np.ndarray]:
-    """Return the slopes of a plane's logarithm down and across, (h, w) each, over noise."""
-    import cv2
-
-    fine = cv2.GaussianBlur(np.ascontiguousarray(plane, np.float32), (0, 0), SCALES[0][0])
-    return list(np.gradient(np.log(np.maximum(fine, max(1e-3 * float(np.median(fine)), 1e-9)))))
 
 
 def detail(plane: np.ndarray, scale: tuple[float, float]) -> RelativeDetail:
@@ -241,12 +160,12 @@ def detail(plane: np.ndarray, scale: tuple[float, float]) -> RelativeDetail:
     return RelativeDetail((fine - coarse) / base, (plane - coarse) / base)
 
 
-def _weights(square: np.ndarray, sound: np.ndarray, around: float = AROUND) -> np.ndarray:
+def _weights(square: np.ndarray, sound: np.ndarray) -> np.ndarray:
     """Return how well detail of the white can be measured in the object, of whose detail this is the square: 1/variance, (h, w)."""
     import cv2
 
     square = np.where(sound, square, 0).astype(np.float32)
-    weight = 1 / (cv2.GaussianBlur(square, (0, 0), around) + FLOOR**2)
+    weight = 1 / (cv2.GaussianBlur(square, (0, 0), AROUND) + FLOOR**2)
     return np.where(sound, weight, 0)
 
 

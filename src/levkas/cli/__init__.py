@@ -30,7 +30,7 @@ ORDER = {
     "Capture": ("watch",),
     "Build": ("build", "status", "inspect", "points"),
     "Measure": ("radiometry", "chart", "evaluate", "agree", "validate"),
-    "Use": ("map", "estimate", "estimate apply", "splice", "export", "publish"),
+    "Use": ("map", "estimate", "estimate apply", "export", "publish"),
 }
 """Commands as `levkas --help` lists them: in groups, in the order of work."""
 
@@ -114,7 +114,6 @@ for _name, _command in {
     "status": build.status,
     "estimate": estimate.estimate,
     "estimate apply": estimate.apply,
-    "splice": estimate.splice,
     "evaluate": evaluate.evaluate,
     "agree": evaluate.agree,
     "validate": build.validate,

@@ -67,22 +67,6 @@ def build(
         ),
     ] = False,
     verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
-    cluster: Annotated[
-        str | None,
-        typer.Option(
-            help="Address of a Dask scheduler, tcp://HOST:PORT; default DASK_SCHEDULER_ADDRESS. Needs levkas[cluster]."
-        ),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            help="Worker processes on this machine; 0 uses a single process.", min=0, max=1000
-        ),
-    ] = None,
-    insecure: Annotated[
-        bool,
-        typer.Option("--insecure", help="Use a scheduler on another machine without encryption."),
-    ] = False,
     as_json: Json = False,
 ) -> None:
     """Build the database of a campaign from its raw frames."""
@@ -95,9 +79,6 @@ def build(
         objects=objects,
         keep_removed=keep_removed,
         verify=verify,
-        cluster=cluster,
-        workers=workers,
-        insecure=insecure,
     )
     report = summarise(draw_steps(steps, as_json))
     if as_json or any(step.state == "done" for step in report.stages):

@@ -71,9 +71,8 @@ PURPOSES = {
 """Distribution → what it is for; which ones there are, the package's own metadata says."""
 
 EXTRAS = {
-    "cluster": "build --workers and --cluster",
     "docs": "the documentation, and figures of the examples and benchmarks",
-    "export": "export: NetCDF, and MAT files of the spectral recovery challenges",
+    "export": "export: NetCDF and layers for Photoshop; cubes in HDF5 and MATLAB 7.3",
     "peers": "methods: programs to compare with",
     "remote": "databases on web servers and in stores like S3",
 }

@@ -1,4 +1,4 @@
-"""Commands that make layers from registered ones: estimate, estimate apply, splice."""
+"""Commands that make layers from registered ones: estimate, estimate apply."""
 
 from __future__ import annotations
 
@@ -83,44 +83,6 @@ def apply(
     print_report("estimate apply", as_json, True, [], layer=layer, estimated=True, files=files)
     if not as_json:
         typer.echo(f"{len(steps)} layers {layer} estimated, not measured")
-
-
-@refusing("splice")
-def splice(
-    database: Database,
-    first: Annotated[
-        str, typer.Argument(help="Layer of one spectrograph, CAMERA or CAMERA@SETUP.")
-    ],
-    second: Annotated[str, typer.Argument(help="Layer of the other.")],
-    layer: Annotated[str, typer.Argument(metavar="NAME", help="Name of the new layer.")],
-    at: Annotated[
-        float | None,
-        typer.Option(
-            metavar="NM",
-            help="Where the longer waves begin; default: where the less noisy of the two changes.",
-        ),
-    ] = None,
-    level: Annotated[
-        bool,
-        typer.Option(
-            "--level", help="Divide the layer of longer waves by the gain of the overlap."
-        ),
-    ] = False,
-    objects: Objects = None,
-    as_json: Json = False,
-) -> None:
-    """Splice the spectra of two cameras to one layer, and judge them where both see."""
-    from levkas.database.splicing import splice
-
-    steps = draw_steps(
-        splice(database, first, second, layer, at=at, level=level, objects=objects or ()), as_json
-    )
-    found = {step.label.partition("/")[0]: step.overlap.to_dict() for step in steps}
-    files = [str(path) for step in steps for path in step.files]
-    print_report("splice", as_json, True, [], layer=layer, overlaps=found, files=files)
-    if not as_json:
-        doubtful = sum(step.overlap.decision == "warn" for step in steps)
-        typer.echo(f"{len(steps)} layers {layer} spliced, {doubtful} of them doubtful")
 
 
 def _report(

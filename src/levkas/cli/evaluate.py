@@ -91,7 +91,7 @@ def agree(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Compare two databases of one object within their uncertainties; exit status 1 where they contradict each other."""
+    """Compare two databases of one object within their uncertainties; exit status 1 where they contradict each other, or nothing was compared."""
     from levkas.pages.agreement import agreement_text, write_agreement
     from levkas.quality.evaluation.database_agreement import compare_databases
 
@@ -99,7 +99,8 @@ def agree(
     if output is not None:
         write_agreement(str(database), str(other), found, output, overwrite=overwrite)
     ok = all(one.agrees for one in found)
-    print_report("agree", as_json, ok, [], objects=[one.to_dict() for one in found])
+    problems = [problem for one in found for problem in one.problems]
+    print_report("agree", as_json, ok, problems, objects=[one.to_dict() for one in found])
     if not as_json:
         typer.echo(agreement_text(found))
     raise typer.Exit(0 if ok else 1)

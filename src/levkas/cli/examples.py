@@ -4,7 +4,7 @@ from __future__ import annotations
 
 EXAMPLES: dict[str, tuple[str, ...]] = {
     "agree": ("levkas agree icons-2019 icons-2026", "levkas agree ours theirs --object icon1 -o agreement"),
-    "build": ("levkas build icons", "levkas build icons --object icon1 --workers 4"),
+    "build": ("levkas build icons", "levkas build icons --object icon1"),
     "chart": ("levkas chart icons", "levkas chart cube.hdr --kind ColorCheckerSG -o chart.html"),
     "demo": ("levkas demo", "levkas demo trial --seed 7"),
     "doctor": ("levkas doctor", "levkas doctor /data/icons"),
@@ -31,10 +31,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "publish": ("levkas publish icons --check", "levkas publish icons -o published --url https://example.org/icons"),
     "radiometry": ("levkas radiometry icons", "levkas radiometry icons --camera d80 -o radiometry.html"),
     "simulate": ("levkas simulate trial", "levkas simulate trial --preset small --objects 2"),
-    "splice": (
-        "levkas splice icons/database vnir swir vnir-swir",
-        "levkas splice icons/database vnir swir vnir-swir --at 985 --level",
-    ),
     "status": ("levkas status icons", "levkas status icons --graph"),
     "validate": ("levkas validate icons/database", "levkas validate https://example.org/icons"),
     "watch": ("levkas watch session", "levkas watch session --once --json"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections import Counter
 from typing import Any, get_args
@@ -17,7 +16,6 @@ NOT_ONE = re.compile(r"(?:Value error, )?'(?P<value>[^']*)' is not one of (?P<ch
 """What typer writes of a choice that is none."""
 Needs = dict[str, tuple[str, ...]]
 NEEDS: dict[str, Needs] = {
-    "build": {"--insecure": ("--cluster", "$DASK_SCHEDULER_ADDRESS")},
     "chart": {"--overwrite": ("--output",)},
     "estimate": {"--overwrite": ("--output",)},
     "evaluate": {"--frame": ("--points",), "--overwrite": ("--maps",)},
@@ -32,9 +30,8 @@ NEEDS: dict[str, Needs] = {
     "radiometry": {"--overwrite": ("--output",)},
     "simulate": {"--interval": ("--live",), "--faults": ("--live",)},
 }
-"""Command → option → others, one of which it needs; ``$NAME`` is a variable of the environment."""
+"""Command → option → others, one of which it needs."""
 EXCLUDES: dict[str, Needs] = {
-    "build": {"--cluster": ("--workers",)},
     "plan exposure": {
         "--setup": ("frames", "--dark", "--pattern", "--black", "--bits", "--saturation", "--time")
     },
@@ -45,6 +42,10 @@ EXCLUDES: dict[str, Needs] = {
 }
 """Command → option → others that would have no effect beside it."""
 GONE = {
+    "build": dict.fromkeys(
+        ("--cluster", "--workers"),
+        "A build is one process with threads; leave it out, or build objects side by side with --object.",
+    ),
     "estimate": {
         "--split": "Leave it out: each painting is left out in turn.",
         "--no-budget": "Leave it out: there is no error budget.",
@@ -124,7 +125,7 @@ class StrictCommand(TyperCommand):
             if option in given and (idle := [other for other in others if other in given]):
                 ctx.fail(f"{', '.join(idle)} has no effect with {option}")
         for option, needed in NEEDS.get(words, {}).items():
-            if option in given and not any(_is_there(one, given) for one in needed):
+            if option in given and not any(one in given for one in needed):
                 ctx.fail(f"{option} acts only with {' or '.join(needed)}")
         return rest
 
@@ -145,10 +146,6 @@ def _metavar(param: Any) -> str:
 def _name(param: Any) -> str:
     """The long name of an option, or the name of an argument."""
     return next((opt for opt in param.opts if opt.startswith("--")), str(param.opts[0]))
-
-
-def _is_there(name: str, given: set[str]) -> bool:
-    return bool(os.environ.get(name[1:])) if name.startswith("$") else name in given
 
 
 def _words(ctx: Any) -> str:

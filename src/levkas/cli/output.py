@@ -208,8 +208,8 @@ def draw_steps(steps: Iterable[Any], quiet: bool) -> list[Any]:
     done = []
     for step in steps:
         done.append(step)
-        if not quiet and (step.finished or getattr(step, "state", "") == "waiting"):
-            typer.echo(_with_where(step, _plain_line(step)), err=True)
+        if not quiet and step.finished:
+            typer.echo(_plain_line(step), err=True)
             print_problems(_causes(step))
     return done
 
@@ -258,20 +258,17 @@ def draw_bar(steps: Iterable[Any], console: Console) -> list[Any]:
     columns = (name, BarColumn(10), count, Within(one_line))
     done, fresh = [], 0
     with Progress(*columns, console=console, transient=True) as progress:
-        first = FRAMES.count
-        start: dict[str, Any] = {"since": time.monotonic(), "frames": first}
+        start: dict[str, Any] = {"since": time.monotonic(), "frames": FRAMES.count}
         task = progress.add_task("starting", total=None, most="?", **start)
         for step in steps:
             done.append(step)
             fresh += step.finished and getattr(step, "state", "") == "fresh"
             completed, total = step.done - fresh, max(step.total - fresh, 0)
-            if getattr(step, "where", ""):
-                start = {"since": None, "frames": first}
-            elif not step.finished:
+            if not step.finished:
                 start = {"since": time.monotonic(), "frames": FRAMES.count}
             progress.update(
                 task,
-                description=_with_where(step, step.label),
+                description=step.label,
                 completed=completed,
                 total=total or None,
                 **start,
@@ -303,9 +300,3 @@ def _clock(seconds: float) -> str:
     minutes, rest = divmod(int(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
-
-
-def _with_where(step: Any, text: str) -> str:
-    """Report behind a step on how many workers it was done, where there are any."""
-    where = getattr(step, "where", "")
-    return f"{text} ({where})" if where else text

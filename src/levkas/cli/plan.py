@@ -71,7 +71,7 @@ DarkFrames = Annotated[
     list[Path] | None, typer.Option("--dark", help="Dark frame or folder; may be repeated.")
 ]
 Pattern = Annotated[
-    str | None, typer.Option(help="Pattern of a mosaic, such as RGGB; default from the file.")
+    str | None, typer.Option(help="Mosaic, such as RGGB; default from the file or campaign.toml.")
 ]
 Black = Annotated[float | None, typer.Option(help="Black level in counts; default from the file.")]
 Bits = Annotated[

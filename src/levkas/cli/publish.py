@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -40,8 +40,17 @@ def publish(
         list[str] | None,
         typer.Option(
             "--analyse",
-            help="Also compute pictures from the layers: all, or pca, mnf, infrared-visible, "
+            help="Also compute pictures from the layers: all, or infrared-visible, "
             "ratio:700/1000, … separated by commas.",
+        ),
+    ] = None,
+    without: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--without",
+            metavar="CAMERA",
+            help="Leave out the layers of this camera, or one as OBJECT/CAMERA; may be repeated. "
+            "Needed where a layer is of an earlier build.",
         ),
     ] = None,
     no_iiif: Annotated[
@@ -52,20 +61,15 @@ def publish(
     """Make a folder that anyone can open, preview and cite."""
     from levkas.publish import run
 
+    options: dict[str, Any] = {"output": output, "url": url, "analyse": analyse or ()}
     if check:
-        missing = run.check(subject, output=output, url=url, analyse=analyse or ())
+        missing = run.check(subject, **options, without=without or ())
         print_report("publish", as_json, missing.ok, list(missing.problems), **missing.to_dict())
         if not as_json:
             typer.echo(missing.text)
         raise typer.Exit(0 if missing.ok else 1)
-    wanted = run.find_subject(subject)
-    publication = run.publish(
-        wanted,
-        output=output,
-        url=url,
-        iiif=not no_iiif,
-        analyse=analyse or (),
-    )
+    wanted = run.find_subject(subject, without=without or ())
+    publication = run.publish(wanted, iiif=not no_iiif, **options)
     steps = draw_steps(publication, as_json)
     report = run.summarise(steps)
     print_report("publish", as_json, True, [], **report.to_dict())

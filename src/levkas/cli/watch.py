@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from levkas.cli.output import Json, print_report, refusing
-from levkas.core.problems import Problem
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -49,7 +49,7 @@ def watch(
         folder = folder.parent if folder.name == "campaign.toml" else folder
     session = WatchedSession(folder)
     if once or as_json:
-        _finish(session.settle(), as_json)
+        _finish(session.settle(), as_json, folder)
     _follow(session, port, browse=not no_open, bell=bell)
 
 
@@ -112,7 +112,7 @@ def print_missing(state: SessionState) -> None:
     for text in state.problems:
         typer.secho(text, fg=typer.colors.RED)
     if not state.missing:
-        typer.echo("Nothing is missing.")
+        typer.echo("Nothing is missing." if state.frames else "No frame came.")
         return
     typer.echo("Before the object leaves:")
     for item in state.missing:
@@ -120,7 +120,12 @@ def print_missing(state: SessionState) -> None:
         typer.echo(f"  capture {item.what}{again} ({item.why})")
 
 
-def _finish(state: SessionState, as_json: bool) -> None:
+def _finish(state: SessionState, as_json: bool, folder: Path) -> None:
+    if not state.frames:
+        why, there = "there is no frame to judge", [*state.problems, *state.strays[:3]]
+        wanted = "frames that `levkas look` knows, or that patterns of campaign.toml fit"
+        found = "; ".join(there) or None
+        raise Refused(Problem("E_NO_FRAMES", why, str(folder), None, found, wanted))
     problems = [
         Problem("E_FRAME", finding.text, frame.file.name, finding.check, fix=finding.advice)
         for frame in state.frames

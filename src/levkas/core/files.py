@@ -34,8 +34,12 @@ PARTIAL = re.compile(r".*\.partial-[0-9a-f]{8}")
 """Names of what is not finished, by whomever."""
 OURS = re.compile(r".*\.levkas\.partial-[0-9a-f]{8}")
 """Those that Levkas gives, and alone takes away."""
-DROPPINGS = frozenset([".DS_Store", "Thumbs.db", "desktop.ini"])
-"""Left by file browsers in every folder they show; neither published nor a damage."""
+DROPPINGS = re.compile(
+    r"\._.*|\.(DS_Store|directory)|(eh)?thumbs\.db|desktop\.ini|.*\.(aux\.xml|ovr|qmd|qml|qix|rrd|enp)",
+    re.IGNORECASE,
+)
+"""Names that file browsers (macOS, Windows, KDE) and viewers of pictures (GDAL, QGIS, ArcGIS, ENVI) leave beside what they
+show; neither published nor a damage."""
 BUFFER_BYTES, COPY_BYTES = 1 << 20, 1 << 22
 LONGEST_NAME = 200
 """Bytes of a name that stand in its partial name; with ours and eight digits 224."""
@@ -499,15 +503,6 @@ def remove(path: str | Path) -> None:
         else:
             discard(path)
     _sync_folder(path.parent)
-
-
-def rename_file(path: str | Path, new: str | Path) -> None:
-    """Give a file another name in its folder, over what bears it; nothing happens where there is none."""
-    path = Path(path)
-    with refusing(path, None), contextlib.suppress(FileNotFoundError):
-        fault("rename", path)
-        path.replace(new)
-        _sync_folder(path.parent)
 
 
 def move_files(names: Iterable[str], source: str | Path, target: str | Path) -> list[str]:

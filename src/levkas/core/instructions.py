@@ -124,12 +124,3 @@ def _opencv_sets() -> list[str]:
         return list(OPENCV_SETS)
     here = set(flags[1].split())
     return [name for name, needed in OPENCV_SETS.items() if needed <= here]
-
-
-if (
-    __name__ == "__main__"
-):  # for a shell, before it starts what loads NumPy by itself, such as dask's workers
-    hold_instructions()
-    for name in (*HELD, "OPENCV_CPU_DISABLE"):
-        if name in os.environ:
-            print(f"export {name}='{os.environ[name]}'")

@@ -52,7 +52,7 @@ def stands_in(folder: Path) -> str:
         return ""
     found = what_stands_at(folder)
     if found == "a folder" and all(
-        path.name in DROPPINGS or OURS.fullmatch(path.name) for path in folder.iterdir()
+        DROPPINGS.fullmatch(path.name) or OURS.fullmatch(path.name) for path in folder.iterdir()
     ):
         return ""
     return found

@@ -18,7 +18,7 @@ from levkas.database.layout import LayerId
 from levkas.database.remote import is_remote, place
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
 NAME = "catalogue.csv"
 LARGEST = 256 << 20
@@ -38,7 +38,8 @@ class Entry:
     """One layer: an object by a camera under a setup ("" for the default one).
 
     `bands` is their number, `width` and `height` are of the grid, `sha256` is of the layer's TIFF, `kind` is
-    ``"measured"``, or ``"estimated"`` where the layer was made from others.
+    ``"measured"``, or ``"estimated"`` where the layer was made from others. `earlier` is empty, or why the last build
+    could not make the layer anew: then it is of an earlier build.
     """
 
     object: str
@@ -52,6 +53,7 @@ class Entry:
     verdict: str
     sha256: str
     kind: str = MEASURED
+    earlier: str = ""
 
     @property
     def layer(self) -> LayerId:
@@ -59,15 +61,15 @@ class Entry:
         return LayerId(self.object, self.camera, self.setup)
 
     def to_row(self) -> list[str]:
-        """Return the cells; an unknown sampling is empty. A measured layer's row does not state its kind."""
+        """Return the cells; an unknown sampling is empty, and the last ones are left out where they are as usual."""
         cells = [getattr(self, field.name) for field in fields(self)]
-        cells = cells[:-1] if self.kind == MEASURED else cells
+        cells = cells[: len(COLUMNS) + (2 if self.earlier else self.kind != MEASURED)]
         return ["" if isinstance(c, float) and math.isnan(c) else str(c) for c in cells]
 
 
-KIND = "kind"
-"""Column that only a catalogue with an estimated layer has."""
-COLUMNS = tuple(field.name for field in fields(Entry) if field.name != KIND)
+ALL_COLUMNS = tuple(field.name for field in fields(Entry))
+COLUMNS = ALL_COLUMNS[:-2]
+"""Those of every catalogue; ``kind`` and ``earlier`` stand only where a layer is not measured, or not of the last build."""
 
 
 def database_of(path: str | Path) -> Path:
@@ -103,17 +105,14 @@ def write_catalogue(database: str | Path, entries: Iterable[Entry]) -> Path:
     """Write the catalogue, rows sorted by object, camera and setup; raises WriteRefused.
 
     One that says the same already is left alone.
-
-    Returns
-    -------
-    path : Path
     """
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    rows = sorted(entries, key=lambda entry: (entry.object, entry.camera, entry.setup))
-    columns = COLUMNS if all(entry.kind == MEASURED for entry in rows) else (*COLUMNS, KIND)
-    table.writerow(columns)
-    table.writerows([*entry.to_row(), entry.kind][: len(columns)] for entry in rows)
+    ordered = sorted(entries, key=lambda entry: (entry.object, entry.camera, entry.setup))
+    rows = [entry.to_row() for entry in ordered]
+    width = max(map(len, rows), default=len(COLUMNS))
+    table.writerow(ALL_COLUMNS[:width])
+    table.writerows(_whole_row(row)[:width] for row in rows)
     path = Path(database) / NAME
     write_changed(path, text.getvalue().encode())
     return path
@@ -164,8 +163,13 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
     return tuple(entries)
 
 
+def _whole_row(row: Sequence[str]) -> list[str]:
+    """Return a row with the last cells that it leaves out."""
+    return [*row, *(MEASURED, "")[len(row) - len(COLUMNS) :]]
+
+
 def _check_head(path: Path, row: list[str]) -> None:
-    if tuple(row) not in (COLUMNS, (*COLUMNS, KIND)):
+    if len(row) < len(COLUMNS) or tuple(row) != ALL_COLUMNS[: len(row)]:
         found = ",".join(row)[:120] if row else "an empty file"
         what, expected = "the catalogue has wrong columns", ",".join(COLUMNS)
         raise DatabaseRefused(Problem("E_KEY", what, str(path), "line 1", found, expected))
@@ -173,12 +177,14 @@ def _check_head(path: Path, row: list[str]) -> None:
 
 def entry_of(row: list[str]) -> Entry:
     """Return the entry of one row of the catalogue; raises ValueError where it is none."""
-    if len(row) not in (len(COLUMNS), len(COLUMNS) + 1):
+    if not len(COLUMNS) <= len(row) <= len(ALL_COLUMNS):
         raise ValueError(f"{len(row)} cells of {len(COLUMNS)}")
-    kind = row[len(COLUMNS)] if len(row) > len(COLUMNS) else MEASURED
+    kind, earlier = _whole_row(row)[len(COLUMNS) :]
     if kind not in (MEASURED, ESTIMATED, SPLICED):
         raise ValueError(f"unknown kind of layer: {kind!r}")
     name, camera, setup, bands, width, height, px_per_mm, quantity, verdict, sha256 = row[:10]
     check_plain_names(name, camera, setup or "-", f"{LayerId(name, camera, setup).stem}.sigma.tif")
     size = int(bands), int(width), int(height), float(px_per_mm or math.nan)
-    return Entry(name, intern(camera), setup, *size, intern(quantity), verdict, sha256, kind)
+    return Entry(
+        name, intern(camera), setup, *size, intern(quantity), verdict, sha256, kind, earlier
+    )

@@ -20,7 +20,6 @@ from levkas.database.opening import has_sigma, open_layer, place_of
 if TYPE_CHECKING:
     from levkas.calibration.error_sources import Uncertain
     from levkas.colour.illuminants import Light
-    from levkas.database.components import Components, Method
     from levkas.database.pixel_frames import FrameMap
     from levkas.database.region_uncertainty import Of
     from levkas.database.regions import Region
@@ -85,18 +84,22 @@ class LayerAccessor:
         return self._selected(whole, ("y", "x"))
 
     def transform(self, source: str, target: str) -> FrameMap:
-        """Return the map between two frames of pixels of the object; ``grid`` means the pixels of this array.
+        """Return the map between two frames of pixels of the object; of ``grid`` they are the x and y of this array.
 
         Raises
         ------
         MappingRefused
-            Where a frame is not there, its registration was refused, or the pixels of this array are not known to
-            lie at even steps in the grid.
+            Where a frame is not there, or its registration was refused.
+        ValueError
+            Where x or y of this array are lost, or are not the grid's.
         """
-        from levkas.database.pixel_frames import find_map, part_of
+        from levkas.database.pixel_frames import find_map
 
         root, layer = self._place
-        return find_map(root, layer.object, source, target, part=part_of(self._array))
+        whole = open_layer(root, layer)
+        for axis in ("x", "y"):
+            _positions(self._array, whole, axis)
+        return find_map(root, layer.object, source, target)
 
     def region(
         self,
@@ -111,7 +114,7 @@ class LayerAccessor:
         Parameters
         ----------
         polygon : sequence of (x, y), px
-            Corners, in pixels of this array; a pixel belongs to it where its centre lies within.
+            Corners, by the x and y of this array; a pixel belongs to it where its centre lies within.
         rectangle : (x0, y0, x1, y1), px
             From pixel to pixel, both included.
         circle : (x, y, radius), px
@@ -168,7 +171,8 @@ class LayerAccessor:
         Raises
         ------
         RegionRefused
-            ``E_REGION`` as of `region`; ``E_VALUE`` where that cannot be made of these bands.
+            ``E_REGION`` as of `region`, or where these pixels are not neighbours in the grid; ``E_VALUE`` where that cannot
+            be made of these bands.
 
         Notes
         -----
@@ -297,22 +301,6 @@ class LayerAccessor:
         listed = read_catalogue(root) if (root / CATALOGUE).is_file() else ()
         return next((entry.verdict for entry in listed if entry.layer == layer), "")
 
-    def components(self, method: Method = "pca") -> Components:
-        """Find the principal components (``"pca"``) or minimum-noise fractions (``"mnf"``) of these pixels.
-
-        Noise is taken from `sigma` where that is known, as `levkas.database.components.find_components` has it.
-
-        Raises
-        ------
-        ComponentsRefused
-            ``E_SIZE`` with too few bands or sound pixels; ``E_VALUE`` where the noise of a band is nil, or there is no
-            such method.
-        """
-        from levkas.database.components import find_components
-
-        sigma = self.sigma if method == "mnf" else None
-        return find_components(self._array, self.flags, sigma, method=method)
-
     @property
     def _place(self) -> tuple[Path, LayerId]:
         place = place_of(self._array)
@@ -352,8 +340,8 @@ class LayerAccessor:
 class LayerArray(xarray.DataArray):
     """A `xarray.DataArray` (y, x, band), read on request, with what lies beside it at hand: see `LayerAccessor`.
 
-    Coordinates ``x`` and ``y`` are pixels of the grid; `transform` and `region` are in pixels of the array, from its own
-    corner. What xarray makes of it that is no `LayerArray` has the same as ``array.levkas``.
+    Coordinates ``x`` and ``y`` are pixels of the grid, of a crop too, and every method takes places by them. What xarray makes of it
+    that is no `LayerArray` has the same as ``array.levkas``.
     """
 
     __slots__ = ()
@@ -381,10 +369,6 @@ class LayerArray(xarray.DataArray):
     def uncertainty(self, *args: Any, **options: Any) -> xarray.Dataset:
         """As `LayerAccessor.uncertainty`."""
         return self.levkas.uncertainty(*args, **options)
-
-    def components(self, method: Method = "pca") -> Components:
-        """As `LayerAccessor.components`."""
-        return self.levkas.components(method)
 
     def sel(self, indexers: Any = None, *args: Any, **options: Any) -> LayerArray:
         """Select by label, as xarray does; by ``wavelength`` too, in nm."""
@@ -477,13 +461,18 @@ def _uncertain_means(
     )
     assert flags is not None
     labels = [str(label) for label in array.band.values]
-    centres = np.array([_centre(array, region) for region in regions])
-    known = found.position_sigmas(root, layer, labels, centres)
+    corner = _corner(array)
+    last = (array.x.values[-1], array.y.values[-1])
+    centres = [
+        np.clip(np.reshape(region.bounds, (2, 2)).mean(0), corner, last) for region in regions
+    ]
+    known = found.position_sigmas(root, layer, labels, np.array(centres))
     nm = np.atleast_1d(array.wavelength.values).astype(float)
     bands = [Band(label, float(at)) for label, at in zip(labels, nm, strict=True)]
     means = []
     for region, sigmas in zip(regions, known, strict=True):
-        x0, y0, x1, y1 = region.bounds
+        own = replace(region, vertices=region.vertices - corner)
+        x0, y0, x1, y1 = own.bounds
         left, top = max(0, int(np.floor(x0)) - 1), max(0, int(np.floor(y0)) - 1)
         part = {
             "x": slice(left, max(left, int(np.ceil(x1)) + 2)),
@@ -491,7 +480,7 @@ def _uncertain_means(
         }
         noise = None if sigma is None else _rows_of(sigma, part)
         pixels = Pixels(_rows_of(array, part), _rows_of(flags, part), noise)
-        moved = replace(region, vertices=region.vertices - (left, top))
+        moved = replace(own, vertices=own.vertices - (left, top))
         mean = found.mean_of_region(pixels, bands, moved, budget.correlation)
         here = found.with_place(budget, labels, sigmas)
         means.append(found.uncertain_region(mean, here, layer, region.vertices.tolist()))
@@ -503,12 +492,17 @@ def _rows_of(array: xarray.DataArray, part: Mapping[str, slice]) -> np.ndarray:
     return np.asarray(array.isel(part).transpose("y", "x", "band").values)
 
 
-def _centre(array: xarray.DataArray, region: Region) -> tuple[float, float]:
-    """Return the middle of a region, px of the grid."""
-    x0, y0, x1, y1 = region.bounds
-    places = ((x0 + x1) / 2, array.x.values), ((y0 + y1) / 2, array.y.values)
-    x, y = (float(known[int(np.clip(round(at), 0, len(known) - 1))]) for at, known in places)
-    return x, y
+def _corner(array: xarray.DataArray) -> np.ndarray:
+    """Return x and y of the first pixel; raises RegionRefused where pixels are no neighbours: noise and slopes are those of neighbours."""
+    from levkas.database.regions import RegionRefused
+
+    places = [array[axis] for axis in ("x", "y")]
+    for at in places:
+        if at.dims != (at.name,) or not at.size or (np.diff(at.values) != 1).any():
+            why = "these pixels are not neighbours in the grid"
+            fix = "Take the uncertainty of the layer before it is thinned, turned or joined."
+            raise RegionRefused(Problem("E_REGION", why, field=str(at.name), fix=fix))
+    return np.array([float(at.values[0]) for at in places])
 
 
 def _with_bands(array: xarray.DataArray) -> xarray.DataArray:

@@ -14,14 +14,15 @@ import numpy as np
 
 from levkas.colour.srgb import counts_white, find_rendering
 from levkas.core.digests import hash_file
-from levkas.core.files import remove, spooling, together
+from levkas.core.files import remove, spooling, together, write_bytes
 from levkas.core.machine import count_threads
 from levkas.core.rounding import SIGMA_DROP, is_rounded, round_sigma
 from levkas.core.threads import made_ahead
 from levkas.database.catalogue import ESTIMATED, MEASURED, SPLICED, Entry
 from levkas.database.credits import Credits
+from levkas.database.described import describe_pages
 from levkas.database.layout import SIGMA, STEP, LayerId, layer_name
-from levkas.database.preview import encode_png, write_preview
+from levkas.database.preview import write_preview
 from levkas.database.spectral_tiff import (
     THREADS,
     PageSpool,
@@ -29,9 +30,10 @@ from levkas.database.spectral_tiff import (
     write_encoded_pages,
 )
 from levkas.database.store import writing_layer
+from levkas.database.tiff_pages import open_pages
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from levkas.colour.srgb import Rendering
     from levkas.core.cube import Band, Cube, CubeRows
@@ -198,13 +200,6 @@ def write_tiffs(base: Path, layer: Layer, rows: Cube | CubeRows) -> list[Path]:
         return tiffs.finish(layer)
 
 
-def render_layer(rows: Cube, *, encoded: bool = False, white: float | None = None) -> bytes:
-    """Return the picture of a layer, PNG, as `write_layer` draws it."""
-    picture = _Picture(rows, find_rendering(rows.bands, encoded=encoded), white)
-    picture.paint(rows.values)
-    return encode_png(picture.rgb, description=picture.description)
-
-
 class _Picture:
     """The rows of a layer, painted in sRGB as they pass; `white` is the count shown as white."""
 
@@ -295,6 +290,49 @@ class _SpooledTiffs:
         if (stale := self._path("sigma")) not in written and stale.is_file():
             remove(stale)
         return written
+
+
+def describe_files(
+    paths: Iterable[Path],
+    credits: Credits,
+    px_per_mm: float | None,
+    centroids: Mapping[str, float],
+) -> None:
+    """Write anew what the files of a layer say about its pixels; strips and chunks are copied as they are.
+
+    The bytes are those that `write_layer` writes with these facts. Raises WriteRefused.
+    """
+    from PIL import Image
+
+    for path in paths:
+        if path.suffix == ".tif":
+            pages = open_pages(path)
+            described = describe_pages(pages)
+            header = TiffHeader(
+                pages.shape[:2],
+                centres_of(described.bands, centroids),
+                describe_bands(described.bands, _with_sampling(described.facts, px_per_mm)),
+                dtype=pages.dtype,
+                rgb=pages.read_render(),
+                px_per_mm=px_per_mm,
+                credits=credits,
+            )
+            write_encoded_pages(path, pages.strips(), header)
+        elif path.suffix == ".png":
+            with Image.open(path) as image:
+                text, pixels = image.info.get("Description", ""), np.asarray(image)
+            write_preview(path, pixels, description=text, px_per_mm=px_per_mm)
+        elif path.parts[-2:] == ("values", "zarr.json"):
+            record = json.loads(path.read_bytes())
+            record["attributes"] = _with_sampling(record["attributes"], px_per_mm)
+            write_bytes(path, json.dumps(record, indent=2).encode())  # as zarr spells it
+
+
+def _with_sampling(facts: Mapping[str, Any], px_per_mm: float | None) -> dict[str, Any]:
+    """Return the attributes of a layer with another sampling, in the order of `Layer.attributes`."""
+    first = {key: facts[key] for key in ("quantity", "object", "camera", "setup")}
+    scale = {"px_per_mm": px_per_mm} if px_per_mm else {}
+    return {**first, **scale, **{k: v for k, v in facts.items() if k not in {*first, "px_per_mm"}}}
 
 
 def facts_of_values(layer: Layer, *, sigma: bool) -> dict[str, Any]:

@@ -82,11 +82,6 @@ class Places:
         """Records and intermediate results of the build; may be deleted, costs only time."""
         return self.output.with_name(self.output.name + ".kept")
 
-    @property
-    def removed(self) -> Path:
-        """What was in the database and is not any more; Levkas never reads it."""
-        return self.output.with_name(self.output.name + ".removed")
-
     def folder(self, name: str) -> Path:
         """Folder of an object."""
         return self.output / "objects" / name

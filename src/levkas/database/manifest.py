@@ -171,7 +171,7 @@ def _hashing(lines: Iterable[bytes], digest: hashlib._Hash) -> Iterator[bytes]:
 def list_files(folder: str | Path) -> list[str]:
     """Return the files below `folder`, relative with ``/``, sorted by code point; links to folders too.
 
-    What file browsers leave behind is left out. A folder deeper than `DEEPEST` is listed like a file.
+    What file browsers and viewers leave behind (`core.files.DROPPINGS`) is left out. A folder deeper than `DEEPEST` is listed like a file.
     One on a server is listed as that does it, or as its manifest does.
     """
     if not isinstance(folder, str | Path):
@@ -204,7 +204,7 @@ def walk_files(root: Path) -> Iterator[str]:
         if above.count("/") + 1 >= DEEPEST:
             closed, folders[:] = [*folders], []
         for name in (*names, *closed):
-            if name not in DROPPINGS:
+            if not DROPPINGS.fullmatch(name):
                 yield f"{above}/{name}" if above else name
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +30,7 @@ from levkas.readers.orientation import UPRIGHT, describe_turn
 from levkas.registration.record import Sigma
 
 if TYPE_CHECKING:
-    import xarray
+    pass
 
 GRID = "grid"
 EDGE_PX = 1e-6
@@ -99,71 +99,14 @@ def parse_frame(text: str) -> Frame:
 
 
 @dataclass(frozen=True)
-class GridPart:
-    """A part of the grid that an array holds: pixel (i, j) of it is pixel ``start + step * (i, j)`` of the grid."""
-
-    start: tuple[float, float] = (0.0, 0.0)
-    step: tuple[float, float] = (1.0, 1.0)
-
-    def to_grid(self, points: np.ndarray) -> np.ndarray:
-        """Return grid px of (n, 2) px of the part.
-
-        >>> GridPart((100.0, 50.0), (2.0, 1.0)).to_grid(np.array([[3.0, 4.0]])).tolist()
-        [[106.0, 54.0]]
-        """
-        return np.asarray(self.start) + np.asarray(self.step) * points
-
-    def from_grid(self, points: np.ndarray) -> np.ndarray:
-        """Return px of the part of (n, 2) grid px."""
-        return np.asarray((points - np.asarray(self.start)) / np.asarray(self.step))
-
-
-def part_of(array: xarray.DataArray) -> GridPart:
-    """Return which part of the grid an array holds, by its coordinates ``x`` and ``y``, grid px.
-
-    A dimension that one position was selected of has that position as its pixel 0.
-
-    Raises
-    ------
-    MappingRefused
-        ``E_VALUE`` where the coordinates are lost, or are no even steps over the grid.
-    """
-    starts, steps = [], []
-    for name in ("x", "y"):
-        # A dimension without its coordinate would count from 0 wherever the crop lies.
-        known = dict(array.coords).get(name)
-        values = np.atleast_1d(known.values) if known is not None else np.zeros(0)
-        plain = known is not None and known.dims in ((), (name,))
-        even = plain and len(values) and values.dtype.kind in "iu"
-        gaps = np.unique(np.diff(values)) if even else values
-        if not even or len(gaps) > 1 or 0 in gaps:
-            found = f"{len(values)} positions" if known is not None else "no coordinate"
-            raise MappingRefused(
-                Problem(
-                    "E_VALUE",
-                    f"it is not known where in the grid the pixels of this array lie along {name}",
-                    field=name,
-                    found=found,
-                    expected=f"positions in the grid at even steps, as isel({name}=slice(…)) leaves them",
-                    fix="Take the map of the layer as it was opened, with points in pixels of the grid.",
-                )
-            )
-        starts.append(float(values[0]))
-        steps.append(float(gaps[0]) if len(gaps) else 1.0)
-    return GridPart((starts[0], starts[1]), (steps[0], steps[1]))
-
-
-@dataclass(frozen=True)
 class FramePixels:
     """A frame's part of the way: the map from reference px to its own, and what it covers.
 
-    `size` is [width, height], or None where the record does not say it; points are those of `part`, where a part of
-    the grid has one.
+    `size` is [width, height], or None where the record does not say it.
     """
 
     from_reference: Transform
     size: tuple[float, float] | None = None
-    part: GridPart = GridPart()
 
     def inside(self, points: np.ndarray) -> np.ndarray:
         """Return which of the (n, 2) points lie on the image, to the outer edges of its pixels."""
@@ -187,7 +130,7 @@ class FrameMap:
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Map (n, 2) points; rows keep their order."""
-        points = self.source.part.to_grid(np.asarray(points, np.float64).reshape(-1, 2))
+        points = np.asarray(points, np.float64).reshape(-1, 2)
         result = np.full(points.shape, np.nan)
         rows = np.flatnonzero(self.source.inside(points))
         if len(rows) == 0:
@@ -199,7 +142,7 @@ class FrameMap:
             return result
         mapped = self.target.from_reference(middle)
         known = self.target.inside(mapped)
-        result[rows[known]] = self.target.part.from_grid(mapped[known])
+        result[rows[known]] = mapped[known]
         return result
 
     def inverse(self, points: np.ndarray) -> np.ndarray:
@@ -212,8 +155,6 @@ def find_map(
     name: str,
     source: str | Frame,
     target: str | Frame,
-    *,
-    part: GridPart | None = None,
 ) -> FrameMap:
     """Return the map between two frames of an object.
 
@@ -224,8 +165,6 @@ def find_map(
         The object.
     source, target : str or Frame
         As in `parse_frame`; a camera alone means its reference channel.
-    part : GridPart, optional
-        Whose pixels those of ``grid`` are.
 
     Raises
     ------
@@ -235,11 +174,6 @@ def find_map(
     records = Records(database_of(database), name)
     frames = [f if isinstance(f, Frame) else parse_frame(f) for f in (source, target)]
     ends = [records.pixels(frame) for frame in frames]
-    if part is not None:
-        ends = [
-            end if frame.camera else replace(end, part=part)
-            for frame, end in zip(frames, ends, strict=True)
-        ]
     return FrameMap(ends[0], ends[1], records.reference())
 
 

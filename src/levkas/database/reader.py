@@ -35,10 +35,6 @@ if TYPE_CHECKING:
 class Database(Mapping[str, "Object"]):
     """A published database, object by object.
 
-    Parameters
-    ----------
-    path : path
-
     Attributes
     ----------
     path : Path

@@ -252,7 +252,7 @@ def mean_of_region(
                 "E_REGION",
                 "this is not a region of the layer",
                 found="no pixel within",
-                expected=f"a region on the grid, x 0 to {width - 1}, y 0 to {height - 1}",
+                expected="the centre of a pixel of the array, by its x and y",
             )
         )
     # One pixel around, so that the picture has a slope at the rim too.

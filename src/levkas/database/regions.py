@@ -106,6 +106,7 @@ def region_statistics(
     layer, flags : DataArray, (y, x, band)
         Read some rows at a time; nothing outside the region's rows is read.
     region : Region
+        By the coordinates x and y of the layer.
     bins : int
         Of a histogram between the least and the largest sound value of all bands; 0: none.
 
@@ -125,10 +126,8 @@ def region_statistics(
 
     if set(layer.dims) != {"y", "x", "band"}:
         raise _refused(f"dimensions {', '.join(map(str, layer.dims))}", "an array of y, x and band")
-    height, width = layer.sizes["y"], layer.sizes["x"]
     x0, y0, x1, y1 = region.bounds
-    rows = range(max(0, int(np.ceil(y0))), min(height, int(np.floor(y1)) + 1))
-    columns = slice(max(0, int(np.ceil(x0))), max(0, min(width, int(np.floor(x1)) + 1)))
+    columns, rows = _within(layer["x"].values, x0, x1), _within(layer["y"].values, y0, y1)
     blocks = _Blocks(layer, flags, region, rows, columns)
     bands = layer.sizes["band"]
     count, mean, spread = np.zeros(bands, np.int64), np.zeros(bands), np.zeros(bands)
@@ -147,9 +146,7 @@ def region_statistics(
         if n.any():
             low, high = min(low, values[sound].min()), max(high, values[sound].max())
     if not pixels:
-        raise _refused(
-            "no pixel within", f"a region on the grid, x 0 to {width - 1}, y 0 to {height - 1}"
-        )
+        raise _refused("no pixel within", "the centre of a pixel of the array, by its x and y")
     with np.errstate(invalid="ignore", divide="ignore"):
         std = np.sqrt(np.where(count > 1, spread / (count - 1.0), np.nan))
     found = {
@@ -181,19 +178,26 @@ class _Blocks:
     flags: xarray.DataArray
     region: Region
     rows: range
-    columns: slice
+    columns: range
 
     def read(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield values and which are sound, (pixels, bands)."""
-        across = np.arange(self.columns.start, self.columns.stop)
-        step = max(1, BLOCK_SAMPLES // max(1, len(across) * self.layer.sizes["band"]))
-        for top in self.rows[::step] if len(across) else ():
-            down = np.arange(top, min(top + step, self.rows.stop))
-            mask = self.region.contains(across[None], down[:, None])
-            part = {"y": slice(top, int(down[-1]) + 1), "x": self.columns}
+        across = slice(self.columns.start, self.columns.stop)
+        x, y = self.layer["x"].values[across], self.layer["y"].values
+        step = max(1, BLOCK_SAMPLES // max(1, len(x) * self.layer.sizes["band"]))
+        for top in self.rows[::step] if len(x) else ():
+            down = slice(top, min(top + step, self.rows.stop))
+            mask = self.region.contains(x[None], y[down, None])
+            part = {"y": down, "x": across}
             values = self.layer.isel(part).values[mask].astype(np.float64)
             flags = self.flags.isel(part).values[mask]
             yield values, ((flags & ~TRUSTED) == 0) & np.isfinite(values)
+
+
+def _within(places: np.ndarray, low: float, high: float) -> range:
+    """Return from which to which index places lie between two, in whatever order they are."""
+    found = np.flatnonzero((places >= low) & (places <= high))
+    return range(found[0], found[-1] + 1) if len(found) else range(0)
 
 
 def _refused(found: str, expected: str) -> RegionRefused:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -207,6 +207,51 @@ def mm_per_px(record: Mapping[str, Any]) -> float | None:
         return None
     step = from_dict(record["grid"]["transform"]).jacobian(np.zeros((1, 2)))[0]
     return float(1 / (px_per_mm * abs(np.linalg.det(step)) ** 0.5))
+
+
+MOST_UNLIKE = 1.03
+"""Ratio of the scales of an object's two sides, px by mm, up to which its outline and its size are of one thing. A panel is
+rectangular, and its size right, within 1 %; what was cut off, or a frame or chart beside it, makes more."""
+
+
+def with_size(record: Mapping[str, Any], size_mm: Sequence[float] | None) -> dict[str, Any]:
+    """Return a record with the object's size, (width, height) mm, and the sampling that follows from it, grid px per mm.
+
+    The sampling is None where the size or the object's sides are not known, or are not of one thing. The longer sides
+    belong together, however the object lies in the frame.
+
+    >>> from levkas.geometry.transforms import Affine
+    >>> grid = {"transform": Affine.scaling(2.0).to_dict(), "object_px": [1188.0, 1500.0]}
+    >>> sized = [with_size({"grid": grid}, (733.3, side))["grid"] for side in (925.9, 733.0)]
+    >>> round(sized[0]["px_per_mm"], 3), sized[1]["px_per_mm"]
+    (0.81, None)
+    """
+    if "grid" not in record:  # a refused mosaic has no frame
+        return dict(record)
+    grid, sampling = record["grid"], None
+    if size_mm and grid["object_px"]:
+        scales = np.sort(grid["object_px"]) / np.sort(size_mm)
+        if 0 < scales.max() <= MOST_UNLIKE * scales.min():
+            step = from_dict(grid["transform"]).jacobian(np.zeros((1, 2)))[0]
+            sampling = float(np.sqrt(scales.prod() / abs(np.linalg.det(step))))
+    size = None if size_mm is None else list(size_mm)
+    return {**record, "grid": {**grid, "size_mm": size, "px_per_mm": sampling}}
+
+
+def describe_size(record: Mapping[str, Any]) -> list[str]:
+    """Return in words why an object's size gives no sampling, where it gives none."""
+    grid = record.get("grid") or {}
+    if not grid.get("size_mm") or grid["px_per_mm"]:
+        return []
+    (width, height), sides = grid["size_mm"], grid["object_px"]
+    why = "no edge of the object is visible"
+    if sides:
+        shape = f"{sides[0]:.0f} x {sides[1]:.0f} px"
+        why = f"its outline, {shape}, has not the shape of {width:g} x {height:g} mm"
+    return [
+        f"lengths in mm are not known: {why}. Draw the outline of what size_mm is of in the workbench, or write "
+        f"outline = [[x, y], …], px of the reference band, under [objects.{to_inline_toml(record['object'])}]. Then build again."
+    ]
 
 
 def unconfirmed_cells(record: Mapping[str, Any]) -> list[list[float]]:

@@ -19,7 +19,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from functools import cached_property, total_ordering
-from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
@@ -133,16 +132,18 @@ class RemoteStore:
         """The store, as `obstore` opens it."""
         try:
             from obstore.store import from_url
-        except ImportError:
+
+            credentials = _credentials() if self.url.startswith("s3:") else {}
+        except ImportError as error:
+            why = "reading from a server needs obstore and boto3, which are not installed"
             fix = "Run: pip install 'levkas[remote]'"
-            raise _refused("reading from a server needs obstore", self.url, fix=fix) from None
+            problem = Problem("E_MISSING", why, self.url, found=f"no {error.name}", fix=fix)
+            raise RemoteRefused(problem) from None
         options: dict[str, Any] = {
             "client_options": {"allow_http": True, "timeout": timedelta(seconds=TIMEOUT_S)},
             "retry_config": {"max_retries": 0},  # `again` does it, and compares what comes then
         }
-        if self.url.startswith("s3:"):
-            options |= _credentials()
-        return from_url(self.url, **options)
+        return from_url(self.url, **options, **credentials)
 
     def size(self, name: str) -> int:
         """Return the bytes of a file; raises FileNotFoundError."""
@@ -185,10 +186,9 @@ class RemoteStore:
 
         Raises FileNotFoundError where there is no such bucket.
         """
-        import obstore
 
         def listed() -> list[tuple[str, int]]:
-            batches = obstore.list(self.objects, prefix=prefix or None)
+            batches = self.objects.list(prefix=prefix or None)
             files = (file for batch in batches for file in batch)
             found = [(str(f["path"]), int(f["size"])) for f in islice(files, MOST_NAMES + 1)]
             if len(found) > MOST_NAMES:
@@ -279,11 +279,10 @@ class RemoteStore:
 
     def _fetch(self, name: str, span: tuple[int, int] | dict[str, int]) -> Piece:
         """Return a range, of the file as it was when it was met, in the length that it must have."""
-        import obstore
 
         def fetched() -> Piece:
             try:
-                answer = obstore.get(self.objects, name, options={"range": span})  # type: ignore[arg-type]
+                answer = self.objects.get(name, options={"range": span})
             except Exception as error:
                 if _status(error) != "416":
                     raise
@@ -467,8 +466,6 @@ class _RemoteFile(io.RawIOBase):
 
 def _credentials() -> dict[str, Any]:
     """Return what requests to an S3-like store carry: the credentials of the AWS tools, or none."""
-    if find_spec("boto3") is None:
-        return {"config": {"checksum_algorithm": "SHA256"}}
     import boto3
     from obstore.auth.boto3 import Boto3CredentialProvider
 

@@ -21,7 +21,7 @@ from levkas.readers.tiff import LARGEST_RATIO, check_strips
 from levkas.readers.tiff_directories import kinds_of_pages
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Generator, Iterator, Sequence
 
     from tifffile import TiffFile, TiffPage
 
@@ -87,6 +87,12 @@ class TiffPages:
         except DAMAGE as error:
             raise TiffRefused(_unreadable(self.path, error, index)) from error
         return plane
+
+    def strips(self) -> Generator[list[bytes], None, None]:
+        """Yield the strips of each band as they are stored."""
+        with self.path.open("rb") as handle:
+            for page in self._bands:
+                yield [_stored(handle, page, number) for number in range(len(page.dataoffsets))]
 
     def read(
         self, start: int = 0, stop: int | None = None, bands: Sequence[int] | None = None
@@ -200,12 +206,18 @@ def _segment_height(page: TiffPage) -> int:
     return int(page.tilelength if page.is_tiled else min(page.rowsperstrip, page.shape[0]))
 
 
-def _place(handle: BinaryIO, page: TiffPage, number: int, plane: np.ndarray, start: int) -> None:
-    """Read one strip or tile and copy what of it lies in `plane`, whose first row is `start`."""
+def _stored(handle: BinaryIO, page: TiffPage, number: int) -> bytes:
+    """Return one strip or tile as it is stored; raises ValueError where the file ends in it."""
     handle.seek(page.dataoffsets[number])
     data = handle.read(page.databytecounts[number])
     if len(data) != page.databytecounts[number]:
         raise ValueError(f"strip {number} is truncated")
+    return data
+
+
+def _place(handle: BinaryIO, page: TiffPage, number: int, plane: np.ndarray, start: int) -> None:
+    """Read one strip or tile and copy what of it lies in `plane`, whose first row is `start`."""
+    data = _stored(handle, page, number)
     if _is_as_written(page):
         _place_floats(data, page, number, plane, start)
         return

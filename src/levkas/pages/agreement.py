@@ -238,7 +238,7 @@ def agreement_text(found: Sequence[ObjectAgreement]) -> str:
     lines = []
     for one in found:
         section = describe_agreement(one.pairs)
-        lines += ["", one.name if one.name == one.other else f"{one.name} and {one.other}"]
+        lines += ["", _title(one)]
         lines += [f"  {text}" for _, text in (section.short if section else ())]
         for row in section.rows if section else ():
             lines.append(
@@ -246,6 +246,11 @@ def agreement_text(found: Sequence[ObjectAgreement]) -> str:
             )
         lines.append(f"  {describe_changes(one)}")
     return "\n".join(lines[1:])
+
+
+def _title(one: ObjectAgreement) -> str:
+    name = one.name if one.name == one.other else f"{one.name} and {one.other}"
+    return f"{name}: nothing was compared" if one.agrees is None else name
 
 
 def describe_changes(one: ObjectAgreement) -> str:
@@ -268,7 +273,7 @@ def _object(one: ObjectAgreement) -> dict[str, Any]:
         picture = embed_png(encode_png(shades.astype(np.uint8)))
     areas = one.changes.areas if one.changes else ()
     return {
-        "title": one.name if one.name == one.other else f"{one.name} and {one.other}",
+        "title": _title(one),
         "registered": f"The second was registered to the first{error}.",
         "agreement": describe_agreement(one.pairs),
         "changed": describe_changes(one),

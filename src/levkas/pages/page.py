@@ -59,6 +59,8 @@ class LayerReport:
     reasons: Sequence[str] = ()
     next_step: str = ""
     warnings: Sequence[str] = ()
+    earlier: str = ""
+    """Why the layer is of an earlier build; empty where it is of this one."""
     lying: str = ""
     by_hand: str = ""
     unchecked: float = 0.0

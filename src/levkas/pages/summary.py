@@ -81,6 +81,8 @@ def _overlay(layers: Sequence[LayerReport], mm_per_px: float | None) -> Iterator
         names = ", ".join(one.name for one in laid)
         yield mark, f"Registered to {reference}: {names}; no held-out error was measured."
     for one in layers:
+        if one.earlier:
+            yield "refuse", f"{one.name} is of an earlier build: {one.earlier}."
         if one.lying:
             yield "warn", f"{one.name}: {one.lying}"
         if one.decision == "refuse":
@@ -138,7 +140,7 @@ def _next(
         for one in layers:
             if one.decision == decision and one.next_step:
                 return f"{one.name}: {one.next_step}"
-    if lost:
+    if lost or any(one.earlier for one in layers):
         return "Correct the refused frames, listed below, and build again."
     if any(mark == "warn" for mark, _ in agreement):
         return "Find out which of the cameras that contradict each other is wrong: a white or a chart that all of them saw decides it."

@@ -100,7 +100,7 @@ def scale_of(
     there, unless `saturation` is given. Of 16 bits of a sample some frame must use the highest: the brightest pixel alone
     shows no full scale, for a camera of 12 bits fills a quarter of its range with codes of 10.
     """
-    camera, campaign = _declared(files[0])
+    camera, _, campaign = _frames_of_campaign(files[0]).get(_absolute(files[0]), (None, "", None))
     black = camera.black if camera else None
     if saturation:
         return Scale(FullScale(float(saturation), "as given"))
@@ -137,21 +137,21 @@ def not_known(file: Path, facts: Facts) -> Problem:
     )
 
 
-Rows = tuple[tuple[str, ...], ...]
+Pattern = str | Sequence[Sequence[str]]
 
 
-def split_sensors(files: Sequence[Path]) -> dict[str, tuple[list[Path], Rows | None]]:
-    """Return files by the sensor that their campaign declares, with the names of its channels as rows of a mosaic.
+def split_sensors(files: Sequence[Path]) -> dict[str, tuple[list[Path], Pattern | None]]:
+    """Return files by the sensor that their campaign declares, with the mosaic of its channels; of one camera without sensors its own.
 
     One group without a name where no campaign above the first file has several sensors for them.
     """
     found = _frames_of_campaign(files[0])
-    groups: dict[str, tuple[list[Path], Rows | None]] = {}
+    groups: dict[str, tuple[list[Path], Pattern | None]] = {}
     for file in files:
-        camera, sensor = found.get(_absolute(file), (None, ""))
+        camera, sensor, _ = found.get(_absolute(file), (None, "", None))
         keys = next((s for s in camera.sensors if s.name == sensor), None) if camera else None
         if keys is None or camera is None:
-            return {"": (list(files), None)}
+            return {"": (list(files), camera.pattern if camera else None)}
         names = tuple(keys.bands or (sensor,))
         table = channel_table(keys.pattern) if keys.pattern else np.zeros((1, 1), int)
         rows = tuple(tuple(names[i] for i in row) for row in table.tolist())
@@ -164,8 +164,8 @@ def _absolute(path: Path) -> Path:
     return Path(os.path.abspath(path))  # noqa: PTH100 - `resolve` follows the link
 
 
-def _frames_of_campaign(file: Path) -> dict[Path, tuple[Camera, str]]:
-    """Return camera and sensor of every frame of the campaign above a file; nothing without one."""
+def _frames_of_campaign(file: Path) -> dict[Path, tuple[Camera, str, Path]]:
+    """Return camera, sensor and campaign.toml of every frame of the campaign above a file; nothing without one."""
     from levkas.campaign.campaign import load_campaign
     from levkas.campaign.discovery.file_index import scan_folders
 
@@ -178,27 +178,7 @@ def _frames_of_campaign(file: Path) -> dict[Path, tuple[Camera, str]]:
     except Refused:
         return {}
     return {
-        _absolute(f.path): (campaign.cameras[camera], f.sensor)
+        _absolute(f.path): (campaign.cameras[camera], f.sensor, campaign.path)
         for (camera, _), found in frames.items()
         for f in found
     }
-
-
-def _declared(file: Path) -> tuple[Camera | None, Path | None]:
-    """Return the camera of the campaign above a file that has it among its frames, and campaign.toml."""
-    from levkas.campaign.campaign import load_campaign
-    from levkas.campaign.discovery.file_index import scan_folders
-
-    file = _absolute(file)
-    above = next((p for p in file.parents if (p / "campaign.toml").is_file()), None)
-    if above is None:
-        return None, None
-    try:
-        campaign = load_campaign(above)
-        frames = scan_folders(campaign).frames
-    except Refused:
-        return None, None
-    for (camera, _), found in frames.items():
-        if any(_absolute(f.path) == file for f in found):
-            return campaign.cameras[camera], campaign.path
-    return None, None

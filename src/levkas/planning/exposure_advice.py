@@ -17,7 +17,14 @@ from levkas.calibration.noise_model import Sensor
 from levkas.calibration.patterns import channel_names, channel_table, split
 from levkas.calibration.templates import Template
 from levkas.core.problems import Problem, Refused
-from levkas.planning.campaign_frames import files_of, not_known, scale_of, split_sensors, stack_of
+from levkas.planning.campaign_frames import (
+    Pattern,
+    files_of,
+    not_known,
+    scale_of,
+    split_sensors,
+    stack_of,
+)
 from levkas.planning.exposure_levels import (
     Advice,
     Reading,
@@ -136,7 +143,7 @@ def advise_frames(
     darks : sequence of path
         Of any exposures: to each band those of its size that come nearest to its time.
     pattern : str or rows of names, optional
-        Of a mosaic; default the file's own.
+        Of a mosaic; default that of the campaign that the frames belong to, else the file's own.
     black : float, optional
         Counts; default that of the campaign that the frames belong to, else the file's own, else 0.
     bits, saturation : int, float, optional
@@ -166,13 +173,13 @@ def advise_frames(
     groups = split_sensors(files)
     dark_of = split_sensors(dim) if dim else {}
     found = []
-    for sensor, (members, rows) in groups.items():
+    for sensor, (members, declared) in groups.items():
         own = (
             dark_of[sensor][0]
             if sensor in dark_of
             else ([] if sensor and dark_of.keys() - {""} else dim)
         )
-        for band in _advise_sensor(members, own, rows, given):
+        for band in _advise_sensor(members, own, declared, given):
             named = f"{band.shot.name} {sensor}".strip()
             found.append(replace(band, shot=replace(band.shot, name=named)))
     return found
@@ -189,16 +196,16 @@ class _Given(NamedTuple):
 
 
 def _advise_sensor(
-    files: list[Path], darks: list[Path], rows: Sequence[Sequence[str]] | None, given: _Given
+    files: list[Path], darks: list[Path], declared: Pattern | None, given: _Given
 ) -> list[BandAdvice]:
-    """Advise from the frames of one sensor; `rows` are the channels that its campaign names."""
+    """Advise from the frames of one sensor; `declared` is the mosaic that its campaign declares."""
     facts = read_facts(files[0])
     dim = gather_shots(darks, np.inf, None)
     scale = scale_of(files, facts, bits=given.bits, saturation=given.saturation, white=True)
     if scale is None:
         raise NoAdvice(not_known(files[0], facts))
     level = next((b for b in (given.black, scale.black, facts.black) if b is not None), 0.0)
-    pattern = given.pattern or rows or facts.pattern
+    pattern = given.pattern or declared or facts.pattern
     bands: dict[tuple[float, str], list[Shot]] = {}
     for shot in gather_shots(files, scale.full.counts, given.exposure_s):
         _check_bits(shot, scale.full, str(files[0]))

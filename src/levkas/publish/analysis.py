@@ -1,4 +1,4 @@
-"""Analyses of layers, made while a database is published: components, band ratios, infrared minus visible.
+"""Analyses of layers, made while a database is published: band ratios, infrared minus visible.
 
 Each is computed from the values as they are published, row by row, and written beside them as
 ``objects/OBJECT/analysis/OBJECT_CAMERA.NAME.tif``, a float32 page a picture, with a JSON record of what it is made
@@ -19,14 +19,12 @@ from levkas import __version__
 from levkas.core.digests import hash_file
 from levkas.core.json_safe import to_json
 from levkas.core.problems import Problem
-from levkas.database.catalogue import ESTIMATED, Entry, read_catalogue
-from levkas.database.components import Components, ComponentsRefused, find_components
+from levkas.database.catalogue import Entry, read_catalogue
 from levkas.database.described import open_tiff
-from levkas.database.opening import open_pixels
 from levkas.database.regions import TRUSTED
 from levkas.database.spectral_tiff import TiffHeader, write_pages
 from levkas.database.tiff_pages import open_pages
-from levkas.publish.analysis_names import COMPONENTS, INFRARED, Analysis, find_band, near_bands
+from levkas.publish.analysis_names import INFRARED, Analysis, find_band, near_bands
 from levkas.publish.publication import PublishRefused
 from levkas.publish.viewer.pictures import ANALYSES
 
@@ -34,24 +32,11 @@ if TYPE_CHECKING:
     from levkas.core.cube import Band
     from levkas.publish.publication import Publication
 
-MOST_COMPONENTS = 6
 VISIBLE_NM, INFRARED_NM = (400.0, 700.0), (780.0, 1100.0)
 SHOWN_PERCENTILES = (0.5, 99.5)
 """Of the values of a picture, shown as black and as white."""
 SAMPLE_PX = 1_000_000
 BLOCK_ROWS = 64
-STRONGEST = 3
-"""Loadings that the note of a component names."""
-SOURCES = {
-    "pca": "https://doi.org/10.1037/h0071325",
-    "mnf": "https://doi.org/10.1109/36.3001",
-}
-TITLES = {
-    "pca": "Principal components",
-    "mnf": "Minimum-noise fractions",
-    INFRARED: "Infrared minus visible",
-    "ratio": "Ratio of two bands",
-}
 
 
 @dataclass(frozen=True)
@@ -107,8 +92,8 @@ class LayerAnalysis:
     @property
     def title(self) -> str:
         """What it is called."""
-        if self.analysis.kind != "ratio":
-            return TITLES[self.analysis.kind]
+        if self.analysis.kind == INFRARED:
+            return "Infrared minus visible"
         return " / ".join(source.bands[0].label for source in self.sources)
 
 
@@ -147,12 +132,7 @@ def write_analyses(publication: Publication) -> Iterator[str]:
     for work in find_work(publication.folder, publication.analyses):
         layer = f"{work.entry.object}/{work.entry.layer.name}"
         yield f"{layer}: {work.title}"
-        try:
-            _write(publication, work)
-        except ComponentsRefused as refused:
-            (problem,) = refused.problems
-            why = f"{problem.message}: {problem.found}"
-            publication.left_out.append(f"{layer}, {work.title.lower()}: {why}")
+        _write(publication, work)
 
 
 def find_work(root: Path, analyses: Sequence[Analysis]) -> list[LayerAnalysis]:
@@ -162,10 +142,6 @@ def find_work(root: Path, analyses: Sequence[Analysis]) -> list[LayerAnalysis]:
     found = []
     for entry in entries:
         for analysis in analyses:
-            if analysis.kind in COMPONENTS:
-                if entry.bands > 1:
-                    found.append(LayerAnalysis(analysis, entry, (every[entry],)))
-                continue
             first = _chosen(every[entry], analysis, 0)
             # The layer itself first, then what stands beside it under the same light.
             beside = [e for e in entries if e != entry and _fits(e, entry)]
@@ -192,11 +168,11 @@ def _chosen(source: LayerBands, analysis: Analysis, side: int) -> LayerBands | N
 
 
 def _write(publication: Publication, work: LayerAnalysis) -> None:
-    """Write the pictures of one analysis and its record; raises ComponentsRefused."""
+    """Write the pictures of one analysis and its record."""
     entry, name = work.entry, work.analysis.name
     base = publication.folder / "objects" / entry.object / ANALYSES / f"{entry.layer.stem}.{name}"
     tiff, record = base.with_name(f"{base.name}.tif"), base.with_name(f"{base.name}.json")
-    facts, labels, rows = _components(work) if work.analysis.kind in COMPONENTS else _pairs(work)
+    facts, labels, rows = _pairs(work)
     _write_pages(tiff, (entry.height, entry.width, len(labels)), labels, rows, work)
     inputs = dict.fromkeys(source.tiff for source in work.sources)
     shown = [_shown(tiff, i, label, facts) for i, label in enumerate(labels)]
@@ -214,46 +190,6 @@ def _write(publication: Publication, work: LayerAnalysis) -> None:
     place = tiff.relative_to(publication.folder).as_posix()
     publication.hashes[place] = fields["sha256"]
     publication.write_text(record.relative_to(publication.folder).as_posix(), to_json(fields))
-
-
-def _components(work: LayerAnalysis) -> tuple[dict[str, Any], list[str], Iterator[np.ndarray]]:
-    (source,) = work.sources
-    if work.analysis.kind == "mnf" and work.entry.kind == ESTIMATED:
-        why = Problem("E_VALUE", "the errors of estimated values are not noise", found="estimated")
-        raise ComponentsRefused(why)
-    layer, flags = open_pixels(source.tiff), open_pixels(source.beside("flags"))
-    sigma = open_pixels(path) if (path := source.beside("sigma")).is_file() else None
-    found = find_components(
-        layer, flags, sigma, method="mnf" if work.analysis.kind == "mnf" else "pca"
-    )
-    count = min(MOST_COMPONENTS, len(found.bands))
-    word = "Minimum-noise fraction" if found.noise is not None else "Principal component"
-    facts: dict[str, Any] = {
-        "source": SOURCES[work.analysis.kind],
-        "pixels": found.pixels,
-        "mean": found.mean,
-        "loadings": found.loadings,
-        "variance": found.variance,
-        "explained": found.explained,
-        "notes": [_note(found, i) for i in range(count)],
-        "unit": "standard deviations of the noise" if found.snr is not None else "",
-    }
-    if found.noise is not None:
-        facts |= {"snr": found.snr, "noise": {"from": found.noise_from, "covariance": found.noise}}
-    labels = [f"{word} {i + 1}" for i in range(count)]
-    return facts, labels, found.rows(layer, flags, count=count)
-
-
-def _note(found: Components, number: int) -> str:
-    loadings = found.loadings[number]
-    order = np.argsort(-np.abs(loadings), kind="stable")[:STRONGEST]
-    weights = ", ".join(f"{found.bands[i]} {_number(loadings[i], '+')}" for i in order)
-    if found.snr is None:
-        text = f"Explains {_number(100 * found.explained[number])} % of the variance."
-    else:
-        noise = "sigma" if found.noise_from == "sigma" else "differences of neighbouring pixels"
-        text = f"Variance of the signal over that of the noise: {_number(found.snr[number])} (noise from {noise})."
-    return f"{text} Strongest bands: {weights}. 0 is the mean spectrum."
 
 
 def _number(value: float, sign: str = "") -> str:
@@ -282,7 +218,7 @@ def _pairs(work: LayerAnalysis) -> tuple[dict[str, Any], list[str], Iterator[np.
                 made = np.where(other > 0, one / other, np.nan) if ratio else one - other
             yield made[..., None].astype(np.float32)
 
-    return {"notes": [note], "unit": ""}, [work.title], rows()
+    return {"notes": [note]}, [work.title], rows()
 
 
 def _group(source: LayerBands) -> str:
@@ -314,7 +250,6 @@ def _shown(path: Path, number: int, label: str, facts: dict[str, Any]) -> dict[s
     finite = sample[np.isfinite(sample)]
     low, high = np.percentile(finite, SHOWN_PERCENTILES) if finite.size else (0.0, 1.0)
     black, white = (float(f"{value:.3g}") for value in (low, high))
-    unit = f" {facts['unit']}" if facts["unit"] else ""
-    ends = f"Black is {_number(black)}, white {_number(white)}{unit}."
+    ends = f"Black is {_number(black)}, white {_number(white)}."
     note = f"{facts['notes'][number]} {ends}"
     return {"label": label, "black": black, "white": white, "note": note}

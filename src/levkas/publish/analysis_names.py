@@ -1,4 +1,4 @@
-"""Names of analyses as a person writes them: ``pca``, ``mnf``, ``infrared-visible``, ``ratio:700/1000``, ``all``."""
+"""Names of analyses as a person writes them: ``infrared-visible``, ``ratio:700/1000``, ``all``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 from levkas.core.cube import Band
 from levkas.core.problems import Problem, Refused, closest_match
 
-COMPONENTS = ("pca", "mnf")
 INFRARED = "infrared-visible"
 RATIO = "ratio"
 ALL = "all"
@@ -32,7 +31,7 @@ class Analysis:
 
     Parameters
     ----------
-    kind : "pca", "mnf", "infrared-visible" or "ratio"
+    kind : "infrared-visible" or "ratio"
     bands : tuple of str
         Of a ratio, as they were written.
     required : bool
@@ -69,9 +68,7 @@ class Analysis:
         """What a layer must have."""
         if self.kind == RATIO:
             return f"bands {' and '.join(self.bands)} of one object under one light"
-        if self.kind == INFRARED:
-            return "bands from 780 to 1100 nm, and from 400 to 700 nm under the same light"
-        return "two bands or more"
+        return "bands from 780 to 1100 nm, and from 400 to 700 nm under the same light"
 
 
 def parse_analyses(texts: Iterable[str]) -> tuple[Analysis, ...]:
@@ -84,8 +81,8 @@ def parse_analyses(texts: Iterable[str]) -> tuple[Analysis, ...]:
 
     Examples
     --------
-    >>> [analysis.text for analysis in parse_analyses(["pca,ratio:700/1000", "PCA"])]
-    ['pca', 'ratio:700/1000']
+    >>> [analysis.text for analysis in parse_analyses(["all,ratio:700/1000", "ALL"])]
+    ['infrared-visible', 'ratio:700/1000']
     """
     found: dict[str, Analysis] = {}
     problems = []
@@ -94,9 +91,8 @@ def parse_analyses(texts: Iterable[str]) -> tuple[Analysis, ...]:
         kind = kind.strip().lower()
         bands = tuple(part.strip() for part in rest.split("/"))
         if kind == ALL and not colon:
-            for name in (*COMPONENTS, INFRARED):
-                found.setdefault(name, Analysis(name, required=False))
-        elif kind in (*COMPONENTS, INFRARED) and not colon:
+            found.setdefault(INFRARED, Analysis(INFRARED, required=False))
+        elif kind == INFRARED and not colon:
             found[kind] = Analysis(kind)
         elif kind == RATIO and len(bands) == 2 and all(0 < len(b) <= LONGEST_LABEL for b in bands):
             ratio = Analysis(kind, bands)
@@ -115,7 +111,7 @@ def parse_analyses(texts: Iterable[str]) -> tuple[Analysis, ...]:
 
 
 def _unknown(text: str, kind: str) -> Problem:
-    names = [ALL, *COMPONENTS, INFRARED, f"{RATIO}:A/B"]
+    names = [ALL, INFRARED, f"{RATIO}:A/B"]
     if kind == RATIO:
         fix = "Write two bands with a slash between them: ratio:700/1000."
     else:

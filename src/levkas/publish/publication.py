@@ -10,18 +10,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.core.ownership import Kind, made, refusal, require_outside, stands_in
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused, closest_match
 from levkas.core.text import counted, read_json
+from levkas.database.catalogue import NAME as CATALOGUE
 from levkas.database.manifest import NAME, list_files, plain, read_manifest
 from levkas.database.splits import NAME as SPLITS
 from levkas.database.splits import split_objects
+from levkas.database.store import write_index
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from levkas.core.files import Folder
     from levkas.database.catalogue import Entry
-    from levkas.database.manifest import Manifest
+    from levkas.database.layout import LayerId
+    from levkas.database.manifest import Listed, Manifest
     from levkas.publish.analysis_names import Analysis
     from levkas.publish.metadata import PublicationFacts
 
@@ -62,6 +65,8 @@ class Publication:
         campaign.toml of the database, where it is known: its declarations are published too.
     left_out : list of str
         What could not be made, and why.
+    without : tuple of LayerId
+        Layers that are not published.
     """
 
     source: Path
@@ -74,6 +79,7 @@ class Publication:
     hashes: dict[str, str] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
     campaign: Path | None = None
+    without: tuple[LayerId, ...] = ()
 
     @property
     def folder(self) -> Path:
@@ -107,7 +113,7 @@ class Publication:
 
 
 def write_content(publication: Publication) -> Iterator[str]:
-    """Copy every file that the database's manifest lists, and split its objects.
+    """Copy every file that the database's manifest lists, but for layers that are left out, and split its objects.
 
     Raises
     ------
@@ -115,7 +121,8 @@ def write_content(publication: Publication) -> Iterator[str]:
         Where files are missing or differ from the manifest: all of them, at most ten.
     """
     problems = []
-    for name, listed in publication.manifest.files.items():
+    files = _files_without(publication) if publication.without else publication.manifest.files
+    for name, listed in files.items():
         yield name
         source = publication.source / name
         try:
@@ -127,10 +134,85 @@ def write_content(publication: Publication) -> Iterator[str]:
             problems.append(_not_whole(source, "it has changed since the build"))
     if problems:
         raise PublishRefused(*problems[:10])
+    for name in {layer.object for layer in publication.without}:
+        if (store := publication.folder / f"zarr/{name}.zarr").is_dir():
+            write_index(store)
     yield SPLITS
     names = dict.fromkeys(entry.object for entry in publication.entries())
     lines = "".join(f"{name},{split}\n" for name, split in split_objects(names).items())
     publication.write_text(SPLITS, "object,split\n" + lines)
+
+
+def layers_without(database: Path, without: Sequence[str]) -> tuple[LayerId, ...]:
+    """Return the layers that are left out: of a ``CAMERA``, a ``CAMERA@SETUP``, or one ``OBJECT/CAMERA``.
+
+    Raises
+    ------
+    PublishRefused
+        Where none is called so or none is left, and for every other layer that is of an earlier build.
+    """
+    from levkas.database.catalogue import read_catalogue
+
+    entries = read_catalogue(database) if (database / CATALOGUE).is_file() else ()
+    names = {e.layer: {e.camera, e.layer.name, f"{e.object}/{e.layer.name}"} for e in entries}
+    gone = tuple(layer for layer, own in names.items() if own & {*without})
+    known = set().union(*names.values())
+    wrong = [name for name in without if name not in known or len(gone) == len(names)]
+    expected = "a layer, and another that is left"
+    problems = [
+        Problem("E_VALUE", expected, None, "--without", name, fix=closest_match(name, known))
+        for name in wrong
+    ]
+    fix = "Bring back what is missing and build again, or leave the layer out: --without "
+    problems += [
+        Problem(
+            *("E_STALE", f"{e.object}/{e.layer.name} is of an earlier build"),
+            *(str(database / CATALOGUE), "earlier", e.earlier),
+            fix=f"{fix}{e.object}/{e.layer.name}.",
+        )
+        for e in entries
+        if e.earlier and e.layer not in gone
+    ]
+    if problems:
+        raise PublishRefused(*problems)
+    return gone
+
+
+def _files_without(publication: Publication) -> dict[str, Listed]:
+    """Return the files that are copied where layers are left out, and write the catalogue of the others.
+
+    Left out with them are the report pages of their objects, and of cameras that have no other layer.
+    """
+    from levkas.database.catalogue import read_catalogue, write_catalogue
+
+    gone = publication.without
+    rest = [e for e in read_catalogue(publication.source) if e.layer not in gone]
+    own = {
+        start: layer in gone
+        for layer in (*gone, *(entry.layer for entry in rest))
+        for native in (f"objects/{layer.object}/native/{layer.stem}",)
+        for start in (
+            f"{layer.path}.",
+            f"{layer.group}/",
+            f"{layer.record}.",
+            f"{native}.",
+            f"{native}_",
+        )
+    }
+    own |= {f"cameras/{n}/": True for n in {o.camera for o in gone} - {e.camera for e in rest}}
+    for name in {layer.object for layer in gone}:
+        own |= dict.fromkeys((f"objects/{name}/report.html", f"zarr/{name}.zarr/zarr.json"), True)
+    write_catalogue(publication.folder, rest)
+    layers = ", ".join(f"{layer.object}/{layer.name}" for layer in gone)
+    publication.left_out.append(
+        f"{layers} and the report pages of these objects, as --without asks"
+    )
+
+    def is_left_out(name: str) -> bool:
+        mine = max((start for start in own if name.startswith(start)), key=len, default="")
+        return name == CATALOGUE or own.get(mine, False)
+
+    return {n: file for n, file in publication.manifest.files.items() if not is_left_out(n)}
 
 
 def _not_whole(path: Path, why: str) -> Problem:

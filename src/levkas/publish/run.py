@@ -18,6 +18,7 @@ from levkas.publish.metadata import PublicationFacts, facts_of, missing_facts, r
 from levkas.publish.publication import (
     Publication,
     PublishRefused,
+    layers_without,
     require_earlier,
     require_ours,
 )
@@ -39,6 +40,8 @@ class PublishSubject:
 
     database: Path
     campaign: Path | None = None
+    without: tuple[str, ...] = ()
+    """Layers that are left out, as `levkas.publish.publication.layers_without` reads them."""
 
     @property
     def default_output(self) -> Path:
@@ -141,6 +144,7 @@ def check(
     output: str | Path | None = None,
     url: str = "",
     analyse: Sequence[str] = (),
+    without: Sequence[str] = (),
 ) -> CheckReport:
     """Check what is missing before a database can be published, and before it can get a DOI; nothing is written.
 
@@ -151,7 +155,7 @@ def check(
     ----------
     path : path
         A database, or its campaign, whose facts are taken as they are now.
-    output, url, analyse
+    output, url, analyse, without
         As of `publish`.
 
     Returns
@@ -173,7 +177,8 @@ def check(
     with _listed(problems):
         whole = bool(find_manifest(subject.database))
     for step in (
-        lambda: find_subject(path),
+        lambda: find_subject(path, without=without),
+        lambda: layers_without(subject.database, without),
         lambda: check_analyses(subject.database, analyses),
         lambda: check_places(subject, facts_of_subject(subject), output),
     ):
@@ -196,7 +201,9 @@ def _listed(problems: list[Problem]) -> Iterator[None]:
         problems += [problem for problem in refused.problems if problem not in problems]
 
 
-def find_subject(path: str | Path, *, fresh: bool = True) -> PublishSubject:
+def find_subject(
+    path: str | Path, *, fresh: bool = True, without: Sequence[str] = ()
+) -> PublishSubject:
     """Find the database of a campaign, or take a path as a database.
 
     Parameters
@@ -204,6 +211,8 @@ def find_subject(path: str | Path, *, fresh: bool = True) -> PublishSubject:
     path : path
     fresh : bool
         Whether the database must be up to date with its campaign.
+    without : sequence of str
+        Layers that are left out; of cameras among them nothing need be fresh.
 
     Raises
     ------
@@ -212,13 +221,15 @@ def find_subject(path: str | Path, *, fresh: bool = True) -> PublishSubject:
     """
     path = Path(path)
     if path.name != "campaign.toml" and not (path / "campaign.toml").is_file():
-        return PublishSubject(path)
+        return PublishSubject(path, None, tuple(without))
     from levkas.building import status
     from levkas.campaign.campaign import load_campaign
 
     campaign = load_campaign(path)
     stages = status(path).stages if fresh else ()
-    stale = [step for step in stages if step.state == "stale"]
+    old = {"stale", ("refused", "report"), ("refused", "camera")}  # a refused page is as it was
+    of_others = (step for step in stages if step.key.camera not in without)
+    stale = [step for step in of_others if {step.state, (step.state, step.key.stage)} & old]
     if stale:
         raise PublishRefused(
             Problem(
@@ -229,7 +240,7 @@ def find_subject(path: str | Path, *, fresh: bool = True) -> PublishSubject:
                 fix=f"Run levkas build {campaign.root} first, or give the database folder to publish it unchanged.",
             )
         )
-    return PublishSubject(campaign.output, campaign.path)
+    return PublishSubject(campaign.output, campaign.path, tuple(without))
 
 
 def publish(
@@ -259,8 +270,8 @@ def publish(
     Raises
     ------
     PublishRefused
-        Where facts are missing, the database is not whole, `output` holds it, or lies in it, or `output` is the
-        publication of another database.
+        Where a layer is of an earlier build and not left out, facts are missing, the database is not whole, `output`
+        holds it, or lies in it, or `output` is the publication of another database.
     WriteRefused
         Where `output` is anything but an earlier publication, or the disk refuses; an earlier
         publication is kept then.
@@ -275,6 +286,7 @@ def publish(
     _check_address(url)
     subject = path if isinstance(path, PublishSubject) else find_subject(path)
     manifest = find_manifest(subject.database)
+    gone = layers_without(subject.database, subject.without)
     check_analyses(subject.database, analyses)
     facts = facts_of_subject(subject)
     if problems := missing_facts(facts):
@@ -288,6 +300,7 @@ def publish(
             *(source, manifest, folder, facts, address, iiif),
             analyses,
             campaign=subject.campaign,
+            without=gone,
         )
         yield from _run(publication)
         made = write_manifest(folder.path, publication.hashes)

@@ -17,8 +17,15 @@ from typing import Any
 
 import numpy as np
 
+from levkas.core.problems import Problem
 from levkas.core.text import check_file
-from levkas.readers.facts import FREE_BYTES, UnreadableCapture, check_memory, unreadable
+from levkas.readers.facts import (
+    FREE_BYTES,
+    LibraryMissing,
+    UnreadableCapture,
+    check_memory,
+    unreadable,
+)
 
 NUMBERS = "biuf"
 """Kinds of numpy's types that are read: bool, integers, floating point."""
@@ -220,12 +227,9 @@ def _h5py(path: Path) -> Any:
     try:
         import h5py
     except ImportError:
-        raise unreadable(
-            path,
-            "HDF5 and MATLAB 7.3 need h5py, which is not installed",
-            code="E_MISSING",
-            fix="Run: pip install 'levkas[export]', or save it as .npy.",
-        ) from None
+        why = "HDF5 and MATLAB 7.3 need h5py, which is not installed"
+        fix = "Run: pip install 'levkas[export]', or save it as .npy."
+        raise LibraryMissing(Problem("E_MISSING", why, str(path), fix=fix)) from None
     return h5py
 
 

@@ -24,6 +24,7 @@ from levkas.readers.envi_header import (
     setting_facts,
 )
 from levkas.readers.envi_values import value_facts
+from levkas.readers.exif import ZERO_DAYS
 from levkas.readers.facts import Facts, check_memory, check_size, unreadable
 from levkas.readers.nodata import without_nodata
 from levkas.readers.wavelengths import centres_in_names, read_centres
@@ -222,7 +223,7 @@ def _date(header: EnviHeader) -> str | None:
             r"\d{4}-[01]\d-[0-3]\d(?:[T ]\d\d:\d\d:\d\d(?:\.\d+)?(?:Z|[+-]\d\d:?\d\d)?)?",
             header.text(key),
         )
-        if found:
+        if found and found[0][:10] not in ZERO_DAYS:
             start = header.text("start time")  # Specim's, beside a date without time
             clock = re.search(r"\d\d:\d\d:\d\d", start) if len(found[0]) == 10 else None
             zone = "+00:00" if "UTC" in start else ""

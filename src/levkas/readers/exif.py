@@ -26,6 +26,8 @@ BALANCE = {0: "auto", 1: "manual"}
 """Values of the tag WhiteBalance."""
 LARGEST_APEX = 30
 """1/2^30 s, and f/32768."""
+ZERO_DAYS = ("0001-01-01", "1601-01-01", "1904-01-01", "1970-01-01", "1980-01-01")
+"""Days at which the clocks of .NET, Windows, Macintosh, Unix and DOS are at zero: what writes a date that it does not know."""
 UNNAMED = {"StandardOutputSensitivity": "Tag 0x8831", "CameraSerialNumber": "Tag 0xC62F"}
 """Tags that exifread names by their number."""
 
@@ -152,19 +154,21 @@ class _BoundedReads:
 
 
 def iso_date(value: Any, offset: Any = None) -> str | None:
-    """Return an EXIF date as ISO 8601, None for the empty dates that cameras write.
+    """Return an EXIF date as ISO 8601, None for the empty dates that cameras write, and where a clock is at its zero.
 
     Examples
     --------
     >>> iso_date("2019:02:08 17:43:35", "+01:00")
     '2019-02-08T17:43:35+01:00'
-    >>> iso_date("0000:00:00 00:00:00") is None
-    True
+    >>> iso_date("0000:00:00 00:00:00"), iso_date("1970:01:01 00:00:00")
+    (None, None)
     """
     found = re.match(r"\s*(\d{4})[:-](\d\d)[:-](\d\d)[ T](\d\d:\d\d:\d\d)", str(value or ""))
     if not found:
         return None
     text = f"{found[1]}-{found[2]}-{found[3]}T{found[4]}"
+    if text[:10] in ZERO_DAYS:
+        return None
     try:
         datetime.fromisoformat(text)
     except ValueError:

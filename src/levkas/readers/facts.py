@@ -35,6 +35,10 @@ class UnreadableCapture(Refused):
     """A file that is not what it should be; nothing of it was used."""
 
 
+class LibraryMissing(UnreadableCapture):
+    """A file whose library, of an extra of the package, is not installed."""
+
+
 @dataclass(frozen=True)
 class Facts:
     """Declared by a capture's headers; None where it does not say.
@@ -43,7 +47,7 @@ class Facts:
     ----------
     path : Path
     kind : str
-        ``"tiff"``, ``"png"``, ``"jpeg"``, ``"jpeg2000"``, ``"raw"``, ``"raw-colours"`` (a linear DNG), ``"envi"``, of cubes in containers ``"hdf5-cube"`` or ``"mat"``, or of a stack of maps ``"ripple"``, ``"dms"``, ``"hdf5"`` or ``"table"``.
+        ``"tiff"``, ``"png"``, ``"jpeg"``, ``"jpeg2000"``, ``"raw"``, ``"raw-colours"`` (a linear DNG), ``"envi"``, of cubes in containers ``"hdf5-cube"`` or ``"mat"``, or of a stack of maps ``"ripple"`` or ``"hdf5"``.
     shape : tuple of int
         (h, w) or (h, w, samples) of one page; for ENVI and stacks of maps (lines, samples, bands).
     dtype : str

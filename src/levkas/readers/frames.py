@@ -89,7 +89,6 @@ READERS = {
     "raw": Reader("levkas.readers.raw", "read_raw_facts", "read_raw"),
     "envi": Reader("levkas.readers.envi", "read_envi_facts", "read_envi"),
     "ripple": Reader("levkas.readers.map_stacks", "read_ripple_facts", "read_ripple"),
-    "dms": Reader("levkas.readers.map_stacks", "read_dms_facts", "read_dms"),
     "hdf5": Reader("levkas.readers.map_stacks", "read_hdf5_facts", "read_hdf5_maps"),
     "hdf5-cube": Reader(
         "levkas.readers.container_cubes",
@@ -101,9 +100,8 @@ READERS = {
         *("read_mat_facts", "read_mat"),
         (b"MATLAB 5.0 MAT-fil",),
     ),
-    "table": Reader("levkas.readers.map_stacks", "read_table_facts", "read_table"),
 }
-STACKS = {".rpl": "ripple", ".dms": "dms", ".h5": "hdf5", ".hdf5": "hdf5", ".csv": "table"}
+STACKS = {".rpl": "ripple", ".h5": "hdf5", ".hdf5": "hdf5"}
 """Suffixes of stacks of maps, whose first bytes name nothing."""
 RENDERED = frozenset(suffix for reader in READERS.values() for suffix in reader.suffixes)
 """Suffixes of files whose first bytes name the format."""
@@ -112,7 +110,7 @@ ALONE = (RENDERED | {*RAW_SUFFIXES}) - {*DATA_SUFFIXES}
 
 
 def kind_of(path: str | Path) -> str:
-    """Return ``"tiff"``, ``"png"``, ``"jpeg"``, ``"jpeg2000"``, ``"raw"``, ``"envi"``, ``"ripple"``, ``"dms"``, ``"hdf5"``, ``"hdf5-cube"``, ``"mat"`` or ``"table"`` from name and first bytes.
+    """Return ``"tiff"``, ``"png"``, ``"jpeg"``, ``"jpeg2000"``, ``"raw"``, ``"envi"``, ``"ripple"``, ``"hdf5"``, ``"hdf5-cube"`` or ``"mat"`` from name and first bytes.
 
     A header beside decides that ``.raw``, ``.dat``, ``.img``, … are ENVI; without one ``.raw`` is
     taken for a camera raw.
@@ -139,6 +137,14 @@ def kind_of(path: str | Path) -> str:
         return named
     if find_header(path):
         return "envi"
+    if suffix in (".csv", ".dms"):
+        raise unreadable(
+            path,
+            "tables are no pictures",
+            found=suffix,
+            expected=EXPECTED,
+            fix="Export maps as a TIFF with one page per map, as ENVI, Ripple or HDF5.",
+        )
     raise unreadable(
         path,
         "the file format is not supported",

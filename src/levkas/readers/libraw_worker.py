@@ -67,7 +67,7 @@ def describe(raw: Any) -> dict[str, Any]:
         white=int(raw.white_level),
         iso=float(shot.iso_speed),
         exposure_s=float(shot.shutter_speed),
-        captured=str(shot.timestamp or ""),
+        captured=str(shot.timestamp) if shot.timestamp.year > 1970 else "",
     )
     return facts
 

@@ -1,17 +1,12 @@
-"""Stacks of maps as programs for X-ray fluorescence write them: Ripple, XRF Explorer's .dms, and PyMca's tables.
+"""Stacks of maps as programs for X-ray fluorescence write them: Ripple, and HDF5 of PyMca.
 
 - Ripple: a text ``.rpl`` of keys and values (width, height, depth, offset, data-length, data-type, byte-order, record-by), and beside it the
   numbers, ``.raw``, of the same name.
-- ``.dms`` of XRF Explorer (github.com/olive-groves/xrf-explorer): a line that is not used, a line ``WIDTH HEIGHT MAPS``, float32 map after map, little-endian, and
-  a name a line.
 - HDF5 of PyMca, ``.h5``: each map a data set of a group ``…/results/parameters``. It needs h5py.
-- Tables of PyMca, ``.csv``: columns ``row`` and ``column`` and one a map, separated by semicolon, comma or tab; a line a pixel, row by row.
 """
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
@@ -23,17 +18,12 @@ from levkas.readers.container_cubes import read_hdf5_cube, read_hdf5_cube_facts
 from levkas.readers.facts import Facts, check_memory, check_size, decoding, truncated, unreadable
 
 MOST_HEADER = 1 << 16
-"""Bytes of the header of a stack, or of the names at its end."""
-LARGEST_TABLE = 1 << 30
-"""Bytes of a table; one of 1,000 x 1,000 px and 20 maps has 200 MB."""
+"""Bytes of the header of a stack."""
 RIPPLE_TYPES = {"signed": "i", "unsigned": "u", "float": "f"}
 RIPPLE_SIZES = {"i": (1, 2, 4, 8), "u": (1, 2, 4, 8), "f": (4, 8)}
 ORDERS = {"little-endian": "<", "big-endian": ">"}
-SEPARATORS = ";,\t"
 RESULTS = "results/parameters"
 """End of the name of the group in which PyMca writes the maps of a fit."""
-NOT_MAPS = ("s(", "chisq")
-"""What columns of PyMca begin with that are no maps: standard deviations and the quality of the fit."""
 
 
 @dataclass(frozen=True)
@@ -159,46 +149,6 @@ def _whole(path: Path, keys: dict[str, str], key: str) -> int:
     )
 
 
-# --- .dms
-
-
-def read_dms_facts(path: Path) -> Facts:
-    """Return the facts of a .dms stack.
-
-    Raises
-    ------
-    UnreadableCapture
-    """
-    return _open_dms(path).facts
-
-
-def read_dms(path: Path) -> np.ndarray:
-    """Read a .dms stack, (lines, samples, maps)."""
-    return _open_dms(path).read()
-
-
-def _open_dms(path: Path) -> Stack:
-    lines = _head(path).split(b"\n", 2)
-    sides = lines[1].split() if len(lines) == 3 else []
-    if len(sides) != 3 or not all(side.isdigit() and len(side) < 16 for side in sides):
-        raise unreadable(
-            path,
-            "the second line does not declare a size",
-            field="width, height, maps",
-            found=repr(lines[1][:40] if len(lines) > 1 else b""),
-            expected="three whole numbers",
-        )
-    width, height, maps = (int(side) for side in sides)
-    offset = len(lines[0]) + len(lines[1]) + 2
-    end = offset + 4 * width * height * maps
-    names: tuple[str, ...] = ()
-    with path.open("rb") as file:
-        file.seek(end)
-        tail = file.read(MOST_HEADER).decode("utf-8", "replace")
-        names = tuple(name.strip() for name in tail.splitlines() if name.strip())
-    return _stack(path, path, offset, "<f4", (height, width, maps), True, names)
-
-
 # --- HDF5 of PyMca
 
 
@@ -240,108 +190,11 @@ def _maps_of_hdf5(path: Path) -> tuple[list[str], tuple[int, ...]]:
             field="format",
             found=", ".join(groups[:4]) or f"HDF5 without a group {RESULTS}",
             expected=f"one group {RESULTS} with maps of one size",
-            fix="Save the maps as ENVI, as a TIFF with one page per map, or as a table from PyMca.",
+            fix="Save the maps as ENVI, or as a TIFF with one page per map.",
         )
     shape = (*next(iter(found.values())), len(found))
     check_size(path, shape, field="lines, samples, maps")
     return list(found), shape
-
-
-# --- tables of PyMca
-
-
-def read_table_facts(path: Path) -> Facts:
-    """Return the facts of a table by its first and last line.
-
-    Raises
-    ------
-    UnreadableCapture
-    """
-    names, separator, columns = _columns(path)
-    with path.open("rb") as file:
-        size = file.seek(0, io.SEEK_END)
-        file.seek(max(0, size - MOST_HEADER))
-        last = file.read().decode("latin-1").strip().splitlines()[-1].split(separator)
-    try:
-        height, width = (int(float(cell)) + 1 for cell in last[:2])
-    except ValueError:
-        height = width = 0
-    shape = (height, width, len(names))
-    check_size(path, shape, field="row, column")
-    if size > LARGEST_TABLE:
-        raise unreadable(
-            path,
-            "the table is too large",
-            code="E_SIZE",
-            found=f"{size} bytes",
-            expected=f"at most {LARGEST_TABLE}",
-        )
-    check_memory(path, prod(shape), 8)
-    left = columns - 2 - len(names)
-    notes = (
-        (f"{left} columns with standard deviations or the quality of the fit are not read",)
-        if left
-        else ()
-    )
-    return Facts(path, "table", shape, "float32", band_names=_named(names, len(names)), notes=notes)
-
-
-def read_table(path: Path) -> np.ndarray:
-    """Read a table, (lines, samples, maps) float32."""
-    facts = read_table_facts(path)
-    names, separator, _ = _columns(path)
-    assert facts.band_names is None or len(facts.band_names) == len(names)
-    header = _header(path, separator)
-    wanted = [0, 1, *(i for i, name in enumerate(header) if i > 1 and _is_map(name))]
-    with decoding(path, "table of maps"):
-        rows = np.loadtxt(
-            path,
-            np.float64,
-            delimiter=separator,
-            skiprows=1,
-            usecols=wanted,
-            ndmin=2,
-            encoding="latin-1",
-        )
-    height, width, maps = facts.shape
-    places = np.stack(np.meshgrid(np.arange(height), np.arange(width), indexing="ij"), -1)
-    if not np.array_equal(rows[:, :2], places.reshape(-1, 2)):
-        raise truncated(
-            path,
-            "the table does not list every pixel once, row by row",
-            "row, column",
-            f"{len(rows)} lines",
-            f"{height} x {width} pixels",
-        )
-    return rows[:, 2:].astype(np.float32).reshape(height, width, maps)
-
-
-def _is_map(name: str) -> bool:
-    return not name.lower().startswith(NOT_MAPS)
-
-
-def _columns(path: Path) -> tuple[tuple[str, ...], str, int]:
-    """Return the names of the maps of a table, its separator, and how many columns it has."""
-    first = _head(path).decode("latin-1").partition("\n")[0]
-    separator = next((one for one in SEPARATORS if one in first), ",")
-    header = _header(path, separator)
-    names = tuple(name for name in header[2:] if _is_map(name))
-    if [name.lower() for name in header[:2]] != ["row", "column"] or not names:
-        raise unreadable(
-            path,
-            "this is no table of maps",
-            field="columns",
-            found=first[:80],
-            expected="row;column;NAME;… as PyMca writes it",
-            fix="Export the maps as TIFF, ENVI or a table from PyMca.",
-        )
-    return names, separator, len(header)
-
-
-def _header(path: Path, separator: str) -> list[str]:
-    first = _head(path).decode("latin-1").partition("\n")[0]
-    cells = next(csv.reader([first.strip("\r")], delimiter=separator), [])
-    return [cell.strip().strip('"') for cell in cells]
 
 
 # --- common
@@ -367,7 +220,6 @@ def _stack(
     layout: str,
     shape: tuple[int, ...],
     by_map: bool,
-    names: tuple[str, ...] = (),
 ) -> Stack:
     """Return a stack whose size was checked against its data."""
     check_size(path, shape, field="width, height, maps")
@@ -391,11 +243,5 @@ def _stack(
             f"{needed} bytes",
         )
     dtype = np.dtype(layout)
-    facts = Facts(
-        path,
-        "dms" if path == data else "ripple",
-        shape,
-        dtype.newbyteorder("=").name,
-        band_names=_named(names, shape[2]),
-    )
+    facts = Facts(path, "ripple", shape, dtype.newbyteorder("=").name)
     return Stack(facts, data, offset, layout, by_map)

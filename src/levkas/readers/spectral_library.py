@@ -100,7 +100,8 @@ def write_spectra(path: str | Path, spectra: xarray.DataArray) -> list[Path]:
 
     Returns
     -------
-    files : list of Path
+    written : list of Path
+        The files, the header last.
 
     Raises
     ------

@@ -7,7 +7,7 @@ frame is the object.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -48,12 +48,18 @@ class ObjectArea:
         Whether the outline was segmented; else it is declared.
     region : (x, y, width, height), reference px, optional
         Declared for the published frame: nothing outside is compared.
+    edge : ndarray, (n, 2), reference px
+        The outline without tolerance: the corners that are declared, or the hull of what was segmented.
+    sides : (float, float), reference px, optional
+        As of `measure_sides`; None where the whole frame is the object.
     """
 
     body: np.ndarray
     outline: np.ndarray
     automatic: bool
     region: tuple[float, ...] | None = None
+    edge: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    sides: tuple[float, float] | None = None
 
     @classmethod
     def of(
@@ -71,19 +77,24 @@ class ObjectArea:
         >>> area = ObjectArea.of(picture)
         >>> area.automatic, area.outline.min(0).tolist(), area.outline.max(0).tolist()
         (True, [7.0, 7.0], [72.0, 52.0])
+        >>> area.sides
+        (40.0, 60.0)
         >>> declared = ObjectArea.of(picture, outline=[(0, 0), (40, 0), (40, 59), (0, 59)])
         >>> declared.automatic, float(round(declared.share_of(None), 2))
         (False, 0.51)
         """
         declared = outline is not None and len(outline) > 0
+        sides: tuple[float, float] | None
         if declared:
             corners = np.asarray(outline, float)
-            body = fill_polygon(corners, image.shape)
+            body, edge, sides = fill_polygon(corners, image.shape), corners, _sides_around(corners)
         else:
             body = segment_foreground(image)
-            corners = np.empty((0, 2)) if body.all() else corners_of(body)
+            found = not body.all()
+            corners, edge = (corners_of(body), _hull_of(body)) if found else (np.empty((0, 2)),) * 2
+            sides = measure_sides(image, body) if found else None
         known = None if region is None else tuple(float(v) for v in region)
-        return cls(body, corners, not declared and len(corners) > 0, known)
+        return cls(body, corners, not declared and len(corners) > 0, known, edge, sides)
 
     @cached_property
     def compared(self) -> np.ndarray:
@@ -185,17 +196,48 @@ def segment_foreground(image: np.ndarray) -> np.ndarray:
     found = np.isin(bodies, np.flatnonzero(sizes >= max(LEAST_BODY * image.size, 1)))
     if not found.any():
         return everything
-    hull = _hull(found)
+    hull = fill_polygon(_hull_of(found), found.shape)
     return hull if hull.mean() >= LEAST_OBJECT else everything
 
 
-def _hull(found: np.ndarray) -> np.ndarray:
-    """Return the convex hull of marked pixels, (h, w) bool."""
+def measure_sides(image: np.ndarray, body: np.ndarray) -> tuple[float, float]:
+    """Return the sides, px, the shorter first, of the smallest rectangle around an object on an even ground.
+
+    A side lies where its contrast with the ground is half of what it is up to 4 px further in: `segment_foreground`
+    takes all that stands out, blurred, and is up to 3 px wider on every side.
+
+    Parameters
+    ----------
+    image : ndarray, (h, w)
+        NaN where invalid.
+    body : ndarray of bool, (h, w)
+        The object, as it was segmented.
+    """
+    from scipy import ndimage
+
+    smooth = ndimage.gaussian_filter(np.nan_to_num(image, nan=np.nanmedian(image)), 1.5)
+    contrast = np.abs(smooth - np.median(smooth[~body]))
+    clear = contrast > 5 * 1.4826 * np.median(contrast[~body])
+    half = contrast >= ndimage.maximum_filter(contrast, 9) / 2
+    found = body & clear & half
+    width, height = _sides_around(_hull_of(found if found.any() else body))
+    return width + 1, height + 1  # a hull of pixels joins their centres
+
+
+def _sides_around(corners: np.ndarray) -> tuple[float, float]:
+    """Return the sides of the smallest rectangle around points, (n, 2), the shorter first."""
+    import cv2
+
+    sides = sorted(cv2.minAreaRect(np.asarray(corners, np.float32))[1])
+    return float(sides[0]), float(sides[1])
+
+
+def _hull_of(found: np.ndarray) -> np.ndarray:
+    """Return the corners of the convex hull of marked pixels, (n, 2) px."""
     import cv2
 
     y, x = np.nonzero(found)
-    corners = cv2.convexHull(np.stack([x, y], 1).astype(np.int32))
-    return fill_polygon(corners.reshape(-1, 2), found.shape)
+    return np.asarray(cv2.convexHull(np.stack([x, y], 1).astype(np.int32)).reshape(-1, 2), float)
 
 
 def fill_polygon(corners: Corners, shape: tuple[int, ...]) -> np.ndarray:

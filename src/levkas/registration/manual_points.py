@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     Mapper = Callable[[np.ndarray], np.ndarray]
 
-#: Of coordinates by which a pair is known; how far two coordinates of one pair may differ, px.
-DECIMALS, NEAR_PX = 2, 0.011
+#: How far two coordinates of one pair may differ, px.
+NEAR_PX = 0.011
 #: Pairs up to which a tree costs more than it saves.
 FEW = 64
 #: Standard deviation of a place that a person points at, native px of either picture.
@@ -151,15 +151,6 @@ class MarkedMatches:
     def fixed(self) -> np.ndarray:
         """Mask of the pairs that are never removed, (n,) bool."""
         return np.asarray((self.reason != "") & ~self.dropped, bool)
-
-
-def name_of(pair: np.ndarray) -> str:
-    """Return the name of a pair: its coordinates, rounded.
-
-    >>> name_of(np.array([1.004, 2.0, 33.256, 4.5]))
-    '1.00,2.00,33.26,4.50'
-    """
-    return ",".join(f"{v + 0.0:.{DECIMALS}f}" for v in np.round(np.asarray(pair, float), DECIMALS))
 
 
 def nearest_rows(pairs: np.ndarray, among: np.ndarray) -> np.ndarray:

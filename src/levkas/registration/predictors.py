@@ -317,6 +317,8 @@ class PreparedReference:
         Of the published frame; nothing outside is used.
     outline : (n, 2) corners, reference px, optional
         Of the object, where it is declared; without it the object is segmented from an even ground.
+    area : ObjectArea, optional
+        Where the object lies, where that is known already.
     """
 
     def __init__(
@@ -325,6 +327,7 @@ class PreparedReference:
         band: str,
         region: Sequence[float] | None = None,
         outline: Corners | None = None,
+        area: ObjectArea | None = None,
     ) -> None:
         self.anchor = next(image for image in bands if image.label == band)
         if not self.anchor.valid.any():
@@ -341,7 +344,7 @@ class PreparedReference:
         self.own_bands = [image for image in bands if image.sensor == self.anchor.sensor]
         self.images = sqrt_images(bands)
         greys = GreyImages([self.images[image.label] for image in self.own_bands])
-        self.area = ObjectArea.of(greys[0], region, outline)
+        self.area = area or ObjectArea.of(greys[0], region, outline)
         self._mask = self.area.compared
         self.keys, self._greys = CameraFeatures(greys, self._mask), greys
         self._stack: ReferenceStack | None = None

@@ -16,7 +16,7 @@ from levkas.calibration.chart_light import CHART_WHITE
 from levkas.calibration.code_checks import CodesRefused
 from levkas.calibration.defects import replace_defects
 from levkas.calibration.equalising import equalise_phases
-from levkas.calibration.flatfield import Calibrated, less_sure
+from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import mean_variance
 from levkas.calibration.sensor_context import (
@@ -380,7 +380,6 @@ def develop_mosaic(context: SensorContext) -> Noted:
         noise=noise,
         defects=defects,
     )
-    flat = less_sure(flat, area.unsure)
     notes.extend(flat.notes)
     values, flags, variance = replace_defects(
         flat.values, flat.flags, flat.variance, pattern=pattern
@@ -520,7 +519,6 @@ def _band(
         noise=noise,
         defects=defects_of(darks, white, sensor.pattern, area.uncovered),
     )
-    flat = less_sure(flat, area.unsure)
     plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
     if sensor.pattern is not None:
         plane = equalise_phases(*plane, sensor.pattern)

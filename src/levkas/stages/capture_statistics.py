@@ -376,12 +376,7 @@ def describe_flags(counts: np.ndarray) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class DefaultLayer:
-    """A published layer on the same grid, read some rows at a time.
-
-    Parameters
-    ----------
-    values, flags : TiffPages
-    """
+    """A published layer on the same grid, read some rows at a time."""
 
     values: TiffPages
     flags: TiffPages

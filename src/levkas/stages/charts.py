@@ -602,14 +602,9 @@ def write_chart(
     from levkas.database.layers import Layer, write_tiffs
     from levkas.stages.spectra import broad_centroids
 
-    chart, described = capture.object, campaign.campaign
+    chart = capture.object
     folder = places.output / "charts" / chart
-    credits = Credits(
-        title=f"{_kind(measure)}, {capture.layer}",
-        creator=described.creator,
-        date=developed.captured or described.date or "",
-        rights=described.licence,
-    )
+    credits = Credits(f"{_kind(measure)}, {capture.layer}", date=developed.captured or "")
     centroids = broad_centroids(campaign, capture.camera, capture.bands)
     layer = Layer(chart, capture.camera, capture.setup, credits=credits, centroids=centroids)
     written = []

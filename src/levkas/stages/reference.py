@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 
 from levkas.campaign.methods import method_of
@@ -17,6 +16,9 @@ from levkas.geometry import from_dict
 from levkas.geometry.grid import Grid, GridRefused
 from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration import Matches, Registration, Verdict
+from levkas.registration.bands import sqrt_images
+from levkas.registration.features import GreyImages
+from levkas.registration.foreground import ObjectArea
 from levkas.registration.record import Sigma
 from levkas.stages.spectra import middle_band, reference_channel
 from levkas.stages.tiles import TiledCapture, coarseness
@@ -33,9 +35,6 @@ if TYPE_CHECKING:
 
     Grey = tuple[np.ndarray, np.ndarray]
     Region = tuple[float, float, float, float]
-
-SMALLEST_SHARE = 0.05
-"""Below this share of the frame a bright region is no painting."""
 
 
 class ReferenceFrame:
@@ -65,7 +64,6 @@ class ReferenceFrame:
         self._images: Sequence[BandImage] | None = None
         self._own: Registration | None = None
         self._prepared: PreparedReference | None = None
-        self._grid: tuple[Grid, float | None, Region | None] | None = None
         self.grey: Grey | None = None
         """Of its layer, where that was drawn or read already."""
 
@@ -130,6 +128,21 @@ class ReferenceFrame:
         """The declared corners of the object, reference px; None where none are declared."""
         return self.campaign.outline_of(self.capture.object)[0] or None
 
+    @cached_property
+    def area(self) -> ObjectArea:
+        """Where the object lies in the overview: all that needs the object takes it from here."""
+        anchor = self._image()
+        own = [image for image in self.overview if image.sensor == anchor.sensor]
+        grey = GreyImages([*sqrt_images(own).values()])[0]
+        outline = (np.array(self.outline or ()) + 0.5) / self.step - 0.5
+        return ObjectArea.of(grey, outline=outline)
+
+    @property
+    def sides(self) -> list[float] | None:
+        """The sides of the object, reference px, the shorter first; None where no edge of it is visible."""
+        sides = self.area.sides
+        return None if sides is None else [round(self.step * side, 2) for side in sides]
+
     def prepared(self, region: Region | None, *, own: bool) -> PreparedReference:
         """Return the bands as the default method takes them, prepared once for all captures.
 
@@ -138,7 +151,8 @@ class ReferenceFrame:
         from levkas.registration.predictors import PreparedReference
 
         if self._prepared is None:
-            self._prepared = PreparedReference(self.images, self.band, region, self.outline)
+            area = replace(self.area, region=region)
+            self._prepared = PreparedReference(self.images, self.band, area=area)
             if not own:
                 self._release()
         return self._prepared
@@ -182,19 +196,14 @@ class ReferenceFrame:
         """Return the reference of a registration's record."""
         return {"camera": self.capture.camera, "band": self.band, "size": list(self.size)}
 
-    def layout(self) -> tuple[Grid, float | None, Region | None]:
-        """Return the grid, its sampling in px per mm where known, and the object's region in reference px."""
-        if self._grid is None:
-            facts = self.campaign.objects.get(self.capture.object)
-            size_mm = facts.size_mm if facts else None
-            try:
-                self._grid = frame_object(
-                    self._image(), self.campaign.grid, size_mm, self.size, self.step
-                )
-            except GridRefused as refused:
-                file = str(self.campaign.path)
-                raise GridRefused(*(replace(p, file=file) for p in refused.problems)) from None
-        return self._grid
+    def layout(self) -> tuple[Grid, Region | None]:
+        """Return the grid, and the declared region in reference px."""
+        edge = (self.area.edge + 0.5) * self.step - 0.5
+        try:
+            return lay_grid(self.size, self.campaign.grid, edge)
+        except GridRefused as refused:
+            file = str(self.campaign.path)
+            raise GridRefused(*(replace(p, file=file) for p in refused.problems)) from None
 
     def _image(self) -> BandImage:
         return next(image for image in self.overview if image.label == self.band)
@@ -220,6 +229,12 @@ def maps_of(record: dict[str, Any]) -> dict[str, Transform]:
     return {label: from_dict(band["transform"]) for label, band in record["bands"].items()}
 
 
+def maps_on_grid(record: dict[str, Any]) -> dict[str, Transform]:
+    """Return the maps of a record's bands, grid px to native px, by label."""
+    to_reference = from_dict(record["grid"]["transform"])
+    return {label: Composed(to_reference, one) for label, one in maps_of(record).items()}
+
+
 def cropped(
     images: Sequence[BandImage], transforms: Mapping[str, Transform], box: Box
 ) -> tuple[list[BandImage], dict[str, Transform]]:
@@ -236,135 +251,31 @@ def cropped(
 # --- the object in the reference's frame, and the grid that follows from it ---------------------
 
 
-def bounding_box(grey: np.ndarray, valid: np.ndarray | None = None) -> tuple[int, int, int, int]:
-    """Bounding box of the object on a plain background.
+def lay_grid(
+    size: tuple[int, int], keys: GridKeys | None, edge: np.ndarray
+) -> tuple[Grid, Region | None]:
+    """Return the grid of a reference band, and the declared region in reference px, (x, y, width, height).
 
-    A painting has contrast of its own, a background has not: the brightness and the local
-    contrast are both thresholded by Otsu's method, small islands are dropped, and the box
-    around the largest connected region is taken.
-
-    Parameters
-    ----------
-    grey : ndarray, (h, w)
-        Mean of bands, any unit.
-    valid : ndarray of bool, (h, w), optional
-
-    Returns
-    -------
-    region : (x, y, width, height)
-        The whole frame where no object stands out from a background.
-
-    Examples
-    --------
-    >>> image = np.zeros((60, 80)); image[10:50, 20:70] = 1.0
-    >>> bounding_box(image)
-    (20, 10, 50, 40)
+    ``region = "auto"`` is the bounding box of `edge`, corners of the object, (n, 2) reference px; without any the whole
+    frame.
     """
-    height, width = grey.shape
-    whole = (0, 0, width, height)
-    image = np.nan_to_num(np.asarray(grey, np.float64))
-    if valid is not None:
-        image = np.where(valid, image, 0.0)
-    low, high = np.percentile(image, (0.5, 99.5))
-    if not high > low:
-        return whole
-    tone = np.sqrt(np.clip((image - low) / (high - low), 0, 1))
-    bytes_ = np.round(255 * tone).astype(np.uint8)
-    cut, _ = cv2.threshold(bytes_, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
-    border = np.concatenate([bytes_[0], bytes_[-1], bytes_[:, 0], bytes_[:, -1]])
-    # A dark painting on a dark cloth: what is clearly above the border's own spread is object too.
-    floor = np.median(border) + 4 * max(1.0, 1.4826 * np.median(np.abs(border - np.median(border))))
-    mask = (bytes_ > min(cut, floor)).astype(np.uint8)
-    kernel = np.ones((3, 3), np.uint8)
-    mask = cv2.morphologyEx(
-        cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel), cv2.MORPH_CLOSE, kernel, iterations=3
-    )
-    count, _, statistics, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    if count < 2:
-        return whole
-    best = 1 + int(
-        np.argmax(statistics[1:, cv2.CC_STAT_WIDTH] * statistics[1:, cv2.CC_STAT_HEIGHT])
-    )
-    x, y, w, h = (int(v) for v in statistics[best, :4])
-    return (x, y, w, h) if w * h >= SMALLEST_SHARE * width * height else whole
+    if keys is None:
+        return Grid(size), None
+    turned = Grid(size, mirror=keys.mirror, rotate=keys.rotate)
+    region, declared = keys.region, None
+    if region == "auto":
+        region = _box_around(turned.transform.inverse(edge), whole_px=True) if len(edge) else None
+    elif region is not None:
+        x, y, w, h = region
+        corners = np.array([[x, y], [x + w - 1, y], [x + w - 1, y + h - 1], [x, y + h - 1]], float)
+        declared = _box_around(turned.transform(corners))
+    grid = Grid(size, mirror=keys.mirror, rotate=keys.rotate, region=region, output=keys.size)
+    return grid, declared
 
 
-def frame_object(
-    image: BandImage,
-    keys: GridKeys | None,
-    size_mm: tuple[float, float] | None,
-    size: tuple[int, int] | None = None,
-    step: int = 1,
-) -> tuple[Grid, float | None, tuple[float, float, float, float] | None]:
-    """Return the grid, its sampling in px per mm where known, and the region to register by.
-
-    Parameters
-    ----------
-    image : BandImage
-        The reference band.
-    keys : GridKeys, optional
-        The table [grid]; None: the reference band's own frame, whole.
-    size_mm : (width, height), optional
-        Of the object, upright; with its bounding box it gives the sampling.
-    size : (width, height), px, optional
-        Of the reference band where `image` is an overview of it; default that of `image`.
-    step : int
-        Px of the reference band in one of `image`, along a side.
-
-    Returns
-    -------
-    grid : Grid
-    sampling : float or None
-        Grid px per mm.
-    region : (x, y, width, height), reference px, or None
-        The declared region, turned back; None where none is declared.
-    """
-    width, height = size or image.size
-    mirror, rotate = (keys.mirror, keys.rotate) if keys else (False, 0.0)
-    turned = Grid((width, height), mirror=mirror, rotate=rotate)
-    region = keys.region if keys else None
-    box = None
-    if region == "auto" or size_mm is not None:
-        box = _box_in(turned, image, step)
-    chosen = box if region == "auto" else region
-    grid = Grid(
-        (width, height),
-        mirror=mirror,
-        rotate=rotate,
-        region=chosen,
-        output=keys.size if keys else None,
-    )
-    sampling = (
-        _sampling(grid, turned, box, size_mm) if box is not None and size_mm is not None else None
-    )
-    return grid, sampling, _turned_back(turned, region) if isinstance(region, tuple) else None
-
-
-def _box_in(turned: Grid, image: BandImage, step: int) -> tuple[float, float, float, float]:
-    """The object's bounding box in the turned frame at native scale."""
-    x, y, w, h = (step * side for side in bounding_box(image.values, image.valid))
-    corners = np.array([[x, y], [x + w - 1, y], [x + w - 1, y + h - 1], [x, y + h - 1]], float)
-    placed = turned.transform.inverse(corners)
-    low, high = np.floor(placed.min(0)), np.ceil(placed.max(0))
+def _box_around(points: np.ndarray, *, whole_px: bool = False) -> Region:
+    """Return the box, (x, y, width, height) px, around centres of pixels, (n, 2)."""
+    low, high = points.min(0), points.max(0)
+    if whole_px:
+        low, high = np.floor(low), np.ceil(high)
     return float(low[0]), float(low[1]), float(high[0] - low[0] + 1), float(high[1] - low[1] + 1)
-
-
-def _turned_back(
-    turned: Grid, region: tuple[float, float, float, float]
-) -> tuple[float, float, float, float]:
-    """The box in reference px around a region of the turned frame."""
-    x, y, w, h = region
-    corners = np.array([[x, y], [x + w - 1, y], [x + w - 1, y + h - 1], [x, y + h - 1]], float)
-    placed = turned.transform(corners)
-    low, high = placed.min(0), placed.max(0)
-    return float(low[0]), float(low[1]), float(high[0] - low[0] + 1), float(high[1] - low[1] + 1)
-
-
-def _sampling(
-    grid: Grid, turned: Grid, box: tuple[float, float, float, float], size_mm: tuple[float, float]
-) -> float:
-    """Grid px per mm from the object's box and its size; the longer sides belong together."""
-    sides, real = np.sort(np.array(box[2:])), np.sort(np.array(size_mm, float))
-    native = float(np.exp(np.log(sides / real).mean()))
-    step = grid.transform.jacobian(np.zeros((1, 2)))[0]
-    return native / float(np.sqrt(abs(np.linalg.det(step))))

@@ -19,7 +19,7 @@ from levkas.campaign.methods import DEFAULT_METHOD
 from levkas.core.files import make_folder, remove, together, write_json, write_text
 from levkas.core.problems import Problem, Refused
 from levkas.database.preview import encode_png
-from levkas.database.registrations import describe_lying
+from levkas.database.registrations import describe_lying, describe_size, with_size
 from levkas.geometry.transforms import Affine
 from levkas.pages.figures import draw_basis, draw_trace
 from levkas.pages.page import embed_png
@@ -70,7 +70,7 @@ def measure(
     options |= {"one_scan": True} if KINDS[campaign.cameras[capture.camera].kind].one_scan else {}
     given, by_hand = corrections_of(campaign, capture, channel)
     options |= by_hand
-    grid, sampling, region = frame.layout()
+    grid, region = frame.layout()
     prepared = partial(frame.prepared, region, own=leads)
     options |= {"outline": frame.outline, "layer": corners_of_grid(grid)}
     found, refused = None, None
@@ -83,7 +83,7 @@ def measure(
     if leads and found is not None:
         frame.registered(found)
     frame.rest()
-    record = _heading(capture, frame, grid, sampling, channel) | {"method": method}
+    record = _heading(capture, frame, grid, channel) | {"method": method}
     if (turn := read_headers(capture.sensors[0].object[0].path).orientation) is not None:
         record["target"]["orientation"] = turn
     record |= _refusal(refused) if found is None else _results(found, native)
@@ -132,9 +132,9 @@ def _measure_tiles(
         maps: dict[str, Transform] = {b.label: Affine.identity() for b in native.bands}
         sigma = dict.fromkeys(maps, sigma_of_mosaic(found, size))
         frame.registered(Registration("", maps, verdict_of(found), {}, Matches.none(), sigma=sigma))
-    grid, sampling, _ = frame.layout()
+    grid, _ = frame.layout()
     channel = frame.channel(capture)
-    record = _heading(capture, frame, grid, sampling, channel) | results | extra
+    record = _heading(capture, frame, grid, channel) | results | extra
     problems = verdict_problems(record, capture, refused)
     tables = {
         part_name(part, sensor): pairs
@@ -174,16 +174,19 @@ def _with_outline_named(
 
 
 def publish_registration(
-    measured: Measured, capture: Capture, places: Places, before: Callable[[], object]
+    measured: Measured,
+    capture: Capture,
+    places: Places,
+    size_mm: tuple[float, float] | None,
+    before: Callable[[], object],
 ) -> Written:
     """Write the record and the matches of a registration; `before` as of `core.files.together`."""
+    record = with_size(measured.record, size_mm)
     with together(before):
-        files = write_registration(places, capture, measured.record, measured.matches)
-    verdict, layer = measured.record["verdict"], f"{capture.object}/{capture.layer}"
+        files = write_registration(places, capture, record, measured.matches)
+    verdict, layer = record["verdict"], f"{capture.object}/{capture.layer}"
     judged = f"{layer}: {' '.join(verdict['reasons'])}"
-    lasting = [f"{layer}: {text}" for text in describe_lying(measured.record)]
-    if verdict["decision"] == "by hand":
-        lasting.append(judged)
+    lasting = lasting_warnings(record, layer)
     notes = {
         "refused": [p.to_dict() for p in measured.problems],
         "figures": measured.figures,
@@ -192,6 +195,13 @@ def publish_registration(
     doubtful = verdict["decision"] == "warn" and not measured.problems
     warnings = (*lasting, *([judged] if doubtful else []))
     return Written(files, notes, warnings=warnings, problems=measured.problems)
+
+
+def lasting_warnings(record: Mapping[str, Any], layer: str) -> list[str]:
+    """Return what every build reports of a registration, by its record."""
+    lasting, verdict = [*describe_lying(record), *describe_size(record)], record["verdict"]
+    lasting += [" ".join(verdict["reasons"])] if verdict["decision"] == "by hand" else []
+    return [f"{layer}: {text}" for text in lasting]
 
 
 RECORDED_PX = 480
@@ -309,9 +319,7 @@ def _with_enlarged_checks(errors: dict[str, Any], grow: Affine) -> dict[str, Any
     return errors | {"check_points": points}
 
 
-def _heading(
-    capture: Capture, frame: ReferenceFrame, grid: Grid, px_per_mm: float | None, channel: str
-) -> dict[str, Any]:
+def _heading(capture: Capture, frame: ReferenceFrame, grid: Grid, channel: str) -> dict[str, Any]:
     """Return the part of registration/CAMERA.json that says what was registered to what."""
     return {
         "levkas": __version__,
@@ -324,7 +332,7 @@ def _heading(
         "grid": {
             "size": list(grid.size),
             "transform": grid.transform.to_dict(),
-            "px_per_mm": px_per_mm,
+            "object_px": frame.sides,
         },
     }
 

@@ -16,13 +16,12 @@ from levkas.database.grey import read_grey
 from levkas.database.layers import Layer, write_layer
 from levkas.database.preview import encode_png
 from levkas.geometry.joining import describe_steps
-from levkas.geometry.transforms import Composed
 from levkas.quality.evaluation.similarity import structural_similarity
 from levkas.readers.frames import read_facts
 from levkas.registration.record import decided
 from levkas.stages.capture_statistics import DefaultLayer, LayerStatistics, describe_flags
 from levkas.stages.native_cubes import least_bytes
-from levkas.stages.reference import maps_of
+from levkas.stages.reference import maps_on_grid
 from levkas.stages.spectra import broad_centroids
 from levkas.stages.tiles import TiledCapture
 from levkas.stages.written import Written
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.core.cube import Cube, CubeRows
-    from levkas.geometry.grid import Grid
     from levkas.geometry.joining import Seams
     from levkas.geometry.transforms import Transform
     from levkas.stages.native_cubes import CalibratedCapture
@@ -51,9 +49,9 @@ class GridTarget:
     ----------
     capture : Capture
     layer : Layer
-    grid : Grid
-    transforms : dict of label to Transform
-        Reference px → native px.
+    size : (width, height)
+    maps : dict of label to Transform
+        Grid px → native px.
     verdict : str
         Of the registration, for the catalogue.
     encoded : bool
@@ -64,8 +62,8 @@ class GridTarget:
 
     capture: Capture
     layer: Layer
-    grid: Grid
-    transforms: dict[str, Transform]
+    size: tuple[int, int]
+    maps: dict[str, Transform]
     verdict: str
     encoded: bool
     default: DefaultLayer | None
@@ -76,19 +74,21 @@ def target_of(
 ) -> GridTarget:
     """Return the layer that a capture is resampled to; `record` is that of its registration."""
     campaign, places, name = frame.campaign, frame.places, capture.object
-    grid, sampling, _ = frame.layout()
+    grid = record["grid"]
     layer = Layer(
-        *(name, capture.camera, capture.setup, sampling or nan),
+        *(name, capture.camera, capture.setup, grid["px_per_mm"] or nan),
         credits_of(campaign, name, native.captured or ""),
         broad_centroids(campaign, capture.camera, capture.bands),
     )
-    shape = (grid.size[1], grid.size[0], len(native.bands))
+    width, height = grid["size"]
+    shape = (height, width, len(native.bands))
     default = None
     if capture.setup and native.quantity == "reflectance":
         values, flags = (places.layer(name, capture.camera, kind=k) for k in (".tif", ".flags.tif"))
         default = DefaultLayer.open(values, flags, shape)
     verdict, encoded = decided(record["verdict"]), _is_encoded(capture, campaign)
-    return GridTarget(capture, layer, grid, maps_of(record), verdict, encoded, default)
+    size, maps = (width, height), maps_on_grid(record)
+    return GridTarget(capture, layer, size, maps, verdict, encoded, default)
 
 
 def _is_encoded(capture: Capture, campaign: Campaign) -> bool:
@@ -129,17 +129,14 @@ def resample(native: CalibratedCapture, target: GridTarget, frame: ReferenceFram
 
     What is held whole is interpolated now; rows of a scan are when they are written.
     """
-    grid, default = target.grid, target.default
-    maps = {
-        band.label: Composed(grid.transform, target.transforms[band.label]) for band in native.bands
-    }
+    size, default, maps = target.size, target.default, target.maps
     if isinstance(native, TiledCapture) and native.level_tiles:
-        native.level(maps, grid.size)
+        native.level(maps, size)
     gains = native.setup_gains(default, maps) if default else None
-    rows = native.on_grid(maps, grid.size, spool=frame.places.kept)
+    rows = native.on_grid(maps, size, spool=frame.places.kept)
     correlation = None
     if rows.has_sigma and native.quantity == "reflectance":
-        correlation = native.noise_correlation(maps, grid.size)
+        correlation = native.noise_correlation(maps, size)
     statistics = LayerStatistics(default, gains, native.thinning)
     seams = native.seams if isinstance(native, TiledCapture) else None
     levelled = native.gains if isinstance(native, TiledCapture) else {}

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from levkas.calibration.flatfield import Calibrated, describe_darks, less_sure, pair_darks
+from levkas.calibration.flatfield import Calibrated, describe_darks, pair_darks
 from levkas.calibration.sensor_context import (
     SensorContext,
     placed,
@@ -146,7 +146,6 @@ class Strip:
             ),
             noise=self.templates.noise,
         )
-        flat = less_sure(flat, self.templates.unsure(start, stop))
         uncovered = self.templates.uncovered(start, stop)
         if uncovered is not None:  # where the white shows no board nothing is known
             values = np.where(uncovered[..., None], np.float32(np.nan), flat.values)

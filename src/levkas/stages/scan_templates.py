@@ -215,10 +215,6 @@ class ScanTemplates(NamedTuple):
         """Return where lines `start` to `stop` have no white board, (lines or 1, samples); None where all have."""
         return _rows_of(self.area.uncovered, start, stop)
 
-    def unsure(self, start: int, stop: int) -> np.ndarray | None:
-        """Return the relative standard deviation by the board's detail of lines `start` to `stop`; None where it has none."""
-        return _rows_of(self.area.unsure, start, stop)
-
 
 def _rows_of(plane: np.ndarray | None, start: int, stop: int) -> np.ndarray | None:
     return plane if plane is None or len(plane) == 1 else plane[start:stop]

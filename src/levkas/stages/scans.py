@@ -48,8 +48,6 @@ records end in the same bytes either way but for the last bits of resampled valu
 page is then that of every sixteenth pixel. A constant, so that results do not hang on the machine's memory."""
 LOOKED_AT_PX, THINNED = 1_000_000, 16
 """Most pixels of a band as registration takes it; every sixteenth a side is kept in mind for range and noise."""
-PASSING_BYTES, STRIPS_BYTES, PICTURE_BYTES = 1e8, 8e5, 7
-"""Of what passes by at a time, of strips of a band that are gathered, and of a pixel of a band's picture."""
 
 
 def is_streamed(capture: Capture, campaign: Campaign) -> bool:
@@ -72,15 +70,6 @@ def is_streamed(capture: Capture, campaign: Campaign) -> bool:
 def factor_of(shape: tuple[int, int, int]) -> int:
     """Return how many px a side of a scan, (lines, samples, bands), make a pixel of its pictures."""
     return max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / LOOKED_AT_PX))))
-
-
-def bytes_of_pass(capture: Capture) -> float:
-    """Return the bytes that a pass over a streamed scan takes at least: pictures above all."""
-    facts = [read_facts(frame.path) for frame in capture.sensors[0].object]
-    lines, bands = int(facts[0].shape[0]), int(facts[0].shape[2])
-    samples = sum(int(one.shape[1]) for one in facts)
-    pixels = lines * samples / factor_of((lines, samples, bands)) ** 2
-    return PASSING_BYTES + bands * (STRIPS_BYTES + PICTURE_BYTES * pixels)
 
 
 class ScanSummary(NamedTuple):

@@ -16,8 +16,8 @@ from levkas.calibration.drift import black_between, black_in_white, lamp_between
 from levkas.calibration.flatfield import pair_darks
 from levkas.calibration.noise_fit import UNLIKE, compare_noise, smooth_groups
 from levkas.calibration.patterns import channel_table
-from levkas.calibration.sensor_context import DARK_OFFSET, FLATTENING, UNLIKE_NOISE
-from levkas.calibration.shot_noise import Groups, find_dark_offset, find_flattening
+from levkas.calibration.sensor_context import FLATTENING, UNLIKE_NOISE
+from levkas.calibration.shot_noise import Groups, find_flattening
 from levkas.calibration.templates import level_of
 from levkas.calibration.whites import reflectance_table
 from levkas.stages.capture_statistics import (
@@ -119,31 +119,16 @@ def _note_shot_noise(
     darks: Sequence[Template],
     labels: Sequence[str],
 ) -> None:
-    """Note in `measured` where a band's bright pixels have less noise than a linear sensor, and what the dim ones say of the dark."""
-    stacks = [stack for stack in stacks if not stack.above_dark]
-    name = labels[0] if len(labels) == 1 else ""
-
-    def groups_of(some: Sequence[Template]) -> list[Groups]:
-        levels = [level_under(one, darks, black=context.black_level) for one in some]
-        return [
-            smooth_groups([one], [level], context.step, context.period)
-            for one, level in zip(some, levels, strict=True)
-        ]
-
-    of_stacks, of_darks = groups_of(stacks), groups_of(darks)
-    if found := find_flattening(_joined([*of_stacks, *of_darks])):
-        context.measured.setdefault(FLATTENING, {})[name] = found._asdict()
-    if not stacks:
-        return
-    time = stacks[0].exposure_s
-    alike = [g for one, g in zip(stacks, of_stacks, strict=True) if one.exposure_s == time]
-    quiet = [
-        g
-        for one, g in zip(darks, of_darks, strict=True)  # of clipped ones noise is lost
-        if one.exposure_s == time and np.mean(one.black) <= MANY_ZEROS
+    """Note in `measured` where a band's bright pixels have less noise than a linear sensor."""
+    some = [*(stack for stack in stacks if not stack.above_dark), *darks]
+    levels = [level_under(one, darks, black=context.black_level) for one in some]
+    groups = [
+        smooth_groups([one], [level], context.step, context.period)
+        for one, level in zip(some, levels, strict=True)
     ]
-    if offset := find_dark_offset(_joined(alike), _joined(quiet)):
-        context.measured.setdefault(DARK_OFFSET, {})[name] = offset._asdict()
+    if found := find_flattening(_joined(groups)):
+        name = labels[0] if len(labels) == 1 else ""
+        context.measured.setdefault(FLATTENING, {})[name] = found._asdict()
 
 
 def _note_unlike_channels(

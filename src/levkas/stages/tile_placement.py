@@ -45,11 +45,6 @@ def place_reference(
 ) -> tuple[dict[str, FoundTile], TilePlacement]:
     """Place the tiles of the reference camera beside one another; `by_hand` are pairs of a neighbour and a tile.
 
-    Returns
-    -------
-    found : dict of tile to FoundTile
-    placement : TilePlacement
-
     Raises
     ------
     RegistrationRefused

@@ -487,3 +487,81 @@ def test_pictures_without_any_order_are_objects_and_the_doubt_is_said(real_data)
         assert "show the same object" in proposal.unknown[0]
     with pytest.raises(LookRefused, match="spectral library"):
         look(real_data / "spectra")
+
+
+# --- files that no camera takes, and pictures that are no shots ---------------------------------
+
+
+@pytest.mark.parametrize(
+    ("names", "lost"),
+    [
+        (("vis", "shot1", "ColorChecker"), {"shot1", "ColorChecker"}),
+        (("a", "b", "c-grey"), {"c-grey"}),
+    ],
+)
+def test_every_file_that_the_proposal_does_not_take_is_listed_as_unknown(folder, names, lost):
+    for k, name in enumerate(names):
+        folder.picture(f"{name}.tif", 7 * k, channels=1 if "grey" in name or "vis" in names else 3)
+    proposal = look(folder.root)
+    assert {n for n in names if any(f"{n}.tif" in line for line in proposal.unknown)} == lost
+
+
+def test_a_camera_raw_beside_a_header_of_its_name_is_not_lost(folder):
+    folder.object("icon.tif")
+    (folder.root / "icon.hdr").write_text("no header")
+    (folder.root / "icon.nef").write_bytes(b"no raw")
+    told = look(folder.root).left_out
+    assert all(any(name in line for line in told) for name in ("icon.hdr", "icon.nef"))
+
+
+def lit(folder, name, light):
+    codes = 255 * np.clip(light * scene(3, shape=(90, 120)), 0, 1) ** (1 / 2.2)
+    cv2.imwrite(str(folder._path(name)), np.repeat(codes[..., None], 3, 2).astype(np.uint8))
+
+
+def answers(proposal):
+    (camera,) = proposal.cameras
+    return [(one.objects, one.keys["files"].value if one.keys else "") for one in camera.choices]
+
+
+@pytest.mark.parametrize("listed", [True, False])
+def test_pictures_of_a_dome_are_asked_for(folder, listed):
+    """An .lp file lists them; without it their light tells that they are no shots."""
+    across = np.linspace(0, 1, 120)
+    for k in range(6):
+        lit(folder, f"dome/coin_{k + 1}.tif", 0.4 + 0.6 * (across if k % 2 else 1 - across))
+    if listed:
+        rows = "".join(f"coin_{k + 1}.jpg 0.{k} -0.5 7e-1\n" for k in range(6))
+        (folder.root / "dome/coin.lp").write_text(f"6\n{rows}")
+    each, one = answers(look(folder.root))
+    assert each[0] == tuple(f"coin_{k + 1}" for k in range(6)) and one[0] == ("coin_4",)
+
+
+def test_a_bracket_is_asked_for(folder):
+    for k, times in enumerate((0.25, 1, 4)):
+        lit(folder, f"panel/DSC_{k + 1}.tif", times)
+    each, one = answers(look(folder.root))
+    assert each[0] == ("1", "2", "3") and one[0] == ("2",)
+
+
+def test_a_bracket_with_darks_and_whites_is_asked_for_with_both_patterns(folder):
+    for k, times in enumerate((0.25, 0.5, 1)):
+        folder.dark(f"dark/{k}.tif")
+        folder.white(f"white/{k}.tif")
+        light = 64 + 2500 * times * scene() + folder.rng.normal(0, 6, (60, 80))
+        folder.write(f"icon/{k}.tif", light)
+    proposal = look(folder.root)
+    assert answers(proposal) == [
+        (("icon",), "{target}/{shot}.tif"),
+        (("icon",), "{target}/1.tif"),
+    ]
+    assert not any(".tif" in line for line in proposal.unknown[1:])  # the first answer takes all
+
+
+def test_shots_under_a_lamp_that_warms_up_are_no_question(folder):
+    for k in range(3):
+        noise = np.random.default_rng(k).normal(1, 0.01, (90, 120))
+        lit(folder, f"panel/DSC_{k + 1}.tif", (0.8 + 0.02 * k) * noise)
+    proposal = look(folder.root)
+    assert proposal.cameras[0].keys["files"].value == "{target}/DSC_{shot}.tif"
+    assert not proposal.cameras[0].choices and not proposal.unknown

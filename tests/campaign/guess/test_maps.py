@@ -16,20 +16,9 @@ RPL = "key\tvalue\nwidth\t50\nheight\t38\ndepth\t5\noffset\t0\ndata-length\t4\nd
 ENVI = "ENVI\nsamples = 50\nlines = 38\nbands = 5\ndata type = 4\ninterleave = bsq\nbyte order = 0\nband names = {Pb L, Hg L, Cu K, Fe K, Ar K}\n"
 
 
-def write_dms(folder, name, maps):
-    data = b"2\n50 38 5\n" + maps.tobytes() + "\n".join(NAMES).encode()
-    (folder / f"{name}.dms").write_bytes(data)
-
-
 def write_ripple(folder, name, maps):
     (folder / f"{name}.rpl").write_text(RPL)
     (folder / f"{name}.raw").write_bytes(maps.tobytes())
-
-
-def write_table(folder, name, maps):
-    rows = [";".join(("row", "column", *NAMES))]
-    rows += [f"{i};{j};" + ";".join(map(str, maps[:, i, j])) for i, j in np.ndindex(38, 50)]
-    (folder / f"{name}.csv").write_text("\n".join(rows))
 
 
 def write_envi(folder, name, maps):
@@ -53,9 +42,7 @@ def write_beside_one_another(folder, name, maps):
 
 
 FORMATS = {
-    write_dms: "{target}.dms",
     write_ripple: "{target}.rpl",
-    write_table: "{target}.csv",
     write_envi: "{target}.hdr",
     write_pages: "{target}.tif",
     write_files: "{target}/{band}.tif",

@@ -12,7 +12,7 @@ PHONE = {"width": 390, "height": 844, "has_touch": True, "is_mobile": True}
 
 def open_second(browser, address, **options):
     page = browser.open(address("file", "viewer/objects/icon2/index.html"), **options)
-    page.wait_for_function("levkasViewer.stage.left.settled")
+    page.wait_for_function("() => levkasViewer.stage.left.settled")
     return page
 
 
@@ -47,7 +47,7 @@ def test_a_pinned_spectrum_lies_over_the_picture_of_a_phone_and_two_fingers_zoom
             {"type": kind, "touchPoints": points if kind != "touchEnd" else []},
         )
         pause(page, 15)
-    page.wait_for_function(f"levkasViewer.stage.left.scale > 1.5 * {before}")
+    page.wait_for_function(f"() => levkasViewer.stage.left.scale > 1.5 * {before}")
     page.evaluate("levkasViewer.state.pin.value = [20, 20]")
     page.wait_for_selector(".spectrum-part svg")
     box = page.locator(".spectrum-part").bounding_box()
@@ -74,9 +74,9 @@ def test_spectra_of_places_begin_with_the_layer_that_is_shown(browser, address):
 def test_the_picture_takes_the_whole_screen(browser, address):
     page = open_second(browser, address)
     page.keyboard.press("w")
-    page.wait_for_function("document.fullscreenElement?.classList.contains('wall')")
+    page.wait_for_function("() => document.fullscreenElement?.classList.contains('wall')")
     page.keyboard.press("w")
-    page.wait_for_function("document.fullscreenElement === null")
+    page.wait_for_function("() => document.fullscreenElement === null")
 
 
 def test_a_report_takes_three_screens_of_a_phone_and_links_unfold(browser, tmp_path):

@@ -111,12 +111,6 @@ def test_read_me_and_the_page_of_the_crate_show_hostile_titles_as_text(
         assert {" ".join(text.split()) for text in texts} <= shown, page_name
         links = page.evaluate("[...document.querySelectorAll('a')].map(a => a.protocol)")
         assert set(links) <= {"file:", "https:"}, page_name
-    for title, name in list(zip(TITLES, names, strict=True))[:8]:  # its band is named in the note
-        page = browser.open(f"{folder.as_uri()}/{page_of(name)}")
-        page.get_by_label("Picture in A").select_option("pca-1")
-        assert title in page.locator(".picker-a .note").first.text_content()
-        state = page.evaluate(STATE)
-        assert state["evil"] is None and state["attributes"] == [], name
 
 
 def test_a_policy_stops_a_script_that_got_into_a_page(browser, folder, tmp_path):

@@ -134,8 +134,12 @@ CASES = {
     "noise of a dark": lambda: ("noise", "02 dark", expose(0.0, 2, noise=2), {}),
     "focus, a little": lambda: ("focus", "07 shot", expose(gaussian_filter(PANEL, 1.6), 7), {}),
     "focus": lambda: ("focus", "07 shot", expose(gaussian_filter(PANEL, 3), 7), {}),
+    "moved by 0.9 px": lambda: ("moved", "07 shot", expose(shift(PANEL, (0.5, 0.75), mode="nearest"), 7), {}),
     "moved by 1.5 px": lambda: ("moved", "07 shot", expose(shift(PANEL, (0.9, 1.2), mode="nearest"), 7), {}),
     "moved by 30 px": lambda: ("moved", "07 shot", expose(shift(PANEL, (5, 30), mode="nearest"), 7), {}),
+    "another panel": lambda: ("moved", "07 shot", expose(PANEL[::-1, ::-1], 7), {}),
+    "another light": lambda: ("drift", "07 shot", expose(PANEL * np.linspace(0.5, 1.4, WIDTH), 7), {}),
+    "another exposure": lambda: ("drift", "07 shot", expose(PANEL, 7, lamp=0.79), {}),
     "glare, a little": lambda: ("glare", "07 shot", expose(blob(50), 7, lamp=0.95), {}),
     "glare": lambda: ("glare", "07 shot", expose(blob(160), 7, lamp=0.95), {}),
     "dust, one speck": lambda: ("dust", "08 white", expose(speck(3, 0.15), 8), {}),
@@ -179,9 +183,18 @@ def test_small_and_large_differ_in_severity():
         frames = {**good_frames(), name: frame(name, good_frames()[name].role, codes, **more)}
         return worst(copy(warm_judge()).judge(frames.values())[name])
 
-    pairs = (("moved by 1.5 px", "moved by 30 px"), ("lamp sank by 4 %", "lamp sank by 12 %"))
+    pairs = (("moved by 0.9 px", "moved by 1.5 px"), ("lamp sank by 4 %", "lamp sank by 12 %"))
     for small, large in (*pairs, ("focus, a little", "focus")):
         assert (severity(small), severity(large)) == ("look", "stop"), small
+
+
+@pytest.mark.parametrize("plain", [False, True])
+@pytest.mark.parametrize("case", ["another panel", "another light", "another exposure"])
+def test_what_a_build_refuses_is_no_shot_while_the_session_lasts(case, plain):
+    check, name, codes, _ = CASES[case]()
+    frames = {**good_frames(), name: frame(name, "object", codes)}
+    found = judge(frames.values(), SetRules(plain=plain))
+    assert ("stop", check) in [(one.severity, one.check) for one in found[name]]
 
 
 def test_the_numbers_in_the_reasons_are_those_planted():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,7 +45,8 @@ def look(folder: str | Path) -> Proposal:
         raise LookRefused(absent)
     listing = list_captures(folder)
     if not listing.captures:
-        others = ", ".join(f"{n} {suffix}" for suffix, n in listing.others.most_common(5))
+        kinds = Counter(Path(name).suffix.lower() or name for name in listing.others)
+        others = ", ".join(f"{n} {suffix}" for suffix, n in kinds.most_common(5))
         unreadable = [f"{name}: {why}" for name, why in list(listing.unreadable.items())[:3]]
         raise LookRefused(
             Problem(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import isnan
@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.campaign.camera_kinds import KINDS, CameraKind
+from levkas.campaign.discovery.patterns import Pattern
 from levkas.campaign.guess.appearance import mosaic_behind_filters, mosaic_of, tile_side
 from levkas.campaign.guess.band_names import Question
 from levkas.campaign.guess.groups import CameraGroup, FilePatterns, find_patterns, safe_name
-from levkas.campaign.guess.names import NamedFile
-from levkas.campaign.guess.pixels import MOST_SAMPLED, Samples, bits_of
+from levkas.campaign.guess.names import FEW_GROUPS, NamedFile
+from levkas.campaign.guess.pixels import MOST_SAMPLED, Samples, bits_of, spread
 from levkas.campaign.guess.words import are_elements
 from levkas.core.text import counted
 from levkas.readers.spectra import parse_spectra
@@ -32,6 +33,7 @@ READ_BYTES, ROWS = 20_000, 8
 WAVELENGTHS_NM = (200.0, 3000.0)
 COARSE = 3
 """Times as many px in the other pictures from which a stack of pages is taken for maps of a scan, which have a quarter or less."""
+TAKE = "Take the # off one of the two choices, in [cameras.{0}] and [targets]"
 BRIGHT = 0.5
 """Share of a scale that must be reached to take it for the scale."""
 
@@ -164,7 +166,7 @@ def describe_camera(
         keys |= _exposure_keys(group, files)
         _check_exposures(group, notes)
         _check_templates(group, samples, notes)
-    _check_shots(group, files, kind, samples, notes)
+    _check_strips(group, files, kind, notes)
     return CameraGuess(
         name=group.name,
         keys=keys,
@@ -193,11 +195,73 @@ def with_choices(camera: CameraGuess, bands: CameraGroup, question: Question) ->
     shown = ", ".join(question.values[:LISTED]) + " …" * (len(question.values) > LISTED)
     unknown = (
         f"{camera.name}: whether {shown} are bands of one object or objects: neither the names nor the pixels "
-        f"decide it. Take the # off one of the two choices, in [cameras.{camera.name}] and [targets]"
+        f"decide it. {TAKE.format(camera.name)}"
     )
     own = {key: replace(guess, why="") for key, guess in camera.keys.items() if key in keys}
     choices = Choice(f"bands of {one}:", keys, targets), Choice("an object each:", own, shown_alone)
     return replace(camera, choices=choices, unknown=(unknown, *camera.unknown))
+
+
+def with_series_choices(
+    camera: CameraGuess, group: CameraGroup, samples: Samples, under_lamps: Collection[str]
+) -> CameraGuess:
+    """Leave open what pictures are that numbers alone tell apart, and that may be of one object under several lights or exposures.
+
+    An .lp file lists them, by their names `under_lamps`; or they differ by more than shots do, and not in what they show.
+    """
+    files, objects = camera.keys["files"].value, group.of_role("object")
+    patterns = [Pattern.parse(text) for text in ([files] if isinstance(files, str) else files)]
+    shots = any("shot" in pattern.fields for pattern in patterns)
+    series: dict[object, list[NamedFile]] = {}
+    for frame in objects if not camera.traits.is_scanned else ():
+        shown = frame.target if shots else re.sub(r"[\W\d_]+", "", frame.target)
+        time = frame.exposures_s if camera.traits.is_calibrated else ()
+        fields = _fields(frame, patterns).items()
+        rest = tuple(pair for pair in fields if pair[0] not in ("shot", "target"))
+        series.setdefault((shown, time, rest), []).append(frame)
+    several = [frames for frames in series.values() if len(frames) > 1]
+    lit = [f for frames in several for f in frames if f.path.stem.casefold() in under_lamps]
+    why = f"an .lp file lists {len(lit)} pictures under a lamp each" if len(lit) > 1 else ""
+    dark = samples.of_some(group.of_role("dark"), 1)
+    for frames in spread(several, FEW_GROUPS) if not why else ():
+        what = samples.difference(spread(frames, FEW_GROUPS), dark[0].mean if dark else 0.0)
+        if what and (shots or what in ("light", "exposure")):
+            why = f"{frames[0].file.name} and others differ in {what}"
+    if not why:
+        return camera
+    middle = {frames[0].target: frames[len(frames) // 2] for frames in reversed(series.values())}
+    one: dict[str, Guess] = {}
+    own: dict[str, Guess] = {}
+    answers = (
+        "an object each",
+        "one object under several lights or exposures, of which one is taken",
+    )
+    if shots:
+        answers = ("shots of one light and exposure, to average", "no shots: one of them is taken")
+        numbers = [str(_fields(frame, patterns).get("shot", "*")) for frame in middle.values()]
+        texts = [*dict.fromkeys(p.text.replace("{shot}", n) for p in patterns for n in numbers)]
+        own, one = {"files": Guess(files)}, {"files": Guess(texts if len(texts) > 1 else texts[0])}
+    question = (
+        f"whether {several[0][0].file.name} and {len(several[0]) - 1} more are {answers[0]}: {why}"
+    )
+    return replace(
+        camera,
+        choices=(
+            Choice(f"{answers[0]}:", own, tuple(dict.fromkeys(f.target for f in objects))),
+            Choice(f"{answers[1]}:", one, tuple(dict.fromkeys(f.target for f in middle.values()))),
+        ),
+        unknown=(f"{camera.name}: {question}. {TAKE.format(camera.name)}", *camera.unknown),
+    )
+
+
+def _fields(frame: NamedFile, patterns: Sequence[Pattern]) -> dict[str, Any]:
+    """Return the values of the fields in a file's name, by the first of some patterns that it fits."""
+    path = frame.path
+    for name in (frame.file.name, f"../{path.parent.name}/{path.name}"):
+        for pattern in patterns:
+            if (found := pattern.read(name)) is not None:
+                return found
+    return {}
 
 
 def _setup(frames: Sequence[NamedFile], kind: str) -> Guess:
@@ -469,35 +533,17 @@ def _level(counts: float) -> str:
     return f"{counts:.0f}" if counts >= 10 else f"{counts:.2g}"
 
 
-def _check_shots(
-    group: CameraGroup, files: FilePatterns, kind: str, samples: Samples, notes: CameraNotes
-) -> None:
-    """Doubt files of one target that do not show the same: strips, details, or other objects."""
+def _check_strips(group: CameraGroup, files: FilePatterns, kind: str, notes: CameraNotes) -> None:
+    """Doubt several files of a scan: strips may lie beside one another, or follow one another."""
     several = [
         frames for frames in group.by_target(group.of_role("object")).values() if len(frames) > 1
     ]
-    scanned = KINDS[kind].is_scanned
-    if files.shots and scanned and several:
+    if files.shots and KINDS[kind].is_scanned and several:
         names = ", ".join(frame.path.name for frame in several[0][:LISTED])
         notes.unknown.append(
             f"whether {names} are strips beside one another, from left to right: parts one after the other, as "
             "Headwall's raw_0 and raw_2000 are, need {row} where their numbers stand in `files`, and a reference that shows all of them"
         )
-    if not files.shots or scanned:
-        return
-    by_target: dict[tuple[str, str], list[NamedFile]] = {}
-    sensors = files.sensor_of()
-    for frame in group.of_role("object"):
-        key = (f"{frame.target} {frame.tile}".rstrip(), sensors.get(frame.path, ""))
-        by_target.setdefault(key, []).append(frame)
-    for (target, _), frames in by_target.items():
-        if len(frames) > 1 and not frames[0].number("wavelength"):
-            same = samples.same_scene(frames[0].file, frames[-1].file)
-            if same is False:
-                notes.unknown.append(
-                    f"whether the {len(frames)} files of {target} are shots to average: they differ"
-                )
-                return
 
 
 # --- tables beside the captures ---------------------------------------------------------------

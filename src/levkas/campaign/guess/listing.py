@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 from levkas.campaign.discovery.file_index import DEEPEST, FolderListings, composed, walk_folders
 from levkas.core.problems import Refused
-from levkas.readers.facts import Facts
-from levkas.readers.frames import RENDERED, STACKS
+from levkas.readers.envi_header import DATA_SUFFIXES
+from levkas.readers.facts import Facts, LibraryMissing
+from levkas.readers.frames import ALONE, RENDERED, STACKS
 
 IMAGES = RENDERED | {".hdr"}
 MOST_READ = 3000
@@ -69,15 +69,24 @@ class Listing:
         CSV files, relative.
     unreadable : dict
         Relative name → why, for images that cannot be opened.
-    others : Counter
-        Suffix → number, of files that are no images.
+    others : list of str
+        Files that are no images, relative.
     """
 
     root: Path
     captures: list[CaptureFile] = field(default_factory=list)
     tables: list[str] = field(default_factory=list)
     unreadable: dict[str, str] = field(default_factory=dict)
-    others: Counter[str] = field(default_factory=Counter)
+    others: list[str] = field(default_factory=list)
+
+    def under_lamps(self) -> set[str]:
+        """Return the names, without suffix, that .lp files list: pictures of one object under a lamp each, and the lamp's direction."""
+        rows: list[list[str]] = []
+        for name in self.others:
+            if name.lower().endswith(".lp"):
+                with (self.root / name).open(errors="replace") as handle:
+                    rows += [line.rsplit(maxsplit=3) for line in handle.read(1 << 20).splitlines()]
+        return {PureWindowsPath(row[0]).stem.casefold() for row in rows if len(row) == 4}
 
 
 def list_captures(root: str | Path) -> Listing:
@@ -101,15 +110,19 @@ def list_captures(root: str | Path) -> Listing:
     for folders, path in paths:
         suffix = path.suffix.lower()
         name = "/".join((*folders, path.name))
-        of_header = headers and (path in headers or path.with_suffix("") in headers)
-        if of_header and suffix not in IMAGES and suffix not in STACKS:
-            continue  # the data of an ENVI header, or of a Ripple stack
-        stack = _facts_of_stack(path) if suffix in STACKS or suffix == ".mat" else None
+        data = suffix in DATA_SUFFIXES and path.with_suffix("") in headers
+        if data or (path in headers and suffix not in ALONE):
+            continue  # of an ENVI header, or of a Ripple stack
+        try:
+            stack = _facts_of_stack(path) if suffix in STACKS or suffix == ".mat" else None
+        except LibraryMissing as refused:
+            listing.unreadable[name] = f"{refused.problems[0].message}. {refused.problems[0].fix}"
+            continue
         if stack is not None:
             listing.captures.append(CaptureFile(path, folders, stack))
             continue
         if suffix not in IMAGES and suffix not in SUFFIXES:
-            listing.others[suffix or path.name] += 1
+            listing.others.append(name)
             listing.tables += [name] if suffix == ".csv" else []
             continue
         alike = known.setdefault((folders, suffix), [])
@@ -139,6 +152,8 @@ def _facts_of_stack(path: Path) -> Facts | None:
 
     try:
         facts = read_facts(path)
+    except LibraryMissing:
+        raise
     except Refused:
         return None
     return facts if facts.is_cube or facts.kind in STACKS.values() else None

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from levkas.calibration.differing_shots import Sight, difference_between
 from levkas.calibration.full_scale import SceneShots, find_full_scale
 from levkas.calibration.patterns import thin_periods
 from levkas.campaign.guess.detail import (
@@ -445,6 +446,20 @@ class Samples:
         except (Refused, ValueError):
             return None
         return np.asarray(block.mean(axis=(0, 1), dtype=np.float64))
+
+    def difference(self, frames: Sequence[NamedFile], black: float) -> str:
+        """Return in what some frames differ by more than shots do, as `difference_between`; "" in nothing that is known."""
+        first: Sight | None = None
+        for frame in frames:
+            if (statistics := self.of(frame.file)) is None:
+                continue
+            side = find_mosaic(statistics.phases) or 1
+            sight = Sight.of(_plane(frame.file), (side, side))
+            found = difference_between(first, sight, black) if first else None
+            if found is not None:
+                return found[0]
+            first = first or sight
+        return ""
 
     def same_scene(self, one: CaptureFile, other: CaptureFile) -> bool | None:
         """Whether two frames show the same; None where one cannot be decoded."""

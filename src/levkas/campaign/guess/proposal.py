@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from levkas.campaign.campaign import campaign_of
+from levkas.campaign.discovery.file_index import declared_targets, scan_folders
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.campaign.discovery.patterns import natural
 from levkas.campaign.guess.appearance import doubt_whites, find_warmth, infer_roles
@@ -22,6 +23,7 @@ from levkas.campaign.guess.describe import (
     find_white_table,
     with_choices,
     with_sensitivity,
+    with_series_choices,
 )
 from levkas.campaign.guess.groups import CameraGroup, group_cameras
 from levkas.campaign.guess.leftovers import leave_out_leftovers
@@ -126,10 +128,11 @@ def propose(listing: Listing) -> Proposal:
     unknown = doubts + by_eye + _without_conflicts(groups)
     warmth = find_warmth(groups, samples)
     finest = max(max(g.frames[0].facts.shape[:2]) for g in groups)
-    cameras = [
-        with_sensitivity(describe_camera(g, samples, warmth, finest), listing.root, listing.tables)
-        for g in groups
-    ]
+    cameras = [describe_camera(g, samples, warmth, finest) for g in groups]
+    cameras = [with_sensitivity(c, listing.root, listing.tables) for c in cameras]
+    lamps = listing.under_lamps()
+    pairs = zip(cameras, groups, strict=True)
+    cameras = [with_series_choices(c, g, samples, lamps) for c, g in pairs]
     if questions:
         cameras = _with_questions(cameras, groups, questions, captures, samples)
     alone = len(cameras) == 1 and not cameras[0].traits.is_calibrated and not cameras[0].choices
@@ -167,9 +170,8 @@ def propose(listing: Listing) -> Proposal:
         left_out=tuple(_shortened(left_out)),
         grid=grid,
     )
-    if any(camera.choices for camera in cameras):
-        return proposal
-    return replace(proposal, unknown=(*proposal.unknown, *_shortened(_refusals(proposal))))
+    more = _shortened(_read_back(proposal, captures))
+    return replace(proposal, unknown=(*proposal.unknown, *more))
 
 
 def _with_questions(
@@ -221,14 +223,19 @@ def _without_conflicts(groups: Sequence[CameraGroup]) -> list[str]:
     ]
 
 
-def _refusals(proposal: Proposal) -> list[str]:
-    """Read the proposal as a campaign and find its captures; return what would be refused, and why."""
+def _read_back(proposal: Proposal, captures: Sequence[CaptureFile]) -> list[str]:
+    """Read the proposal as a campaign and find its captures; return what would be refused, and why, and what none takes."""
     root = proposal.root.resolve()
+    # Of every question the first answer is read.
+    cameras = tuple(replace(camera, choices=()) for camera in proposal.cameras)
+    proposal = replace(proposal, cameras=cameras)
     document = Document.model_validate(proposal.to_dict())
     if wrong := list(find_contradictions(document, root)):
         return [str(p) for p in wrong]
     try:
-        _, refusals = find_captures(campaign_of(document, root / "campaign.toml"))
+        campaign = campaign_of(document, root / "campaign.toml")
+        index = scan_folders(campaign)
+        _, refusals = find_captures(campaign, index)
     except Refused as refused:
         return [str(p) for p in refused.problems]
     lines = []
@@ -237,7 +244,10 @@ def _refusals(proposal: Proposal) -> list[str]:
         for problem in refusal.problems:
             fix = f". {problem.fix}" if problem.fix else ""
             lines.append(f"{name}/{layer} would be refused: {problem.message}{fix}")
-    return lines
+    named = {*index.objects, *declared_targets(campaign)}
+    taken = {f.path for frames in index.frames.values() for f in frames if f.target in named}
+    lost = (c.name for c in captures if root / c.path.relative_to(proposal.root) not in taken)
+    return [*lines, *(f"what {name} shows: no camera here takes it" for name in lost)]
 
 
 # --- reference --------------------------------------------------------------------------------
@@ -489,7 +499,7 @@ def _document(proposal: Proposal) -> Iterator[str]:
         yield f"[cameras.{to_toml_key(camera.name)}]"
         chosen = {key for choice in camera.choices for key in choice.keys}
         for choice in camera.choices:
-            yield from _commented(choice.what, choice.keys)
+            yield from _commented(choice.what, choice.keys) if choice.keys else ()
         yield from _table({key: guess for key, guess in camera.keys.items() if key not in chosen})
         yield from (f"# {hint}" for hint in camera.hints)
         for sensor in camera.sensors:

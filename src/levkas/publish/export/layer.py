@@ -125,13 +125,3 @@ class ExportLayer:
         pages = open_pages(self.file(kind))
         for index in range(len(pages)):
             yield pages.read_page(index)
-
-    def rows(self, kind: str, most: int) -> Iterator[np.ndarray]:
-        """Yield blocks of rows, (rows, width, bands), of at most `most` bytes where a row is no longer."""
-        from levkas.database.tiff_pages import open_pages
-
-        pages = open_pages(self.file(kind))
-        height, width, count = pages.shape
-        step = max(1, most // (pages.dtype.itemsize * width * count))
-        for start in range(0, height, step):
-            yield pages.read(start, start + step)

@@ -1,4 +1,4 @@
-"""netCDF-4 with CF attributes: values, flags and sigma of a layer in one file."""
+"""netCDF-4 with CF attributes: values, flags and sigma of a layer in one file, upright in GDAL and QGIS."""
 
 from __future__ import annotations
 
@@ -10,31 +10,38 @@ import numpy as np
 from levkas.core.files import replacing
 from levkas.publish.export.layer import ExportLayer, missing_library
 
-BLOCK_BYTES = 1 << 26
+DIMENSIONS = ("band", "y", "x")
+"""In the order of CF, which all readers know."""
 
 
 def write_netcdf(layer: ExportLayer, folder: Path) -> list[Path]:
-    """Write STEM.nc, some rows at a time: dims y, x, band; y and x in mm where the sampling is known.
+    """Write STEM.nc, a band at a time: dims band, y, x; y and x in mm where the sampling is known.
+
+    As of the world files for QGIS, y points up and the centre of the top left pixel is at (0, 0): GDAL turns pictures whose
+    y grows with the row. The coordinate ``band`` is a number, for GDAL passes over names: the wavelength where all bands have
+    one, else 1 … n, with the labels as `flag_meanings`. The labels are in ``label``.
 
     Raises
     ------
     ExportRefused
-        Where h5netcdf is not installed (extra ``export``).
+        Where h5netcdf or h5py is not installed (extra ``export``).
     """
-    from levkas.database.store import DIMENSIONS, flag_attributes
+    from levkas.database.store import flag_attributes
 
     try:
         import h5netcdf
-    except ImportError:
-        raise missing_library("h5netcdf") from None
+        import h5py  # noqa: F401 -- h5netcdf needs it when it opens a file
+    except ImportError as error:
+        raise missing_library(str(error.name)) from None
     attributes: dict[str, dict[str, Any]] = {
         "values": {"long_name": layer.quantity},
         "flags": {**flag_attributes()},
         "sigma": {"long_name": "one standard deviation of the random part"},
     }
     path = folder / f"{layer.stem}.nc"
+    height, width, count = layer.shape
     with replacing(path) as handle, h5netcdf.File(handle, "w") as dataset:
-        dataset.dimensions = dict(zip(DIMENSIONS, layer.shape, strict=True))
+        dataset.dimensions = dict(zip(DIMENSIONS, (count, height, width), strict=True))
         facts = {
             k: v
             for k, v in layer.facts.items()
@@ -45,17 +52,32 @@ def write_netcdf(layer: ExportLayer, folder: Path) -> list[Path]:
         )
         _write_coordinates(dataset, layer)
         for kind in layer.kinds:
-            _write_cube(dataset, layer, kind, attributes[kind])
+            none = None if kind == "flags" else np.nan
+            dtype = np.uint8 if kind == "flags" else np.float32
+            variable = dataset.create_variable(kind, DIMENSIONS, dtype, fillvalue=none)
+            variable.attrs.update({**attributes[kind], "coordinates": "wavelength fwhm label"})
+            for k, plane in enumerate(layer.planes(kind)):
+                variable[k] = plane
     return [path]
 
 
 def _write_coordinates(dataset: Any, layer: ExportLayer) -> None:
-    height, width, _ = layer.shape
+    height, width, count = layer.shape
     unit = "mm" if layer.px_per_mm else "px"
     step = 1 / (layer.px_per_mm or 1.0)
-    columns: dict[str, tuple[str, Any, dict[str, str]]] = {
-        "y": ("y", np.arange(height) * step, {"units": unit, "long_name": "down"}),
-        "x": ("x", np.arange(width) * step, {"units": unit, "long_name": "to the right"}),
+    band: dict[str, Any] = {"units": "nm", "standard_name": "radiation_wavelength"}
+    if not layer.wavelengths:
+        names = " ".join("_".join(label.split()) for label in layer.labels)
+        band = {"long_name": "number of the band", "flag_meanings": names}
+        band["flag_values"] = np.arange(1.0, count + 1)
+    columns: dict[str, tuple[str, Any, dict[str, Any]]] = {
+        "y": (
+            "y",
+            np.arange(0, -height, -1) * step,
+            {"units": unit, "long_name": "up", "axis": "Y"},
+        ),
+        "x": ("x", np.arange(width) * step, {"units": unit, "long_name": "right", "axis": "X"}),
+        "band": ("band", layer.wavelengths or np.arange(1.0, count + 1), band),
         "wavelength": ("band", [b.wavelength for b in layer.bands], {"units": "nm"}),
         "fwhm": ("band", [b.fwhm for b in layer.bands], {"units": "nm"}),
     }
@@ -65,16 +87,4 @@ def _write_coordinates(dataset: Any, layer: ExportLayer) -> None:
     import h5py
 
     labels = np.array(layer.labels, dtype=object)
-    dataset.create_variable("band", ("band",), h5py.string_dtype(), data=labels)
-
-
-def _write_cube(dataset: Any, layer: ExportLayer, kind: str, attributes: dict[str, Any]) -> None:
-    from levkas.database.store import DIMENSIONS
-
-    dtype = np.uint8 if kind == "flags" else np.float32
-    variable = dataset.create_variable(kind, DIMENSIONS, dtype)
-    variable.attrs.update({**attributes, "coordinates": "wavelength fwhm"})
-    start = 0
-    for rows in layer.rows(kind, BLOCK_BYTES):
-        variable[start : start + len(rows)] = rows
-        start += len(rows)
+    dataset.create_variable("label", ("band",), h5py.string_dtype(), data=labels)

@@ -178,14 +178,9 @@ def _bands(source: Source, pages: TiffPages) -> Iterator[LayerPicture]:
 
 
 def analyses_of(tiff: Path) -> list[Path]:
-    """Return the records of a layer's analyses, components first."""
-    folder = tiff.with_name(ANALYSES)
-    found = [
-        path for path in sorted(folder.glob("*.json")) if path.name.startswith(f"{tiff.stem}.")
-    ]
-    order = ("pca", "mnf")
-    names = {path: path.name.removeprefix(f"{tiff.stem}.").removesuffix(".json") for path in found}
-    return sorted(found, key=lambda p: order.index(names[p]) if names[p] in order else len(order))
+    """Return the records of a layer's analyses."""
+    found = sorted(tiff.with_name(ANALYSES).glob("*.json"))
+    return [path for path in found if path.name.startswith(f"{tiff.stem}.")]
 
 
 def _analyses(source: Source) -> Iterator[LayerPicture]:

@@ -62,9 +62,20 @@ class ObjectAgreement:
     error_px: float | None = None
 
     @property
-    def agrees(self) -> bool:
-        """Whether no pair of layers under one lighting contradicts each other."""
-        return not any(pair.contradictions for pair in self.pairs if not pair.other_light)
+    def agrees(self) -> bool | None:
+        """Whether no pair of layers under one lighting contradicts each other; None where there is no such pair."""
+        alike = [pair for pair in self.pairs if not pair.other_light]
+        return not any(pair.contradictions for pair in alike) if alike else None
+
+    @property
+    def problems(self) -> tuple[Problem, ...]:
+        """That nothing was compared, which is no agreement; none else."""
+        if self.agrees is not None:
+            return ()
+        why = f"{self.name}: nothing was compared, so whether the databases agree is not known"
+        expected = "a layer of each under one lighting, with bands of one wavelength or known sensitivities"
+        fix = "Declare `sensitivity` of a camera with broad bands, or `wavelengths`; build again."
+        return (Problem("E_BAND_MISSING", why, field=self.other, expected=expected, fix=fix),)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers, JSON-ready."""

@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from levkas.calibration.differing_shots import SIZES, difference_between
 from levkas.campaign.discovery.patterns import natural
 from levkas.quality.frame_checks import light_checks as light
 from levkas.quality.frame_checks import picture_checks as picture
@@ -493,9 +494,26 @@ def _findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[Findi
             frame.measures, black=beside.stated_black, scale=beside.scale, before=before
         )
         found += light.check_noise(frame.measures, _measures(beside.like), np.inf)
-    elif not (rules.plain or any(f.severity == "stop" for f in found)):
+    elif rules.plain:
+        found += _unlike(frame, beside)
+    elif not any(f.severity == "stop" for f in found):
         found += _lit_findings(frame, beside, rules)
     return sorted(found, key=lambda f: f.severity != "stop")
+
+
+def _unlike(frame: FrameOfSet, beside: _Beside) -> list[Finding]:
+    """Return what a build refuses a shot for that is not the first of its stack."""
+    first, own = beside.first, frame.measures.sight
+    if first is None or first is frame:
+        return []
+    found = difference_between(first.measures.sight, own, beside.black, frame.full)
+    if found is None:
+        return []
+    text = f"it differs from {first.name} in {found[0]}: {SIZES[found[0]].format(found[1])}"
+    check = "moved" if found[0] in ("scene", "place") else "drift"
+    return [
+        Finding(check, "stop", text, "repeat the stack from the first shot, with nothing changed")
+    ]
 
 
 def _lit_findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[Finding]:
@@ -512,9 +530,11 @@ def _lit_findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[F
         found += picture.check_glare(own, beside.white.measures, black=black, ratio_of_times=ratio)
     if rules.scanned:
         return found
-    if beside.first is not None and beside.first is not frame:
+    unlike = _unlike(frame, beside)
+    found += unlike
+    if beside.first is not None and beside.first is not frame and not unlike:
         found += light.check_stack(own, beside.first.measures, black=black)
-    if beside.before is not None:
+    if beside.before is not None and not unlike:
         found += picture.check_moved(
             own, beside.before.measures, same_band=beside.same_band, full=frame.full
         )

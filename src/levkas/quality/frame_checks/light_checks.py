@@ -36,8 +36,8 @@ UNEVEN, ROUGH, RELIT = 0.3, (0.06, 0.25), 0.04
 the white before."""
 SHOWN = (LEAST, 0.25)
 """Share of a white that shows the object: a build marks these pixels, and refuses from a half."""
-DRIFT, STACK = (0.02, 0.1), (0.01, 0.05)
-"""Relative change of the light between whites, and within a stack, to look at and to stop at."""
+DRIFT, STACK = (0.02, 0.1), 0.01
+"""Relative change of the light between whites, to look at and to stop at; and within a stack, to look at."""
 NOISIER, QUIET_COUNTS = (1.8, 2.2), 0.6
 """Variance over that of frames of the same light, and of other bands; noise of fewer counts is rounding."""
 SAME_TIME = 1.1
@@ -298,15 +298,14 @@ def check_stack(shot: FrameMeasures, first: FrameMeasures, *, black: float) -> l
         return []
     cells = np.stack([one.cells.reshape(len(one.cells), -1) for one in (first, shot)])
     light = measure_light(cells, black)
-    sure = light.error < STACK[0] / 2
+    sure = light.error < STACK / 2
     if not sure.any():
         return []
     change = float(np.median((light.levels[1] / light.levels[0])[sure]))
-    severity = graded(abs(change - 1), STACK)
-    if severity is None:
+    if abs(change - 1) < STACK:
         return []
     text = f"{percent(abs(change - 1))} {'less' if change < 1 else 'more'} light than in the first shot of the stack"
-    return [Finding("drift", severity, text, "wait until the lamp is steady, and repeat the stack")]
+    return [Finding("drift", "look", text, "wait until the lamp is steady, and repeat the stack")]
 
 
 def noise_ratio(

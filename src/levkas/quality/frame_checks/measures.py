@@ -15,21 +15,25 @@ from math import prod
 
 import numpy as np
 
+from levkas.calibration.differing_shots import (
+    PATCH,
+    PICTURE,
+    SAMPLE,
+    Sight,
+    noise_of,
+    patches_of,
+    picture_of,
+    reduced,
+)
 from levkas.calibration.patterns import channel_names, channel_table, split
 from levkas.quality.image_quality.sharpness import edge_blur, middle_of
 
 ROWS, COLUMNS = 12, 16
 """Cells of a frame, whose means tell how even and how bright it is."""
-PICTURE, WHITE_PICTURE = 320, 640
-"""Longer side of the small picture, px; of a white, where dust is looked for, finer."""
-SAMPLE = 1 << 19
-"""Pixels of a channel that levels are taken from, by whole rows: a share of 1e-4 is known to 14 %."""
+WHITE_PICTURE = 640
+"""Longer side of the small picture of a white, px, where dust is looked for: finer than others."""
 MOST_TABLES = 16
 """Bands of a cube of which cells are kept."""
-PATCH, PLACES = 64, (0.2, 0.5, 0.8)
-"""Side of the patches kept at full size, px of one phase, and where their middles lie a side."""
-MOST_REDUCED = 1 << 23
-"""Pixels that are averaged into a small picture: of larger frames whole rows are left out."""
 LOW, HIGH = 0.001, 0.999
 PASSED = 0.0358
 """Variance that white noise of variance 1 has between blurs of 1 and 2 px."""
@@ -111,6 +115,12 @@ class FrameMeasures:
         """The small picture."""
         return self.pictures.picture
 
+    @property
+    def sight(self) -> Sight:
+        """What is compared with the other shots of its scene."""
+        noise = max(float(np.nanmedian(self.noise)), 0.5)
+        return Sight(self.shape, self.period, self.picture, self.pictures.patches, noise)
+
     def to_bytes(self) -> bytes:
         """Return the numbers as they are kept in a file, without the pictures."""
         return _packed(**{name: getattr(self, name) for name in NUMBERS})
@@ -179,17 +189,17 @@ def measure_frame(
     share = [float(np.mean(p >= top)) for p, top in zip(thin, tops, strict=True)]
     kept = np.linspace(0, len(planes) - 1, min(MOST_TABLES, len(planes))).astype(int)
     side = max(table.shape)
-    patches = _patches(shown) if detail is None else np.zeros((0, PATCH, PATCH), np.uint16)
+    patches = patches_of(shown) if detail is None else np.zeros((0, PATCH, PATCH), np.uint16)
     sharp = shown[middle_of(shown.shape)] if detail is None else detail
-    cells = np.stack([_reduced(planes[k], (ROWS, COLUMNS)) for k in kept])
-    picture = _picture(shown, WHITE_PICTURE if white else PICTURE)
+    cells = np.stack([reduced(planes[k], (ROWS, COLUMNS)) for k in kept])
+    picture = picture_of(shown, WHITE_PICTURE if white else PICTURE)
     return FrameMeasures(
         shape=np.array(values.shape[:2]),
         level=levels[:, 0],
         low=levels[:, 1],
         high=levels[:, 2],
         full_share=np.array(share),
-        noise=np.array([_noise(plane) for plane in thin]),
+        noise=np.array([noise_of(plane) for plane in thin]),
         cells=cells,
         blur_px=np.array(edge_blur(sharp)[0] * side),
         fine=np.array(_fine_detail(sharp)),
@@ -232,14 +242,6 @@ def _full_scale(plane: np.ndarray, full: float | None) -> float:
     return top if piled and (full is None or top < full) else np.inf if full is None else full
 
 
-def _noise(plane: np.ndarray) -> float:
-    """Return the standard deviation from pixel to pixel along rows, by the median of second differences."""
-    if plane.shape[1] < 3:
-        return float("nan")
-    apart = plane[:, :-2] - 2 * plane[:, 1:-1] + plane[:, 2:]
-    return 1.4826 * float(np.median(np.abs(apart))) / np.sqrt(6)
-
-
 def _fine_detail(plane: np.ndarray) -> float:
     """Return the relative variance between blurs of 1 and 2 px, less what the noise of the plane has there.
 
@@ -251,38 +253,9 @@ def _fine_detail(plane: np.ndarray) -> float:
         return float("nan")
     values = np.ascontiguousarray(plane, np.float32)
     between = cv2.GaussianBlur(values, (0, 0), 1.0) - cv2.GaussianBlur(values, (0, 0), 2.0)
-    own, noise = float(between.var()), PASSED * _noise(values) ** 2
+    own, noise = float(between.var()), PASSED * noise_of(values) ** 2
     mean = float(values.mean())
     return (own - noise) / mean**2 if own > 2 * noise and mean > 0 else float("nan")
-
-
-def _reduced(plane: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    import cv2
-
-    rows, columns = (min(n, m) for n, m in zip(size, plane.shape, strict=True))
-    apart = min(max(1, plane.size // MOST_REDUCED), max(1, plane.shape[0] // (2 * rows)))
-    # Areas of a float plane are means exactly; those of integers are rounded.
-    values = np.ascontiguousarray(plane[::apart], np.float32)
-    small = cv2.resize(values, (columns, rows), interpolation=cv2.INTER_AREA)
-    if (rows, columns) != size:
-        small = cv2.resize(small, size[::-1], interpolation=cv2.INTER_NEAREST)
-    return np.asarray(small)
-
-
-def _picture(plane: np.ndarray, most: int) -> np.ndarray:
-    step = max(1.0, max(plane.shape) / most)
-    return _reduced(plane, (max(1, int(plane.shape[0] / step)), max(1, int(plane.shape[1] / step))))
-
-
-def _patches(plane: np.ndarray) -> np.ndarray:
-    if min(plane.shape) < 2 * PATCH:
-        return np.zeros((0, PATCH, PATCH), np.uint16)
-    starts = [
-        [min(max(int(n * share) - PATCH // 2, 0), n - PATCH) for share in PLACES]
-        for n in plane.shape
-    ]
-    parts = [plane[y : y + PATCH, x : x + PATCH] for y in starts[0] for x in starts[1]]
-    return np.stack(parts).clip(0, 65535).astype(np.uint16)
 
 
 def _digest(values: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from levkas.calibration.differing_shots import shift_between
 from levkas.quality.frame_checks.light_checks import (
     ROUGH,
     Finding,
@@ -23,14 +24,10 @@ DETAIL_STEP, BLUR_STEP = 0.05, 0.1
 """Share of detail, and px of blur, by which a shot must differ from the one before it for its focus to run somewhere."""
 LEAST_BLUR, UNLIKE_BLUR = 0.4, 1.5
 """Px more than the sharpest frame has: less is the scatter of the measure."""
-MOVED_PX = (0.75, 4.0)
-"""Native px between shots that are averaged, to look at and to stop at."""
+TREMBLED_PX = 0.75
+"""Native px between shots that are averaged, to look at; a build refuses `differing_shots.MOVED_PX`."""
 BETWEEN_BANDS = (4.0, 0.006)
 """Px, and share of the width: what filters and the lens may shift one band against the next at most."""
-SURE = 0.5
-"""Correlation of two pictures at their best place from which that place counts."""
-TEXTURE = 6.0
-"""Spread of a patch over its noise from which it has something to compare."""
 GLARE, ABOVE_WHITE, OTHER_LIGHT = (0.01, 0.06), 1.15, 0.3
 """Share of the picture above the white, to look at and to stop at; reflectance that no paint has; share from which it is
 the white that is wrong."""
@@ -83,52 +80,16 @@ def _way(worse: float, least: float) -> str:
     )
 
 
-def shift_between(
-    frame: FrameMeasures, other: FrameMeasures, full: float | None = None
-) -> tuple[float, float] | None:
-    """Return how far a frame lies from another of the same scene, (x, y) native px; None where that is not plain.
-
-    Patches at full size are correlated, the small picture where the shift is larger than they reach.
-    """
-    if frame.picture.shape != other.picture.shape or min(frame.picture.shape) < 16:
-        return None
-    step = frame.shape / np.array(frame.picture.shape)
-    coarse, peak = _correlate(frame.picture, other.picture)
-    if peak < SURE:
-        return None
-    coarse = (coarse[0] * step[1], coarse[1] * step[0])
-    if np.hypot(*coarse) > 12 * max(frame.period) or not len(frame.pictures.patches):
-        return coarse
-    if len(frame.pictures.patches) != len(other.pictures.patches):
-        return coarse
-    noises = [max(float(np.nanmedian(one.noise)), 0.5) for one in (frame, other)]
-    found = []
-    for a, b in zip(frame.pictures.patches, other.pictures.patches, strict=True):
-        if full is not None and max(a.max(), b.max()) >= 0.98 * full:
-            continue
-        if any(p.std() < TEXTURE * n for p, n in zip((a, b), noises, strict=True)):
-            continue
-        place, height = _correlate(a, b)
-        if height > SURE:
-            found.append(place)
-    if len(found) < 2:
-        return coarse if np.hypot(*coarse) > 2 * step.max() else None
-    x, y = np.median(found, 0)
-    return float(x * frame.period[1]), float(y * frame.period[0])
-
-
 def check_moved(
     frame: FrameMeasures, other: FrameMeasures, *, same_band: bool, full: float | None = None
 ) -> list[Finding]:
     """Check whether camera or object moved since another frame of the same scene."""
-    shift = shift_between(frame, other, full)
+    shift = shift_between(frame.sight, other.sight, full)
     if shift is None:
         return []
     distance = float(np.hypot(*shift))
-    limits = MOVED_PX
-    if not same_band:
-        least = max(BETWEEN_BANDS[0], BETWEEN_BANDS[1] * float(frame.shape[1]))
-        limits = (least, 4 * least)
+    least = max(BETWEEN_BANDS[0], BETWEEN_BANDS[1] * float(frame.shape[1]))
+    limits = (TREMBLED_PX, np.inf) if same_band else (least, 4 * least)
     severity = graded(distance, limits)
     if severity is None:
         return []
@@ -230,38 +191,3 @@ def new_specks(white: FrameMeasures, before: FrameMeasures, black: float) -> np.
     noise = 1.4826 * float(np.median(np.abs(rest)))
     edge = cv2.dilate((~lit).astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
     return np.asarray((rest < -max(SPOT, SPOT_NOISES * noise)) & ~edge)
-
-
-def _correlate(one: np.ndarray, other: np.ndarray) -> tuple[tuple[float, float], float]:
-    """Return how far the first lies from the second, (x, y) px, and their correlation there.
-
-    Not the phase alone: noise has phases too, and would have as much weight as edges.
-    """
-    import cv2
-    from scipy.fft import irfft2, rfft2
-
-    window = cv2.createHanningWindow(one.shape[::-1], cv2.CV_32F)
-    logs = [_floats(plane) for plane in (one, other)]
-    planes = [(p - cv2.GaussianBlur(p, (0, 0), 8)) * window for p in logs]
-    power = float(np.sqrt(np.prod([np.sum(plane.astype(float) ** 2) for plane in planes])))
-    if power == 0:
-        return (0.0, 0.0), 0.0
-    product = irfft2(rfft2(planes[0]) * np.conj(rfft2(planes[1])), s=one.shape)
-    y, x = divmod(int(np.argmax(product)), product.shape[1])
-    place = [
-        _vertex(product[y - 1, x], product[y, x], product[(y + 1) % len(product), x], y, one.shape[0]),
-        _vertex(product[y, x - 1], product[y, x], product[y, (x + 1) % one.shape[1]], x, one.shape[1]),
-    ]  # fmt: skip
-    return (place[1], place[0]), float(product[y, x]) / power
-
-
-def _vertex(before: float, at: float, after: float, place: int, size: int) -> float:
-    """Return where the parabola through three values of a circular correlation is highest, −size/2 to size/2."""
-    bend = before - 2 * at + after
-    place = place - size if place > size // 2 else place
-    return float(place + (0.5 * (before - after) / bend if bend < 0 else 0.0))
-
-
-def _floats(plane: np.ndarray) -> np.ndarray:
-    """Return the logarithm of a plane: contrast counts alike in bands of unlike light."""
-    return np.log(np.maximum(plane.astype(np.float32), 1.0))

@@ -27,6 +27,7 @@ from levkas.campaign.guess import LookRefused, look
 from levkas.campaign.schema.tables import Document
 from levkas.core.digests import Stamp, stamp_of
 from levkas.core.problems import Refused
+from levkas.core.text import missing_path
 from levkas.quality.frame_checks import Finding
 from levkas.readers.frames import ALONE, files_of
 
@@ -216,11 +217,15 @@ class FolderWatch:
 
     Raises
     ------
+    Refused
+        Where there is no such folder.
     CampaignInvalid
         Where there is a campaign.toml and it cannot be used.
     """
 
     def __init__(self, folder: Path) -> None:
+        if absent := missing_path(folder):
+            raise Refused(absent)
         self.root = folder.resolve()
         self.listing = FolderListing()
         self.away_since: float | None = None
@@ -279,6 +284,12 @@ class FolderWatch:
                     folders.add(folder)
         shown = sorted(_shown(folder, self.root) for folder in folders)
         return lost, tuple(f"{name}{UNMOUNTED}" for name in shown)
+
+    @property
+    def is_in_vain(self) -> bool:
+        """Whether no campaign could be guessed from what is there now, or nothing there can be listed."""
+        tried = self._guess[1] < 0 or self.away_since is not None
+        return self.listing.campaign is None and tried
 
     def _is_away(self, known: FolderListing) -> bool:
         return not _is_reachable(self.root) or bool(known.files and _is_bare(self.root))
@@ -364,7 +375,7 @@ class FolderWatch:
         names = tuple(_names_and_sizes(self.root))
         named, since, took = self._guess
         if names != named:
-            self._guess = names, now, took
+            self._guess = names, now if names else -1.0, took
             if self.listing.campaign is not None or not names:
                 self._scanned = -RESCAN_S
                 return

@@ -115,6 +115,8 @@ def _captures(
     for name in campaign.targets.objects or ():
         if name not in by_object:
             yield Missing("capture", f"{who}: {name}", "no frame of it is there")
+    if not objects and not campaign.targets.objects:
+        yield Missing("capture", who, "campaign.toml declares it, no frame of an object is there")
     bands = {f.file.band for f in objects} - {""}
     if camera.traits.bands_in == "files" and camera.wavelengths is not None:
         bands = _declared(camera, bands)

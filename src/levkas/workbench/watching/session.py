@@ -37,7 +37,7 @@ from levkas.quality.frame_checks import (
     worst,
 )
 from levkas.readers.envi import open_envi
-from levkas.readers.facts import Facts
+from levkas.readers.facts import Facts, LibraryMissing
 from levkas.readers.frames import kind_of, read_facts, read_frame
 from levkas.workbench.watching.cache import MeasureCache
 from levkas.workbench.watching.files import (
@@ -210,7 +210,8 @@ class WatchedSession:
                 pass
             state = self.state()
             waiting = any(frame.verdict == "waiting" for frame in state.frames)
-            if (self.campaign is not None and not waiting) or time.monotonic() > end:
+            done = self.watch.is_in_vain if self.campaign is None else not waiting
+            if done or time.monotonic() > end:
                 return state
             time.sleep(0.1)
 
@@ -336,7 +337,7 @@ class WatchedSession:
             known.measures = self.cache.get(known.key)
             if known.measures is None:
                 known.measures = self.cache.put(known.key, _measure(file, camera, known.facts, raw))
-        except InternalError:
+        except (InternalError, LibraryMissing):
             raise
         except (Refused, OSError) as refused:
             known.refused = _why(refused)
