@@ -162,7 +162,8 @@ def test_a_catalogue_that_is_stale_is_found_though_every_hash_is_right(database)
 
 
 def test_files_of_browsers_are_no_damage_and_leftovers_of_a_build_are(database):
-    (database / ".DS_Store").write_bytes(b"x")
+    for name in (".DS_Store", "objects/icon1/icon1_vis.tif.aux.xml", "objects/icon1/icon1_vis.qmd"):
+        (database / name).write_bytes(b"x")
     assert validate(database).ok
     left = database / "objects/icon1/icon1_vis.tif.partial-0123abcd"
     left.write_bytes(b"x")

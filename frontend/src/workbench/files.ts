@@ -55,7 +55,9 @@ async function exportPoints(store: Store, dialect: string): Promise<string> {
     }>(`${store.path}/export`, { dialect });
     const bytes = Uint8Array.from(atob(data), (c) => c.charCodeAt(0));
     saveFile(name, bytes, "application/octet-stream");
-    return [`Saved ${name}.`, ...losses.map((loss) => `This format cannot store: ${loss}.`)].join(" ");
+    return [`Saved ${name}.`, ...losses.map((loss) => `This format cannot store: ${loss}.`)].join(
+      " ",
+    );
   } catch (error) {
     return messageOf(error);
   }

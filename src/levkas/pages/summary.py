@@ -82,7 +82,7 @@ def _overlay(layers: Sequence[LayerReport], mm_per_px: float | None) -> Iterator
         yield mark, f"Registered to {reference}: {names}; no held-out error was measured."
     for one in layers:
         if one.earlier:
-            yield "refuse", f"{one.name} is of an earlier build: {one.earlier}."
+            yield "warn", f"{one.name} is of an earlier build: {one.earlier}."
         if one.lying:
             yield "warn", f"{one.name}: {one.lying}"
         if one.decision == "refuse":
