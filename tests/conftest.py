@@ -1,8 +1,9 @@
-"""Where the tests find real captures and the campaign made by other hands."""
+"""Where the tests find real captures, the campaign made by other hands, and one small world that is built already."""
 
 import json
 import os
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,9 @@ settings.register_profile(
     "explore", settings.get_profile("levkas"), derandomize=False, max_examples=1000
 )
 settings.load_profile("levkas")
+
+sys.path.insert(0, str(Path(__file__).parent))
+from world import World, build_world  # noqa: E402
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
@@ -52,6 +56,13 @@ def chromium_path() -> str:
             "or set LEVKAS_CHROMIUM"
         )
     return found
+
+
+@pytest.fixture(scope="session")
+def world(tmp_path_factory) -> World:
+    """One campaign of five cameras, built once for all processes of a run; to be read, and copied where it is to change."""
+    shared = tmp_path_factory.getbasetemp()
+    return build_world(shared.parent if "PYTEST_XDIST_WORKER" in os.environ else shared)
 
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
@@ -299,108 +310,3 @@ def doubtful(tmp_path_factory):
     (folder / "campaign.toml").write_text(f"{text}[cameras.infrared]{infrared}")
     list(build(folder))
     return folder
-
-
-class Unsteady:
-    """A WSGI application that counts its requests, and answers some of them badly.
-
-    `faults` gives, of every request, ``"500"``, ``"cut"`` (the body ends before the length that was
-    promised), ``"short"`` (a whole answer of half the bytes), ``"changed"`` (a flipped byte) or None.
-    """
-
-    def __init__(self, app):
-        self.app, self.requests, self.faults = app, [], lambda request: None
-
-    def __call__(self, environ, start_response):
-        name = environ["PATH_INFO"].encode("latin-1").decode()
-        self.requests.append(request := f"{environ['REQUEST_METHOD']} {name}")
-        fault = self.faults(request)
-        if fault == "500":
-            start_response("500 Internal Server Error", [("Content-Length", "0")])
-            return [b""]
-        if fault is None:
-            return self.app(environ, start_response)
-        from werkzeug.test import run_wsgi_app
-
-        body, status, headers = run_wsgi_app(self.app, environ, buffered=True)
-        data = b"".join(body)
-        if fault == "changed":
-            data = (
-                data[: len(data) // 2]
-                + bytes([data[len(data) // 2] ^ 1])
-                + data[len(data) // 2 + 1 :]
-            )
-        else:
-            data = data[: len(data) // 2]
-        if fault == "short":
-            headers["Content-Length"] = str(len(data))
-        start_response(status, list(headers))
-        return [data]
-
-
-@pytest.fixture
-def serving():
-    """Serve WSGI applications on this machine; the addresses are taken away after the test."""
-    import logging
-    import threading
-
-    from werkzeug.serving import make_server
-
-    logging.getLogger("werkzeug").setLevel(logging.CRITICAL)
-    servers = []
-
-    def serve(app):
-        server = make_server("127.0.0.1", 0, app, threaded=True)
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        servers.append(server)
-        return f"http://127.0.0.1:{server.server_port}"
-
-    yield serve
-    for server in servers:
-        server.shutdown()
-        server.server_close()
-
-
-@pytest.fixture
-def web(serving):
-    """Serve a folder by ranges: ``web(folder)`` gives the address and the application."""
-    from werkzeug.exceptions import HTTPException
-    from werkzeug.utils import send_from_directory
-
-    def serve(folder):
-        def app(environ, start_response):
-            try:
-                name = environ["PATH_INFO"].lstrip("/").encode("latin-1").decode()
-                answer = send_from_directory(folder, name, environ)
-            except HTTPException as error:
-                answer = error
-            return answer(environ, start_response)
-
-        unsteady = Unsteady(app)
-        return serving(unsteady), unsteady
-
-    return serve
-
-
-@pytest.fixture
-def s3(serving, monkeypatch):
-    """A store like S3 with the bucket ``museum``, and the application that plays it."""
-    import boto3
-    from moto.server import DomainDispatcherApplication, create_backend_app
-
-    unsteady = Unsteady(DomainDispatcherApplication(create_backend_app))
-    for key, value in {
-        "AWS_ENDPOINT_URL": serving(unsteady),
-        "AWS_ACCESS_KEY_ID": "KEYKEYKEY",
-        "AWS_SECRET_ACCESS_KEY": "SECRETSECRET",
-        "AWS_DEFAULT_REGION": "us-east-1",
-    }.items():
-        monkeypatch.setenv(key, value)
-    unsteady.client = boto3.client("s3")
-    unsteady.client.create_bucket(Bucket="museum")
-    unsteady.requests.clear()
-    yield unsteady
-    unsteady.faults = lambda request: None
-    for found in unsteady.client.list_objects_v2(Bucket="museum").get("Contents", []):
-        unsteady.client.delete_object(Bucket="museum", Key=found["Key"])
-    unsteady.client.delete_bucket(Bucket="museum")
