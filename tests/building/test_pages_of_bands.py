@@ -48,12 +48,6 @@ def imagej(path, pages, names):
     tifffile.imwrite(path, pages, imagej=True, metadata={"Labels": list(names)})
 
 
-def ome(path, pages, names):
-    nm = [float(name.split()[0]) for name in names]
-    channel = {"Name": [*map(str, names)], "EmissionWavelength": nm}
-    tifffile.imwrite(path, pages, ome=True, metadata={"axes": "CYX", "Channel": channel})
-
-
 def described(path, pages, names):
     with tifffile.TiffWriter(path) as tiff:
         for page, name in zip(pages, names, strict=True):
@@ -89,7 +83,7 @@ def errors(values, order=range(3)):
 
 @pytest.mark.parametrize("kind", ["cube", "bands"])
 @pytest.mark.parametrize("role", ["white", "dark", "panel"])
-@pytest.mark.parametrize("write", [imagej, ome, described])
+@pytest.mark.parametrize("write", [imagej, described])
 def test_pages_in_another_order_are_matched_by_their_wavelengths(tmp_path, write, role, kind):
     folder = make(tmp_path / "c", write, {role: (2, 0, 1)}, kind=kind)
     cube, said = developed(folder)

@@ -4,7 +4,6 @@ import spectral.io.envi as spy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from levkas.core.problems import Refused
 from levkas.readers.envi import DATA_TYPES, open_envi
 from levkas.readers.facts import UnreadableCapture
 from levkas.readers.frames import read_facts, read_frame
@@ -34,11 +33,18 @@ def write_envi(folder, cube, *, interleave="bil", big=False, suffix=".raw", extr
     return folder / "scan.hdr"
 
 
+def refusal(path):
+    with pytest.raises(UnreadableCapture) as refused:
+        read_frame(path)
+    (problem,) = refused.value.problems
+    return problem
+
+
 def header_facts(folder, row):
     return read_facts(write_envi(folder, CUBE, extra=row))
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=25)
 @given(
     st.sampled_from(sorted(ORDER)),
     st.sampled_from(sorted(DATA_TYPES.values())),
@@ -60,7 +66,7 @@ def test_what_a_vendor_wrote_is_what_is_read(
     assert np.array_equal(read_frame(folder / f"scan{suffix}"), cube)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=12)
 @given(st.sampled_from(sorted(ORDER)), st.booleans(), st.data())
 def test_blocks_of_lines_are_parts_of_the_whole(tmp_path_factory, interleave, big, data):
     cube = np.arange(7 * 3 * 4, dtype=np.uint16).reshape(7, 3, 4)
@@ -71,12 +77,11 @@ def test_blocks_of_lines_are_parts_of_the_whole(tmp_path_factory, interleave, bi
     stop = data.draw(st.integers(start, 7))
     block = opened.read_lines(start, stop)
     assert block.shape == (stop - start, 3, 4) and np.array_equal(block, cube[start:stop])
-    with pytest.raises(ValueError, match="lines 3 to 8 of 7"):
+    with pytest.raises(ValueError):
         opened.read_lines(3, 8)
 
 
-@pytest.mark.parametrize("interleave", sorted(ORDER))
-@pytest.mark.parametrize("dtype", ["u1", "i2", "u2", "f4"])
+@pytest.mark.parametrize(("interleave", "dtype"), [("bil", "u1"), ("bip", "i2"), ("bsq", "f4")])
 def test_spectral_python_reads_the_same(tmp_path, interleave, dtype):
     cube = np.random.default_rng(1).integers(0, 100, (6, 5, 4)).astype(dtype)
     path = tmp_path / "spy.hdr"
@@ -108,39 +113,29 @@ def test_comments_quotes_spaces_and_case_are_read_as_meant(tmp_path):
     )
     assert (facts.model, facts.exposure_s, facts.captured) == ("Specim V10E", 0.02, "2019-05-03")
     assert facts.reflectance_scale == (10000.0,) * 3
-    assert facts.nodata is None and "-1 is no value of uint16" in facts.notes[0]
+    assert facts.nodata is None and len(facts.notes) == 1
     assert opened.header["description"] == ["one; two", "three"]
 
 
-def test_a_scanner_states_day_and_time_of_a_scan_apart(tmp_path):
-    said = "acquisition date = DATE(yyyy-mm-dd): 2019-05-03\nStart Time = UTC TIME: 08:18:45"
-    assert (
-        read_facts(write_envi(tmp_path, CUBE, extra=said)).captured == "2019-05-03T08:18:45+00:00"
-    )
-
-
-def test_a_clock_at_its_zero_states_no_date(tmp_path):
-    said = "acquisition date = 1970-01-01"
-    assert read_facts(write_envi(tmp_path, CUBE, extra=said)).captured is None
-
-
-@pytest.mark.parametrize("zone", ["", "Z", "+02:00", "-0500", ".250+02:00"])
-def test_the_zone_of_an_acquisition_time_is_read(tmp_path, zone):
-    said = f"acquisition time = 2024-05-03T16:00:00{zone}"
-    assert (
-        read_facts(write_envi(tmp_path, CUBE, extra=said)).captured == f"2024-05-03T16:00:00{zone}"
-    )
+@pytest.mark.parametrize(
+    ("said", "found"),
+    [
+        ("acquisition date = DATE(yyyy-mm-dd): 2019-05-03\nStart Time = UTC TIME: 08:18:45", "2019-05-03T08:18:45+00:00"),
+        ("acquisition date = 1970-01-01", None),
+        ("acquisition time = 2024-05-03T16:00:00", "2024-05-03T16:00:00"),
+        ("acquisition time = 2024-05-03T16:00:00.250+02:00", "2024-05-03T16:00:00.250+02:00"),
+    ],
+)  # fmt: skip
+def test_day_and_time_of_a_scan_are_read(tmp_path, said, found):
+    assert header_facts(tmp_path, said).captured == found
 
 
 @pytest.mark.parametrize(
     ("said", "read"),
     [
         ("tint = 20.0", 0.02),  # Specim's, in ms
-        ("tint = 20000 us", 0.02),
         ("exposure time = 20 ms", 0.02),
-        ("Integration_Time = 0.02 s", 0.02),
         ("integration time (µs) = 20000", 0.02),
-        ("shutter [ms] = 20", 0.02),
         ("integration time = 20\nintegration time units = milliseconds", 0.02),
         ("integration times (ms) = {20, 20, 20}", 0.02),
         ("tint = 20\nexposure = 20.1 ms", 0.02),
@@ -148,7 +143,6 @@ def test_the_zone_of_an_acquisition_time_is_read(tmp_path, zone):
         ("exposures = {10 ms, 20 ms, 40 ms}", (0.01, 0.02, 0.04)),
         ("integration time = 20", "integration time = 20"),  # HySpex's are µs, others' ms
         ("exposure = {10, 20, 40}", "exposure = {10, 20, 40}"),
-        ("exposure = 20 frames", "exposure = 20 frames"),
         ("tint = 20\nexposure = 10 ms", "tint = 20; exposure = 10 ms"),
         ("exposures = {10 ms, 20 us, 40 ms}", "exposures = {10 ms, 20 us, 40 ms}"),
         ("tint = 0\nexposure = auto\nexposure mode = 3", None),
@@ -161,44 +155,26 @@ def test_exposures_are_read_with_their_units_and_never_without(tmp_path, said, r
     assert next((one for one in stated if one is not None), None) == read
 
 
-@pytest.mark.parametrize(
-    "row",
-    ["gain = 6 dB", "Gain (dB) = 6.0", "camera_gain = 6", "CameraGain = 6", "master-gain [dB] = 6",
-     "analogue gain = 6", "gain mode = high", "sensor_gain_mode = high"],
-)  # fmt: skip
-def test_a_gain_is_read_however_its_key_is_written(tmp_path, row):
-    assert header_facts(tmp_path, row).gain[0][1] in ("6", "6 db", "high")
-    assert header_facts(tmp_path, row.upper()) == header_facts(tmp_path, row)
-
-
-@pytest.mark.parametrize(
-    "row",
-    ["fstop = 2.8", "f/stop = 2.8", "f-number = f/2.8", "F_Number = F2.8", "aperture = F 2,8",
-     "lens aperture (f/) = 2.8", "f-stop = 1:2.8", "f/# = 2.80"],
-)  # fmt: skip
-def test_a_stop_is_read_however_it_is_written(tmp_path, row):
-    assert header_facts(tmp_path, row).f_number == 2.8
+GAIN, STOP = (("gain", "6 db"),), 2.8
 
 
 @pytest.mark.parametrize(
     ("row", "field", "value"),
-    [("ISO speed = 400", "iso", 400), ("iso_speed_rating = ISO 400", "iso", 400),
-     ("focal length (mm) = 23", "focal_mm", 23), ("lens_focal_length = 23 mm", "focal_mm", 23),
+    [("gain = 6 dB", "gain", GAIN), ("Gain (dB) = 6.0", "gain", GAIN), ("camera_gain = 6", "gain", (("camera gain", "6"),)),
+     ("gain mode = high", "gain", (("gain mode", "high"),)), ("gain file = white_1.cal", "gain", None),
+     ("fstop = 2.8", "f_number", STOP), ("f-number = f/2.8", "f_number", STOP), ("aperture = F 2,8", "f_number", STOP),
+     ("f-stop = 1:2.8", "f_number", STOP), ("aperture (mm) = 4", "f_number", None),
+     ("iso_speed_rating = ISO 400", "iso", 400), ("lens_focal_length = 23 mm", "focal_mm", 23),
      ("Camera_Model = FX10", "model", "FX10"), ("camera serial-no = 12", "serial", "12"),
-     ("horizontal_binning = 2", "binning", (("horizontal binning", "2"),)),
-     ("X_Start = 0", "region", (("x start", "1"),)), ("aperture (mm) = 4", "f_number", None),
-     ("gain file = white_1.cal", "gain", None), ("exposure_time_ms = 20", "exposure_s", 0.02),
-     ("IntegrationTime[us] = 20000", "exposure_s", 0.02),
-     ("integration_time = 20\nintegration_time_unit = ms", "exposure_s", 0.02)],
+     ("horizontal_binning = 2", "binning", (("horizontal binning", "2"),)), ("X_Start = 0", "region", (("x start", "1"),)),
+     ("exposure_time_ms = 20", "exposure_s", 0.02), ("IntegrationTime[us] = 20000", "exposure_s", 0.02)],
 )  # fmt: skip
 def test_a_setting_is_read_however_its_key_is_written(tmp_path, row, field, value):
     assert getattr(header_facts(tmp_path, row), field) == value
 
 
 def test_a_list_of_exposures_of_another_length_is_refused(tmp_path):
-    with pytest.raises(UnreadableCapture) as refused:
-        read_facts(write_envi(tmp_path, CUBE, extra="tint = {10, 20}"))
-    (problem,) = refused.value.problems
+    problem = refusal(write_envi(tmp_path, CUBE, extra="tint = {10, 20}"))
     assert (problem.code, problem.field, problem.found) == ("E_BAND_COUNT", "tint", "2 numbers")
 
 
@@ -230,35 +206,29 @@ def test_a_key_said_twice_is_the_last_but_a_layout_must_agree(tmp_path):
     path = write_envi(tmp_path, CUBE, extra="sensor type = A\nsensor type = B\nsamples = 5")
     assert read_facts(path).model == "B"
     path = write_envi(tmp_path, CUBE, extra="samples = 6")
-    with pytest.raises(UnreadableCapture, match="its samples twice") as refused:
-        read_facts(path)
-    assert refused.value.problems[0].found == "5 and 6"
+    assert (refusal(path).field, refusal(path).found) == ("samples", "5 and 6")
 
 
 @pytest.mark.parametrize(
-    ("keep", "likely", "fix"),
+    ("keep", "likely"),
     [
-        (90, "lines", "`lines = 3` would match"),
-        (150, "lines", "`lines = 5` would match"),
-        (240, "data type", "3 or 4 or 13 would match"),
-        (60, "data type", "Data type 1 would match"),
-        (80, "bands", "`bands = 2` would match"),
-        (127, "header offset", "`header offset = 7`"),
-        (91, "lines, samples, bands or data type", "copy the scan again"),
+        (90, "lines"),
+        (150, "lines"),
+        (240, "data type"),
+        (60, "data type"),
+        (80, "bands"),
+        (127, "header offset"),
+        (91, "lines, samples, bands or data type"),
     ],
 )
-def test_a_misfit_says_expected_found_and_the_likely_field(tmp_path, keep, likely, fix):
+def test_a_misfit_says_expected_found_and_the_likely_field(tmp_path, keep, likely):
     path = write_envi(tmp_path, CUBE, interleave="bsq" if likely == "bands" else "bil")
     data = tmp_path / "scan.raw"
     whole = data.read_bytes()
     data.write_bytes((whole * 3)[:keep])
-    with pytest.raises(UnreadableCapture) as refused:
-        read_frame(path)
-    problem = refused.value.problems[0]
+    problem = refusal(path)
     assert problem.code == ("E_TRUNCATED" if keep < len(whole) else "E_SIZE")
-    assert problem.field == f"scan.hdr: {likely}" and fix in problem.fix
-    assert problem.found == f"{keep} bytes"
-    assert problem.expected.startswith(f"{len(whole)} bytes")
+    assert (problem.field, problem.found) == (f"scan.hdr: {likely}", f"{keep} bytes")
 
 
 def test_data_that_shrink_while_they_are_read_are_refused(tmp_path):
@@ -267,40 +237,31 @@ def test_data_that_shrink_while_they_are_read_are_refused(tmp_path):
     data.write_bytes(data.read_bytes()[:-1])
     with pytest.raises(UnreadableCapture) as refused:
         opened.read()
-    problem = refused.value.problems[0]
-    assert (problem.code, problem.found, problem.expected) == (
-        "E_TRUNCATED",
-        "119 bytes",
-        "120 bytes",
-    )
+    assert refused.value.problems[0].code == "E_TRUNCATED"
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "field"),
     [
-        (("bands   = 3", ""), "has no bands"),
-        (("bands   = 3", "bands = 3.5"), "has no bands"),
-        (("bands   = 3", "bands = -3"), "has no bands"),
-        (("bands   = 3", "bands   = 99999999999"), "not plausible"),
-        (("data type = 12", "data type = 6"), "complex numbers"),
-        (("data type = 12", "data type = 7"), "this data type"),
-        (("interleave = bil", "interleave = bix"), "unknown interleave"),
-        (("interleave = bil", ""), "unknown interleave"),
-        (("interleave", "byte order = 2\ninterleave"), "unknown byte order"),
-        (("interleave", "header offset = -4\ninterleave"), "has no header offset"),
-        (("interleave", "file compression = 1\ninterleave"), "compressed"),
-        (("interleave", "minor frame offsets = {0, 8}\ninterleave"), "gaps between"),
-        (("ENVI\n", "NVI\n"), "not an ENVI header"),
-        (("; written by a vendor", "wavelength = {1, 2"), "is not closed"),
-        (("; written by a vendor", "wavelength = {1, 2}"), "does not match the bands"),
-        (("; written by a vendor", "wavelength = {1, 2, x}"), "does not match the bands"),
+        (("bands   = 3", ""), "bands"),
+        (("bands   = 3", "bands = 3.5"), "bands"),
+        (("bands   = 3", "bands   = 99999999999"), "lines, samples, bands"),
+        (("data type = 12", "data type = 6"), "data type"),
+        (("interleave = bil", "interleave = bix"), "interleave"),
+        (("interleave = bil", ""), "interleave"),
+        (("interleave", "byte order = 2\ninterleave"), "byte order"),
+        (("interleave", "header offset = -4\ninterleave"), "header offset"),
+        (("interleave", "file compression = 1\ninterleave"), "file compression"),
+        (("interleave", "minor frame offsets = {0, 8}\ninterleave"), "minor frame offsets"),
+        (("ENVI\n", "NVI\n"), "header"),
+        (("; written by a vendor", "wavelength = {1, 2"), "wavelength"),
+        (("; written by a vendor", "wavelength = {1, 2, x}"), "wavelength"),
     ],
 )
-def test_a_header_that_cannot_be_right_is_refused(tmp_path, change, message):
+def test_a_header_that_cannot_be_right_is_refused_by_its_field(tmp_path, change, field):
     path = write_envi(tmp_path, CUBE)
     path.write_text(path.read_text().replace(*change))
-    with pytest.raises(UnreadableCapture, match=message):
-        read_frame(path)
+    assert refusal(path).field == field
 
 
 def test_header_and_data_find_each_other(tmp_path):
@@ -309,10 +270,8 @@ def test_header_and_data_find_each_other(tmp_path):
     for name in ("scan.raw", "scan.raw.hdr"):
         assert np.array_equal(read_frame(tmp_path / name), CUBE)
     (tmp_path / "scan.raw").rename(tmp_path / "other.bin")
-    with pytest.raises(UnreadableCapture, match=r"\.raw, \.dat"):
-        read_facts(tmp_path / "scan.raw.hdr")
-    with pytest.raises(UnreadableCapture, match=r"other\.hdr beside it|not supported"):
-        read_facts(tmp_path / "other.bin")
+    assert refusal(tmp_path / "scan.raw.hdr").field == "data file"
+    assert refusal(tmp_path / "other.bin").code == "E_UNREADABLE"
     path = write_envi(tmp_path, CUBE, extra="data file = other.bin")
     assert open_envi(path).data.name == "other.bin"
 
@@ -322,43 +281,8 @@ def test_of_several_data_files_the_one_that_fits_is_taken_or_none(tmp_path):
     (tmp_path / "scan.raw").write_bytes(b"something else")
     assert open_envi(path).data.name == "scan.dat"
     write_envi(tmp_path, CUBE + 1, suffix=".raw")
-    with pytest.raises(UnreadableCapture, match="several files") as refused:
-        open_envi(path)
-    assert refused.value.problems[0].found == "scan.raw, scan.dat"
+    assert refusal(path).found == "scan.raw, scan.dat"
     assert np.array_equal(read_frame(tmp_path / "scan.dat"), CUBE)
-
-
-@settings(deadline=None, max_examples=150)
-@given(
-    st.lists(st.tuples(st.integers(0, 200), st.integers(0, 255)), max_size=5),
-    st.integers(0, 48),
-)
-def test_mutated_headers_and_cut_data_give_a_cube_or_our_refusal(tmp_path_factory, changes, cut):
-    folder = tmp_path_factory.mktemp("mutated")
-    path = write_envi(folder, np.zeros((3, 4, 2), np.uint16), extra="wavelength = {400, 500}")
-    header = bytearray(path.read_bytes())
-    for place, value in changes:
-        header[place % len(header)] = value
-    path.write_bytes(header)
-    if cut:
-        (folder / "scan.raw").write_bytes(bytes(48 - cut))
-    try:
-        values = read_frame(path)
-    except Refused as refused:
-        assert "scan" in str(refused)
-    else:
-        assert values.size > 0
-
-
-@settings(deadline=None, max_examples=100)
-@given(st.text(max_size=200))
-def test_any_text_after_the_first_line_gives_a_cube_or_our_refusal(tmp_path_factory, text):
-    folder = tmp_path_factory.mktemp("text")
-    path = write_envi(folder, CUBE, extra=text)
-    try:
-        assert read_frame(path).size > 0
-    except Refused as refused:
-        assert "scan" in str(refused)
 
 
 def test_a_library_of_spectra_has_its_wavelengths_along_the_samples(real_data):

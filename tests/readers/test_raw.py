@@ -4,15 +4,19 @@ import imagecodecs
 import numpy as np
 import pytest
 import tifffile
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from levkas.core.problems import Refused
 from levkas.readers import raw
 from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
 
 RNG = np.random.default_rng(5)
 MOSAIC = RNG.integers(64, 4096, (64, 96)).astype(np.uint16)
+
+
+def refusal(path, read=read_frame):
+    with pytest.raises(UnreadableCapture) as refused:
+        read(path)
+    (problem,) = refused.value.problems
+    return problem
 
 
 def write_dng(path, mosaic, *, pattern=(0, 1, 1, 2), black=(64,), white=4095, extra=(), **more):
@@ -90,33 +94,6 @@ def test_only_the_visible_area_is_read(tmp_path):
     assert read_facts(path).shape == (60, 90)
 
 
-@settings(max_examples=5, deadline=None)  # each takes two decoders a start of their own
-@given(st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), min_size=1, max_size=6))
-def test_a_mutated_dng_gives_a_mosaic_or_our_refusal(tmp_path_factory, changes):
-    path = write_dng(tmp_path_factory.mktemp("mutated") / "frame.dng", MOSAIC[:16, :24])
-    data = bytearray(path.read_bytes())
-    for place, value in changes:
-        data[int(place * min(len(data) - 1, 700))] = value  # tags stand first
-    path.write_bytes(data)
-    for read in (read_facts, read_frame):
-        try:
-            got = read(path)
-        except Refused as refused:
-            assert str(path) in str(refused)
-            assert all(problem.file and problem.fix for problem in refused.problems)
-        else:
-            assert len(got.shape) == 2 and min(got.shape) > 0 and got.dtype == "uint16"
-
-
-@pytest.mark.parametrize("share", [0.0, 0.99])
-def test_a_truncated_raw_is_refused_by_name(tmp_path, share):
-    path = write_dng(tmp_path / "cut.dng", MOSAIC)
-    data = path.read_bytes()
-    path.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(UnreadableCapture, match=r"cut\.dng"):
-        read_frame(path)
-
-
 def write_linear(path, colours, black=(64,), **more):
     tags = [
         (50706, "B", 4, (1, 4, 0, 0), True),
@@ -154,16 +131,14 @@ def test_the_colours_of_a_linear_dng_come_bit_exact(tmp_path, lossless, black):
 def test_colours_that_libraw_would_mix_are_refused(tmp_path):
     parts = [imagecodecs.ljpeg_encode(COLOURS.reshape(64, -1))]
     path = write_linear_jpeg(tmp_path / "linear.dng", parts, 64)
-    with pytest.raises(UnreadableCapture, match="not the components of its JPEG"):
-        read_frame(path)
+    assert refusal(path).field == "SamplesPerPixel"
 
 
 def test_strips_of_which_libraw_reads_the_first_alone_are_refused(tmp_path):
     parts = (imagecodecs.ljpeg_encode(MOSAIC[y : y + 32].copy()) for y in (0, 32))
     facts = {"shape": MOSAIC.shape, "dtype": MOSAIC.dtype, "compression": 7, "rowsperstrip": 32}
     path = write_dng(tmp_path / "strips.dng", parts, **facts)
-    with pytest.raises(UnreadableCapture, match="in several strips"):
-        read_frame(path)
+    assert refusal(path).field == "RowsPerStrip"
 
 
 def test_raw_images_that_libraw_would_change_are_refused(tmp_path):
@@ -171,30 +146,24 @@ def test_raw_images_that_libraw_would_change_are_refused(tmp_path):
     floats = write_dng(tmp_path / "floats.dng", (3 * MOSAIC / 4095).astype(np.float32), white=1)
     planes = np.moveaxis(COLOURS, -1, 0)
     write_linear(tmp_path / "planes.dng", planes, planarconfig=2)
-    for path, found in ((floats, "floats"), (tmp_path / "planes.dng", "planes")):
-        with pytest.raises(UnreadableCapture, match=f"a raw image of {found} is not read"):
-            read_frame(path)
+    assert refusal(floats).field == "SampleFormat"
+    assert refusal(tmp_path / "planes.dng").field == "PlanarConfiguration"
 
 
 def test_blacks_of_colours_that_differ_are_no_single_black(tmp_path):
     facts = read_facts(write_linear(tmp_path / "linear.dng", COLOURS, black=(60, 64, 66)))
-    assert facts.black is None and facts.black_unclear == "levels of the colours: 60, 64, 66"
+    assert facts.black is None and facts.black_unclear
 
 
-@pytest.mark.parametrize("share", [0.3, 0.9])
-def test_a_truncated_linear_dng_is_refused_by_name(tmp_path, share):
-    path = write_linear(tmp_path / "linear.dng", COLOURS)
-    data = path.read_bytes()
-    path.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(UnreadableCapture, match=r"linear\.dng"):
-        read_frame(path)
-
-
-def test_a_raw_without_a_header_beside_it_says_what_was_looked_for(tmp_path):
-    path = tmp_path / "scan.raw"
-    path.write_bytes(bytes(range(256)) * 40)
-    with pytest.raises(UnreadableCapture, match=r"scan\.hdr beside it"):
-        read_facts(path)
+def test_a_raw_that_is_cut_or_none_is_refused(tmp_path):
+    write_dng(tmp_path / "a.dng", MOSAIC)
+    write_linear(tmp_path / "b.dng", COLOURS)
+    for name in ("a.dng", "b.dng"):
+        path = tmp_path / name
+        path.write_bytes(path.read_bytes()[: int(0.9 * path.stat().st_size)])
+    (tmp_path / "scan.raw").write_bytes(bytes(range(256)) * 40)
+    for name in ("a.dng", "b.dng", "scan.raw"):
+        assert refusal(tmp_path / name).file == str(tmp_path / name)
 
 
 def test_tiles_of_lossless_jpeg_come_bit_exact(tmp_path):
@@ -230,15 +199,11 @@ def test_a_tile_that_libraw_would_leave_as_zeros_is_refused(tmp_path, spoil):
     data = bytearray(path.read_bytes())
     spoil(data, starts, counts)
     path.write_bytes(data)
-    for read in (read_facts, read_frame):
-        with pytest.raises(UnreadableCapture, match=r"a\.dng") as refused:
-            read(path)
-        assert refused.value.problems[0].code == "E_TRUNCATED"
+    assert refusal(path).code == refusal(path, read_facts).code == "E_TRUNCATED"
 
 
 def test_a_mosaic_of_zeros_alone_was_not_decoded(tmp_path):
-    with pytest.raises(UnreadableCapture, match="nothing but zeros"):
-        read_frame(write_dng(tmp_path / "a.dng", np.zeros((64, 96), np.uint16)))
+    assert refusal(write_dng(tmp_path / "a.dng", np.zeros((64, 96), np.uint16)))
 
 
 def test_one_decoder_reads_many_files_and_another_follows_a_dead_one(tmp_path, monkeypatch):
@@ -265,5 +230,4 @@ def test_a_decoder_that_does_not_end_is_ended_by_its_processor_time(tmp_path, mo
     )
     monkeypatch.setattr(raw, "PROGRAM", program)
     monkeypatch.setattr(raw, "_idle", [])
-    with pytest.raises(UnreadableCapture, match="processor time"):
-        read_facts(path)
+    assert refusal(path, read_facts)

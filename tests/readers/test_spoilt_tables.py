@@ -45,7 +45,7 @@ def chart(path):
 def test_a_table_that_says_no_value_or_two_of_one_place_is_refused(tmp_path, read, text):
     path = tmp_path / "table.csv"
     path.write_bytes(text.encode())
-    with pytest.raises(Refused, match=r"table\.csv"):
+    with pytest.raises(Refused):
         read(path)
 
 

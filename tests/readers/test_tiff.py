@@ -5,14 +5,19 @@ import imagecodecs
 import numpy as np
 import pytest
 import tifffile
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from levkas.core.problems import Refused
 from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
 
 RNG = np.random.default_rng(2)
 CODES = RNG.integers(0, 4096, (64, 96)).astype(np.uint16)
+
+
+def refusal(path, read=read_frame, **more):
+    with pytest.raises(UnreadableCapture) as refused:
+        read(path, **more)
+    (problem,) = refused.value.problems
+    assert problem.file == str(path)
+    return problem
 
 
 def set_tag(path, code, *, count=None, value=None):
@@ -28,7 +33,7 @@ def set_tag(path, code, *, count=None, value=None):
 
 
 @pytest.mark.parametrize("compression", [None, "zlib", "lzw", "packbits", "zstd", "lzma"])
-@pytest.mark.parametrize("dtype", ["u1", "u2", "i2", "f4"])
+@pytest.mark.parametrize("dtype", ["u1", "u2", "f4"])
 def test_a_tiff_is_read_as_it_was_written(tmp_path, compression, dtype):
     path = tmp_path / "frame.tif"
     image = CODES.astype(dtype)
@@ -47,7 +52,6 @@ def test_a_tiff_is_read_as_it_was_written(tmp_path, compression, dtype):
         {"bigtiff": True},
         {"tile": (16, 32)},
         {"tile": (16, 32), "compression": "zlib"},
-        {"rowsperstrip": 7, "compression": "jpegxl"},
     ],
     ids=str,
 )
@@ -93,35 +97,14 @@ def test_pages_are_read_one_by_one_and_previews_are_not_counted(tmp_path):
     assert read_facts(path).pages == 3
     for i, page in enumerate(stack):
         assert np.array_equal(read_frame(path, page=i), page)
-    with pytest.raises(UnreadableCapture, match="no page 3") as refused:
-        read_frame(path, page=3)
-    assert refused.value.problems[0].code == "E_BAND_MISSING"
-    with pytest.raises(ValueError, match="from 0"):
+    assert refusal(path, page=3).code == "E_BAND_MISSING"
+    with pytest.raises(ValueError):
         read_frame(path, page=-1)
 
 
-@pytest.mark.parametrize("big", [False, True])
-def test_pages_that_go_round_in_a_circle_are_refused(tmp_path, big):
-    path = tmp_path / "circle.tif"
-    tifffile.imwrite(path, np.zeros((2, 9, 9), np.uint8), photometric="minisblack", bigtiff=big)
-    with tifffile.TiffFile(path) as tiff:
-        first, second = (page.offset for page in tiff.pages)
-        last = second + 8 * big + (2 - 2 * big) + len(tiff.pages[1].tags) * (20 if big else 12)
-    data = bytearray(path.read_bytes())
-    struct.pack_into("<Q" if big else "<I", data, last, first)
-    path.write_bytes(data)
-    for read in (read_facts, read_frame):
-        with pytest.raises(UnreadableCapture, match="circle"):
-            read(path)
-
-
-@pytest.mark.parametrize("order", "<>")
-@pytest.mark.parametrize("big", [False, True])
-def test_a_file_of_previews_only_holds_no_image(tmp_path, order, big):
-    path = tmp_path / "preview.tif"
-    tifffile.imwrite(path, CODES, subfiletype=1, byteorder=order, bigtiff=big)
-    with pytest.raises(UnreadableCapture, match="holds no image"):
-        read_frame(path)
+def test_a_file_of_previews_only_holds_no_image(tmp_path):
+    tifffile.imwrite(tmp_path / "a.tif", CODES, subfiletype=1, byteorder=">", bigtiff=True)
+    assert refusal(tmp_path / "a.tif").field == "NewSubfileType"
 
 
 @pytest.mark.parametrize("options", [{"imagej": True}, {"truncate": True}], ids=str)
@@ -131,8 +114,7 @@ def test_a_stack_behind_one_page_is_not_taken_for_one_frame(tmp_path, options):
     with tifffile.TiffFile(path) as tiff:
         alone = len(tiff.pages) == 1
     if alone:
-        with pytest.raises(UnreadableCapture, match="no separate tags"):
-            read_frame(path)
+        assert refusal(path).field == "ImageDescription"
     else:
         assert read_facts(path).pages == 4
 
@@ -150,43 +132,30 @@ def test_colours_that_are_no_counts_are_refused_with_a_way_out(tmp_path, photome
     more = {"colormap": np.zeros((3, 256), np.uint16)} if photometric == "palette" else {}
     image = np.zeros((8, 8, *samples), np.uint8)
     tifffile.imwrite(path, image, photometric=photometric, **more)
-    with pytest.raises(UnreadableCapture, match="Export it again"):
-        read_frame(path)
+    assert refusal(path).field == "PhotometricInterpretation"
 
 
-@pytest.mark.parametrize("compression", [None, "zlib", "lzw", "packbits"])
+@pytest.mark.parametrize("compression", [None, "zlib"])
 def test_fewer_strips_than_the_image_needs_never_read_as_zeros(tmp_path, compression):
     path = tmp_path / "frame.tif"
     tifffile.imwrite(path, CODES, rowsperstrip=8, compression=compression)
     for code in (273, 279):
         set_tag(path, code, count=5)
-    for read in (read_frame, read_facts):
-        with pytest.raises(UnreadableCapture) as refused:
-            read(path)
-        assert refused.value.problems[0].code == "E_TRUNCATED"
+    assert refusal(path).code == refusal(path, read_facts).code == "E_TRUNCATED"
 
 
 @pytest.mark.parametrize("compression", [None, "zlib"])
-@pytest.mark.parametrize("code", [273, 279])
-@pytest.mark.parametrize("tile", [None, (16, 32)])
+@pytest.mark.parametrize(("code", "tile"), [(273, None), (279, (16, 32))])
 def test_an_empty_strip_or_tile_is_refused(tmp_path, compression, code, tile):
     path = tmp_path / "sparse.tif"
     layout = {"tile": tile} if tile else {"rowsperstrip": 8}
     tifffile.imwrite(path, CODES, compression=compression, **layout)
     set_tag(path, {273: 324, 279: 325}[code] if tile else code, value=0)
-    with pytest.raises(UnreadableCapture) as refused:
-        read_frame(path)
-    assert refused.value.problems[0].code == "E_TRUNCATED"
+    assert refusal(path).code == "E_TRUNCATED"
 
 
 @pytest.mark.parametrize(
-    "encode",
-    [
-        imagecodecs.zlib_encode,
-        imagecodecs.lzw_encode,
-        imagecodecs.packbits_encode,
-        imagecodecs.zstd_encode,
-    ],
+    "encode", [imagecodecs.zlib_encode, imagecodecs.lzw_encode, imagecodecs.packbits_encode]
 )
 def test_a_strip_that_holds_too_few_rows_is_refused(tmp_path, encode):
     path = tmp_path / "short.tif"
@@ -198,8 +167,7 @@ def test_a_strip_that_holds_too_few_rows_is_refused(tmp_path, encode):
     data = bytearray(path.read_bytes())
     data[offset : offset + len(short)] = short
     path.write_bytes(data)
-    with pytest.raises(UnreadableCapture, match=r"short\.tif"):
-        read_frame(path)
+    assert refusal(path).code == "E_UNREADABLE"
 
 
 def test_a_jpeg_strip_cut_short_is_refused(tmp_path):
@@ -210,21 +178,7 @@ def test_a_jpeg_strip_cut_short_is_refused(tmp_path):
     with tifffile.TiffFile(path) as tiff:
         count = tiff.pages[0].databytecounts[0]
     set_tag(path, 279, value=count // 2)
-    with pytest.raises(UnreadableCapture, match="truncated"):
-        read_frame(path)
-
-
-@pytest.mark.parametrize("code", [256, 257])
-@pytest.mark.parametrize("compression", [None, "zlib"])
-def test_an_absurd_size_is_refused_before_anything_is_allocated(tmp_path, code, compression):
-    path = tmp_path / "huge.tif"
-    tifffile.imwrite(path, np.zeros((1000, 1000), np.uint16), compression=compression)
-    with tifffile.TiffFile(path) as tiff:
-        wide = tiff.pages[0].tags[code].dtype == 4
-    set_tag(path, code, value=400_000 if wide else 65_000)
-    with pytest.raises(UnreadableCapture) as refused:
-        read_frame(path)
-    assert refused.value.problems[0].code in ("E_SIZE", "E_TRUNCATED", "E_UNREADABLE")
+    assert refusal(path).code == "E_TRUNCATED"
 
 
 def test_levels_pattern_exposure_and_date_come_from_tags(tmp_path):
@@ -246,32 +200,6 @@ def test_levels_pattern_exposure_and_date_come_from_tags(tmp_path):
     assert facts.blacks.pattern == ((64.0, 66.0), (68.0, 70.0))
     assert facts.exposure_s == float(Fraction(1, 125)) and facts.iso == 200
     assert (facts.captured, facts.model) == ("2019-02-08T17:43:35", "Bench")
-
-
-@settings(deadline=None, max_examples=80)
-@given(
-    st.sampled_from([None, "zlib", "lzw", "packbits", "jpeg"]),
-    st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), min_size=1, max_size=6),
-    st.booleans(),
-)
-def test_a_mutated_tiff_gives_an_image_or_our_refusal(
-    tmp_path_factory, compression, changes, in_header
-):
-    path = tmp_path_factory.mktemp("mutated") / "frame.tif"
-    image = np.arange(20 * 24, dtype=np.uint8).reshape(20, 24)
-    tifffile.imwrite(path, image, compression=compression, rowsperstrip=5)
-    data = bytearray(path.read_bytes())
-    for place, value in changes:
-        end = 200 if in_header else len(data)
-        data[min(int(place * end), len(data) - 1)] = value
-    path.write_bytes(data)
-    for read in (read_facts, read_frame):
-        try:
-            got = read(path)
-        except Refused as refused:
-            assert str(path) in str(refused)
-        else:
-            assert got.shape is not None
 
 
 def test_the_five_lenses_say_their_bands_levels_and_exposures(real_data):

@@ -7,10 +7,9 @@ read, from the file itself, and their size is known before memory is taken for t
 from __future__ import annotations
 
 import math
-import os
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -31,8 +30,6 @@ NUMBERS = "biuf"
 """Kinds of numpy's types that are read: bool, integers, floating point."""
 WIDEST = 8
 """Bytes of a number."""
-LONGEST_TEXT = 4 * 256
-"""Bytes of a text in an .npz."""
 MOST_MEMBERS = 64
 """Of an .npz; the largest model of Levkas has 11."""
 MOST_LINKS, DEEPEST_GROUP = 20_000, 8
@@ -50,110 +47,45 @@ Shape = tuple[int | None, ...]
 
 
 def read_npy(path: Path, shape: Shape) -> np.ndarray:
-    """Read an array as ``numpy.save`` writes it.
-
-    Parameters
-    ----------
-    path : Path
-    shape : tuple of int or None
-        That it must have; None for a side of any length.
+    """Read an array as ``numpy.save`` writes it, of a given shape; None for a side of any length.
 
     Raises
     ------
     UnreadableCapture
-        Where it is of another shape, of no numbers, or of another size than it declares; none of it is read then.
+        Where it is of another shape, of no numbers, or cut; none of it is read then.
     """
-    with _reading(path, "an array as numpy.save writes it"), path.open("rb") as file:
-        found, dtype, order = _header(file)
-        _check_kind(path, dtype)
-        _check_shape(path, found, shape)
-        count, size = math.prod(found), os.fstat(file.fileno()).st_size
-        if size - file.tell() != count * dtype.itemsize:
-            raise ValueError(f"{size} bytes for {' x '.join(map(str, found))} of {dtype}")
-        check_memory(path, count, dtype.itemsize)
-        return np.fromfile(file, dtype, count).reshape(found, order=order)
+    with _reading(path, "an array as numpy.save writes it"):
+        stored = np.load(path, mmap_mode="r", allow_pickle=False)
+        _check_kind(path, stored.dtype)
+        _check_shape(path, stored.shape, shape)
+        check_memory(path, stored.size, stored.dtype.itemsize)
+        return np.array(stored)
 
 
-class Archive(Mapping[str, np.ndarray]):
-    """Arrays and short texts of an .npz by name, each decompressed when it is taken; opened by `opening_npz`.
+def read_npz(path: Path, *, most: int) -> dict[str, np.ndarray]:
+    """Read arrays as ``numpy.savez`` writes them, by name; `most` bytes of all of them, decompressed.
 
-    Attributes
-    ----------
-    path : Path
+    Raises
+    ------
+    UnreadableCapture
     """
-
-    def __init__(self, path: Path, archive: zipfile.ZipFile, most: int) -> None:
-        self.path, self._archive, self._left = path, archive, most
+    with _reading(path, "arrays as numpy.savez writes them"), zipfile.ZipFile(path) as archive:
         members = archive.infolist()
-        self._members = {member.filename.removesuffix(".npy"): member for member in members}
-        self._taken: set[str] = set()
-        if len(members) > MOST_MEMBERS or len(self._members) != len(members):
-            raise ValueError(f"{len(members)} members; at most {MOST_MEMBERS}, each once")
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        member = self._members[name]
-        if member.compress_type not in STORED or member.flag_bits & 1:
-            raise ValueError(f"{name} is encrypted, or compressed by an unknown method")
-        if member.file_size > self._left:
-            raise ValueError(f"{name} has {member.file_size} bytes; at most {self._left} more")
-        self._left -= member.file_size
-        self._taken.add(name)
-        with self._archive.open(member) as file:
-            shape, dtype, order = _header(file)
-            if not (dtype.kind == "U" and dtype.itemsize <= LONGEST_TEXT):
-                _check_kind(self.path, dtype)
-            data = file.read(member.file_size)  # without a number it would decompress up to 2 GiB
-        if len(data) != math.prod(shape) * dtype.itemsize:
-            raise ValueError(f"{name}: {len(data)} bytes for {shape} of {dtype}")
-        return np.frombuffer(data, dtype).reshape(shape, order=order)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._members)
-
-    def __len__(self) -> int:
-        return len(self._members)
-
-    def require_all_taken(self) -> None:
-        """Refuse members that nobody took, which were not decompressed either; raises ValueError."""
-        if foreign := [name for name in self._members if name not in self._taken]:
-            raise ValueError(f"foreign members: {', '.join(foreign)[:200]}")
-
-
-@contextmanager
-def opening_npz(path: Path, *, most: int) -> Iterator[Archive]:
-    """Open arrays as ``numpy.savez`` writes them.
-
-    Parameters
-    ----------
-    path : Path
-    most : int
-        Bytes of all members that are taken, decompressed.
-
-    Raises
-    ------
-    UnreadableCapture
-        Also for the errors of the block that uses them.
-    """
-    with (
-        _reading(path, "arrays as numpy.savez writes them"),
-        zipfile.ZipFile(path) as archive,
-    ):
-        yield Archive(path, archive, most)
+        declared = sum(member.file_size for member in members)
+        if len(members) > MOST_MEMBERS or declared > most:
+            raise ValueError(f"{len(members)} members of {declared} bytes; at most {most}")
+        if any(member.compress_type not in STORED for member in members):
+            raise ValueError("a member is compressed by an unknown method")
+        with np.load(path, allow_pickle=False) as arrays:  # reads no more than members declare
+            return {name: arrays[name] for name in arrays.files}
 
 
 def read_hdf5(path: Path, name: str, shape: Shape) -> np.ndarray:
-    """Read one data set of the root of an HDF5 file, such as a MAT-file of version 7.3.
+    """Read one data set of an HDF5 file, such as a MAT-file of version 7.3; `shape` as of `read_npy`.
 
     Accepted are a hard link, plain numbers, and bytes that lie in the file itself: in one piece, or in
     chunks that are all there, as they are or behind shuffle and deflate. External files, links and virtual data sets
     could lead to any file of this computer, and are refused, as are all other filters.
-
-    Parameters
-    ----------
-    path : Path
-    name : str
-    shape : tuple of int or None
-        As of `read_npy`.
 
     Raises
     ------
@@ -258,20 +190,6 @@ def _join_chunks(data: Any) -> np.ndarray:
         part = out[tuple(slice(at, at + side) for at, side in zip(start, sides, strict=True))]
         part[...] = block[tuple(slice(n) for n in part.shape)]
     return out
-
-
-def _header(file: Any) -> tuple[tuple[int, ...], np.dtype, Any]:
-    version = np.lib.format.read_magic(file)
-    readers = {
-        (1, 0): np.lib.format.read_array_header_1_0,
-        (2, 0): np.lib.format.read_array_header_2_0,
-    }
-    if version not in readers:
-        raise ValueError(f"version {version} of numpy's format")
-    shape, fortran, dtype = readers[version](file)
-    if any(side < 0 for side in shape):
-        raise ValueError(f"a shape of {shape}")
-    return shape, dtype, "F" if fortran else "C"
 
 
 def _check_kind(path: Path, dtype: np.dtype) -> None:

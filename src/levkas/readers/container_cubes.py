@@ -8,19 +8,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from levkas.readers.arrays import DAMAGE, list_hdf5, read_hdf5
 from levkas.readers.facts import Facts, check_memory, check_ratio, check_size, unreadable
+from levkas.readers.wavelengths import read_centres
 
 WAVELENGTHS = (
     *("wavelengths", "wavelength", "wavelengths_nm", "wavelength_nm", "wl", "wvl", "lambda"),
     *("wave", "waves", "wavenm", "centers", "centres", "bands"),
 )
 """Names of the list of wavelengths, lower case, what is usual first; ``bands`` in files of the spectral recovery challenges."""
-SHORTEST_UM, LONGEST_UM = 0.1, 20.0
-"""Wavelengths in this range are micrometres: 100 to 20,000 nm."""
 LONGEST_LIST = 10_000
 MATLAB_73 = b"MATLAB 7.3 MAT-fil"
 LARGEST_RATIO = 1100
@@ -54,10 +54,7 @@ class _Cube:
 def read_hdf5_cube_facts(path: Path) -> Facts:
     """Return the facts of the cube in an HDF5 file.
 
-    Raises
-    ------
-    UnreadableCapture
-        Where it has no array of three axes or several, or the axis of the bands is not known; ``E_MISSING`` without h5py.
+    Raises UnreadableCapture where it has no array of three axes or several, or the axis of the bands is not known.
     """
     return _find_hdf5(path).facts(path, "hdf5-cube")
 
@@ -66,17 +63,14 @@ def read_hdf5_cube(path: Path) -> np.ndarray:
     """Read the cube of an HDF5 file, (lines, samples, bands)."""
     cube = _find_hdf5(path)
     cube.facts(path, "hdf5-cube")
-    return np.ascontiguousarray(read_hdf5(path, cube.name, cube.shape).transpose(cube.axes))
+    stored = cube.shape[::-1] if _is_matlab(path) else cube.shape
+    values = read_hdf5(path, cube.name, stored)
+    values = values.T if _is_matlab(path) else values
+    return np.ascontiguousarray(values.transpose(cube.axes))
 
 
 def read_mat_facts(path: Path) -> Facts:
-    """Return the facts of the cube in a MAT-file of version 5.
-
-    Raises
-    ------
-    UnreadableCapture
-        As of `read_hdf5_cube_facts`.
-    """
+    """Return the facts of the cube in a MAT-file of version 5; raises as `read_hdf5_cube_facts`."""
     return _find_mat(path).facts(path, "mat")
 
 
@@ -87,10 +81,14 @@ def read_mat(path: Path) -> np.ndarray:
     return np.ascontiguousarray(_load(path, cube.name).transpose(cube.axes))
 
 
-def _find_hdf5(path: Path) -> _Cube:
+def _is_matlab(path: Path) -> bool:
+    """Whether a file is MATLAB 7.3, whose axes HDF5 shows the other way round."""
     with path.open("rb") as file:
-        reverse = file.read(len(MATLAB_73)) == MATLAB_73
-    shapes = list_hdf5(path)
+        return file.read(len(MATLAB_73)) == MATLAB_73
+
+
+def _find_hdf5(path: Path) -> _Cube:
+    shapes, matlab = list_hdf5(path), _is_matlab(path)
     name = _only_cube(path, shapes)
     waves = next(
         (read_hdf5(path, key, shapes[key]).ravel() for key in _lists_of_wavelengths(shapes, name)),
@@ -100,7 +98,8 @@ def _find_hdf5(path: Path) -> _Cube:
 
     with h5py.File(path, "r") as opened:
         dtype = opened[name].dtype.name
-    return _cube(path, name, shapes[name], dtype, waves, matlab=reverse, reverse=reverse)
+    shape = shapes[name][::-1] if matlab else shapes[name]
+    return _cube(path, name, shape, dtype, waves, matlab=matlab)
 
 
 def _find_mat(path: Path) -> _Cube:
@@ -116,7 +115,7 @@ def _find_mat(path: Path) -> _Cube:
     size = prod(shapes[name]) * np.dtype(dtype).itemsize
     check_ratio(path, size, path.stat().st_size, ratio=LARGEST_RATIO)
     waves = next((_load(path, key).ravel() for key in _lists_of_wavelengths(shapes, name)), None)
-    return _cube(path, name, shapes[name], dtype, waves, matlab=True, reverse=False)
+    return _cube(path, name, shapes[name], dtype, waves)
 
 
 def _load(path: Path, name: str) -> np.ndarray:
@@ -166,46 +165,23 @@ def _lists_of_wavelengths(shapes: dict[str, tuple[int, ...]], cube: str) -> list
 
 
 def _cube(
-    path: Path,
-    name: str,
-    shape: tuple[int, ...],
-    dtype: str,
-    waves: np.ndarray | None,
-    *,
-    matlab: bool,
-    reverse: bool,
+    path: Path, name: str, shape: tuple[int, ...], dtype: str, waves: Any, *, matlab: bool = True
 ) -> _Cube:
-    """Name the axes of a cube; `reverse` where the file has MATLAB's axes the other way round, as HDF5 shows them."""
-    centres = _nanometres(waves) if waves is not None else None
-    order = (2, 1, 0) if reverse else (0, 1, 2)
-    fitting = [axis for axis in order if centres and shape[axis] == len(centres)]
+    """Name the axes of a cube; of MATLAB's without wavelengths, (lines, samples, bands) as they are given here."""
+    found = None
+    if waves is not None and len(set(waves.tolist())) == len(waves):
+        found = read_centres([float(one) for one in waves]).nm
+    fitting = [axis for axis in range(3) if found and shape[axis] == len(found)]
     if len(fitting) != 1 and not matlab:
         raise unreadable(
             path,
             "it is not known which axis of the cube is that of the bands",
             field="format",
-            found=f"{name} of {' x '.join(map(str, shape))}, "
-            + ("no list of wavelengths" if not centres else f"{len(centres)} wavelengths"),
+            found=f"{name} of {' x '.join(map(str, shape))}, {len(found or ())} wavelengths",
             expected="a list of wavelengths beside it, as long as one axis",
             fix=FIX,
         )
-    band = fitting[0] if len(fitting) == 1 else order[2]
-    lines, samples = (axis for axis in order if axis != band)
-    if centres and shape[band] != len(centres):
-        centres = None
+    band = fitting[0] if len(fitting) == 1 else 2
+    lines, samples = (axis for axis in range(3) if axis != band)
+    centres = found if found and shape[band] == len(found) else None
     return _Cube(name, shape, (lines, samples, band), centres, dtype)
-
-
-def _nanometres(waves: np.ndarray) -> tuple[float, ...] | None:
-    """Return wavelengths in nm, of micrometres too; None where the numbers are none.
-
-    >>> _nanometres(np.array([0.4, 0.55])), _nanometres(np.array([1, 2, 3]))
-    ((400.0, 550.0), None)
-    """
-    values = np.asarray(waves, float)
-    if not np.all(np.isfinite(values)) or len(np.unique(values)) < len(values) or values.min() <= 0:
-        return None
-    whole = bool(np.all(values == np.round(values)))
-    if values.min() >= SHORTEST_UM and values.max() <= LONGEST_UM and not whole:
-        values = np.round(values * 1000, 6)
-    return tuple(values.tolist()) if values.min() >= 1000 * SHORTEST_UM else None

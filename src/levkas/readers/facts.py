@@ -47,7 +47,7 @@ class Facts:
     ----------
     path : Path
     kind : str
-        ``"tiff"``, ``"png"``, ``"jpeg"``, ``"jpeg2000"``, ``"raw"``, ``"raw-colours"`` (a linear DNG), ``"envi"``, of cubes in containers ``"hdf5-cube"`` or ``"mat"``, or of a stack of maps ``"ripple"`` or ``"hdf5"``.
+        ``"tiff"``, ``"png"``, ``"jpeg"``, ``"raw"``, ``"raw-colours"`` (a linear DNG), ``"envi"``, of cubes in containers ``"hdf5-cube"`` or ``"mat"``, or of a stack of maps ``"ripple"`` or ``"hdf5"``.
     shape : tuple of int
         (h, w) or (h, w, samples) of one page; for ENVI and stacks of maps (lines, samples, bands).
     dtype : str

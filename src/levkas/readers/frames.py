@@ -41,15 +41,15 @@ FOREIGN = {
     b"SIMPLE  =": "FITS",
     b"CDF\x01": "netCDF",
     b"CDF\x02": "netCDF",
+    b"\0\0\0\x0cjP  ": "JPEG 2000",
+    b"\xff\x4f\xff\x51": "JPEG 2000",
 }
-"""Formats of cubes that are not read, by their first bytes."""
+"""Formats that are not read, by their first bytes."""
 LARGEST_SAMPLE, BLOCKS, BLOCK = 16 << 20, 8, 60
 """Samples of a glimpse of a frame; blocks they are taken from, and what their sides are multiples of."""
 MOST_FACTS = 1 << 15
 """Files whose facts are kept in memory, about 1 kB each."""
-EXPECTED = (
-    "TIFF, PNG, JPEG, JPEG 2000, camera raw, ENVI with its header, or a cube in HDF5 or MATLAB"
-)
+EXPECTED = "TIFF, PNG, JPEG, camera raw, ENVI with its header, or a cube in HDF5 or MATLAB"
 
 
 class Reader(NamedTuple):
@@ -80,12 +80,6 @@ READERS = {
     "jpeg": Reader(
         "levkas.readers.images", "read_jpeg_facts", "read_jpeg", (images.JPEG,), (".jpg", ".jpeg")
     ),
-    "jpeg2000": Reader(
-        "levkas.readers.jpeg2000",
-        *("read_jpeg2000_facts", "read_jpeg2000"),
-        (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51"),
-        (".jp2", ".j2k", ".jpf", ".jpx"),
-    ),
     "raw": Reader("levkas.readers.raw", "read_raw_facts", "read_raw"),
     "envi": Reader("levkas.readers.envi", "read_envi_facts", "read_envi"),
     "ripple": Reader("levkas.readers.map_stacks", "read_ripple_facts", "read_ripple"),
@@ -110,7 +104,7 @@ ALONE = (RENDERED | {*RAW_SUFFIXES}) - {*DATA_SUFFIXES}
 
 
 def kind_of(path: str | Path) -> str:
-    """Return ``"tiff"``, ``"png"``, ``"jpeg"``, ``"jpeg2000"``, ``"raw"``, ``"envi"``, ``"ripple"``, ``"hdf5"``, ``"hdf5-cube"`` or ``"mat"`` from name and first bytes.
+    """Return ``"tiff"``, ``"png"``, ``"jpeg"``, ``"raw"``, ``"envi"``, ``"ripple"``, ``"hdf5"``, ``"hdf5-cube"`` or ``"mat"`` from name and first bytes.
 
     A header beside decides that ``.raw``, ``.dat``, ``.img``, … are ENVI; without one ``.raw`` is
     taken for a camera raw.
@@ -189,8 +183,8 @@ def _foreign(path: Path, name: str) -> UnreadableCapture:
         field="format",
         found=name,
         expected=EXPECTED,
-        fix="Save the cube as ENVI (spectral.envi.save_image in Python, enviwrite in MATLAB), or "
-        "as a TIFF with one page per band, and name that file in `files`.",
+        fix="Save it as a TIFF, a page a band, or a cube as ENVI (spectral.envi.save_image in Python, "
+        "enviwrite in MATLAB), and name that file in `files`.",
     )
 
 

@@ -1,4 +1,4 @@
-"""PNG and JPEG captures, and the sizes that compressed images declare in their headers."""
+"""PNG and JPEG captures."""
 
 from __future__ import annotations
 
@@ -40,11 +40,7 @@ JPEG_EXPANSION = 150
 MOST_SCANS = 64
 """Scans of a progressive JPEG; encoders write about ten, and each goes through the whole image."""
 JPEG_CODES = (6, 7, 33007)
-JPEG_2000 = (33003, 33005, 34712)
-JPEG_XL = (50002, 52546)
-"""Codes of the TIFF tag Compression."""
-JXL_RATIOS = ((1, 1), (12, 10), (4, 3), (3, 2), (16, 9), (5, 4), (2, 1))
-"""Width over height in the short form of a JPEG XL size."""
+"""Of the TIFF tag Compression."""
 
 
 # --- PNG --------------------------------------------------------------------------------------
@@ -211,9 +207,6 @@ def _jpeg_facts(path: Path, frame: tuple[int, int, int, int], exif: bytes, size:
     return Facts(path=path, kind="jpeg", shape=shape, dtype="uint8", bits=8, encoded="JPEG", **more)
 
 
-# --- sizes in headers of compressed images ----------------------------------------------------
-
-
 def jpeg_segments(handle: BinaryIO) -> Iterator[tuple[int, bytes]]:
     """Yield (marker, content) of a JPEG's segments, at last its first scan without content; end at damage."""
     handle.seek(2)
@@ -241,51 +234,12 @@ def jpeg_frame(marker: int, content: bytes) -> tuple[int, int, int, int] | None:
     return bits, height, width, components
 
 
-def frame_size(data: bytes, compression: int) -> tuple[int, int]:
-    """Return the samples and scans that a strip of JPEG, JPEG 2000 or JPEG XL declares; 0 samples without a header.
+def jpeg_size(data: bytes) -> tuple[int, int]:
+    """Return the samples and scans that a strip of JPEG declares; 0 samples without a header.
 
-    Examples
-    --------
-    >>> frame_size(bytes.fromhex("ffd8 ffc0 000b 08 0010 0020 01 011100"), 7)
+    >>> jpeg_size(bytes.fromhex("ffd8 ffc0 000b 08 0010 0020 01 011100"))
     (512, 0)
-    >>> frame_size(bytes.fromhex("ff0a 4f 00"), 50002)
-    (4096, 1)
     """
-    if compression in JPEG_2000:
-        start = data.find(b"\xff\x4f\xff\x51")
-        if start < 0 or len(data) < start + 42:
-            return 0, 1
-        right, bottom, left, top = struct.unpack_from(">4I", data, start + 8)
-        (channels,) = struct.unpack_from(">H", data, start + 40)
-        return max(0, right - left) * max(0, bottom - top) * channels, 1
-    if compression in JPEG_XL:
-        return _jpeg_xl_size(data), 1
     frames = (jpeg_frame(*segment) for segment in jpeg_segments(BytesIO(data)))
     samples = max((prod(frame[1:]) for frame in frames if frame), default=0)
     return samples if data.startswith(b"\xff\xd8") else 0, data.count(SCAN)
-
-
-def _jpeg_xl_size(data: bytes) -> int:
-    """Return the samples of one channel, from the SizeHeader of ISO/IEC 18181-1."""
-    start = data.find(b"\xff\x0a")
-    if start < 0:
-        return 0
-    bits, at = int.from_bytes(data[start + 2 : start + 14], "little"), 0
-
-    def take(count: int) -> int:
-        nonlocal at
-        value = (bits >> at) & ((1 << count) - 1)
-        at += count
-        return value
-
-    small = take(1)
-
-    def side() -> int:
-        return 8 * (take(5) + 1) if small else 1 + take((9, 13, 18, 30)[take(2)])
-
-    height = side()
-    ratio = take(3)
-    if not ratio:
-        return height * side()
-    across, down = JXL_RATIOS[ratio - 1]
-    return height * (height * across // down)

@@ -7,9 +7,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import prod
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,58 +26,21 @@ RESULTS = "results/parameters"
 """End of the name of the group in which PyMca writes the maps of a fit."""
 
 
-@dataclass(frozen=True)
-class Stack:
-    """One opened binary stack.
-
-    Parameters
-    ----------
-    facts : Facts
-        `shape` is (lines, samples, maps).
-    data : Path
-    offset : int
-        Bytes before the first number.
-    layout : str
-        Type of a stored number with its byte order.
-    by_map : bool
-        Whether map follows map; else the values of a pixel lie together.
-    """
-
-    facts: Facts
-    data: Path
-    offset: int
-    layout: str
-    by_map: bool
-
-    def read(self) -> np.ndarray:
-        """Read all, (lines, samples, maps), native byte order."""
-        lines, samples, maps = self.facts.shape
-        dtype = np.dtype(self.layout)
-        check_memory(self.facts.path, prod(self.facts.shape), dtype.itemsize)
-        with decoding(self.data, "stack of maps"), self.data.open("rb") as file:
-            file.seek(self.offset)
-            values = np.fromfile(file, dtype, prod(self.facts.shape))
-            stored = values.reshape((maps, lines, samples) if self.by_map else self.facts.shape)
-        found = np.moveaxis(stored, 0, -1) if self.by_map else stored
-        return np.ascontiguousarray(found, dtype.newbyteorder("="))
-
-
-# --- Ripple
-
-
 def read_ripple_facts(path: Path) -> Facts:
-    """Return the facts of a Ripple stack by its .rpl.
-
-    Raises
-    ------
-    UnreadableCapture
-    """
-    return _open_ripple(path).facts
+    """Return the facts of a Ripple stack by its .rpl; raises UnreadableCapture."""
+    return _open_ripple(path)[0]
 
 
 def read_ripple(path: Path) -> np.ndarray:
-    """Read a Ripple stack, (lines, samples, maps)."""
-    return _open_ripple(path).read()
+    """Read a Ripple stack, (lines, samples, maps), native byte order."""
+    facts, offset, dtype, by_map = _open_ripple(path)
+    lines, samples, maps = facts.shape
+    check_memory(path, prod(facts.shape), dtype.itemsize)
+    with decoding(path, "stack of maps"):
+        values = np.fromfile(ripple_data(path), dtype, prod(facts.shape), offset=offset)
+        stored = values.reshape((maps, lines, samples) if by_map else facts.shape)
+    found = np.moveaxis(stored, 0, -1) if by_map else stored
+    return np.ascontiguousarray(found, dtype.newbyteorder("="))
 
 
 def ripple_data(path: Path) -> Path:
@@ -88,51 +51,47 @@ def ripple_data(path: Path) -> Path:
     )
 
 
-def _open_ripple(path: Path) -> Stack:
+def _open_ripple(path: Path) -> tuple[Facts, int, np.dtype[Any], bool]:
+    """Return the facts, the bytes before the first number, its type, and whether map follows map."""
     keys: dict[str, str] = {}
-    for line in _head(path).decode("latin-1").splitlines():
+    with decoding(path, "header of the stack"), path.open("rb") as file:
+        head = file.read(MOST_HEADER).decode("latin-1")
+    for line in head.splitlines():
         parts = line.replace(",", "\t").split(None, 1)
         if len(parts) == 2:
             keys.setdefault(parts[0].strip().lower(), parts[1].strip().lower())
     shape = tuple(_whole(path, keys, key) for key in ("height", "width", "depth"))
     kind = RIPPLE_TYPES.get(keys.get("data-type", ""), "")
     size = _whole(path, keys, "data-length")
+    order, record = keys.get("byte-order", "dont-care"), keys.get("record-by", "dont-care")
     if size not in RIPPLE_SIZES.get(kind, ()):
-        raise unreadable(
-            path,
-            "the type of the numbers is not known",
-            field="data-type, data-length",
-            found=f"{keys.get('data-type')} of {size} bytes",
-            expected="signed or unsigned of 1, 2, 4 or 8 bytes, or float of 4 or 8",
-        )
-    order = keys.get("byte-order", "dont-care")
+        found = f"{keys.get('data-type')} of {size} bytes"
+        raise _refused(path, "data-type, data-length", found, "signed, unsigned or float of 1 to 8")
     if size > 1 and order not in ORDERS:
-        raise unreadable(
-            path,
-            "the order of the bytes is not declared",
-            field="byte-order",
-            found=order,
-            expected=" or ".join(ORDERS),
-            fix="Write it into the .rpl.",
-        )
-    record = keys.get("record-by", "dont-care")
+        raise _refused(path, "byte-order", order, " or ".join(ORDERS))
     if record not in ("image", "vector") and shape[2] > 1:
-        raise unreadable(
-            path,
-            "the order of the numbers is not declared",
-            field="record-by",
-            found=record,
-            expected="image (map after map) or vector (pixel after pixel)",
-            fix="Write it into the .rpl.",
+        raise _refused(
+            path, "record-by", record, "image (map after map) or vector (pixel after pixel)"
         )
     offset = _whole(path, keys, "offset") if "offset" in keys else 0
-    return _stack(
-        path,
-        ripple_data(path),
+    dtype, data = np.dtype(f"{ORDERS.get(order, '|')}{kind}{size}"), ripple_data(path)
+    check_size(path, shape, field="width, height, maps")
+    needed, there = offset + prod(shape) * size, data.stat().st_size if data.is_file() else 0
+    if there < needed:
+        what = f"{data.name} beside it is truncated or missing"
+        raise truncated(path, what, "width, height, maps", f"{there} bytes", f"{needed} bytes")
+    return (
+        Facts(path, "ripple", shape, dtype.newbyteorder("=").name),
         offset,
-        f"{ORDERS.get(order, '|')}{kind}{size}",
-        shape,
+        dtype,
         record != "vector",
+    )
+
+
+def _refused(path: Path, field: str, found: str, expected: str) -> Exception:
+    fix = "Correct the .rpl."
+    return unreadable(
+        path, f"`{field}` is not understood", field=field, found=found, expected=expected, fix=fix
     )
 
 
@@ -140,31 +99,20 @@ def _whole(path: Path, keys: dict[str, str], key: str) -> int:
     text = keys.get(key, "")
     if text.isascii() and text.isdigit() and len(text) < 16:
         return int(text)
-    raise unreadable(
-        path,
-        f"`{key}` is not a whole number",
-        field=key,
-        found=text or "no such key",
-        expected="a whole number",
-    )
+    raise _refused(path, key, text or "no such key", "a whole number")
 
 
 # --- HDF5 of PyMca
 
 
 def read_hdf5_facts(path: Path) -> Facts:
-    """Return the facts of the maps in an HDF5 file of PyMca, or of the cube in one of another program.
-
-    Raises
-    ------
-    UnreadableCapture
-    """
+    """Return the facts of the maps in an HDF5 file of PyMca, or of the cube in one of another program; raises UnreadableCapture."""
     if not list_hdf5(path, RESULTS):
         return read_hdf5_cube_facts(path)
     names, shape = _maps_of_hdf5(path)
     check_memory(path, prod(shape), 8)
     labels = tuple(name.rpartition("/")[2] for name in names)
-    return Facts(path, "hdf5", shape, "float32", band_names=_named(labels, len(labels)))
+    return Facts(path, "hdf5", shape, "float32", band_names=labels)
 
 
 def read_hdf5_maps(path: Path) -> np.ndarray:
@@ -195,53 +143,3 @@ def _maps_of_hdf5(path: Path) -> tuple[list[str], tuple[int, ...]]:
     shape = (*next(iter(found.values())), len(found))
     check_size(path, shape, field="lines, samples, maps")
     return list(found), shape
-
-
-# --- common
-
-
-def _head(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            return file.read(MOST_HEADER)
-    except OSError as error:
-        raise unreadable(path, "the file cannot be opened", found=str(error)) from error
-
-
-def _named(names: tuple[str, ...], count: int) -> tuple[str, ...] | None:
-    """Return names where there are as many as maps, all different; None otherwise."""
-    return names if len(names) == count and len(set(names)) == count else None
-
-
-def _stack(
-    path: Path,
-    data: Path,
-    offset: int,
-    layout: str,
-    shape: tuple[int, ...],
-    by_map: bool,
-) -> Stack:
-    """Return a stack whose size was checked against its data."""
-    check_size(path, shape, field="width, height, maps")
-    needed = offset + prod(shape) * np.dtype(layout).itemsize
-    try:
-        size = data.stat().st_size
-    except OSError as error:
-        raise unreadable(
-            path,
-            "the numbers of the stack are not there",
-            found=str(error),
-            expected=data.name,
-            fix=f"Put {data.name} beside {path.name}.",
-        ) from error
-    if size < needed:
-        raise truncated(
-            data,
-            "the stack is truncated",
-            "width, height, maps",
-            f"{size} bytes",
-            f"{needed} bytes",
-        )
-    dtype = np.dtype(layout)
-    facts = Facts(path, "ripple", shape, dtype.newbyteorder("=").name)
-    return Stack(facts, data, offset, layout, by_map)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import re
 import struct
 from collections.abc import Sequence
@@ -13,7 +15,7 @@ import numpy as np
 from levkas.core.files import write_bytes, write_text
 from levkas.core.text import read_text
 from levkas.readers.envi import DATA_TYPES
-from levkas.readers.envi_header import find_data, parse_header
+from levkas.readers.envi_header import find_data, find_header, parse_header
 from levkas.readers.facts import check_memory, unreadable
 from levkas.readers.spectra import are_spectra, parse_spectra
 from levkas.readers.wavelengths import read_centres
@@ -89,26 +91,10 @@ def read_spectra(
 
 
 def write_spectra(path: str | Path, spectra: xarray.DataArray) -> list[Path]:
-    """Write a library of spectra: ``.sli`` with its header for ENVI, or ``.csv``.
+    """Write a library of spectra, as `read_spectra` returns them: ``.sli`` with its header for ENVI, or ``.csv``.
 
-    Parameters
-    ----------
-    path : path
-        Its suffix says which.
-    spectra : xarray.DataArray, (spectrum, wavelength)
-        As `read_spectra` returns them; one spectrum alone may be (wavelength,).
-
-    Returns
-    -------
-    written : list of Path
-        The files, the header last.
-
-    Raises
-    ------
-    ValueError
-        Of another suffix or other dimensions.
-    WriteRefused
-        Where the disk refuses.
+    One spectrum alone may be (wavelength,). Returns the files, the header last. Raises ValueError of another suffix or
+    other dimensions, WriteRefused where the disk refuses.
 
     Examples
     --------
@@ -120,28 +106,22 @@ def write_spectra(path: str | Path, spectra: xarray.DataArray) -> list[Path]:
     path = Path(path)
     if "spectrum" not in spectra.dims:
         named = spectra.coords["spectrum"].item() if "spectrum" in spectra.coords else spectra.name
-        spectra = spectra.drop_vars("spectrum", errors="ignore").expand_dims(
-            spectrum=[named or "1"]
-        )
-    if set(spectra.dims) != {"spectrum", "wavelength"}:
-        raise ValueError(f"spectra have dimensions spectrum and wavelength, these {spectra.dims}")
+        spectra = spectra.drop_vars("spectrum", errors="ignore")
+        spectra = spectra.expand_dims(spectrum=[named or "1"])
     table = spectra.transpose("spectrum", "wavelength")
     nm, names = table["wavelength"].values, [str(name) for name in table["spectrum"].values]
     if path.suffix.lower() == ".csv":
-        quoted = [f'"{name.replace(chr(34), chr(39))}"' if "," in name else name for name in names]
-        rows = [
-            ",".join(map(str, (at, *column))) for at, column in zip(nm, table.values.T, strict=True)
-        ]
-        write_text(path, "\n".join([",".join(["nm", *quoted]), *rows, ""]).replace("nan", ""))
+        text = io.StringIO()
+        rows = csv.writer(text, lineterminator="\n")
+        rows.writerow(["nm", *names])
+        rows.writerows([at, *column] for at, column in zip(nm, table.values.T, strict=True))
+        write_text(path, text.getvalue().replace("nan", ""))
         return [path]
     if path.suffix.lower() != ".sli":
         raise ValueError(f"a library of spectra is written as .sli or .csv, not {path.suffix!r}")
     plain = [re.sub(r"[{},\n]", " ", name).strip() for name in names]
     lines = [
-        "ENVI",
-        f"samples = {len(nm)}",
-        f"lines = {len(names)}",
-        "bands = 1",
+        *("ENVI", f"samples = {len(nm)}", f"lines = {len(names)}", "bands = 1"),
         *("header offset = 0", "file type = ENVI Spectral Library", "data type = 5"),
         *("interleave = bsq", "byte order = 0", "wavelength units = Nanometers"),
         f"wavelength = {{{', '.join(repr(float(at)) for at in nm)}}}",
@@ -158,66 +138,41 @@ Library = tuple[np.ndarray, np.ndarray, list[str]]
 
 
 def _read_sli(path: Path) -> Library:
-    header = parse_header(path if path.suffix.lower() == ".hdr" else _header_of(path))
+    beside = path if path.suffix.lower() == ".hdr" else find_header(path)
+    if beside is None:
+        raise _refused(path, "the library has no header beside it", "none", f"{path.stem}.hdr")
+    header = parse_header(beside)
     samples, lines = header.whole("samples"), header.whole("lines")
     kind = DATA_TYPES.get(header.whole("data type"))
-    order = ">" if header.text("byte order") == "1" else "<"
     if kind is None or header.whole("bands", default=1) != 1:
         found = f"data type {header.text('data type')}, {header.text('bands')} bands"
-        raise header.refusal(
-            *("this is no spectral library", "data type", found, "numbers, one band"),
-            "Open a cube with `levkas.open`.",
-        )
-    dtype = np.dtype(order + kind)
+        raise _refused(path, "this is no spectral library", found, "numbers, one band")
+    dtype = np.dtype((">" if header.text("byte order") == "1" else "<") + kind)
     offset = header.whole("header offset", least=0, default=0)
     needed = offset + samples * lines * dtype.itemsize
     data = find_data(header, needed)
-    if data.stat().st_size < needed:
-        raise unreadable(
-            data,
-            "the library is cut",
-            found=f"{data.stat().st_size} bytes",
-            expected=f"{needed} bytes",
-        )
+    if (size := data.stat().st_size) < needed:
+        raise _refused(data, "the library is cut", f"{size} bytes", f"{needed} bytes")
     check_memory(data, samples * lines, 8)
     values = np.fromfile(data, dtype, samples * lines, offset=offset).reshape(lines, samples)
     numbers = [number for number in header.numbers("wavelength") if number is not None]
-    centres = read_centres(numbers, header.text("wavelength units"))
-    if centres.nm is None or len(centres.nm) != samples:
-        raise header.refusal(
-            *(
-                "the library has no wavelengths",
-                "wavelength",
-                f"{len(numbers)}",
-                f"{samples} in nm or µm",
-            ),
-            "Write `wavelength` and `wavelength units`.",
-        )
+    nm = read_centres(numbers, header.text("wavelength units")).nm or ()
+    if len(nm) != samples:
+        found = f"{len(numbers)} wavelengths"
+        raise _refused(path, "the library has no wavelengths", found, f"{samples} in nm or µm")
     scale = header.number("reflectance scale factor") or 1.0
     named = header.fields.get("spectra names") or ()
     names = [named] if isinstance(named, str) else list(named)
     if len(names) != lines:
         names = [f"spectrum {number}" for number in range(1, lines + 1)]
-    return np.array(centres.nm), values.astype(float) / scale, names
-
-
-def _header_of(path: Path) -> Path:
-    from levkas.readers.envi_header import find_header
-
-    found = find_header(path)
-    if found is None:
-        raise unreadable(path, "the library has no header beside it", expected=f"{path.stem}.hdr")
-    return found
+    return np.array(nm), values.astype(float) / scale, names
 
 
 def _read_asd(path: Path) -> Library:
     """Read a file of an ASD FieldSpec, versions ASD to as8: 484 bytes of header, the spectrum, its white reference."""
-    if (size := path.stat().st_size) > LARGEST_ASD:
-        raise unreadable(
-            path, "the file is too large", found=f"{size} bytes", expected="a file of ASD"
-        )
-    data = path.read_bytes()
     try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST_ASD)
         kind, (first, step) = data[186], struct.unpack_from("<ff", data, 191)
         dtype = np.dtype("<" + ASD_TYPES[data[199]])
         count = struct.unpack_from("<H", data, 204)[0]
@@ -228,23 +183,16 @@ def _read_asd(path: Path) -> Library:
             words = struct.unpack_from("<H", data, behind + 18)[0]
             white = np.frombuffer(data, dtype, count, behind + 20 + words).astype(float)
     except (struct.error, KeyError, IndexError, ValueError) as error:
-        raise unreadable(path, "the file is cut, or none of ASD", found=str(error)) from None
+        raise _refused(path, "the file is cut, or none of ASD", str(error)) from None
     if not (count and first > 0 and step > 0):
-        raise unreadable(
-            path, "the file has no wavelengths", found=f"from {first:g} nm by {step:g} nm"
-        )
+        found = f"from {first:g} nm by {step:g} nm"
+        raise _refused(path, "the file has no wavelengths", found)
     if kind in (ASD_RAW, ASD_REFLECTANCE) and white is not None and white.any():
         with np.errstate(divide="ignore", invalid="ignore"):
             values = np.where(white > 0, values / white, np.nan)
     elif kind != ASD_REFLECTANCE:
-        raise unreadable(
-            path,
-            "the spectrum is no reflectance",
-            field="data type",
-            found=f"{kind}, without a white reference",
-            expected="reflectance, or counts with their white reference",
-            fix="Save it as reflectance in ViewSpec or RS3.",
-        )
+        found, expected = f"data type {kind}", "reflectance, or counts with their white reference"
+        raise _refused(path, "the spectrum is no reflectance", found, expected)
     return first + step * np.arange(count), values[None], [path.stem]
 
 
@@ -259,12 +207,8 @@ def _read_text(path: Path, wavelengths: Sequence[float] | None) -> Library:
             else _usgs_wavelengths(path, len(values))
         )
         if len(nm) != len(values):
-            raise unreadable(
-                path,
-                "the wavelengths do not match the channels",
-                found=f"{len(nm)}",
-                expected=f"{len(values)}",
-            )
+            what = "the wavelengths do not match the channels"
+            raise _refused(path, what, f"{len(nm)}", f"{len(values)}")
         name = re.sub(r".*Record\s*=?\s*\d+\s*:?", "", rows[0]).strip() or path.stem
         return nm, np.where(values < DELETED, np.nan, values)[None], [name]
     try:
@@ -272,9 +216,7 @@ def _read_text(path: Path, wavelengths: Sequence[float] | None) -> Library:
         if not are_spectra(table):
             raise ValueError("no wavelengths that rise in the first column")
     except ValueError as error:
-        raise unreadable(
-            path, "these are no spectra", found=str(error), expected=EXPECTED
-        ) from None
+        raise _refused(path, "these are no spectra", str(error)) from None
     names = (
         head[1:]
         or [path.stem] * (table.shape[1] == 2)
@@ -292,13 +234,9 @@ def _usgs_wavelengths(path: Path, channels: int) -> np.ndarray:
         if len(numbers) == channels:
             found.append(numbers)
     if len(found) != 1:
-        raise unreadable(
-            path,
-            "the wavelengths of this spectrum are not known",
-            found=f"{len(found)} files of {channels} wavelengths beside it",
-            expected="one, as …_Wavelengths_….txt",
-            fix="Put the library's file of wavelengths beside it, or give `wavelengths`, nm.",
-        )
+        what = f"{len(found)} files of {channels} wavelengths beside it"
+        expected = "one, as …_Wavelengths_….txt, or the argument `wavelengths`, nm"
+        raise _refused(path, "the wavelengths of this spectrum are not known", what, expected)
     return found[0] * (1000.0 if found[0].max() < NM_FROM else 1.0)
 
 
@@ -306,4 +244,8 @@ def _numbers(path: Path, rows: Sequence[str]) -> np.ndarray:
     try:
         return np.array([float(row) for row in rows if row.strip()])
     except ValueError as error:
-        raise unreadable(path, "these are no numbers, one a line", found=str(error)) from None
+        raise _refused(path, "these are no numbers, one a line", str(error)) from None
+
+
+def _refused(path: Path, what: str, found: str, expected: str = EXPECTED) -> Exception:
+    return unreadable(path, what, found=found, expected=expected)

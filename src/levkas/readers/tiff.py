@@ -24,14 +24,7 @@ from levkas.readers.facts import (
     truncated,
     unreadable,
 )
-from levkas.readers.images import (
-    ALPHA,
-    JPEG_2000,
-    JPEG_CODES,
-    JPEG_XL,
-    MOST_SCANS,
-    frame_size,
-)
+from levkas.readers.images import ALPHA, JPEG_CODES, MOST_SCANS, jpeg_size
 from levkas.readers.nodata import nodata_of, without_nodata
 from levkas.readers.tiff_bands import band_facts, camera_band
 from levkas.readers.tiff_directories import directories_of, images_among
@@ -42,7 +35,6 @@ PLAIN = 1  # tag Compression
 CODECS = {
     1: "none", 5: "LZW", 8: "deflate", 32946: "deflate", 32773: "PackBits", 34925: "LZMA",
     34926: "Zstandard", 50000: "Zstandard", **dict.fromkeys(JPEG_CODES, "JPEG"),
-    **dict.fromkeys(JPEG_2000, "JPEG 2000"), **dict.fromkeys(JPEG_XL, "JPEG XL"),
 }  # fmt: skip
 """Codes of the tag Compression that are read."""
 SLACK = 4096
@@ -335,11 +327,11 @@ def check_strips(path: Path, tiff: Any, page: Any, name: str) -> None:
 
 def _check_frames(path: Path, tiff: Any, page: Any) -> None:
     """Refuse strips that declare another size than their page: 300 bytes of JPEG can declare 4 GB."""
-    if page.compression not in (*JPEG_CODES, *JPEG_2000, *JPEG_XL):
+    if page.compression not in JPEG_CODES:
         return
     most = 4 * prod(page.chunks) + SLACK
     for data in strips_of(tiff, page):
-        samples, scans = frame_size(data, page.compression)
+        samples, scans = jpeg_size(data)
         if samples > most or scans > MOST_SCANS:
             raise unreadable(
                 path,

@@ -1,4 +1,4 @@
-"""Bands of a TIFF, by what its writer says of pages or samples: spectral TIFF, OME-XML, ImageJ, GDAL, XMP, names of pages."""
+"""Bands of a TIFF, by what its writer says of pages: spectral TIFF, XMP of cameras, ImageJ, names of pages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ METADATA = 65111
 REFLECTANCE_CODES = 65535.0
 """Of reflectance 1.0 in 16-bit pages of a spectral TIFF."""
 LONGEST_TEXT = 4 << 20
-"""Characters of a description that are looked at; 10,000 channels of OME-XML take half of it."""
+"""Characters of a text that are looked at."""
 LONGEST_LABEL = 60
 """Characters of a page's description that may be the label of a band: longer ones are prose."""
 
@@ -46,8 +46,6 @@ def band_facts(tiff: Any, pages: Sequence[Any], samples: int) -> dict[str, Any]:
     readers: list[Callable[[], Found]] = [
         lambda: _spectral(pages, count),
         lambda: _camera_bands(pages, count),
-        lambda: _ome(tiff, count),
-        lambda: _gdal(pages[0], count),
         lambda: _labels(_imagej(tiff), count),
         lambda: _labels([exif_text(value_of(p.tags, "PageName")) for p in pages], count),
         lambda: _labels([_short(p.description) for p in pages], count),
@@ -131,77 +129,6 @@ def camera_band(xmp: bytes | str) -> tuple[float | None, float | None, str | Non
     )
 
 
-def _ome(tiff: Any, count: int) -> Found:
-    """Read the channels of an OME-XML description of planes that are channels alone: emission before excitation."""
-    text = _described(tiff)
-    if "<OME" not in text[:4096] and "openmicroscopy" not in text[:4096]:
-        return {}
-    pixels = re.search(r"<(?:\w+:)?Pixels\b([^>]*)>", text)
-    if not pixels or any(_attribute(pixels[1], key) not in ("1", "") for key in ("SizeZ", "SizeT")):
-        return {}
-    channels = re.findall(r"<(?:\w+:)?Channel\b([^>]*)>", text)
-    order = _order_of_planes(text, count)
-    if len(channels) != count or order is None:
-        return {}
-    channels = [channels[i] for i in order]
-    made: Found = {}
-    names = [_attribute(channel, "Name") for channel in channels]
-    if all(names) and len(set(names)) == count:
-        made["band_names"] = tuple(names)
-    for key in ("EmissionWavelength", "ExcitationWavelength"):
-        values = [positive_number(_attribute(channel, key)) for channel in channels]
-        units = {_attribute(channel, f"{key}Unit") or "nm" for channel in channels}
-        if all(values) and len(units) == 1:
-            return {**_of_centres([v for v in values if v], units.pop()), **made}
-    return {**_labels(names, count), **made}
-
-
-def _order_of_planes(text: str, count: int) -> list[int] | None:
-    """Return the channel of every page; None where the description places them in another way."""
-    order = list(range(count))
-    for plane in re.findall(r"<(?:\w+:)?TiffData\b([^>]*)>", text):
-        page, channel = _attribute(plane, "IFD"), _attribute(plane, "FirstC") or "0"
-        if page and _attribute(plane, "PlaneCount") in ("1", ""):
-            if not (page.isdecimal() and channel.isdecimal() and int(page) < count):
-                return None
-            order[int(page)] = int(channel)
-    return order if sorted(order) == list(range(count)) else None
-
-
-def _attribute(text: str, name: str) -> str:
-    found = re.search(rf"\b{name}=(?:\"([^\"]*)\"|'([^']*)')", text)
-    return (found[1] or found[2] or "").strip() if found else ""
-
-
-def _gdal(page: Any, count: int) -> Found:
-    """Read the metadata of bands that GDAL's programs write, and say which scale or offset is not applied."""
-    text = (exif_text(value_of(page.tags, "GDAL_METADATA")) or "")[:LONGEST_TEXT]
-    items: dict[str, dict[int, str]] = {}
-    for attributes, content in re.findall(r"<Item\b([^>]*)>([^<]*)</Item>", text):
-        sample = _attribute(attributes, "sample")
-        if sample.isdecimal():
-            name = _attribute(attributes, "name").lower()
-            items.setdefault(name, {})[int(sample)] = content.strip()
-    every = {n: [v[i] for i in range(count)] for n, v in items.items() if set(v) >= {*range(count)}}
-    made: Found = {}
-    if (names := every.get("description")) and len(set(names)) == count:
-        made["band_names"] = tuple(names)
-    applied = {"scale": "1", "offset": "0"}
-    odd = [n for n, neutral in applied.items() if {*items.get(n, {}).values()} - {neutral}]
-    if odd:
-        made["note"] = f"{' and '.join(odd)} of the file (GDAL) are not applied"
-    for key, unit, width in (
-        ("wavelength", (every.get("wavelength_units") or [""])[0], "fwhm"),
-        ("central_wavelength_um", "um", "fwhm_um"),
-    ):
-        values = [positive_number(v) for v in every.get(key, [])]
-        if values and all(values):
-            widths = [positive_number(v) or 0.0 for v in every.get(width, [])]
-            centres = _of_centres([v for v in values if v], unit, widths or None)
-            return {**centres, **made}
-    return {**_labels(names or [], count), **made}
-
-
 def _imagej(tiff: Any) -> list[str]:
     """Return the labels of slices that ImageJ keeps for all pages in one tag."""
     labels = value_of(tiff.pages[0].tags, "IJMetadata")
@@ -218,10 +145,6 @@ def _labels(labels: Sequence[str | None], count: int) -> Found:
         sole = re.fullmatch(r"[^\d]{0,20}\d+(?:\.\d+)?\s*[a-zµμ]+\W*", known[0], re.IGNORECASE)
         return {"wavelengths": centres_in_names(known)} if sole else {}
     return {"wavelengths": centres_in_names(known), "page_labels": tuple(known)}
-
-
-def _described(tiff: Any) -> str:
-    return str(tiff.pages[0].description or "")[:LONGEST_TEXT]
 
 
 def _short(text: str | None) -> str | None:

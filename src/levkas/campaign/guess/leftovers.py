@@ -67,7 +67,7 @@ def _computed(capture: CaptureFile, scans: dict[str, list[CaptureFile]]) -> Capt
     Its name is part of the other's, and both lie in one folder or in one of the same folder below the root.
     """
     facts = capture.facts
-    picture = facts.kind in ("tiff", "png", "jpeg", "jpeg2000") and facts.dtype == "uint8"
+    picture = facts.kind in ("tiff", "png", "jpeg") and facts.dtype == "uint8"
     if not picture and not (facts.is_cube and facts.dtype.startswith("float")):
         return None
     parts = re.split(r"([\W_]+)", capture.path.stem.casefold())

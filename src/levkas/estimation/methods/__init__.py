@@ -20,7 +20,7 @@ from levkas.estimation.methods.pseudo_inverse import fit_pseudo_inverse
 from levkas.estimation.methods.root_polynomial import fit_root_polynomial
 from levkas.estimation.methods.wiener import fit_wiener
 from levkas.estimation.model import EstimationMethod, Model
-from levkas.readers.arrays import opening_npz
+from levkas.readers.arrays import DAMAGE, read_npz
 
 __all__ = [
     "METHODS",
@@ -108,20 +108,18 @@ def load_model(path: str | Path) -> tuple[str, Model]:
         With code ``E_MODEL`` where the file is not such a model, or one of another version.
     """
     try:
-        with opening_npz(Path(path), most=LARGEST) as arrays:
-            method, version = str(arrays["method"]), int(arrays["version"])
-            if version != VERSION:
-                raise ValueError(f"version {version}, expected {VERSION}")
-            model = find_method(method).read(arrays)
-            arrays.require_all_taken()
-            return method, model
-    except Refused as refused:
+        arrays = read_npz(Path(path), most=LARGEST)
+        method, version = str(arrays["method"]), int(arrays["version"])
+        if version != VERSION:
+            raise ValueError(f"version {version}, expected {VERSION}")
+        return method, find_method(method).read(arrays)
+    except (Refused, *DAMAGE) as error:
+        reason = error.problems[0].message if isinstance(error, Refused) else str(error)
         raise Refused(
             Problem(
                 "E_MODEL",
-                f"no fitted model of this version: {refused.problems[0].message}",
+                f"no fitted model of this version: {reason}",
                 file=str(path),
-                found=refused.problems[0].found,
                 fix="Fit it again with `levkas estimate -o`.",
             )
         ) from None
