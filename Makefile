@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE  # a hundred processes of the tests would each 
 WORKERS ?= 3
 PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -rfEs
 
-.PHONY: env demo test test-slow exhaustive mutants warm coverage test-all lint format hooks bench docs reference lock frontend peers compare fuzz clean
+.PHONY: env demo test test-slow exhaustive mutants warm coverage test-all lint format hooks bench docs reference lock frontend peers compare clean
 
 env: $(READY)
 	@echo "The environment is $(VENV). Next: make demo | test | lint | docs; CONTRIBUTING.md says more."
@@ -135,18 +135,6 @@ OUT ?= comparison
 compare: peers
 	PYTHONPATH=src $(PEERS)/bin/python benchmarks/methods.py $(CAMPAIGN) -o $(OUT)
 
-# Readers under mutation, guided by coverage: atheris, in an environment of its own.
-FUZZ := $(VENV)-fuzz
-SECONDS ?= 20
-fuzz: requirements-fuzz.lock
-	test -x $(FUZZ)/bin/python || $(PYTHON) -m venv $(FUZZ)
-	if command -v uv >/dev/null 2>&1; then \
-		uv pip install --python $(FUZZ)/bin/python --require-hashes -r requirements-fuzz.lock; \
-	else \
-		$(FUZZ)/bin/python -m pip install --disable-pip-version-check --require-hashes -r requirements-fuzz.lock; \
-	fi
-	PYTHONPATH=src $(FUZZ)/bin/python tests/fuzzing.py $(SECONDS)
-
 lock: # first the environment for development, then the same versions of what runs alone
 	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
 		--no-header --extra test --extra lint --extra docs pyproject.toml requirements-build.in -o requirements.lock
@@ -154,8 +142,6 @@ lock: # first the environment for development, then the same versions of what ru
 		--no-header --constraint requirements.lock pyproject.toml -o requirements-use.lock
 	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
 		--no-header --extra peers pyproject.toml -o requirements-peers.lock
-	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
-		--no-header --extra fuzz --constraint requirements.lock pyproject.toml -o requirements-fuzz.lock
 
 clean:
-	rm -rf $(VENV) $(PEERS) $(FUZZ) build dist demo docs/_build .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(PEERS) build dist demo docs/_build .pytest_cache .mypy_cache .ruff_cache

@@ -41,7 +41,7 @@ def test_every_extra_that_a_command_needs_is_named():
     optional = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"][
         "optional-dependencies"
     ]
-    assert set(doctor.EXTRAS) == set(optional) - {"test", "lint", "fuzz"}
+    assert set(doctor.EXTRAS) == set(optional) - {"test", "lint"}
 
 
 def test_the_machine_that_runs_the_tests_lacks_nothing_required(examination):

@@ -125,6 +125,5 @@ def test_every_extra_that_a_command_needs_is_asked_of():
         "test",
         "lint",
         "peers",
-        "fuzz",
         "docs",
     }
