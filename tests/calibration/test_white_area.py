@@ -123,15 +123,6 @@ def fields(seed=4):
 CLEAN = np.ones(SHAPE)
 
 
-@pytest.mark.parametrize("count", [1, 4])
-def test_texture_of_a_board_that_stands_still_is_said(count):
-    scene, board_ = fields(), texture(0.05)
-    white, shot = shots(board_, CLEAN, 2, count), shots(scene, CLEAN, 1, count)
-    found = find_white_area(shot, white, DARK)
-    (note,) = found.notes
-    assert float(re.search(r"([\d.]+) % rms", note)[1]) == pytest.approx(5, rel=0.3)
-
-
 def test_detail_that_object_and_white_share_is_the_sensors():
     for response in (texture(0.05), specks(), specks(count=20) * texture(0.02)):
         found = find_white_area(shots(fields(), response, 1), shots(CLEAN, response, 2), DARK)

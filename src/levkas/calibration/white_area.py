@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.calibration.white_detail import SCALES, detail, find_board_detail
 from levkas.core.problems import Problem
 from levkas.core.threads import each
 
@@ -37,6 +37,9 @@ EDGE, OTHER = (
 LINES, BRIGHT = 16, 0.2  # lines that show what moves; share of the brightest band that a band has
 MOVING, USUAL = 0.05, 4.0  # rms along the scan, relative; and over that of the steadier samples
 LONG = 0.25  # of the frame's shorter side: a scratch or a hair is shorter
+FINE, FIELDS = (1.0, 4.0), (4.0, 16.0)  # px: of texture and dust; of painted fields and blurred ones
+SMALL = 150  # px of the shorter side of a frame below which its fields are smaller too
+STRUCTURE, MUCH = 0.05, 0.5  # rms of a block, and share of blocks that have it, of a picture
 
 
 class WhiteArea(NamedTuple):
@@ -116,7 +119,7 @@ def find_white_area(
     inside = _inside(lit)
     sound &= inside
     scene, lit = (_grown_over(plane, inside) for plane in (scene, lit))
-    of_object, of_white = each(lambda plane: detail(plane, SCALES[0]).between, (scene, lit))
+    of_object, of_white = each(partial(_detail, scale=FINE), (scene, lit))
     side = max(3, min(SIDE, min(reduced) // BLOCKS))
     state = _state(_blocks(of_object, of_white, sound, side))
     uncovered = _grown(state) if np.any(state > 0) else np.zeros_like(state, bool)
@@ -131,15 +134,9 @@ def find_white_area(
         mask = _at_size(uncovered, side, reduced, size)
         notes.append(_note(mask))
         sound &= ~_at_size(uncovered, side, reduced, reduced)
-    found = find_board_detail(scene, lit, sound)
-    if found.picture and sound.mean() > MOST:
+    if sound.mean() > MOST and (picture := _picture_in(scene, lit, sound)):
         brighter = float(np.median(scene[sound] / lit[sound])) > 1
-        raise CalibrationRefused(_shows_a_picture(found.picture, found.smooth and brighter))
-    if found.texture and not notes:
-        notes.append(
-            f"the white has detail of {100 * found.texture:.2g} % rms that the object does not have: texture or dirt of the board "
-            "is divided into the object. Sigma does not include it; move or defocus the board from shot to shot"
-        )
+        raise CalibrationRefused(_shows_a_picture(picture.rms, picture.smooth and brighter))
     return WhiteArea(mask, tuple(notes))
 
 
@@ -207,6 +204,43 @@ def find_white_line(white: Template, level: np.ndarray) -> WhiteArea:
     if share > MOST:
         raise CalibrationRefused(_shows_object(share))
     return WhiteArea(parts, (_note(parts),)) if parts.any() else WhiteArea()
+
+
+class _Picture(NamedTuple):
+    """Relative rms of a white that is a picture, and whether the object has far less detail."""
+
+    rms: float
+    smooth: bool
+
+
+def _picture_in(scene: np.ndarray, lit: np.ndarray, sound: np.ndarray) -> _Picture | None:
+    """Return what most blocks of a white show at the scale of painted fields and the object does not; None of a board.
+
+    White and object are products of light, sensor and what they show. With their relative details w and s, detail of
+    the sensor is in both, and ⟨w²⟩ − ⟨w s⟩ is the square of what the white shows by itself.
+    """
+    small = min(1.0, min(lit.shape) / SMALL)
+    scale = (FIELDS[0] * small, FIELDS[1] * small)
+    s, w = each(partial(_detail, scale=scale), (scene, lit))
+    own, shown, common, counted = _blocks(s, w, sound, int(4 * scale[1]))
+    some = counted > 0.25
+    if not some.any() or np.mean(shown[some] > STRUCTURE**2) <= MUCH:
+        return None
+    alone = float((shown - common)[some].mean())
+    if alone <= float(shown[some].mean()) / 4:
+        return None
+    return _Picture(float(np.sqrt(alone)), bool(own[some].mean() < shown[some].mean() / 9))
+
+
+def _detail(plane: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
+    """Return the relative detail of a plane between two scales, px, (h, w); light goes on beyond the border as it falls off."""
+    import cv2
+
+    rim = min(int(4 * scale[1]), min(plane.shape) - 1)
+    wide = np.pad(plane, rim, mode="reflect", reflect_type="odd")
+    fine, coarse = (cv2.GaussianBlur(wide, (0, 0), s)[rim:-rim, rim:-rim] for s in scale)
+    base = np.maximum(np.abs(coarse), max(1e-3 * float(np.median(np.abs(coarse))), 1e-9))
+    return (fine - coarse) / base
 
 
 def _plane(array: np.ndarray) -> np.ndarray:
