@@ -74,26 +74,6 @@ def test_what_the_lamp_did_between_white_and_object_is_in_the_budget_and_reporte
     assert "changed by -5 % within the white" in drifted.camera
 
 
-def test_whites_before_and_after_are_interpolated_to_the_time_of_the_object(tmp_path):
-    moments = {
-        "white_*_0": "2025:03:01 10:00:00",
-        "panel_*": "2025:03:01 10:01:00",
-        "white_*_1": "2025:03:01 10:04:00",
-    }
-
-    def falling(name, shot, band=0):
-        fall = 0.05 * (1 + band / 3)  # more in the red
-        return {"white": [1.0, 1 - fall][shot % 2], "panel": 1 - fall / 4}.get(name, 1.0)
-
-    made = Built(tmp_path / "c", falling, moments, whites=2)
-    assert abs(made.bias) < 0.003
-    assert made.budget["lamp between white and object"]["size"]["450 nm"] == pytest.approx(
-        0.05 * np.sqrt(0.25 * 0.75 / 2), rel=0.1
-    )
-    assert "interpolated to its time" in made.report
-    assert "all at once between white and object" not in made.camera
-
-
 def test_a_black_level_that_wanders_is_no_noise_and_is_in_the_budget(tmp_path):
     wander = np.random.default_rng(3).normal(0, 6, 8)
 
@@ -128,8 +108,8 @@ def test_a_black_level_that_wanders_is_no_noise_and_is_in_the_budget(tmp_path):
 
 
 def test_noise_of_a_weak_band_is_no_change_of_the_lamp():
-    none = {"white": 0.0, "object": None, "flicker": 0.0, "factor": 1.0, "sigma": 0.007}
-    weak = none | {"black": None, "black_sigma": 0.0, "interpolated": False}
+    none = {"white": 0.0, "object": None, "flicker": 0.0, "sigma": 0.007}
+    weak = none | {"black": None, "black_sigma": 0.0}
     assert describe_lamp({"": {LAMP: {"1000 nm": weak}}}) == []
     strong = weak | {"white": -0.006, "sigma": 0.006}
     (note,) = describe_lamp({"": {LAMP: {"1000 nm": weak, "900 nm": strong}}})

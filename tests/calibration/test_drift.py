@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -7,7 +5,6 @@ from levkas.calibration.drift import (
     CellMeans,
     average_steady,
     black_between,
-    black_in_white,
     lamp_between,
     measure_drift,
 )
@@ -148,7 +145,7 @@ def coverage(lamp, white_at, shot_at, known, count=2000, error=2e-4):
             for s, t in zip(observed, (white_at, shot_at), strict=True)
         ]
         found = lamp_between(*stacks)
-        miss = at[1].mean() / at[0].mean() - found.factor[0]
+        miss = at[1].mean() / at[0].mean() - 1
         held += abs(miss) < 1.96 * max(found.sigma[0], error)
     return held / count
 
@@ -184,54 +181,6 @@ def test_the_light_on_the_object_is_known_as_well_as_stated(lamp, white_at, shot
     assert coverage(lamp, white_at, shot_at, known) > 0.87
 
 
-@pytest.mark.parametrize(
-    ("white_at", "shot_at"),
-    [
-        ([0, 8], [4]),
-        ([0, 8], [1]),
-        ([0, 1, 2, 6, 7, 8], [3, 4, 5]),
-        ([0, 1, 2, 30, 31, 32], [9, 10, 11]),
-    ],
-)
-def test_the_error_of_an_interpolated_lamp_is_as_large_as_stated(white_at, shot_at):
-    """Steady, settling and wandering lamps that change by as much, together: each by itself is not known to be one."""
-    rng, missed, stated = np.random.default_rng(8), [], []
-    end, error = max(white_at), 1e-4
-    for k in range(600):
-        at = np.linspace(0, 1, 200)
-        rate = rng.uniform(1, 5)
-        course = (at, (1 - np.exp(-rate * at)) / (1 - np.exp(-rate)))[k % 3 % 2] * rng.normal()
-        if k % 3 == 2:
-            course = np.cumsum(rng.standard_normal(200)) / 200**0.5
-        white, shot = (np.interp(t, end * at, 1 + 0.02 * course) for t in (white_at, shot_at))
-        levels = white / white.mean() * rng.normal(1, error, len(white))
-        found = lamp_between(
-            ShotLevels(levels[:, None], np.array([error]), tuple(map(float, white_at))),
-            ShotLevels(
-                (shot / shot.mean())[:, None], np.array([error]), tuple(map(float, shot_at))
-            ),
-        )
-        missed.append(shot.mean() / white.mean() - found.factor[0])
-        stated.append(found.sigma[0])
-    rms_missed, rms_stated = (np.sqrt(np.mean(np.square(one))) for one in (missed, stated))
-    assert 0.8 < rms_missed / rms_stated < 1.2
-
-
-def test_a_black_level_between_darks_on_both_sides_is_known_better_than_it_changed():
-    """A walk of the level about an object that was captured amid the darks, whose mean is subtracted."""
-    rng, missed, stated = np.random.default_rng(9), [], []
-    for _ in range(1000):
-        walk = 0.3 * np.cumsum(rng.standard_normal(12))
-        darks = np.append(walk[:3], walk[9:])
-        times = (0.0, 1.0, 2.0, 9.0, 10.0, 11.0)
-        levels = ShotLevels((darks - darks.mean())[:, None], np.array([1e-3]), times)
-        taken = ShotLevels(np.ones((1, 1)), np.array([1e-3]), (5.0,))
-        missed.append(walk[5] - darks.mean())
-        stated.append(black_between(levels, taken).sigma[0])
-    rms_missed, rms_stated = (np.sqrt(np.mean(np.square(one))) for one in (missed, stated))
-    assert 0.8 < rms_missed / rms_stated < 1.4
-
-
 def test_noise_changes_the_lamp_in_none_of_many_bands():
     """Whites of 64 lines and 580 bands, whose levels have noise alone; a drift of 2 % is found in all of them."""
     rng = np.random.default_rng(3)
@@ -258,26 +207,3 @@ def test_a_black_level_that_wanders_goes_on_until_the_object_is_captured():
         assert stated[-1] >= black_between(levels).sigma[0]
     rms_missed, rms_stated = (np.sqrt(np.mean(np.square(one))) for one in (missed, stated))
     assert 0.7 < rms_stated / rms_missed < 1.4
-
-
-@pytest.mark.parametrize("reflectance", [0.0, 0.5, 0.9])
-def test_what_the_white_has_of_an_error_of_the_black_level_leaves_bright_values(reflectance):
-    """A walk of the level: six darks, three whites, and an object after them, whose reflectance it moves by δ − R δ of the white."""
-    rng, missed, stated = np.random.default_rng(10), [], []
-    dark, white, shot = (tuple(map(float, range(*ends))) for ends in ((0, 6), (6, 9), (9, 12)))
-    for _ in range(1500):
-        walk = 0.3 * np.cumsum(rng.standard_normal(12))
-        walk -= walk[:6].mean()
-        missed.append(walk[9:].mean() - reflectance * walk[6:9].mean())
-        stacks = (
-            ShotLevels(walk[:6, None], np.array([1e-3]), dark),
-            ShotLevels(np.ones((3, 1)), np.array([1e-3]), shot),
-            ShotLevels(np.ones((3, 1)), np.array([1e-3]), white),
-        )
-        stated.append(
-            black_between(*stacks[:2]).sigma[0] * (1 - reflectance * black_in_white(*stacks))
-        )
-    rms_missed, rms_stated = (np.sqrt(np.mean(np.square(one))) for one in (missed, stated))
-    assert 0.7 < rms_missed / rms_stated < 1.4, rms_missed / rms_stated
-    untimed = replace(stacks[1], times_s=None)
-    assert black_in_white(stacks[0], untimed, stacks[2]) == 0.0

@@ -27,7 +27,6 @@ from levkas.quality.targets.stray_light import NOT_MEASURED
 from levkas.stages.budget import budget_of
 from levkas.stages.capture_statistics import (
     FEW_BANDS,
-    LAMP_DOUBT,
     SENSELS,
     STRAYED,
     VIEW,
@@ -410,9 +409,7 @@ def _of_lamp(of_sensor: Mapping[str, Any]) -> list[str]:
     scan, notes = of_sensor[LAMP][band], []
     if abs(lamps[band]) * max(scan.get("reach", 0.0), 1.0) > NOTICED:
         notes.append(f"{band}: the lamp changed by {100 * lamps[band]:+.2g} % within the white")
-    elif scan.get("detection_limit", 0.0) > LAMP_DOUBT:
-        notes.append(LAMP_UNDETECTED.format(percent=100 * scan["detection_limit"]))
-    return notes if scan["interpolated"] else [*notes, LAMP_JUMP]
+    return [*notes, LAMP_JUMP]
 
 
 LAMP_UNKNOWN = (
@@ -422,10 +419,6 @@ LAMP_UNKNOWN = (
 LAMP_JUMP = (
     "whether the lamp changed all at once between white and object is not known: nothing shows it without whites before and after "
     "the objects, with the time in their files"
-)
-LAMP_UNDETECTED = (
-    "no change of the lamp was found within the white; a steady one of {percent:.2g} % until the end of the object would not have "
-    "been, and sigma does not contain it: scan more lines of the white"
 )
 BY_ITSELF = (
     "the camera's white is a chart: the colours of that chart were fitted to the "

@@ -1,7 +1,7 @@
 """Shots of a stack that differ by more than noise and lamp.
 
 A lamp that changes does so for all pixels alike. What only a part of one shot of a *white* has, or none of its light, is
-no lamp: the shot is left out where most of the others agree, and where they do not the white is contradicted by itself.
+no lamp: such whites are refused, and named where most of the others agree.
 A shot of an *object* is compared with the first as a small picture: another scene, another place, other light and another
 exposure are told apart, and none of them is averaged. What moved in a part of the picture is none of these (`motion`).
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from pathlib import Path
 
 import numpy as np
 
@@ -22,6 +22,7 @@ DIM = 0.02  # of the brightest cells: darker ones hold noise alone
 LOCAL = 0.03  # of the light of a cell: a lamp that moves or flickers in bands does less
 SIGMAS = 8.0  # of the noise of cells: of 200 shots, 64 cells, 200 bands one in 10^9 is beyond it
 STEADY = (0.7, 1.4)  # least and greatest light of a shot that is a lamp's
+NAMED = 3  # shots that a message names
 CONTRADICTED = 0.1  # of the light of a cell: the mean of two whites is then wrong by as much
 PICTURE, PATCH, PLACES = 320, 64, (0.2, 0.5, 0.8)
 """Longer side of the small picture, px; side of the patches kept at full size, px of one phase, and where their middles lie."""
@@ -58,57 +59,36 @@ NO_SHOTS = (
 )
 
 
-class DifferingShots(NamedTuple):
-    """Shots of a stack that are left out, and how much the rest differ.
-
-    Parameters
-    ----------
-    left_out : tuple of int
-        Indices of shots, ascending.
-    apart : float
-        Largest deviation of a cell of a shot that is kept from the median of all, relative; 0 where it does not stand
-        out of noise. Of shots with other light, of which none is most of them, the deviation of all cells.
-    """
-
-    left_out: tuple[int, ...] = ()
-    apart: float = 0.0
-
-
-def find_differing_shots(light: np.ndarray) -> DifferingShots:
-    """Find the shots of one scene that show something else than most of them.
+def find_differing_shots(light: np.ndarray) -> tuple[tuple[int, ...], float]:
+    """Find the shots of one scene that show something else than most of them, and by how much.
 
     Parameters
     ----------
     light : ndarray, (shots, channels, cells)
         Mean counts of the cells above dark, as of `drift.cell_means`.
 
+    Returns
+    -------
+    differing : tuple of int
+        Indices of shots; nothing where no majority agrees.
+    apart : float
+        Largest deviation of a cell of a shot from the median of all, relative, or of all cells of a shot with other light;
+        0 where none stands out of noise.
+
     Examples
     --------
     >>> rng = np.random.default_rng(1)
     >>> light = rng.normal(1000, 1, (5, 1, 64)) * np.array([1, 1.01, 1.02, 1.01, 1])[:, None, None]
     >>> light[3, 0, :9] *= 0.4
-    >>> find_differing_shots(light)
-    DifferingShots(left_out=(3,), apart=0.0)
-    >>> round(find_differing_shots(light[2:4]).apart, 2)
-    0.43
+    >>> differing, apart = find_differing_shots(light)
+    >>> differing, round(apart, 1)
+    ((3,), 0.6)
     """
-    count = len(light)
-    if count < 2:
-        return DifferingShots()
-    away = np.array([_away(light[:, k]) for k in range(light.shape[1])])
-    lamps, local = away.max(0).T
-    off = lamps > 0
-    differing = off | (local > 0)
-    if not differing.any():
-        return DifferingShots()
-    if 2 * np.count_nonzero(differing) < count:
-        return DifferingShots(tuple(np.flatnonzero(differing).tolist()))
-    if off.any() and 2 * np.count_nonzero(off) < count:  # the rest is judged without them
-        kept = np.flatnonzero(~off)
-        rest = find_differing_shots(light[kept])
-        out = {*np.flatnonzero(off).tolist(), *kept[list(rest.left_out)].tolist()}
-        return DifferingShots(tuple(sorted(out)), rest.apart)
-    return DifferingShots((), float(max(lamps.max(), local.max())))
+    if len(light) < 2:
+        return (), 0.0
+    away = np.array([_away(light[:, k]) for k in range(light.shape[1])]).max(axis=(0, 2))
+    found = np.flatnonzero(away > 0)
+    return tuple(found.tolist()) if 2 * len(found) < len(light) else (), float(away.max())
 
 
 def require_agreement(shots: ShotLevels | None, names: Sequence[str] = ()) -> None:
@@ -116,14 +96,16 @@ def require_agreement(shots: ShotLevels | None, names: Sequence[str] = ()) -> No
     if shots is None:
         return
     if shots.apart > CONTRADICTED:
+        which = [Path(names[k]).name if names else f"shot {k + 1}" for k in shots.differing[:NAMED]]
         raise CalibrationRefused(
             Problem(
                 "E_UNLIKE_SHOTS",
                 "the shots of the white contradict each other",
-                found=f"parts of {len(shots.levels)} shots that differ by up to {100 * shots.apart:.0f} % from the middle of "
-                "them, and no majority that agrees",
+                file=names[shots.differing[0]] if names and shots.differing else None,
+                found=f"parts of {len(shots.levels)} shots that differ by up to {100 * shots.apart:.0f} % from the middle of them"
+                + (f": {', '.join(which)}" if which else ""),
                 expected="the same board in every shot",
-                fix="Remove the shots in which something stood before the board, or it had moved; capture three whites or more.",
+                fix="Remove the shots in which something stood before the board, or it had moved, or other light fell.",
             )
         )
     unlike = [

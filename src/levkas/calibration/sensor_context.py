@@ -320,18 +320,13 @@ class SensorContext:
             )
         with placing(frames):
             require_agreement(template.shots, [str(frame.path) for frame in frames])
-        if frames[0] in self.sensor.white:
-            self.note_white(template, frames)
+        self.note_white(template, frames)
         return self.whole(template, frames)
 
     def note_white(self, white: Template, frames: Sequence[FrameRef]) -> None:
-        """Note the shots of a white that were left out, in `measured`; each frame is a shot."""
-        if (shots := white.shots) is not None and (shots.left_out or shots.apart):
-            names = [frames[k].path.name for k in shots.left_out]
-            self.measured.setdefault(WHITE_SHOTS, {})[frames[0].band or ""] = {
-                "left_out": names,
-                "apart": shots.apart,
-            }
+        """Note by how much parts of the shots of a white differ, in `measured`."""
+        if frames[0] in self.sensor.white and white.shots is not None and white.shots.apart:
+            self.measured.setdefault(WHITE_SHOTS, {})[frames[0].band or ""] = white.shots.apart
 
     def _dark(self, frames: Sequence[FrameRef]) -> Template:
         return self.unclipped(self._averaged(frames, None), islice(self.read(frames), SHOTS))

@@ -60,10 +60,10 @@ class ShotLevels:
         Standard deviation that noise alone gives to a level; infinite where the stack has no light.
     times_s : tuple of float, optional
         When each shot was captured, s from any origin; None where its file does not state it.
-    left_out : tuple of int
-        Shots that show something else than most of the stack, which neither its mean nor its levels hold.
+    differing : tuple of int
+        Of a white: shots that show something else than most of the stack.
     apart : float
-        Of a white: relative deviation of a part of a shot from the others where no majority agrees, else 0.
+        Of a white: largest relative deviation of a part of a shot from the others, 0 where none stands out of noise.
     unlike : tuple of (index, what, by how much)
         Of an object: shots that differ from the first by more than noise and lamp, as `differing_shots.difference_between` has it.
     """
@@ -71,7 +71,7 @@ class ShotLevels:
     levels: np.ndarray
     error: np.ndarray
     times_s: tuple[float, ...] | None = None
-    left_out: tuple[int, ...] = ()
+    differing: tuple[int, ...] = ()
     apart: float = 0.0
     unlike: tuple[tuple[int, str, float], ...] = ()
 

@@ -37,7 +37,10 @@ EDGE, OTHER = (
 LINES, BRIGHT = 16, 0.2  # lines that show what moves; share of the brightest band that a band has
 MOVING, USUAL = 0.05, 4.0  # rms along the scan, relative; and over that of the steadier samples
 LONG = 0.25  # of the frame's shorter side: a scratch or a hair is shorter
-FINE, FIELDS = (1.0, 4.0), (4.0, 16.0)  # px: of texture and dust; of painted fields and blurred ones
+FINE, FIELDS = (
+    (1.0, 4.0),
+    (4.0, 16.0),
+)  # px: of texture and dust; of painted fields and blurred ones
 SMALL = 150  # px of the shorter side of a frame below which its fields are smaller too
 STRUCTURE, MUCH = 0.05, 0.5  # rms of a block, and share of blocks that have it, of a picture
 

@@ -66,7 +66,7 @@ def budget_of(
     rows = [
         *_noise(bands, measured),
         *_white(campaign, capture, measured),
-        *_light(bands, measured, levels_of_board(campaign, capture), at_once, one_sensor),
+        *_light(bands, measured, at_once, one_sensor),
         _declared(
             *(
                 LINEARITY,
@@ -168,14 +168,13 @@ def _white(
 def _light(
     bands: Sequence[Band],
     measured: Mapping[str, Mapping[str, Any]],
-    board: Mapping[str, float],
     at_once: bool,
     one_sensor: bool,
 ) -> Iterator[ErrorSource]:
     """Yield how far the lamp and the black level are known between white, dark and object.
 
-    What the white has of an error of the black level leaves what is as bright as the white. Bands that are exposed at once share the
-    lamp; those of a tunable filter do not see it at one time. Each sensor has a black level of its own.
+    Bands that are exposed at once share the lamp; those of a tunable filter do not see it at one time. Each sensor has a black level
+    of its own.
     """
     found = {
         label: one
@@ -203,12 +202,7 @@ def _light(
     }
     for of_sensor in measured.values():
         black |= of_sensor.get(BLACK_WANDER, {})
-    shared = {label: found.get(label, {}).get("black_in_white") for label in black}
-    zero = {label: board.get(label, 1.0) / share for label, share in shared.items() if share}
-    black = {label: size / zero.get(label, 1.0) for label, size in black.items()}
-    row = ErrorSource(
-        BLACK_ROW, "reflectance", black, "frame", all_bands=at_once and one_sensor, zero_at=zero
-    )
+    row = ErrorSource(BLACK_ROW, "reflectance", black, "frame", all_bands=at_once and one_sensor)
     if len(black) < len({band.label for band in bands}):
         clipped = any(of_sensor.get(CLIPPED_DARKS) for of_sensor in measured.values())
         advice = RAISE_BLACK if clipped else "two darks or more, before the object and after it"

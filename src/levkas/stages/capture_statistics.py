@@ -208,12 +208,10 @@ def note_lamp(
     lamp: LampChange,
     dark: LampChange | None = None,
     per_count: Sequence[float] = (),
-    shared: float = 0.0,
 ) -> None:
     """Note how lamp and black level changed between darks, white and object in `measured`, band by band.
 
-    `dark` is the wander of the black level, counts; `per_count` is the reflectance of a count in each band, `shared` by which
-    share that error is less of what is as bright as the white.
+    `dark` is the wander of the black level, counts; `per_count` is the reflectance of a count in each band.
     """
     notes = measured.setdefault(LAMP, {})
     for i, label in enumerate(labels):
@@ -221,7 +219,6 @@ def note_lamp(
             "white": lamp.white[i],
             "object": lamp.shot[i],
             "flicker": lamp.flicker[i],
-            "factor": lamp.factor[i],
             "sigma": lamp.sigma[i],
             "black": np.nan if dark is None else dark.white[i],
             "black_sigma": 0.0 if dark is None else dark.sigma[i] * per_count[i],
@@ -230,13 +227,8 @@ def note_lamp(
         if dark is not None:
             within = np.hypot(*np.nan_to_num([dark.white[i], dark.flicker[i]]))
             notes[label]["black_within"] = as_number(float(within * per_count[i]))
-            notes[label]["black_in_white"] = as_number(shared)
-        notes[label]["interpolated"] = lamp.timed
         if lamp.reach:
-            notes[label] |= {
-                "reach": as_number(lamp.reach),
-                "detection_limit": as_number(lamp.detection_limit),
-            }
+            notes[label]["reach"] = as_number(lamp.reach)
 
 
 def describe_lamp(measured: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -254,13 +246,6 @@ def describe_lamp(measured: Mapping[str, Mapping[str, Any]]) -> list[str]:
         if one["white"] or one["object"] or (one["flicker"] or 0.0) >= LAMP_DOUBT
     ]
     worst = max(changed, key=lambda label: bands[label]["sigma"], default="")
-    factors = {label: one["factor"] for label, one in bands.items() if one["interpolated"]}
-    if factors and any(factor != 1 for factor in factors.values()):
-        low, high = (100 * (pick(factors.values()) - 1) for pick in (min, max))
-        notes.append(
-            "the lamp changed between the whites before and after the object and is interpolated to its time of capture: "
-            f"{low:+.2g} to {high:+.2g} % against the mean of the whites"
-        )
     if changed and bands[worst]["sigma"] >= LAMP_DOUBT:
         one = bands[worst]
         changes = [

@@ -322,7 +322,7 @@ def flatten(
 ) -> Calibrated:
     """Flat-field with the files named in every refusal; `moved` is what the exposures showed already."""
     if white is not None and not context.camera.traits.is_scanned:
-        board = _with_lamp(context, shot, dark, white, board)
+        note_lamp_between(context, shot, dark, white, board)
     try:
         flat = flat_field(
             shot, dark or None, white,
@@ -370,21 +370,6 @@ def _without(flat: Calibrated, absent: np.ndarray) -> Calibrated:
     variance = None if variance is None else np.where(absent, nothing, variance)
     flags = np.where(absent, np.uint8(Flag.OUTSIDE), flat.flags)
     return replace(flat, values=values, variance=variance, flags=flags)
-
-
-def _with_lamp(
-    context: SensorContext,
-    shot: Template,
-    dark: list[Template],
-    white: Template,
-    board: WhiteBoard,
-) -> WhiteBoard:
-    """Return the board as bright as it was at the time of the object."""
-    lamp = note_lamp_between(context, shot, dark, white, board)
-    if lamp is None or np.all(lamp.factor == 1):
-        return board
-    known = np.broadcast_to(np.asarray(board.reflectance, float), len(board.labels or ()))
-    return replace(board, reflectance=known / lamp.factor)
 
 
 def _moved(

@@ -15,12 +15,10 @@ import numpy as np
 from levkas.calibration.clipped_darks import MANY_ZEROS, pairs_of_lines
 from levkas.calibration.darks import level_under
 from levkas.calibration.differing_shots import require_agreement
-from levkas.calibration.drift import average_steady, lamp_between
+from levkas.calibration.drift import average_steady, lamp_along, lamp_between
 from levkas.calibration.exposures import best_exposure
 from levkas.calibration.noise_fit import fit_noise
-from levkas.calibration.scan_lamp import lamp_along
 from levkas.calibration.sensor_context import (
-    WHITE_SHOTS,
     Times,
     by_exposure,
     capture_times,
@@ -187,14 +185,6 @@ class FrameLines:
         )
         return timed(self.context.whole(template, self.frames), self.times)
 
-    def agreeing(self, thinned: Template) -> FrameLines:
-        """Return the shots that show what most of them do; raises CalibrationRefused where they contradict each other."""
-        with placing(self.frames):
-            require_agreement(thinned.shots)
-        self.context.note_white(thinned, self.frames)
-        lost = thinned.shots.left_out if thinned.shots else ()
-        return replace(self, files=tuple(f for k, f in enumerate(self.files) if k not in lost))
-
     def _thin(self, file: ScanFile, step: int) -> Iterator[np.ndarray]:
         """Yield lines of one shot, codes checked."""
         height = file.shape[0]
@@ -288,10 +278,11 @@ def average_lines(
         black_clip=context.black_clip,
         white=white,
     )
-    if white and template.shots is not None and (lost := template.shots.left_out):
-        count = sum(file.shape[0] for file in files)
-        name = f"{len(lost)} of {count} lines of {frames[0].path.name}"
-        context.measured.setdefault(WHITE_SHOTS, {})[""] = {"left_out": [name], "apart": 0.0}
+    if (
+        white and template.shots is not None and template.shots.differing
+    ):  # what moves all along is found as such
+        with placing(frames):
+            require_agreement(template.shots)
     return context.whole(template, frames)
 
 
@@ -314,7 +305,10 @@ def _of_mirror(context: SensorContext, shape: tuple[int, int, int]) -> ScanTempl
         under = [d.thinned(step) if isinstance(d, FrameLines) else _columns(d, step) for d in darks]
         looked = [one.thinned(step, under) for one in whites]
         chosen = best_white(looked)
-        white, thinned = whites[chosen].agreeing(looked[chosen]), looked[chosen]
+        white, thinned = whites[chosen], looked[chosen]
+        with placing(white.frames):
+            require_agreement(thinned.shots, [str(frame.path) for frame in white.frames])
+        context.note_white(thinned, white.frames)
         _note_lamp_of(context, thinned)
         level = level_under(thinned, under, black=context.black)
         with placing(sensor.white):

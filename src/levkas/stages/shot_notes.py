@@ -12,7 +12,7 @@ import numpy as np
 
 from levkas.calibration.clipped_darks import MANY_ZEROS
 from levkas.calibration.darks import level_under
-from levkas.calibration.drift import black_between, black_in_white, lamp_between
+from levkas.calibration.drift import black_between, lamp_between
 from levkas.calibration.flatfield import pair_darks
 from levkas.calibration.noise_fit import UNLIKE, compare_noise, smooth_groups
 from levkas.calibration.patterns import channel_table
@@ -79,20 +79,15 @@ def note_shots(
 
 def note_lamp_between(
     context: SensorContext, shot: Template, dark: list[Template], white: Template, board: WhiteBoard
-) -> LampChange | None:
-    """Note how the lamp changed between white and object and return it; None where that was not measured."""
+) -> None:
+    """Note how the lamp changed between white and object, where that was measured."""
     if white.shots is None or shot.shots is None:
-        return None
+        return
     labels = list(board.labels or ())
     lamp = lamp_between(white.shots, shot.shots)
-    lamp = lamp.in_groups(_channels(board, len(lamp.factor)), len(labels))
+    lamp = lamp.in_groups(_channels(board, len(lamp.sigma)), len(labels))
     per_count = _per_count(context, shot, dark, white, board).values()
-    shared = [black_in_white(one.shots, shot.shots, white.shots) for one in dark if one.shots]
-    if shot.exposure_s and white.exposure_s:
-        shared = [one * shot.exposure_s / white.exposure_s for one in shared]
-    wander = _black_level(shot, dark, board)
-    note_lamp(context.measured, labels, lamp, wander, [*per_count], min(shared, default=0.0))
-    return lamp
+    note_lamp(context.measured, labels, lamp, _black_level(shot, dark, board), [*per_count])
 
 
 def _note_code_spacing(
@@ -185,7 +180,7 @@ def _black_level(shot: Template, dark: Sequence[Template], board: WhiteBoard) ->
         and np.mean(one.black) <= MANY_ZEROS
     ]
     wander = [
-        one.in_groups(_channels(board, len(one.factor)), len(board.labels or ())) for one in found
+        one.in_groups(_channels(board, len(one.sigma)), len(board.labels or ())) for one in found
     ]
     return max(wander, key=lambda one: float(one.sigma.max()), default=None)
 

@@ -86,9 +86,9 @@ def _read(path: Path) -> Template:
         variance = stored["variance"]
         exposure, times = float(stored["exposure_s"]), stored["times_s"]
         levels, error = stored["levels"], stored["level_error"]
-        left_out, apart = tuple(stored["left_out"].tolist()), float(stored["apart"])
+        differing, apart = tuple(stored["differing"].tolist()), float(stored["apart"])
         moments = tuple(times.tolist()) if times.size else None
-        shots = ShotLevels(levels, error, moments, left_out, apart)
+        shots = ShotLevels(levels, error, moments, differing, apart)
         fit = None
         if "fit_variance" in stored:
             noise, zeros, *blacks = stored["fit"].tolist()
@@ -123,7 +123,7 @@ def _write(path: Path, template: Template) -> None:
             levels=shots.levels,
             level_error=shots.error,
             times_s=np.array(shots.times_s or ()),
-            left_out=np.array(shots.left_out, int),
+            differing=np.array(shots.differing, int),
             apart=shots.apart,
             **more,
         )
