@@ -34,7 +34,7 @@ CUBE, CHANNELS, CUBE_BANDS, ANCHORS = 1700 * 1300, 16, 33, 1500
 WIDE = 1.959964
 NAMES = {
     "pseudo-inverse": "pseudo-inverse", "wiener": "Wiener",
-    "root-polynomial": "root-polynomial", "matern": "kernel ridge, Matérn 3/2",
+    "matern": "kernel ridge, Matérn 3/2",
     "gaussian-process": "Gaussian process",
 }  # fmt: skip
 """How results.json names a method; others are in the printed table only."""

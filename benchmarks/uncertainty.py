@@ -11,7 +11,6 @@ two sessions of one painting, which lies elsewhere in the second, and looks for 
 import sys
 import tempfile
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -40,9 +39,6 @@ from levkas.colour.gamut import delta_e_2000, lab_of
 from levkas.database.layout import LayerId
 from levkas.database.region_uncertainty import combine, mean_of_region, uncertain_region, with_place
 from levkas.database.regions import make_region
-from levkas.estimation.methods.wiener import fit_wiener
-from levkas.estimation.training import Training
-from levkas.estimation.uncertainty import PredictionError, uncertain_spectrum
 from levkas.quality.evaluation.camera_agreement import PatchMeans, compare_all
 from levkas.quality.evaluation.database_agreement import compare_databases
 
@@ -58,31 +54,9 @@ COURSES = ("steady", "settling", "wandering")
 SIDE = 104
 QUANTITIES = (
     "one pixel", "mean of 10²", "mean of 10⁴", "difference of bands", "ratio of bands",
-    "ratio of regions", "ΔE00", "estimated spectrum",
+    "ratio of regions", "ΔE00",
 )  # fmt: skip
 FILTERS = Kind(NM)
-ESTIMATED, PAINTS = np.arange(420.0, 681, 20), 600
-"""Wavelengths of estimated spectra, nm; paints to which an estimator is fitted, half of which are held out of another fit."""
-
-
-@cache
-def estimator():
-    """Return a Wiener estimator of spectra from the bands of the filters, and what it misses of paints that were held out."""
-    paints = Panel.draw(np.random.default_rng(1 << 20), 1, PAINTS, 1)
-    responses, spectra = (
-        np.stack([paints.seen(nm)[0] for nm in several], -1) for several in (NM, ESTIMATED)
-    )
-    responses = responses + np.random.default_rng(5).normal(0, 0.002, responses.shape)
-    half = slice(0, PAINTS // 2), slice(PAINTS // 2, PAINTS)
-    models = [
-        fit_wiener(Training(responses[part], spectra[part]), np.random.default_rng(0))
-        for part in half
-    ]
-    missed = [
-        model(responses[part])[0] - spectra[part]
-        for model, part in zip(models, half[::-1], strict=True)
-    ]
-    return models[0], PredictionError.measure(np.concatenate(missed))
 
 
 def draw_arrays(seed, sizes=SIZES, *, shots=4, of_all=DRAWS):
@@ -110,9 +84,6 @@ def draw_arrays(seed, sizes=SIZES, *, shots=4, of_all=DRAWS):
     for of, make in (("ratio", np.divide), ("delta_e", lambda a, b: colour_difference(a, b, NM))):
         made = combine(of, labels, NM, some[0], other[0])[0]
         numbers.append((made, make(some[1], other[1])))
-    model, prediction = estimator()
-    exact = np.array([panel.seen(nm)[:SIDE, :SIDE].mean() for nm in ESTIMATED])
-    numbers.append((uncertain_spectrum(model, some[0], prediction, region=seed), exact))
     return numbers
 
 

@@ -1,7 +1,6 @@
-"""Does `levkas watch` find planted faults, name them, and in time; and how often does it raise a false alarm?
+"""Does `levkas watch` judge in time, and how often does it raise a false alarm?
 
-    python benchmarks/watching.py faults FOLDER      each fault at two sizes, into each camera of a simulated session
-    python benchmarks/watching.py alarms FOLDER      ten sound simulated sessions of unlike cameras
+    python benchmarks/watching.py alarms FOLDER      ten sound simulated campaigns of unlike cameras
     python benchmarks/watching.py frames FOLDER      seconds from the last byte of a frame to its verdict, 1 to 100 Mpx
     python benchmarks/watching.py many FOLDER        the same in a session of 10 to 10,000 frames, and the memory it takes
     python benchmarks/watching.py builds FOLDER      a build after such a session beside one without: the same bytes (LEVKAS_FRAMES, default 10,000)
@@ -11,7 +10,6 @@ Each takes `--results FILE`. FOLDER is a new one for what is simulated.
 
 import argparse
 import os
-import re
 import resource
 import shutil
 import subprocess
@@ -23,45 +21,12 @@ import numpy as np
 import tifffile
 from results import add_option, record
 
-from levkas.campaign.campaign import load_campaign
 from levkas.core.digests import hash_tree
 from levkas.simulation import simulate_campaign
-from levkas.simulation.live import (
-    contents_of,
-    copy_declarations,
-    is_plantable,
-    play_session,
-    session_frames,
-)
-from levkas.simulation.session_faults import FAULTS
 from levkas.workbench.watching import WatchedSession
 from levkas.workbench.watching.cache import MeasureCache
 
 LOOKS_S = 0.3
-TO_DO = {
-    "white clipped": r"expose 0\.\d+ times",
-    "object clipped": r"expose 0\.\d+ times",
-    "object too dark": r"expose [1-9]\d* times|check the lamp",
-    "light in the dark": "cover the lens",
-    "black level": "warm.up",
-    "dark of another time": r"capture a dark of [\d.]+ s",
-    "painting in the white": "painting out|white board",
-    "shading of a white": "lamp was moved|fill the frame",
-    "lamp": "steady|settle",
-    "noise of": "ISO and gain",
-    "noise reduction": "noise reduction off",
-    "defocus": "focus again",
-    "glare": "lamps further",
-    "moved": "tripod",
-    "object at a side": "until a border is left",
-    "dust": "clean",
-    "another size": "size and format back",
-    "another white": "set it back",
-    "another": "camera back",
-    "file cut short": "again",
-    "file twice": "remove one",
-}
-"""What the advice on a fault must say, by the first of these that its kind begins with."""
 PRESETS = (("small", None), ("small", 0.14), ("hard", 0.15), ("default", 0.15), ("small", 0.18))
 SCALES = (0.1, 0.2, 0.4)
 MEGAPIXELS = (1, 10, 50, 100)
@@ -90,15 +55,6 @@ def watched(folder):
     return WatchedSession(folder, MeasureCache(folder.parent / f"{folder.name}-cache"))
 
 
-def play(source, folder):
-    """Write a sound session."""
-    folder.mkdir(parents=True)
-    copy_declarations(source, folder)
-    for _ in play_session(source, folder, interval_s=0, share=0, rng=np.random.default_rng(1)):
-        pass
-    return folder
-
-
 def wait_for(session, name, before, most_s=12.0):
     """Look as `levkas watch` does until a frame has another verdict; return seconds, findings and verdict."""
     start = time.monotonic()
@@ -112,69 +68,14 @@ def wait_for(session, name, before, most_s=12.0):
     return time.monotonic() - start, frame.findings if frame else ()
 
 
-def faults(folder, results):
-    """Plant every fault at both sizes into one frame of every camera, one at a time."""
-    source = folder / "whole"
-    list(simulate_campaign(source, preset="small", seed=1))
-    home = play(source, folder / "session")
-    campaign, session = load_campaign(source), watched(home)
-    frames = session_frames(campaign)
-    session.settle()
-    cameras = [name for name, camera in campaign.cameras.items() if camera.kind != "cube"]
-    rng, found, taken, tried = np.random.default_rng(5), 0, [], 0
-    for fault in FAULTS:
-        for camera in cameras:
-            able = [k for k, f in enumerate(frames) if f.camera == camera and f.role == fault.role]
-            able = [k for k in able if is_plantable(frames[k])]
-            if fault.stack:
-                able = [k for k in able if _has_earlier_shot(frames, k)]
-            if fault.role == "white" and fault.kind.startswith(("lamp", "dust", "shading")):
-                able = able[-1:] if _has_earlier_shot(frames, able[-1]) else []
-            for size in fault.sizes if able else ():
-                k = able[len(able) // 2]
-                path = home / frames[k].path.relative_to(source)
-                sound = path.read_bytes()
-                data = contents_of(campaign, frames, k, rng, fault, size)[frames[k].path]
-                path.write_bytes(data)
-                seconds, findings = wait_for(session, path.relative_to(home).as_posix(), ())
-                wanted = next(words for kind, words in TO_DO.items() if fault.kind.startswith(kind))
-                named = any(
-                    f.check == fault.check and re.search(wanted, f.advice) for f in findings
-                )
-                tried, found = tried + 1, found + named
-                if fault.check != "file":  # which may be half written for six seconds
-                    taken.append(seconds)
-                words = "; ".join(f"{f.check}: {f.text}" for f in findings) or "nothing"
-                print(
-                    f"{'ok  ' if named else 'MISS'} {seconds:4.1f} s {camera:9} {fault.kind} {size:g} → {words}"[
-                        :170
-                    ],
-                    flush=True,
-                )
-                path.write_bytes(sound)
-                time.sleep(0.7)
-                session.settle()
-    middle = float(np.median(taken))
-    print(f"{found} of {tried} named, median {middle:.1f} s, slowest {max(taken):.1f} s")
-    record(
-        results,
-        "watching",
-        {"planted faults named": 100 * found / tried, "a fault, median": middle},
-    )
-
-
-def _has_earlier_shot(frames, k):
-    return any(f.scene == frames[k].scene for f in frames[:k])
-
-
 def alarms(folder, results):
-    """Count findings in ten sound sessions."""
+    """Count findings in ten sound campaigns."""
     count = alarmed = 0
     for seed in range(10):
         preset, scale = PRESETS[seed % len(PRESETS)]
         source = folder / f"whole{seed}"
         list(simulate_campaign(source, preset=preset, scale=scale, seed=10 + seed))
-        session = watched(play(source, folder / f"session{seed}"))
+        session = watched(source)
         state = session.settle(300)
         some = [f for f in state.frames if f.findings]
         count, alarmed = count + len(state.frames), alarmed + len(some)
@@ -360,9 +261,9 @@ def _come(home, name, k):
 
 
 def main():
-    """Run one of the five."""
+    """Run one of the four."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=["faults", "alarms", "frames", "many", "builds"])
+    parser.add_argument("what", choices=["alarms", "frames", "many", "builds"])
     parser.add_argument("folder", type=Path)
     add_option(parser)
     options = parser.parse_args()

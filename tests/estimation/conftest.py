@@ -45,22 +45,20 @@ def cube_of(spectra, bands, rng, sigma=SIGMA):
     return Cube(values.astype(np.float32), flags, np.full(values.shape, sigma, np.float32), bands)
 
 
-def write_paintings(root, names=NAMES, *, setups=False, counts=False):
+def write_paintings(root):
     narrow = tuple(Band(f"{w:g} nm", w, 20.0) for w in WAVES)
     broad = tuple(Band(label) for label in "RGB")
     entries = []
-    for seed, name in enumerate(names):
+    for seed, name in enumerate(NAMES):
         rng, spectra = np.random.default_rng(100 + seed), paint(seed)
         rgb = spectra @ planted_sensitivities().T
         layers = [
             ("vis", "", spectra, narrow),
             ("rgb", "", rgb, broad),
             ("cam2", "", rgb * 1.05, broad),
+            ("rgb", "soft", rgb * [1.1, 1.0, 0.9], broad),
+            ("raw", "", rgb * 4000, broad),
         ]
-        if setups:
-            layers.append(("rgb", "soft", rgb * [1.1, 1.0, 0.9], broad))
-        if counts:
-            layers.append(("raw", "", rgb * 4000, broad))
         for camera, setup, values, bands in layers:
             cube = cube_of(values, bands, rng)
             if camera == "raw":
@@ -74,14 +72,7 @@ def write_paintings(root, names=NAMES, *, setups=False, counts=False):
 @pytest.fixture(scope="session")
 def paintings(tmp_path_factory) -> Path:
     """Three paintings by rgb, cam2 (under another scale), rgb@soft, raw (in counts) and the spectral vis."""
-    root = tmp_path_factory.mktemp("estimating") / "database"
-    return write_paintings(root, setups=True, counts=True)
-
-
-@pytest.fixture(scope="session")
-def one_painting(tmp_path_factory) -> Path:
-    """One painting by rgb, cam2 and vis."""
-    return write_paintings(tmp_path_factory.mktemp("one") / "database", ("icon1",))
+    return write_paintings(tmp_path_factory.mktemp("estimating") / "database")
 
 
 @pytest.fixture
@@ -101,9 +92,3 @@ def few_kernels():
         patch.setattr(gaussian_process, "MOST_ANCHORS", 150)
         patch.setattr(gaussian_process, "MOST_SAMPLES", 300)
         yield
-
-
-@pytest.fixture
-def sensitivities() -> np.ndarray:
-    """Return the sensitivities of rgb, (3, bands)."""
-    return planted_sensitivities()

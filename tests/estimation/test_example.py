@@ -17,8 +17,3 @@ def test_the_example_draws_the_errors_of_every_camera(paintings, tmp_path, monke
         errors = {line.get_label(): line.get_ydata() for line in axes.lines}
         assert errors["matern"].mean() < errors["wiener"].mean()
         assert min(errors["matern"]) > errors["noise of the reference"][0]
-
-
-def test_the_example_is_about_twenty_lines():
-    text = (EXAMPLES / "estimate_spectra.py").read_text(encoding="utf-8")
-    assert len([line for line in text.splitlines() if line.strip()]) <= 30

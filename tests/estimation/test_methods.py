@@ -32,39 +32,34 @@ def smooth(rng, count=300, channels=4, bands=9, noise=0.0):
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_a_model_is_read_back_as_it_was_written(name, rng, tmp_path):
+def test_a_model_is_read_back_as_it_was_written_and_refuses_what_it_cannot_take(
+    name, rng, tmp_path
+):
     training = smooth(rng, noise=0.01)
     model = METHODS[name].fit(training, rng)
     save_model(tmp_path / "model.npz", name, model)
     found, again = load_model(tmp_path / "model.npz")
     assert found == name
+    for refused, code in (
+        (lambda: model(training.responses[:, :3]), "E_CHANNELS"),
+        (lambda: METHODS[name].fit(smooth(rng, count=2), rng), "E_TOO_FEW_SAMPLES"),
+    ):
+        with pytest.raises(Refused) as error:
+            refused()
+        assert error.value.problems[0].code == code
     for one, other in zip(model(training.responses), again(training.responses), strict=True):
         assert (one is None and other is None) or np.array_equal(one, other)
 
 
-@pytest.mark.parametrize("name", METHODS)
-def test_responses_of_other_channels_are_refused(name, rng):
-    training = smooth(rng)
-    model = METHODS[name].fit(training, rng)
-    with pytest.raises(Refused, match="other channels"):
-        model(training.responses[:, :3])
-
-
-@pytest.mark.parametrize("name", METHODS)
-def test_fewer_samples_than_coefficients_are_refused(name, rng):
-    with pytest.raises(Refused, match="needs as many samples"):
-        METHODS[name].fit(smooth(rng, count=2), rng)
-
-
-def test_an_unknown_method_is_refused_by_name():
-    with pytest.raises(Refused, match="wiener"):
-        find_method("winner")
-
-
-def test_a_file_that_is_no_model_is_refused(tmp_path):
+def test_what_is_no_method_and_no_model_is_refused(tmp_path):
     (tmp_path / "model.npz").write_bytes(b"no archive")
-    with pytest.raises(Refused, match="no fitted model"):
-        load_model(tmp_path / "model.npz")
+    for call, code in (
+        (lambda: find_method("winner"), "E_METHOD"),
+        (lambda: load_model(tmp_path / "model.npz"), "E_MODEL"),
+    ):
+        with pytest.raises(Refused) as refused:
+            call()
+        assert refused.value.problems[0].code == code
 
 
 # --- scikit-learn as the oracle ------------------------------------------------------------------
@@ -91,7 +86,7 @@ def test_wiener_equals_ridge_of_scikit_learn(rng):
 def test_the_ridge_that_is_chosen_is_the_best_of_scikit_learn_s_leave_one_out(rng):
     linear_model = pytest.importorskip("sklearn.linear_model")
     training = smooth(rng, count=60, noise=0.05)
-    fit = fit_ridge(training.responses, training)
+    fit = fit_ridge(training)
     scale = np.linalg.norm(training.responses - training.responses.mean(0), 2) ** 2
     expected = linear_model.RidgeCV(alphas=RIDGES * scale).fit(training.responses, training.spectra)
     assert fit.ridge == pytest.approx(expected.alpha_, rel=1e-9)
@@ -155,15 +150,6 @@ def test_the_likelihood_is_that_of_scikit_learn(rng):
 # --- properties ----------------------------------------------------------------------------------
 
 
-def test_root_polynomial_is_invariant_to_exposure(rng):
-    training = smooth(rng, noise=0.01)
-    model = METHODS["root-polynomial"].fit(training, rng)
-    at_one = model(training.responses)[0]
-    for exposure in (0.5, 2.0, 7.3):
-        found = model(exposure * training.responses)[0]
-        np.testing.assert_allclose(found, exposure * at_one, rtol=1e-9, atol=1e-12)
-
-
 @pytest.mark.parametrize("name", [n for n in METHODS if n not in ("pseudo-inverse",)])
 def test_spectra_of_three_components_are_recovered(name, rng):
     """Four channels see all that varies: without noise little is lost."""
@@ -172,25 +158,6 @@ def test_spectra_of_three_components_are_recovered(name, rng):
     training = training.take(np.arange(600) % 3 > 0)
     found = METHODS[name].fit(training, rng)(test.responses)[0]
     assert np.sqrt(np.square(found - test.spectra).mean()) < 0.01
-
-
-@pytest.mark.parametrize("name", METHODS)
-def test_pixels_without_a_response_have_no_spectrum(name, rng):
-    training = smooth(rng, noise=0.01)
-    some = training.responses[:5].copy()
-    some[2, 1] = np.nan
-    found = METHODS[name].fit(training, rng)(some)[0]
-    assert np.isnan(found[2]).all()
-    assert np.isfinite(found[[0, 1, 3, 4]]).all()
-
-
-@pytest.mark.parametrize("name", METHODS)
-def test_a_method_does_not_change_its_input(name, rng):
-    training = smooth(rng, noise=0.01)
-    before = training.responses.copy(), training.spectra.copy()
-    METHODS[name].fit(training, rng)(training.responses)
-    assert np.array_equal(before[0], training.responses)
-    assert np.array_equal(before[1], training.spectra)
 
 
 @pytest.mark.parametrize("name", ["wiener", "matern"])
@@ -230,29 +197,21 @@ def test_the_interval_of_the_gaussian_process_holds_what_was_held_out(rng):
     assert 0.93 < np.mean(inside) < 0.97
 
 
-def test_many_pixels_are_estimated_as_few(rng):
-    """Blocks do not show: 3,000 pixels at once, and by threes."""
-    training = smooth(rng, noise=0.01)
-    responses = smooth(rng, count=3000, noise=0.01).responses
-    for name in METHODS:
-        model = METHODS[name].fit(training, rng)
-        found = model(responses)[0]
-        parts = np.concatenate([model(responses[i : i + 3])[0] for i in (0, 1023, 2997)])
-        np.testing.assert_allclose(
-            found[[0, 1, 2, 1023, 1024, 1025, 2997, 2998, 2999]], parts, atol=1e-9
-        )
-
-
 @pytest.mark.parametrize("name", METHODS)
-def test_the_number_of_threads_changes_no_byte(name, rng, monkeypatch):
+def test_neither_blocks_nor_threads_show_and_no_response_gives_no_spectrum(name, rng, monkeypatch):
     training = smooth(rng, noise=0.01)
     responses = smooth(rng, count=3000, noise=0.01).responses
+    responses[1, 1] = np.nan
     found = []
     for threads in ("1", "3"):
         monkeypatch.setenv("LEVKAS_THREADS", threads)
         model = METHODS[name].fit(training, np.random.default_rng(1))
-        found.append(model(responses)[0].tobytes())
-    assert found[0] == found[1]
+        found.append(model(responses)[0])
+    assert found[0].tobytes() == found[1].tobytes()
+    assert np.isnan(found[0][1]).all() and np.isfinite(np.delete(found[0], 1, 0)).all()
+    parts = np.concatenate([model(responses[i : i + 3])[0] for i in (1023, 2997)])
+    there = [1023, 1024, 1025, 2997, 2998, 2999]
+    np.testing.assert_allclose(found[0][there], parts, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["wiener", "matern", "gaussian-process"])
@@ -261,14 +220,6 @@ def test_responses_that_do_not_vary_give_the_mean_spectrum(name, rng):
     flat = replace(training, responses=np.full_like(training.responses, 0.4))
     found = METHODS[name].fit(flat, rng)(flat.responses[:1])[0]
     np.testing.assert_allclose(found[0], training.spectra.mean(0), atol=1e-3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("groups", [np.zeros(300, int), np.arange(300) // 299])
-def test_groups_that_hold_nearly_everything_do_no_harm(groups, rng):
-    training = replace(smooth(rng, noise=0.01), groups=groups)
-    for method in METHODS.values():
-        assert np.isfinite(method.fit(training, rng)(training.responses)[0]).all()
 
 
 # --- measured pigments ---------------------------------------------------------------------------

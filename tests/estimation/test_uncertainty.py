@@ -7,8 +7,6 @@ from levkas.calibration.error_sources import (
     COVERAGE,
     ErrorSource,
     MeanSpectrum,
-    Uncertain,
-    join,
     uncertain_mean,
 )
 from levkas.estimation.methods import METHODS
@@ -21,7 +19,6 @@ from levkas.estimation.uncertainty import (
     PredictionError,
     noise_of_residuals,
     slopes_of,
-    uncertain_spectrum,
 )
 
 NM = np.arange(410.0, 711.0, 20.0)
@@ -88,24 +85,6 @@ def share_of_difference(made, truth):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("method", "pixels"),
-    [("wiener", 1), pytest.param("matern", 10_000, marks=pytest.mark.slow)],
-)
-def test_the_interval_of_an_estimated_spectrum_holds_the_truth(method, pixels):
-    model, missed, _ = fitted(method)
-    rng, held = np.random.default_rng(3), []
-    for spectrum in paints(rng, 400):
-        values = captured(rng, spectrum, WHITE * rng.standard_normal(), pixels)
-        one = channels()
-        mean = MeanSpectrum(CHANNELS, values, np.full(6, NOISE / pixels**0.5), one.wavelengths)
-        responses = uncertain_mean(mean, one.rows, layer="icon1/cam")
-        made = uncertain_spectrum(model, responses, missed, pixels=pixels)
-        held.append((share_within(made, spectrum), share_of_difference(made, spectrum)))
-    assert np.mean(held, 0) == pytest.approx(0.95, abs=0.02)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
     ("method", "same", "pixels"),
     [
         ("wiener", True, 1),
@@ -137,33 +116,21 @@ def test_the_budget_of_an_estimated_layer_holds_the_truth(method, same, pixels):
     assert difference == pytest.approx(0.95, abs=0.03)  # of 320 draws alone
 
 
-def test_errors_of_two_estimates_of_one_paint_are_one_and_of_two_paints_are_two():
-    model, missed, _ = fitted("wiener")
-    grey = Uncertain(np.full(6, 0.4))
-    one, same, other = (uncertain_spectrum(model, grey, missed, region=k) for k in (1, 1, 2))
-    apart = [
-        join([one, two]).through(lambda v: v[:16] - v[16:]).sigma.max() for two in (same, other)
-    ]
-    assert apart[0] < 1e-12 and apart[1] == pytest.approx(2**0.5 * missed.sigma.max())
-
-
 def test_what_neighbours_are_missed_by_is_measured_whatever_their_noise_is():
     """Paints of 16 px a side, each missed by an error of its own in all bands alike; noise of pixels is several times as large."""
     rng = np.random.default_rng(3)
     paints_missed = np.kron(rng.normal(0, 0.01, (12, 12, 1)), np.ones((16, 16, 1)))
     y, x = (places.ravel() for places in np.mgrid[:192, :192])
     residuals = paints_missed.reshape(-1, 1) + rng.normal(0, 0.03, (192 * 192, 5))
-    gold = np.zeros(len(x), bool)
-    gold[::7] = True
-    errors = PixelErrors("icon", y, x, gold, {}, residuals, residuals, None)
+    errors = PixelErrors("icon", y, x, {}, residuals, residuals, None)
     score = MethodScore("wiener", (errors,))
     first, second = score.pairs(4)
-    apart = np.hypot(y[~gold][first] - y[~gold][second], x[~gold][first] - x[~gold][second])
+    apart = np.hypot(y[first] - y[second], x[first] - x[second])
     assert (apart == 4).all() and len(apart) > 50_000
     found = PredictionError.measure(score.residuals(), 0.0, (first, second))
     # Of a fourth of the pairs the two are of two paints.
     assert found.sigma == pytest.approx(0.75**0.5 * paints_missed.std(), rel=0.1)
-    assert np.hypot(found.sigma, found.alone) == pytest.approx(residuals[~gold].std(0), rel=1e-2)
+    assert np.hypot(found.sigma, found.alone) == pytest.approx(residuals.std(0), rel=1e-2)
 
 
 def test_noise_that_the_channels_have_does_not_stay_in_the_prediction():

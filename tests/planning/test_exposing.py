@@ -1,4 +1,4 @@
-"""Exposure and dose against hand-worked numbers."""
+"""Exposure and dose of a setup file against hand-worked numbers."""
 
 from dataclasses import replace
 
@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 
 from levkas.planning import PlanRefused, load_setup, plan_dose, plan_exposure
-from levkas.planning.exposure_plan import (
-    CLASSES,
-    electron_rates,
-    flicker_bound,
-    irradiance_spectrum,
-)
+from levkas.planning.exposure_plan import electron_rates, irradiance_spectrum
 from levkas.planning.spectra import GRID, LUMENS_PER_WATT, eye, integrate
 
 
@@ -33,8 +28,7 @@ def test_electrons_of_a_pixel_are_those_of_the_camera_equation(bench):
     spectrum[at] = 0.5  # W/m²/nm over 2 nm: 1 W/m² of green
     rate = electron_rates(bench, camera, lighting, spectrum)[1]
     photons = 1.0 * 550e-9 / 1.98644586e-25
-    m = 80 / 1820
-    lens = 0.9 / (4 * (8 * (1 + m)) ** 2)
+    lens = 0.9 / (4 * (8 * (1 + 80 / 1820)) ** 2)
     quantum = camera.quantum[1][at]
     assert rate == pytest.approx(photons * 0.95 * quantum * lens * (6.05e-6) ** 2, rel=1e-3)
 
@@ -47,12 +41,11 @@ def test_the_irradiance_has_the_illuminance_that_was_measured(rewritten):
     assert plan_dose(setup).illuminance_lx == pytest.approx(216)
 
 
-def test_light_of_unknown_strength_is_refused_with_what_to_do(rewritten):
+def test_light_of_unknown_strength_is_refused(rewritten):
     setup = load_setup(rewritten(("power_w = 400\nbeam_deg", "beam_deg")))
     with pytest.raises(PlanRefused) as refused:
         plan_exposure(setup)
     assert refused.value.problems[0].code == "E_NO_POWER"
-    assert "lux meter" in refused.value.problems[0].fix
 
 
 def test_the_limiting_channel_is_blue_under_halogen_and_less_so_under_d50(rewritten, bench):
@@ -66,25 +59,18 @@ def test_the_limiting_channel_is_blue_under_halogen_and_less_so_under_d50(rewrit
     assert share[1] > 2.5 * share[0]
 
 
-def test_what_d65_costs(bench):
-    """The bluer filter takes a third of the light and evens the beam-splitter camera's channels out."""
+def test_what_d65_and_crossed_sheets_cost(bench):
+    """The bluer filter takes a third of the light and evens channels out; two sheets take six sevenths."""
     d50, d65 = (plan_dose(bench, n) for n in ("proposed", "d65"))
     assert d50.illuminance_lx / d65.illuminance_lx == pytest.approx(1.57, abs=0.05)
     a, b = by_camera(bench)["d80"], by_camera(bench, "d65")["d80"]
     assert 1.5 <= b.channels[0].time_s / a.channels[0].time_s <= 1.8 and b.evenness < a.evenness
-
-
-def test_crossed_sheets_cost_seven_times_the_exposure(bench):
-    lighting = bench.lighting("crossed")
-    bare = replace(
-        lighting,
-        camera_polariser=None,
-        lamps=tuple(replace(x, candela=x.candela / 0.38) for x in lighting.lamps),
-    )
-    spectrum = [irradiance_spectrum(bench, x) for x in (bare, lighting)]
+    crossed = bench.lighting("crossed")
+    open_ = tuple(replace(x, candela=x.candela / 0.38) for x in crossed.lamps)
+    bare = replace(crossed, camera_polariser=None, lamps=open_)
     rates = [
-        electron_rates(bench, bench.cameras["d80"], x, s)[0]
-        for x, s in zip((bare, lighting), spectrum, strict=True)
+        electron_rates(bench, bench.cameras["d80"], x, irradiance_spectrum(bench, x))[0]
+        for x in (bare, crossed)
     ]
     assert rates[0] / rates[1] == pytest.approx(1 / 0.38**2, rel=1e-6)
 
@@ -98,40 +84,9 @@ def test_channels_of_one_sensor_share_a_time_and_bands_of_a_tunable_filter_do_no
     assert max(tuned) == pytest.approx(0.85) == pytest.approx(min(tuned))
 
 
-def test_flicker_is_bounded_and_gone_after_whole_periods(rewritten):
-    t = np.linspace(0, 0.0431, 200_001)
-    signal = 1 + 0.05 * np.sin(2 * np.pi * 100 * t[None] + np.linspace(0, 6.3, 60)[:, None])
-    mean = signal.mean(1)
-    assert np.abs(mean - 1).max() <= flicker_bound(0.05, 100.0, 0.0431) + 1e-6
-    path = rewritten(("pitch_um = 6.05", "pitch_um = 6.05\ntime_s = 0.0131"))
-    notes = " ".join(by_camera(load_setup(path))["d80"].notes)
-    assert "Use 10 ms, a whole number of periods of 100 Hz" in notes
-
-
-def test_a_camera_without_a_sensitivity_is_said_to_be_taken_for_an_even_one(rewritten, bench):
-    found = by_camera(load_setup(rewritten(('sensitivity = "d80.csv"\n', ""))))["d80"]
-    assert found.notes[0].startswith("No sensitivity is given: 35 % of the photons")
-    assert not any("No sensitivity" in note for note in by_camera(bench)["d80"].notes)
-
-
-def test_a_white_that_saturates_is_said(rewritten):
-    path = rewritten(("pitch_um = 6.05", "pitch_um = 6.05\ntime_s = 3"))
-    found = by_camera(load_setup(path))["d80"]
-    assert any("would saturate" in n for n in found.notes)
-
-
-def test_dose_is_light_times_hours_against_the_class(bench, rewritten):
-    assert CLASSES["high"] == (50, 15_000) and CLASSES["low"] == (200, 600_000)
+def test_dose_is_light_times_hours_against_the_class(rewritten):
     path = rewritten(("focus_min = 15", "focus_min = 15\nhours = 2"), ("medium", "high"))
     dose = plan_dose(load_setup(path))
     assert dose.lux_hours == pytest.approx(2 * dose.illuminance_lx)
     assert dose.share_of_year == pytest.approx(dose.lux_hours / 15_000)
-    assert dose.uv_uw_per_lm < 75 and 0.5 < dose.heat_w_per_m2 < 5
-    assert any("times as brightly as on display" in s for s in dose.sentences)
-
-
-def test_a_filter_that_holds_heat_and_ultraviolet_back_is_seen(rewritten, bench):
-    bare = plan_dose(load_setup(rewritten(('filters = ["d50-filter"]\npower_w', "power_w"))))
-    filtered = plan_dose(bench)
-    per_lux = [d.heat_w_per_m2 / d.illuminance_lx for d in (bare, filtered)]
-    assert per_lux[0] > 4 * per_lux[1] and bare.warming_k > filtered.warming_k
+    assert dose.uv_uw_per_lm < 75

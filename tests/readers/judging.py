@@ -16,9 +16,7 @@ from levkas.campaign.discovery.file_index import read_exposures
 from levkas.campaign.edits import read_edits
 from levkas.core.problems import Refused
 from levkas.core.text import read_json, read_text
-from levkas.planning.loading import read_lobe
 from levkas.planning.spectra import read_table
-from levkas.planning.tables import LampKeys
 from levkas.quality.targets.charts import Chart, parse_reference
 from levkas.readers.envi import open_envi
 from levkas.readers.frames import read_facts, read_frame
@@ -107,11 +105,8 @@ def read_csv(path):
         wavelengths, values = read_sensitivity(path, ["B1", "B2", "B3"])
     elif kind == "light":
         wavelengths, values, _ = read_table(path, field="spectrum", file=str(path))
-    elif kind == "spectrum":
-        wavelengths, values = read_spectrum(path)
     else:
-        keys = LampKeys.model_construct(lobe=path.name, beam_deg=None, size_mm=None)
-        wavelengths, values = read_lobe("lamp", keys, path.parent, file=str(path)).table
+        wavelengths, values = read_spectrum(path)
     finite(values)
     finite(wavelengths, 0)
     check(len(wavelengths) == len(values) > 1 and (np.diff(wavelengths) > 0).all(), wavelengths)

@@ -88,7 +88,6 @@ def table_seeds():
     yield "spectrum.csv", b"# a board\nwavelength,share\n380,0.9\n580,95\n780.5,.97\n", {}
     yield "sensitivity.csv", b"nm,B1,B2,B3\n400,0,1,.5\n500,1,0,\n600,.5,0,1e-3\n", {}
     yield "light.csv", b"wavelength,lamp\n400,0.5\n500,1\n700,0.25\n", {}
-    yield "lobe.csv", b"0,1\n10,0.8\n45,.1\n", {}
     head = ",".join(f"{column}:{row}" for row in "12" for column in "AB")
     yield "chart.csv", f"nm,{head}\n400,1,2,3,4\n500,5,60,7,8\n".encode(), {}
 

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 from levkas.core.problems import Refused
-from levkas.planning.loading import read_lobe
-from levkas.planning.tables import LampKeys
 from levkas.quality.targets.charts import Chart, parse_reference
 from levkas.stages.spectra import read_sensitivity, read_spectrum
 
@@ -14,11 +12,6 @@ CHART = Chart("two by two", 2, 2, (0, 1, 2, 3))
 
 def sensitivity(path):
     return read_sensitivity(path, ["B1", "B2"])
-
-
-def lobe(path):
-    keys = LampKeys.model_construct(lobe=path.name, beam_deg=None, size_mm=None)
-    return read_lobe("lamp", keys, path.parent, file=str(path)).table
 
 
 def chart(path):
@@ -34,9 +27,6 @@ def chart(path):
         (sensitivity, "nm,B1,B2\n400,0,1\n500,1e999,0\n"),
         (sensitivity, "nm,x,y,B1,B2\n400,0,1,2\n500,1,0,3\n"),  # more headings than columns
         (read_spectrum, "400,0.9\n600,0.5\n600,0.7\n"),
-        (lobe, "0,1\n10,nan\n45,0.1\n"),
-        (lobe, "0,1\n10,-1\n45,0.1\n"),
-        (lobe, "0,1\n10,0.5\n45,1e999\n"),
         (chart, "nm,A1,B1,A2,B2\n400,1,2,3,4\n400,5,6,7,8\n"),
         (chart, "nm,A1,B1,A2,B2\n-1,1,2,3,4\n400,5,6,7,8\n"),
         (chart, "nm,A1\x0cB1\n#\x01\rA2,B2\r\r,1,2,3,4\n400,5"),

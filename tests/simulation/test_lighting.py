@@ -11,7 +11,7 @@ from levkas.simulation.cameras import camera_models, relit
 from levkas.simulation.campaigns import SimulatedSession
 from levkas.simulation.capture import view_painting
 from levkas.simulation.lighting import LEAK, SETUPS, light
-from levkas.simulation.painting import AGED_FACETS, EVEN_FACETS, Painting, Panel, make_uneven
+from levkas.simulation.painting import AGED_FACETS, EVEN_FACETS, Painting, Panel
 from levkas.simulation.pigments import WAVELENGTHS
 from levkas.simulation.presets import PRESETS, choose_cameras
 
@@ -34,20 +34,11 @@ def test_simulator_and_planner_agree_on_a_flat_panel(setup, angle, facets):
         assert found[19:21, 19:21].mean() == pytest.approx(float(planned), rel=0.01)
 
 
-def test_ground_and_leaf_lean_as_far_as_they_are_meant_to():
-    flat = replace(FLAT, relief=np.zeros((900, 1200), np.float32), px_per_mm=5.0)
-    uneven = make_uneven(flat, 5.0, np.random.default_rng(2))
-    for axis in (0, 1):
-        slope = 1e-3 * np.gradient(uneven.relief, 1 / 5.0, axis=axis)
-        assert np.degrees(np.arctan(slope.std())) == pytest.approx(5.0, abs=0.3)
-    assert uneven.facets == AGED_FACETS and flat.facets == EVEN_FACETS
-
-
 def glare_shares(seed, names):
     """Share of pixels with glare, of the whole frame and off the walls of the recess, a lighting."""
     model = choose_cameras(PRESET, ["d80"])["d80"]
     session = SimulatedSession(PRESET, {"d80": model}, seed, 1)
-    painting, panel = session.paint("icon1", 0, None, None), session.panels["icon1"]
+    painting, panel = session.paint("icon1", 0), session.panels["icon1"]
     view, found = session.views["icon1"]["d80"], {}
     y, x = np.indices((model.height, model.width))
     edge = panel.border_mm + panel.bevel_mm + 3
@@ -64,19 +55,14 @@ def glare_shares(seed, names):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "seed", [1, *(pytest.param(n, marks=pytest.mark.exhaustive) for n in (2, 3))]
-)
-def test_the_proposed_lamps_show_less_glare_than_one_at_45_degrees_and_crossed_sheets_least(seed):
-    others = ["soft", "d65"] if seed == 1 else []
-    found = glare_shares(seed, ["proposed", "45-degree", "crossed", *others])
+def test_the_proposed_lamps_show_less_glare_than_one_at_45_degrees_and_crossed_sheets_least():
+    found = glare_shares(1, ["proposed", "45-degree", "crossed", "soft", "d65"])
     whole, field = ({k: v[i] for k, v in found.items()} for i in (0, 1))
     assert whole["crossed"] == 0 < 1.1 * whole["proposed"] < whole["45-degree"]
     # On the field nothing shines under the proposed pair; what does are walls that face its lamps.
     assert field["proposed"] < 2e-4 < 0.002 < field["45-degree"]
-    if others:
-        assert field["proposed"] < 0.1 * field["soft"] < field["45-degree"]
-        assert whole["d65"] == pytest.approx(whole["proposed"], rel=0.1)
+    assert field["proposed"] < 0.1 * field["soft"] < field["45-degree"]
+    assert whole["d65"] == pytest.approx(whole["proposed"], rel=0.1)
 
 
 def test_crossed_sheets_leave_their_leak_of_gold():
@@ -87,21 +73,6 @@ def test_crossed_sheets_leave_their_leak_of_gold():
     )
     np.testing.assert_allclose(crossed.gold, 2 * LEAK * open_.gold, rtol=1e-5)
     np.testing.assert_array_equal(crossed.shade, open_.shade)
-
-
-def test_a_large_lamp_is_as_strong_as_a_small_one_and_softer():
-    soft = SETUPS["soft"]
-    small = replace(soft, lamps=tuple(replace(lamp, size_mm=0.0) for lamp in soft.lamps))
-    middle = np.mean([lamp.points().mean(0) for lamp in soft.lamps[:1]], 0)
-    np.testing.assert_allclose(middle, small.lamps[0].place(), atol=1e-9)
-    spread = soft.lamps[0].points() - small.lamps[0].place()
-    assert np.abs(spread @ small.lamps[0].place()).max() < 1e-6  # it faces the panel
-    assert np.ptp(spread, axis=0).max() == pytest.approx(
-        450.0, abs=1
-    )  # centres of 4 parts of 600 mm
-    view = camera_models()["lctf-vis"].view()
-    hard, wide = (light(FLAT, SMALL, view, s).varnish.mean() for s in (small, soft))
-    assert wide > hard  # some of it stands nearer to the mirror direction
 
 
 def test_d65_is_bluer_and_keeps_the_brightest_channel():

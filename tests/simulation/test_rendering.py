@@ -12,7 +12,7 @@ from levkas.simulation.optics import (
     turn,
 )
 from levkas.simulation.painting import Panel
-from levkas.simulation.rendering import Texture, footprint, render, tabulate
+from levkas.simulation.rendering import Texture, render, tabulate
 
 # A disc over a bend of the relief has no single place: only the smooth parts are measured.
 PANEL = Panel(
@@ -57,8 +57,7 @@ def centroids(image, expected, half=8):
 
 
 @pytest.mark.parametrize("motion", [None, (0.01, 1.0, 0.0)], ids=["frame", "scanner"])
-@pytest.mark.parametrize("wavelength", [400.0, 550.0, 950.0])
-@pytest.mark.parametrize("supersampling", [2, 3])
+@pytest.mark.parametrize(("wavelength", "supersampling"), [(400.0, 3), (950.0, 2)])
 def test_discs_lie_where_the_map_says(discs, motion, wavelength, supersampling):
     texture, centres = discs
     view = camera(motion)
@@ -96,10 +95,3 @@ def test_the_edge_of_the_board_is_an_area_average():
     assert image[20, 30] == pytest.approx(0.625, abs=1e-3)
     assert image[20, 29] == 1.0
     assert image[20, 31] == 0.0
-
-
-def test_the_footprint_is_symmetric_and_whole():
-    for blur in (0.0, 0.3, 0.8):
-        weights = footprint(3, blur)
-        np.testing.assert_allclose(weights, weights[::-1], atol=1e-7)
-        assert weights.sum() == pytest.approx(1.0, abs=1e-6)

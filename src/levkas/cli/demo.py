@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -123,19 +122,6 @@ def simulate(
             "--camera", help="Simulate this camera and the reference only; may be repeated."
         ),
     ] = None,
-    live: Annotated[
-        bool,
-        typer.Option(
-            "--live", help="Write the frames one by one, as a session does, for `levkas watch`."
-        ),
-    ] = False,
-    interval: Annotated[
-        float, typer.Option(help="Seconds from one frame to the next of a session.", min=0)
-    ] = 2.0,
-    faults: Annotated[
-        float,
-        typer.Option(help="Share of the frames of a session that have a fault.", min=0, max=1),
-    ] = 0.1,
     as_json: Json = False,
 ) -> None:
     """Simulate a five-camera campaign with known truth."""
@@ -144,12 +130,8 @@ def simulate(
 
     chosen = choose_preset(preset, scale=scale, objects=objects)
     chosen = chosen if overlap is None else replace(chosen, overlap=overlap)
-    target = folder
-    if live:
-        spare = tempfile.TemporaryDirectory(prefix="levkas-session-")
-        target = Path(spare.name) / "whole"
     steps = simulate_campaign(
-        target,
+        folder,
         preset=replace(chosen, own_pigments=objects > 1, unevenness_deg=unevenness),
         scale=scale,
         objects=objects,
@@ -159,28 +141,9 @@ def simulate(
         tiles=tiles,
     )
     draw_steps(steps, as_json)
-    if live:
-        _play(target, folder, interval, faults, seed, as_json)
-        spare.cleanup()
     print_report("simulate", as_json, True, [], campaign=str(folder))
     if not as_json:
         typer.echo(f"Simulated {folder}. Build it: levkas build {folder}")
-
-
-def _play(
-    source: Path, folder: Path, interval: float, faults: float, seed: int, quiet: bool
-) -> None:
-    """Write the frames of a simulated campaign one by one, and print each with the fault that it has."""
-    import numpy as np
-
-    from levkas.simulation.live import copy_declarations, play_session
-
-    folder.mkdir(parents=True, exist_ok=True)
-    copy_declarations(source, folder)
-    rng = np.random.default_rng(seed)
-    for frame in play_session(source, folder, interval_s=interval, share=faults, rng=rng):
-        if not quiet:
-            typer.echo(frame.line)
 
 
 @refusing("demo")

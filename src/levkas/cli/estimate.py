@@ -46,12 +46,6 @@ def estimate(
         Path | None,
         typer.Option("--output", "-o", help="Folder for page, JSON and models."),
     ] = None,
-    choose_by: Annotated[
-        str,
-        typer.Option(
-            help="Error by which methods choose their parameters: rmse, or delta-e of colours under D65."
-        ),
-    ] = "rmse",
     seed: Seed = 1,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -62,7 +56,7 @@ def estimate(
 
     plan = ExperimentPlan(
         database, sources or (), target, methods or (), train or (), test or (),
-        models=output is not None, choose_by=choose_by, seed=seed,
+        models=output is not None, seed=seed,
     )  # fmt: skip
     _report("estimate", run_experiment(plan), output, overwrite, as_json)
 

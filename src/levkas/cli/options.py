@@ -28,7 +28,6 @@ NEEDS: dict[str, Needs] = {
     },
     "plan light": {"--overwrite": ("--report",)},
     "radiometry": {"--overwrite": ("--output",)},
-    "simulate": {"--interval": ("--live",), "--faults": ("--live",)},
 }
 """Command → option → others, one of which it needs."""
 EXCLUDES: dict[str, Needs] = {

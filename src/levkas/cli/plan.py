@@ -29,13 +29,12 @@ def light(
     setup: SetupPath,
     name: Lighting = None,
     optimise: Annotated[
-        bool, typer.Option("--optimise", help="Search the best positions for two lamps.")
+        bool, typer.Option("--optimise", help="Find the best angle for the lamps.")
     ] = False,
     report: Annotated[
         Path | None, typer.Option("--report", "-o", help="HTML page to write; prints on A4.")
     ] = None,
     overwrite: Overwrite = False,
-    seed: Annotated[int, typer.Option(help="Seed of the search.", min=0)] = 1,
     as_json: Json = False,
 ) -> None:
     """Evenness, glare, relief and bright field of a lighting, and the effect of each adjustment."""
@@ -44,11 +43,11 @@ def light(
 
     if report is not None:
         require_free(report, overwrite=overwrite)
-    record = light_record(setup, name, optimised=optimise, seed=seed)
+    record = light_record(setup, name, optimised=optimise)
     if report is not None:
         from levkas.pages.plan import write_report
 
-        record["report"] = str(write_report(report, record.setup, name, seed=seed))
+        record["report"] = str(write_report(report, record.setup, name))
     print_report("plan light", as_json, True, [], **record)
     if not as_json:
         typer.echo(light_text(record))
@@ -116,7 +115,7 @@ def exposure(
 ) -> None:
     """Recommend exposures from frames of a white, by channel or band; or from a setup file.
 
-    From a setup file: exposure, SNR and limiting channel of every camera, dose, flicker.
+    From a setup file: exposure, SNR and limiting channel of every camera, dose.
     """
     if setup is not None:
         record, text = _planned(setup, name, report, overwrite)

@@ -17,8 +17,6 @@ from levkas.estimation.plan import (
     ExperimentPlan,
     choose_layers,
     choose_methods,
-    criterion_of,
-    title_of_database,
     wavelengths_of,
 )
 from levkas.estimation.report import EstimationReport, SourceReport
@@ -29,15 +27,9 @@ from levkas.estimation.samples import (
     training_of,
 )
 from levkas.estimation.scores import MethodScore, PixelErrors, score_pixels
-from levkas.estimation.splits import (
-    EstimationFold,
-    EstimationSplit,
-    Part,
-    group_pixels,
-    split_paintings,
-)
+from levkas.estimation.splits import EstimationFold, split_paintings
 from levkas.estimation.stored import StoredModel, bands_of
-from levkas.estimation.training import Criterion, Training, mean_square
+from levkas.estimation.training import Training
 from levkas.estimation.uncertainty import (
     APART_PX,
     SAMPLES,
@@ -75,37 +67,23 @@ class EstimationStep:
 
 @dataclass
 class Paintings:
-    """Samples of paintings, read once.
-
-    Parameters
-    ----------
-    source : SampleSource
-    seed : int
-    """
+    """Samples of paintings, whose responses are the channels of some layers, read once."""
 
     source: SampleSource
+    sources: tuple[str, ...]
     seed: int
-    _read: dict[tuple[str, tuple[str, ...]], PaintSamples] = field(default_factory=dict)
+    _read: dict[str, PaintSamples] = field(default_factory=dict)
 
-    def samples(self, part: Part) -> PaintSamples:
-        """Return the samples of one side of a fold in one painting."""
-        key = (part.object, part.sources)
-        if key not in self._read:
-            self._read[key] = self.source.read(*key)
-        samples = self._read[key]
-        if part.group is None:
-            return samples
-        return samples.take((group_pixels(samples) == part.group) == part.held)
+    def samples(self, name: str) -> PaintSamples:
+        """Return the samples of a painting."""
+        if name not in self._read:
+            self._read[name] = self.source.read(name, self.sources)
+        return self._read[name]
 
-    def training(self, fold: EstimationFold, criterion: Criterion) -> Training:
-        """Return the training samples of a fold: paint without gold.
-
-        Parameters are chosen on what is held out as the test is: paintings, or blocks of one.
-        """
-        parts = [self.samples(part) for part in fold.train]
-        paint = [part.take(~part.gold) for part in parts]
-        most = TRAINING_PIXELS // len(paint)
-        return replace(training_of([part.at_most(most) for part in paint]), criterion=criterion)
+    def training(self, names: Sequence[str]) -> Training:
+        """Return the training samples of some paintings; parameters are chosen on whole ones that are held out."""
+        most = TRAINING_PIXELS // len(names)
+        return training_of([self.samples(name).at_most(most) for name in names])
 
 
 def named_seed(seed: int, *names: str) -> int:
@@ -186,31 +164,31 @@ def run_experiment(plan: ExperimentPlan) -> Iterator[EstimationStep]:
     database = Database(plan.database)
     methods = choose_methods(plan.methods)
     target, sources = choose_layers(database, plan)
-    criterion = criterion_of(plan.choose_by, wavelengths_of(database, target))
     splits = []
     for group in sources:
         names = require_layers(database, [*group, target], "--from")
-        splits.append(split_paintings(names, group, train=plan.train, test=plan.test))
-    total, done, found = sum(len(split.folds) for split in splits), 0, []
-    for split in splits:
-        paintings = Paintings(SampleSource(database, target, MOST_PIXELS), plan.seed)
+        splits.append((group, split_paintings(names, train=plan.train, test=plan.test)))
+    total, done, found = sum(len(folds) for _, folds in splits), 0, []
+    for group, folds in splits:
+        paintings = Paintings(SampleSource(database, target, MOST_PIXELS), group, plan.seed)
         scores: dict[str, list[PixelErrors]] = {}
         problems: list[Problem] = []
-        for fold in split.folds:
-            for name, errors in score_fold(paintings, fold, methods, problems, criterion).items():
+        for fold in folds:
+            for name, errors in score_fold(paintings, fold, methods, problems).items():
                 scores.setdefault(name, []).extend(errors)
             done += 1
-            yield EstimationStep(f"{'+'.join(fold.test[0].sources)}: {fold.name}", done, total)
+            yield EstimationStep(f"{'+'.join(group)}: {fold.name}", done, total)
         if not scores:
             raise Refused(*dict.fromkeys(problems))
-        report = _report_source(paintings, split, scores, problems)
+        report = _report_source(paintings, folds, scores, problems)
         if plan.models:
-            report = replace(report, models=tuple(_models_of(paintings, report, criterion)))
+            report = replace(report, models=tuple(fit_models(paintings, report)))
         found.append(report)
     waves = wavelengths_of(database, target)
-    title = title_of_database(database)
-    whole = EstimationReport(title, target, waves, tuple(found), choose_by=plan.choose_by)
-    yield EstimationStep("report", total, total, report=whole)
+    title = database.path.resolve().name
+    yield EstimationStep(
+        "report", total, total, report=EstimationReport(title, target, waves, tuple(found))
+    )
 
 
 def score_fold(
@@ -218,15 +196,14 @@ def score_fold(
     fold: EstimationFold,
     methods: Sequence[EstimationMethod],
     problems: list[Problem],
-    criterion: Criterion = mean_square,
 ) -> dict[str, list[PixelErrors]]:
     """Fit every method on a fold and return its errors; methods that refuse are put into `problems`."""
-    seed = named_seed(paintings.seed, "painting", fold.name, *fold.test[0].sources)
+    seed = named_seed(paintings.seed, "painting", fold.name, *paintings.sources)
     wavelengths = wavelengths_of(paintings.source.database, paintings.source.target)
     scored = {}
     with steady_libraries():
-        training = paintings.training(fold, criterion)
-        tests = [(part.object, paintings.samples(part)) for part in fold.test]
+        training = paintings.training(fold.train)
+        tests = [(name, paintings.samples(name)) for name in fold.test]
         for method in methods:
             try:
                 model = method.fit(training, np.random.default_rng(seed))
@@ -240,25 +217,19 @@ def score_fold(
     return scored
 
 
-def fit_models(
-    paintings: Paintings,
-    part: Part,
-    names: Sequence[str],
-    scores: Sequence[MethodScore],
-    criterion: Criterion = mean_square,
-) -> Iterator[StoredModel]:
-    """Fit the methods that were scored on all paintings, for estimating others."""
-    source = paintings.source
-    fold = EstimationFold("all", tuple(Part(name, part.sources) for name in names), ())
-    seed = named_seed(paintings.seed, "all", *part.sources)
+def fit_models(paintings: Paintings, report: SourceReport) -> Iterator[StoredModel]:
+    """Fit the methods that were scored on every painting that took part, on whichever side, for estimating others."""
+    source, sources = paintings.source, paintings.sources
+    names = list(dict.fromkeys(n for fold in report.folds for n in (*fold.train, *fold.test)))
+    seed = named_seed(paintings.seed, "all", *sources)
     bands = bands_of(source.layer(names[0], source.target))
     with steady_libraries():
-        training = paintings.training(fold, criterion)
-        for score in scores:
+        training = paintings.training(names)
+        for score in report.ranked:
             model = METHODS[score.method].fit(training, np.random.default_rng(seed))
             sigma = tuple(float(e) for e in score.by_band())
-            errors = _errors_of(source, model, training, part.sources, names, score)
-            facts = score.method, model, part.sources, source.target, bands, tuple(names), sigma
+            errors = _errors_of(source, model, training, sources, names, score)
+            facts = score.method, model, sources, source.target, bands, tuple(names), sigma
             yield StoredModel(*facts, errors)
 
 
@@ -288,27 +259,16 @@ def _errors_of(
     )
 
 
-def _models_of(
-    paintings: Paintings, report: SourceReport, criterion: Criterion
-) -> Iterator[StoredModel]:
-    """Fit on every painting that took part, on whichever side."""
-    parts = [p for fold in report.split.folds for p in (*fold.train, *fold.test)]
-    part = report.split.folds[0].test[0]
-    names = list(dict.fromkeys(p.object for p in parts))
-    return fit_models(paintings, part, names, report.ranked, criterion)
-
-
 def _report_source(
     paintings: Paintings,
-    split: EstimationSplit,
+    folds: tuple[EstimationFold, ...],
     scores: dict[str, list[PixelErrors]],
     problems: Sequence[Problem],
 ) -> SourceReport:
-    part = split.folds[0].test[0]
     return SourceReport(
-        part.sources,
-        channels=paintings.samples(part).responses.shape[1],
-        split=split,
+        paintings.sources,
+        channels=paintings.samples(folds[0].test[0]).responses.shape[1],
+        folds=folds,
         scores=tuple(MethodScore(name, tuple(errors)) for name, errors in scores.items()),
         problems=tuple(dict.fromkeys(problems)),
     )

@@ -36,18 +36,12 @@ class EstimationMethod:
         ``fitter(training, rng)`` returns a `Model`.
     read : callable
         ``read(arrays)`` makes a model again of what its ``arrays()`` returned.
-    equation : str
-        LaTeX.
-    source : str
-        Key of docs/references.bib.
     """
 
     name: str
     title: str
     fitter: Callable[[Training, np.random.Generator], Model]
     read: Callable[[Mapping[str, np.ndarray]], Model]
-    equation: str
-    source: str
 
     def fit(self, training: Training, rng: np.random.Generator) -> Model:
         """Fit the method, with linear algebra that sums in one order on any number of processors."""

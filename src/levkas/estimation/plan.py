@@ -4,25 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from levkas.campaign.schema.toml import read_toml
-from levkas.core.problems import Problem, Refused, closest_match, unknown_name
+from levkas.core.problems import Problem, unknown_name
 from levkas.database.layout import LayerId
 from levkas.database.reader import Database
 from levkas.database.registrations import read_registrations
 from levkas.estimation.methods import METHODS, EstimationMethod
 from levkas.estimation.samples import EstimationRefused, require_layers
-from levkas.estimation.training import Criterion, mean_square
 
-CRITERIA = {
-    "rmse": "the mean squared error of reflectance",
-    "delta-e": "the mean colour difference ΔE2000 under D65",
-}
-"""Name → what ridge, length and degree are chosen by, on samples that were held out."""
 LEAST_TARGET_BANDS = 8
 """Narrow bands of a layer whose spectra are worth estimating."""
 MOST_BROAD = 16
@@ -46,8 +38,6 @@ class ExperimentPlan:
         Paintings, instead of each left out in turn.
     models : bool
         Whether models fitted on all paintings are part of the report.
-    choose_by : str
-        Key of `CRITERIA`: the error of held-out samples by which ridge, length and degree are chosen.
     seed : int
     """
 
@@ -58,7 +48,6 @@ class ExperimentPlan:
     train: Sequence[str] = ()
     test: Sequence[str] = ()
     models: bool = False
-    choose_by: str = "rmse"
     seed: int = 1
 
 
@@ -74,37 +63,6 @@ def choose_methods(names: Sequence[str]) -> list[EstimationMethod]:
     if not names or "all" in names:
         return list(METHODS.values())
     return [METHODS[name] for name in dict.fromkeys(names)]
-
-
-def criterion_of(name: str, wavelengths: np.ndarray) -> Criterion:
-    """Return the error of a key of `CRITERIA`, for spectra at some wavelengths, nm; raises EstimationRefused."""
-    from levkas.estimation.metrics import delta_e, sees_colour
-
-    if name not in CRITERIA:
-        raise EstimationRefused(
-            Problem(
-                "E_VALUE",
-                f"parameters cannot be chosen by {name!r}",
-                field="--choose-by",
-                found=name,
-                expected=", ".join(CRITERIA),
-                fix=closest_match(name, CRITERIA),
-            )
-        )
-    if name == "rmse":
-        return mean_square
-    if not sees_colour(wavelengths):
-        raise EstimationRefused(
-            Problem(
-                "E_VALUE",
-                "the bands do not reach through the visible, and have no colour difference",
-                field="--choose-by",
-                found=f"{name}; {np.nanmin(wavelengths):g} to {np.nanmax(wavelengths):g} nm",
-                expected="bands through the visible",
-                fix="Leave --choose-by out.",
-            )
-        )
-    return partial(delta_e, wavelengths=wavelengths)
 
 
 def choose_layers(database: Database, plan: ExperimentPlan) -> tuple[str, list[tuple[str, ...]]]:
@@ -188,12 +146,3 @@ def wavelengths_of(database: Database, layer: str) -> np.ndarray:
         if (key.camera, key.setup) in database[name].layers:
             return np.asarray(database[name][key.camera, key.setup].wavelength.values, float)
     return np.zeros(0)
-
-
-def title_of_database(database: Database) -> str:
-    """Return the title that database.toml gives, else the name of the folder."""
-    try:
-        title = read_toml(database.path / "database.toml").get("title")
-    except Refused:
-        title = None
-    return str(title or database.path.resolve().name)

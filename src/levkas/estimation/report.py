@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,9 +11,8 @@ import numpy as np
 from levkas.core.json_safe import rounded
 from levkas.core.problems import Problem
 from levkas.estimation.methods import METHODS
-from levkas.estimation.plan import CRITERIA
 from levkas.estimation.scores import DIGITS, MethodScore, noise_ceiling, rank
-from levkas.estimation.splits import EstimationSplit
+from levkas.estimation.splits import EstimationFold
 from levkas.estimation.stored import StoredModel
 
 
@@ -26,7 +25,7 @@ class SourceReport:
     sources : tuple of str
         Layers whose channels are the responses.
     channels : int
-    split : EstimationSplit
+    folds : tuple of EstimationFold
     scores : tuple of MethodScore
     problems : tuple of Problem
         Methods that refused.
@@ -36,7 +35,7 @@ class SourceReport:
 
     sources: tuple[str, ...]
     channels: int
-    split: EstimationSplit
+    folds: tuple[EstimationFold, ...]
     scores: tuple[MethodScore, ...]
     problems: tuple[Problem, ...] = ()
     models: tuple[StoredModel, ...] = ()
@@ -63,16 +62,9 @@ class SourceReport:
         return sorted(self.scores, key=lambda score: (places[score.method], score.rmse))
 
     @property
-    def gold_pixels(self) -> int:
-        """Scored pixels of gold and gloss."""
-        return sum(int(error.gold.sum()) for error in self.scores[0].errors) if self.scores else 0
-
-    @property
     def pixels(self) -> int:
         """Scored pixels of paint."""
-        return (
-            sum(int((~error.gold).sum()) for error in self.scores[0].errors) if self.scores else 0
-        )
+        return sum(len(error.rows) for error in self.scores[0].errors) if self.scores else 0
 
     def to_dict(self, wavelengths: np.ndarray) -> dict[str, Any]:
         """Return the record for programs."""
@@ -80,13 +72,8 @@ class SourceReport:
         return {
             "from": list(self.sources),
             "channels": self.channels,
-            "note": self.split.note,
-            "folds": [
-                {"name": fold.name, "train": names_of(fold.train), "test": names_of(fold.test)}
-                for fold in self.split.folds
-            ],
+            "folds": [fold._asdict() for fold in self.folds],
             "pixels": self.pixels,
-            "gold_pixels": self.gold_pixels,
             "noise_ceiling": self.ceiling,
             "methods": [
                 _method_record(score, places[score.method], wavelengths) for score in self.ranked
@@ -107,15 +94,12 @@ class EstimationReport:
         Layer whose spectra were estimated.
     wavelengths : ndarray, (bands,), nm
     sources : tuple of SourceReport
-    choose_by : str
-        Key of `plan.CRITERIA`: by what methods chose their parameters.
     """
 
     database: str
     target: str
     wavelengths: np.ndarray
     sources: tuple[SourceReport, ...]
-    choose_by: str = "rmse"
 
     @property
     def ok(self) -> bool:
@@ -133,7 +117,6 @@ class EstimationReport:
             {
                 "target": self.target,
                 "bands": len(self.wavelengths),
-                "choose_by": self.choose_by,
                 "results": [source.to_dict(self.wavelengths) for source in self.sources],
             },
             DIGITS,
@@ -142,18 +125,12 @@ class EstimationReport:
     @property
     def text(self) -> str:
         """A table for people, a line a method."""
-        chosen = f"ridge, length and degree are chosen by {CRITERIA[self.choose_by]} of what was held out"
-        return "\n\n".join([*(_text_of(s, self.target) for s in self.sources), chosen])
+        return "\n\n".join(_text_of(source, self.target) for source in self.sources)
 
 
 def title_of(method: str) -> str:
     """Return a method's title."""
     return METHODS[method].title
-
-
-def names_of(parts: Iterable[Any]) -> list[str]:
-    """Return the paintings of one side of a fold."""
-    return list(dict.fromkeys(part.object for part in parts))
 
 
 def _method_record(score: MethodScore, place: int, wavelengths: np.ndarray) -> dict[str, Any]:
@@ -162,7 +139,6 @@ def _method_record(score: MethodScore, place: int, wavelengths: np.ndarray) -> d
         "rank": place,
         "rmse": score.rmse,
         "metrics": score.summary(),
-        "gold": score.summary(gold=True),
         "objects": {name: score.summary(name=name) for name in score.objects},
         "bands": [
             {"wavelength": float(w), "rmse": float(e)}
@@ -189,6 +165,4 @@ def _text_of(source: SourceReport, target: str) -> str:
         lines.append(
             f"   the reference's own sigma is {source.ceiling:.4f}: nothing is ranked below it"
         )
-    if source.split.note:
-        lines.append(f"   {source.split.note}")
     return "\n".join(lines)

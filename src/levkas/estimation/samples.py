@@ -1,7 +1,7 @@
 """Samples of a database for spectral estimation: responses of some layers and spectra of another.
 
-A sample is a pixel of the grid that every layer saw well; pixels that are saturated, moved, outside or
-show glare in any of their channels are left out, and pixels of gold are marked.
+A sample is a pixel of paint that every layer saw well; pixels that are saturated, moved, outside or
+show glare in any of their channels are left out, and so is gold.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from levkas.core.cube import Flag, is_flagged
 from levkas.core.problems import Problem, Refused, closest_match
 from levkas.database.layout import LayerId
-from levkas.estimation.training import Training
+from levkas.estimation.training import ARRAYS, Training
 
 if TYPE_CHECKING:
     import xarray
@@ -43,7 +43,7 @@ class EstimationRefused(Refused):
 
 @dataclass(frozen=True)
 class PaintSamples:
-    """Pixels of one painting with responses and spectra.
+    """Pixels of paint of one painting with responses and spectra.
 
     Parameters
     ----------
@@ -52,8 +52,6 @@ class PaintSamples:
         Reflectance.
     response_sigma, spectrum_sigma : ndarray or None
         One standard deviation, shaped as the values.
-    gold : ndarray, (n,), bool
-        Pixels of gold or gloss: they mirror a lamp under some lighting, and rise from blue to red.
     rows, columns : ndarray, (n,), int
         Places on the grid.
     """
@@ -62,7 +60,6 @@ class PaintSamples:
     spectra: np.ndarray
     response_sigma: np.ndarray | None
     spectrum_sigma: np.ndarray | None
-    gold: np.ndarray
     rows: np.ndarray
     columns: np.ndarray
 
@@ -79,12 +76,6 @@ class PaintSamples:
         """Return about `count` samples, evenly through the painting."""
         return (
             self if len(self) <= count else self.take(np.arange(0, len(self), len(self) // count))
-        )
-
-    def training(self, groups: np.ndarray) -> Training:
-        """Return the samples as training data of some groups, (n,)."""
-        return Training(
-            self.responses, self.spectra, self.response_sigma, self.spectrum_sigma, groups
         )
 
     def blocks(self) -> np.ndarray:
@@ -129,7 +120,7 @@ class SampleSource:
         Raises
         ------
         EstimationRefused
-            Where the layers are of other sizes, or see no pixel together.
+            Where the layers are of other sizes, or see no pixel of paint together.
         """
         target = self.layer(name, self.target)
         layers = [self.layer(name, source) for source in sources]
@@ -150,30 +141,32 @@ class SampleSource:
         good = np.logical_and.reduce(
             [values_good & np.isfinite(v).all(2) for v, values_good, _ in lattice]
         )
+        if good.any():
+            spectra = lattice[0][0][good].astype(np.float64)
+            good[good] = ~(
+                self._mirrors(name, step)[good]
+                & _rises(spectra, np.asarray(target.wavelength.values, float))
+            )
         if not good.any():
             raise EstimationRefused(
                 Problem(
                     "E_NO_OVERLAP",
-                    f"no pixel of {name} is free of flags in all layers at once",
+                    f"no pixel of paint of {name} is free of flags in all layers at once",
                     found=f"{', '.join(sources)} and {self.target}: masks without overlap",
                     expected="pixels in all layers without saturation, glare or movement",
                     fix="Check the flags of the layers, or remove one of them from --from.",
                 )
             )
-        gold = self._mirrors(name, step)[good]
-        spectra = side_by_side(lattice[:1], 0, good)
-        assert spectra is not None
-        gold &= _rises(spectra, np.asarray(target.wavelength.values, float))
         rows, columns = (places * step for places in np.nonzero(good))
-        responses = side_by_side(lattice[1:], 0, good)
-        assert responses is not None
+        responses, spectra = (side_by_side(part, 0, good) for part in (lattice[1:], lattice[:1]))
+        assert responses is not None and spectra is not None
         return PaintSamples(
             responses, spectra, side_by_side(lattice[1:], 2, good), side_by_side(lattice[:1], 2, good),
-            gold, rows, columns,
+            rows, columns,
         )  # fmt: skip
 
     def _mirrors(self, name: str, step: int) -> np.ndarray:
-        """Return where a lamp is mirrored under any lighting, (rows, columns) of the lattice.
+        """Return where a lamp is mirrored under any lighting, by gold where it rises to red, (rows, columns) of the lattice.
 
         Glare is; so is what another lighting makes brighter than it makes the median of the painting.
         """
@@ -231,35 +224,16 @@ def _rises(spectra: np.ndarray, wavelengths: np.ndarray) -> np.ndarray:
 
 
 def training_of(parts: Sequence[PaintSamples]) -> Training:
-    """Return the samples of several paintings, a group each; of one, a group a spatial block."""
-    groups = [np.full(len(part), number) for number, part in enumerate(parts)]
-    if len(parts) == 1:
-        groups = [parts[0].blocks()]
-    joined = join_training([part.training(g) for part, g in zip(parts, groups, strict=True)])
-    if not len(joined):
-        raise EstimationRefused(
-            Problem(
-                "E_NO_OVERLAP",
-                "no pixel of paint is left to train on",
-                found="gold, gloss and flagged pixels only",
-                fix="Check the flags of the training paintings.",
-            )
-        )
-    return joined
+    """Return the samples of several paintings, a group each, sigma where all have it; of one, a group a spatial block."""
 
-
-def join_training(parts: Sequence[Training]) -> Training:
-    """Return the samples of several as one; sigma where all have it."""
-
-    def joined(name: str) -> np.ndarray | None:
+    def joined(name: str) -> Any:
         arrays = [getattr(part, name) for part in parts]
         return None if any(a is None for a in arrays) else np.concatenate(arrays)
 
-    responses, spectra = joined("responses"), joined("spectra")
-    assert responses is not None and spectra is not None
-    return Training(
-        responses, spectra, joined("response_sigma"), joined("spectrum_sigma"), joined("groups")
-    )
+    groups = [np.full(len(part), number) for number, part in enumerate(parts)]
+    if len(parts) == 1:
+        groups = [parts[0].blocks()]
+    return Training(*map(joined, ARRAYS[:4]), np.concatenate(groups))
 
 
 # --- names ----------------------------------------------------------------------------------------

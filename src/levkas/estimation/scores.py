@@ -26,7 +26,6 @@ class PixelErrors:
     object : str
     rows, columns : ndarray, (n,), int
         Places on the grid.
-    gold : ndarray, (n,), bool
     metrics : dict of str to ndarray, (n,), float32
         Keys of `METRICS`; ΔE is missing where the bands do not reach through the visible.
     residuals : ndarray, (n, bands), float32
@@ -39,7 +38,6 @@ class PixelErrors:
     object: str
     rows: np.ndarray
     columns: np.ndarray
-    gold: np.ndarray
     metrics: dict[str, np.ndarray]
     residuals: np.ndarray
     measured: np.ndarray
@@ -55,7 +53,7 @@ def score_pixels(
         errors["delta_e_d65"] = metrics.delta_e(spectra, test.spectra, wavelengths)
     sigma = test.spectrum_sigma
     return PixelErrors(
-        name, test.rows, test.columns, test.gold,
+        name, test.rows, test.columns,
         {key: values.astype(np.float32) for key, values in errors.items()},
         (spectra - test.spectra).astype(np.float32),
         test.spectra.astype(np.float32),
@@ -80,10 +78,10 @@ class MethodScore:
     errors: tuple[PixelErrors, ...]
     seconds: float = 0.0
 
-    def values(self, metric: str, *, gold: bool = False, name: str = "") -> np.ndarray:
-        """Return the errors of all pixels of paint, or of gold, of one painting or of all."""
+    def values(self, metric: str, *, name: str = "") -> np.ndarray:
+        """Return the errors of all pixels, of one painting or of all."""
         chosen = [
-            error.metrics[metric][error.gold == gold]
+            error.metrics[metric]
             for error in self.errors
             if name in ("", error.object) and metric in error.metrics
         ]
@@ -91,14 +89,14 @@ class MethodScore:
 
     @property
     def rmse(self) -> float:
-        """Root mean square error over pixels and bands of paint: what methods are ranked by."""
+        """Root mean square error over pixels and bands: what methods are ranked by."""
         return float(np.sqrt(np.square(self.values("rmse"), dtype=float).mean()))
 
-    def summary(self, *, gold: bool = False, name: str = "") -> dict[str, dict[str, float]]:
+    def summary(self, *, name: str = "") -> dict[str, dict[str, float]]:
         """Return mean, median, 95th percentile and maximum of each metric."""
         found = {}
         for metric in METRICS:
-            values = self.values(metric, gold=gold, name=name)
+            values = self.values(metric, name=name)
             if len(values):
                 found[metric] = summarise(values)
         return found
@@ -109,21 +107,20 @@ class MethodScore:
         return list(dict.fromkeys(error.object for error in self.errors))
 
     def residuals(self) -> np.ndarray:
-        """Return estimated − measured of all pixels of paint, (n, bands)."""
-        return np.concatenate([e.residuals[~e.gold] for e in self.errors]).astype(float)
+        """Return estimated − measured of all pixels, (n, bands)."""
+        return np.concatenate([e.residuals for e in self.errors]).astype(float)
 
     def pairs(self, apart: int) -> tuple[np.ndarray, np.ndarray]:
         """Return which of the `residuals` lie beside one another, `apart` px or the next multiple of their lattice, (m,) each, int."""
         found, start = [], 0
         for error in self.errors:
-            rows, columns = error.rows[~error.gold], error.columns[~error.gold]
-            found.append(start + _neighbours(rows, columns, apart))
-            start += len(rows)
+            found.append(start + _neighbours(error.rows, error.columns, apart))
+            start += len(error.rows)
         first, second = np.concatenate(found, axis=1)
         return first, second
 
     def by_band(self) -> np.ndarray:
-        """Return the RMSE of every band over paint."""
+        """Return the RMSE of every band."""
         return np.asarray(np.sqrt(np.square(self.residuals()).mean(0)))
 
 
@@ -171,6 +168,6 @@ def rank(errors: Sequence[float], ceiling: float) -> list[int]:
 
 
 def noise_ceiling(errors: Sequence[PixelErrors]) -> float | None:
-    """Return the reference's own sigma, root mean square over paint: no score means more below it."""
-    known = [e.sigma[~e.gold] for e in errors if e.sigma is not None]
+    """Return the reference's own sigma, root mean square: no score means more below it."""
+    known = [e.sigma for e in errors if e.sigma is not None]
     return float(np.sqrt(np.square(np.concatenate(known), dtype=float).mean())) if known else None

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,19 +11,11 @@ from levkas.core.problems import Problem, Refused
 
 MOST_JUDGED = 4_000
 """Samples, evenly through the training, on which parameters are judged; all are fitted to."""
-Criterion = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Error of estimated and measured spectra, (n, bands) each, sample by sample, (n,)."""
 MOST_CANDIDATES = 20_000
 """Samples among which the farthest points are looked for; of more, so many are drawn at random."""
 
 
-def mean_square(estimated: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Return the mean square error over bands, (n,).
-
-    >>> mean_square(np.array([[0.5, 0.5]]), np.array([[0.3, 0.4]])).round(3).tolist()
-    [0.025]
-    """
-    return np.asarray(np.square(estimated - measured).mean(1))
+ARRAYS = ("responses", "spectra", "response_sigma", "spectrum_sigma", "groups")
 
 
 @dataclass(frozen=True)
@@ -42,8 +34,6 @@ class Training:
         Standard deviations of the spectra, >= 0.
     groups : ndarray, (n,), optional
         What is held out together when parameters are chosen: the painting or pigment of each sample.
-    criterion : callable
-        Error of held-out samples by which parameters are chosen; the mean square by default.
 
     Raises
     ------
@@ -56,12 +46,27 @@ class Training:
     response_sigma: np.ndarray | None = None
     spectrum_sigma: np.ndarray | None = None
     groups: np.ndarray | None = None
-    criterion: Criterion = mean_square
 
     def __post_init__(self) -> None:
-        problems = [*self._wrong_shapes()] or [*self._wrong_values()]
-        if problems:
-            raise Refused(*problems)
+        found: dict[str, np.ndarray | None] = {k: getattr(self, k) for k in ARRAYS}
+        wrong = [
+            Problem(
+                "E_TRAINING", "training needs finite rows, one a sample, and sigma >= 0", field=name
+            )
+            for name, values in found.items()
+            if values is not None and not self._fits(name, values)
+        ]
+        if wrong:
+            raise Refused(*wrong)
+
+    def _fits(self, name: str, values: np.ndarray) -> bool:
+        if name == "groups":
+            return values.shape == (len(self.responses),)
+        like = self.responses if name == "response_sigma" else self.spectra
+        shape = values.shape if name == "responses" else (len(self.responses), *like.shape[1:])
+        if values.ndim != 2 or values.shape != shape or not np.isfinite(values).all():
+            return False
+        return not name.endswith("sigma") or bool((values >= 0).all())
 
     def __len__(self) -> int:
         return len(self.responses)
@@ -69,74 +74,12 @@ class Training:
     def take(self, chosen: np.ndarray) -> Training:
         """Return the samples of some indices, or of a mask."""
 
-        def part(values: np.ndarray | None) -> np.ndarray | None:
-            return None if values is None else values[chosen]
-
-        return replace(
-            self,
-            responses=self.responses[chosen],
-            spectra=self.spectra[chosen],
-            response_sigma=part(self.response_sigma),
-            spectrum_sigma=part(self.spectrum_sigma),
-            groups=part(self.groups),
-        )
+        parts = (getattr(self, name) for name in ARRAYS)
+        return Training(*(None if values is None else values[chosen] for values in parts))  # type: ignore[arg-type]
 
     def judged(self) -> np.ndarray:
         """Return the indices of the samples, `MOST_JUDGED` at most, by whose errors parameters are chosen."""
         return np.arange(0, len(self), -(-len(self) // MOST_JUDGED))
-
-    def _wrong_shapes(self) -> list[Problem]:
-        count = len(self.responses)
-        expected = {
-            "responses": (self.responses, (count, *self.responses.shape[1:2])),
-            "spectra": (self.spectra, (count, *self.spectra.shape[1:2])),
-            "response_sigma": (self.response_sigma, self.responses.shape),
-            "spectrum_sigma": (self.spectrum_sigma, self.spectra.shape),
-        }
-        problems = [
-            Problem(
-                "E_TRAINING_SHAPE",
-                "responses and spectra need a row for each sample",
-                field=name,
-                found=values.shape,
-                expected=shape,
-            )
-            for name, (values, shape) in expected.items()
-            if values is not None and (values.shape != shape or values.ndim != 2)
-        ]
-        if self.groups is not None and self.groups.shape != (count,):
-            problems.append(
-                Problem(
-                    "E_TRAINING_SHAPE",
-                    "a group is needed for each sample",
-                    field="groups",
-                    found=self.groups.shape,
-                    expected=(count,),
-                )
-            )
-        return problems
-
-    def _wrong_values(self) -> list[Problem]:
-        fields = ("responses", "spectra", "response_sigma", "spectrum_sigma")
-        problems = []
-        for name in fields:
-            values = getattr(self, name)
-            if values is None:
-                continue
-            wrong = ~np.isfinite(values)
-            if name.endswith("sigma"):
-                wrong |= values < 0
-            if wrong.any():
-                problems.append(
-                    Problem(
-                        "E_TRAINING_VALUES",
-                        "training needs finite values, and sigma >= 0",
-                        field=name,
-                        found=f"{int(wrong.any(1).sum())} samples with others",
-                        fix="leave masked and saturated pixels out",
-                    )
-                )
-        return problems
 
 
 def require_samples(training: Training, coefficients: int, method: str) -> None:
@@ -195,19 +138,14 @@ def covering(training: Training, count: int, rng: np.random.Generator) -> np.nda
     drawn = np.arange(len(training))
     if len(training) > MOST_CANDIDATES:
         drawn = np.sort(rng.choice(len(training), max(MOST_CANDIDATES, count), replace=False))
-    return np.asarray(drawn[farthest_points(training.responses[drawn], count, rng)])
-
-
-def farthest_points(points: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Return indices of `count` points, each the farthest from those before it, (count,) int."""
-    chosen = np.empty(min(count, len(points)), int)
-    distance = np.full(len(points), np.inf)
+    points = training.responses[drawn]
+    chosen, distance = np.empty(min(count, len(points)), int), np.full(len(points), np.inf)
     index = int(rng.integers(len(points)))
     for place in range(len(chosen)):
         chosen[place] = index
         distance = np.minimum(distance, np.square(points - points[index]).sum(1))
         index = int(distance.argmax())
-    return chosen
+    return np.asarray(drawn[chosen])
 
 
 def held_out_errors(
@@ -217,7 +155,7 @@ def held_out_errors(
     targets: np.ndarray,
     ridges: Sequence[float] | np.ndarray,
 ) -> list[float]:
-    """Return the weighted mean of the training's criterion for each ridge, over samples held out.
+    """Return the weighted mean square error for each ridge, over samples held out.
 
     Parameters
     ----------
@@ -226,9 +164,9 @@ def held_out_errors(
         As of `held_out_residuals`; of the regression in which a sample counts by `sample_weights`.
     """
     at, weights = training.judged(), sample_weights(training)
-    root, measured = np.sqrt(weights)[at, None], training.spectra[at]
+    root = np.sqrt(weights)[at, None]
     residuals = held_out_residuals(vectors, values, targets, ridges, training.groups, at)
-    found = (training.criterion(measured - missed / root, measured) for missed in residuals)
+    found = (np.square(missed / root).mean(1) for missed in residuals)
     return [float(np.mean(weights[at] * errors)) for errors in found]
 
 

@@ -20,7 +20,6 @@ from levkas.calibration.error_sources import (
     ErrorSource,
     MeanSpectrum,
     Part,
-    Uncertain,
     uncertain_mean,
 )
 from levkas.database.layout import LayerId
@@ -162,65 +161,6 @@ def channels_of(opened: LayerArray, layer: str, rows: Iterable[ErrorSource]) -> 
     labels = [str(label) for label in opened.band.values]
     wavelengths = np.asarray(opened.wavelength.values, float)
     return Channels(layer, LayerId.parse("", layer).camera, labels, wavelengths, tuple(rows))
-
-
-def uncertain_spectrum(
-    model: Model,
-    responses: Uncertain,
-    prediction: PredictionError | None = None,
-    *,
-    pixels: int = 1,
-    layer: str = "",
-    region: object = 0,
-) -> Uncertain:
-    """Estimate the spectrum of one paint with all that makes it uncertain.
-
-    Parameters
-    ----------
-    model : Model
-    responses : Uncertain, (channels,)
-        Means of a region, of one layer or of several, as `levkas.calibration.error_sources.join` puts them together.
-    prediction : PredictionError, optional
-        Of the model; where it knows its own sigma, that is its size, less the noise of the responses.
-    pixels : int
-        Of how many the responses are means.
-    layer : str
-        Whose prediction it is.
-    region : object
-        Name of the paint: another one is missed otherwise.
-
-    Examples
-    --------
-    A channel known to 1 %, and a model that doubles it and misses paints by 0.03:
-
-    >>> from levkas.estimation.methods.linear_model import LinearModel
-    >>> double = LinearModel(np.array([[0]]), False, np.array([[2.0]]), np.zeros(1), 1)
-    >>> grey = Uncertain(np.array([0.4]), {("white board", "", 0): np.array([0.004])})
-    >>> made = uncertain_spectrum(double, grey, PredictionError(np.array([[0.03]]), *np.zeros((2, 1))))
-    >>> made.values.tolist(), made.sigma.round(4).tolist()
-    ([0.8], [0.031])
-    """
-    at = np.asarray(responses.values, float)[None]
-    (values,), own = model(at)
-    slopes = slopes_of(model, at)[0].T
-    made = Uncertain(values, {part: row @ slopes for part, row in responses.parts.items()})
-    if prediction is None:
-        return made
-    scale = np.ones(len(made.values))
-    if own is not None:
-        noise = made.by_source().get(NOISE, 0.0) * pixels**0.5
-        left = np.sqrt(np.maximum(np.square(own[0]) - np.square(noise), 0))
-        scale = left / np.maximum(np.hypot(prediction.sigma, prediction.alone), 1e-12)
-    parts: dict[Part, np.ndarray] = dict(made.parts)
-    common = (*(scale * prediction.patterns), *np.diag(scale * prediction.rest))
-    for name, rows in (
-        (PREDICTION, common),
-        (NOISE, np.diag(scale * prediction.alone / pixels**0.5)),
-    ):
-        for k, row in enumerate(rows):
-            if row.any():
-                parts[name, f"{layer}, {PREDICTION}", (str(region), k)] = row
-    return Uncertain(made.values, parts)
 
 
 def slopes_of(model: Model, responses: np.ndarray) -> np.ndarray:

@@ -94,8 +94,7 @@ def _section(source: SourceReport, report: EstimationReport) -> dict[str, Any]:
         "title": f"From {source.name}",
         "anchor": "from-" + "".join(c if c.isalnum() else "-" for c in source.name),
         "facts": _facts(source),
-        "warning": source.split.note,
-        "warning_word": "Note.",
+        "warning": "",
         "heads": ["RMSE, all", *(METRICS[key] for key in metrics)],
         "rows": _rows(source, metrics, inks),
         "problems": [str(problem) for problem in source.problems],
@@ -109,10 +108,10 @@ def _in_order(source: SourceReport) -> list[MethodScore]:
 
 
 def _facts(source: SourceReport) -> str:
-    folds = len(source.split.folds)
+    folds = len(source.folds)
     parts = [
         f"{source.channels} channels",
-        f"{source.pixels:,} pixels of paint and {source.gold_pixels:,} of gold scored",
+        f"{source.pixels:,} pixels of paint scored",
         counted(folds, "fold"),
     ]
     if source.ceiling is not None:
@@ -180,7 +179,7 @@ def _pixel_at(score: MethodScore, percentile: float) -> tuple[PixelErrors, int]:
     wanted = float(np.percentile(score.values("rmse"), percentile))
     found = []
     for error in score.errors:
-        off = np.where(error.gold, np.inf, np.abs(error.metrics["rmse"] - wanted))
+        off = np.abs(error.metrics["rmse"] - wanted)
         pixel = int(off.argmin())
         found.append((float(off[pixel]), error, pixel))
     _, error, pixel = min(found, key=lambda one: one[0])
@@ -192,12 +191,11 @@ def _by_painting(source: SourceReport) -> NumberTable:
     rows = []
     for score in source.ranked:
         means = [score.summary(name=name).get("rmse", {}).get("mean") for name in names]
-        gold = score.summary(gold=True).get("rmse", {}).get("mean")
-        rows.append([title_of(score.method), *(_cell(v) for v in (*means, gold))])
+        rows.append([title_of(score.method), *map(_cell, means)])
     return NumberTable(
         "Painting by painting",
-        "Mean RMSE over the pixels of paint of each painting while it was held out, and over gold.",
-        ["method", *names, "gold"],
+        "Mean RMSE over the pixels of paint of each painting while it was held out.",
+        ["method", *names],
         rows,
     )
 

@@ -20,19 +20,12 @@ from levkas.pages.plan_plots import (
 from levkas.planning.exposure_plan import plan_dose, plan_exposure
 from levkas.planning.framing import plan_framing
 from levkas.planning.light import compare_lightings, plan_light
-from levkas.planning.optimisation import (
-    MEANINGS,
-    TOLERANCES,
-    WEIGHTS,
-    judge_of,
-    optimise,
-)
+from levkas.planning.optimisation import MEANINGS, TOLERANCES, WEIGHTS, optimise
 from levkas.planning.spectra import GRID, colour_temperature, unevenness
 from levkas.planning.tables import PlanRefused
 
 if TYPE_CHECKING:
     from levkas.planning.light import LightPlan
-    from levkas.planning.optimisation import Optimum
     from levkas.planning.setup import StudioLamp, StudioSetup
 
 
@@ -40,8 +33,6 @@ def write_report(
     path: str | Path,
     setup: StudioSetup,
     name: str | None = None,
-    *,
-    seed: int = 1,
 ) -> Path:
     """Write the report of one lighting, beside all others of the setup file.
 
@@ -52,15 +43,13 @@ def write_report(
     setup : StudioSetup
     name : str, optional
         Of the lighting; the first without one.
-    seed : int
-        Of the search.
 
     Raises
     ------
     PlanRefused
         Where there is no such lighting.
     """
-    page = report_facts(setup, name, rng=np.random.default_rng(seed))
+    page = report_facts(setup, name)
     write_text(path, render_page("plan.html", page=page))
     return Path(path)
 
@@ -68,14 +57,11 @@ def write_report(
 def report_facts(
     setup: StudioSetup,
     name: str | None,
-    *,
-    rng: np.random.Generator,
 ) -> dict[str, Any]:
     """Return everything on the page: words, numbers and drawings."""
     plan = plan_light(setup, name)
     others = compare_lightings(setup)
-    judge = judge_of(setup, plan.lighting)
-    best = optimise(judge, rng=rng)
+    best = optimise(setup, plan.lighting)
     thing = setup.object
     facts: dict[str, Any] = {
         "title": setup.bench.title or setup.path.stem,
@@ -91,7 +77,7 @@ def report_facts(
         "glare": draw_glare(plan),
         "compared": [_compared(p) for p in others],
         "best": best,
-        "best_words": _best_words(best),
+        "best_words": f"These lamps at {best.angle_deg:.0f}° from the normal, their distances and aims as they are.",
         "criteria": [
             (MEANINGS[k], f"{v:.2f}", f"{TOLERANCES[k]:g}", f"{WEIGHTS[k]:g}")
             for k, v in best.criteria.items()
@@ -236,32 +222,6 @@ def _compared(plan: LightPlan) -> dict[str, str]:
         "spread": f"{plan.gold_spread:.1f}" if plan.gold else "–",
         "texture": f"{100 * plan.texture_varnished:.1f} %",
     }
-
-
-def _best_words(best: Optimum) -> str:
-    found = best.best
-    where = (
-        "along the width"
-        if found.azimuth_deg < 20
-        else "along the height"
-        if found.azimuth_deg > 70
-        else f"turned by {found.azimuth_deg:.0f}° from the width"
-    )
-    aim = (
-        "aimed at the far edge"
-        if found.aim > 0.9
-        else f"aimed {100 * found.aim:.0f} % of the way to the far edge"
-        if found.aim > 0.05
-        else "aimed at the middle"
-    )
-    balance = (
-        "of equal power" if found.balance < 0.51 else f"at {100 * found.balance:.0f} to "
-        f"{100 - 100 * found.balance:.0f} % of the power"
-    )  # fmt: skip
-    return (
-        f"Two lamps {where} at {found.angle_deg:.0f}° from the normal and {found.distance_mm / 10:.0f} cm, "
-        f"{aim}, {balance}."
-    )
 
 
 def _spectra(plan: LightPlan) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -13,8 +14,9 @@ import numpy as np
 from levkas.calibration.full_scale import FullScale, SceneShots, find_full_scale, stated_full_scale
 from levkas.calibration.patterns import channel_table, thin_periods
 from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps
+from levkas.campaign.discovery.file_index import FolderListings, too_deep, walk_folders
 from levkas.core.problems import Problem, Refused
-from levkas.readers.frames import Facts, read_frame
+from levkas.readers.frames import Facts, kind_of, read_frame
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera
@@ -26,11 +28,9 @@ PERIOD, ROWS, SAMPLED = 60, 20, 1 << 18
 
 def files_of(paths: Iterable[str | Path]) -> list[Path]:
     """Return files, and the frames of folders; raises Refused for a folder without any."""
-    from levkas.quality.emva1288.facts import frames_below
-
     found: list[Path] = []
     for path in map(Path, paths):
-        frames = frames_below(path) if path.is_dir() else [path]
+        frames = _frames_below(path) if path.is_dir() else [path]
         if not frames:
             expected = "one frame or more"
             raise Refused(
@@ -45,6 +45,20 @@ def files_of(paths: Iterable[str | Path]) -> list[Path]:
             )
         found += frames
     return found
+
+
+def _frames_below(folder: Path) -> list[Path]:
+    """Return the files below a folder that are frames by name and first bytes."""
+    found = []
+    for above, names in walk_folders(folder, FolderListings()):
+        if names is None:
+            raise too_deep(folder.joinpath(*above))
+        for file in (folder.joinpath(*above, name) for name in names):
+            if file.suffix.lower() != ".hdr":
+                with suppress(Refused):
+                    kind_of(file)
+                    found.append(file)
+    return sorted(found)
 
 
 def stack_of(

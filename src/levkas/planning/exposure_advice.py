@@ -12,8 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from levkas.calibration.full_scale import FullScale
-from levkas.calibration.noise_fit import NoiseModel, fit_noise_of_frames
-from levkas.calibration.noise_model import Sensor
 from levkas.calibration.patterns import channel_names, channel_table, split
 from levkas.calibration.templates import Template
 from levkas.core.problems import Problem, Refused
@@ -25,25 +23,12 @@ from levkas.planning.campaign_frames import (
     split_sensors,
     stack_of,
 )
-from levkas.planning.exposure_levels import (
-    Advice,
-    Reading,
-    advise,
-    judge_iso,
-    limiting,
-    read_channel,
-    safe_mean,
-    snr_at,
-)
-from levkas.quality.emva1288.blocks import block_statistics
-from levkas.readers.frames import Facts, read_facts
+from levkas.planning.exposure_levels import FULL_WELL, PRNU, Reading, limiting, read_channel
+from levkas.readers.frames import read_facts
 
 TOLERATED = 1e-3  # share of pixels at saturation: glints and hot sensels
 FAINT = 0.002  # of saturation: less does not suffice to advise a time
-PRNU = 0.01  # where it is not measured
 NO_WHITE = 1.0  # (brightest − darkest)/mean, above which no evenly lit white was shown
-FEWEST_ELECTRONS = 500.0  # of the brightest sensel: with fewer it is texture that was read as noise
-LIT, FEWEST_BLOCKS = 0.1, 16  # share of saturation from which a white shows PRNU, on so many blocks
 
 
 class NoAdvice(Refused):
@@ -58,68 +43,51 @@ class BandAdvice:
     ----------
     shot : Shot
         The longest that does not clip.
-    advices : list of Advice
+    readings : list of Reading
         One a channel.
-    sensor : Sensor
-        As fitted, or assumed, for the SNR.
-    iso_advice : str
-    notes : list of str
-    prnu_known : bool
-        Whether the sensor's PRNU was measured on them, or 1 % is assumed.
-    full, full_from : float, str
+    full : FullScale
         Counts at which a sensel is full, and where that is known from.
     """
 
     shot: Shot
-    advices: list[Advice]
-    sensor: Sensor
-    iso_advice: str
-    notes: list[str]
-    prnu_known: bool = False
-    full: float = float("nan")
-    full_from: str = ""
+    readings: list[Reading]
+    full: FullScale
 
     @property
-    def first(self) -> Advice:
+    def first(self) -> Reading:
         """The channel that saturates first; its time is everyone's."""
-        return limiting(self.advices)[0]
+        return limiting(self.readings)[0]
+
+    @property
+    def time_s(self) -> float | None:
+        """The time to set; None where that of the frames is not known."""
+        return None if self.shot.exposure_s is None else self.shot.exposure_s * self.first.factor
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for `--json`."""
-        first, poorest = limiting(self.advices)
+        first, poorest = limiting(self.readings)
         return {
             "name": self.shot.name,
             "wavelength": None if isnan(self.shot.wavelength) else self.shot.wavelength,
             "exposure_s": self.shot.exposure_s,
-            "recommended_s": first.time_s,
+            "recommended_s": self.time_s,
             "recommended_factor": first.factor,
             "target": first.target,
-            "saturates_first": first.reading.channel,
-            "poorest": poorest.reading.channel,
-            "iso": self.iso_advice,
-            "channels": [self._channel(advice) for advice in self.advices],
-            "prnu": self.sensor.prnu,
-            "prnu_known": self.prnu_known,
-            "full_scale": self.full,
-            "full_scale_from": self.full_from,
-            "notes": self.notes,
-        }
-
-    def _channel(self, advice: Advice) -> dict[str, Any]:
-        reading = advice.reading
-        then = snr_at(advice, self.sensor, self.first.factor)
-        return {
-            "channel": reading.channel,
-            "mean": reading.mean,
-            "peak": reading.peak,
-            "stops_to_saturation": reading.stops_left,
-            "clipped": reading.clipped,
-            "unevenness": reading.unevenness,
-            "histogram": reading.histogram.tolist(),
-            "snr_now": advice.snr_now,
-            "snr_at_recommended": then,
-            "snr_at_recommended_db": 10 * log10(then) if then > 0 else None,
-            "own_time_s": advice.time_s,
+            "saturates_first": first.channel,
+            "poorest": poorest.channel,
+            "channels": [
+                {
+                    "channel": reading.channel,
+                    "mean": reading.mean,
+                    "peak": reading.peak,
+                    "stops_to_saturation": reading.stops_left,
+                    "clipped": reading.clipped,
+                    "unevenness": reading.unevenness,
+                }
+                for reading in self.readings
+            ],
+            "full_scale": self.full.counts,
+            "full_scale_from": self.full.source,
         }
 
 
@@ -139,7 +107,7 @@ def advise_frames(
     ----------
     frames : sequence of path
         Files or folders. Those that name one wavelength are one band; of several exposures the
-        longest unclipped counts; equal ones are a stack, which shows the noise.
+        longest unclipped counts; equal ones are averaged.
     darks : sequence of path
         Of any exposures: to each band those of its size that come nearest to its time.
     pattern : str or rows of names, optional
@@ -254,55 +222,20 @@ def _coach_band(
     scale: FullScale,
     pattern: str | Sequence[Sequence[str]] | None,
 ) -> BandAdvice:
-    full = scale.counts
-    under = {shot.exposure_s: _dark_of(shot, darks) for shot in shots}
-    levels = {t: float(np.median(dark.mean)) if dark else black for t, dark in under.items()}
-    readings = [(s, _readings(s, levels[s.exposure_s], full, pattern)) for s in shots]
+    full, readings = scale.counts, []
+    for shot in shots:
+        dark = _dark_of(shot, darks)
+        level = float(np.median(dark.mean)) if dark else black
+        readings.append((shot, _readings(shot, level, full, pattern)))
     clear = [(s, r) for s, r in readings if max(c.clipped for c in r) <= TOLERATED]
     if not clear:
         raise NoAdvice(_clipped(min(readings, key=lambda item: item[0].exposure_s or 0.0)))
     shot, channels = max(clear, key=lambda item: item[1][0].mean)
-    black = levels[shot.exposure_s]
-    if max(c.peak for c in channels) < FAINT * (full - black):
+    if max(c.peak for c in channels) < FAINT * channels[0].room:
         raise NoAdvice(_too_faint(shot, channels))
     if min(c.unevenness for c in channels) > NO_WHITE:
         raise NoAdvice(_no_white(shot, channels))
-    noise, notes = _noise(shots, shot, list(under.values()), black, pattern)
-    prnu = _prnu(shot, black, full, pattern)
-    sensor = Sensor(
-        dark=0.0,
-        read=float(np.sqrt(noise.read_variance)) / noise.gain,
-        prnu=PRNU if prnu is None else prnu,
-        dsnu=0.0,
-        gain=noise.gain,
-    )
-    advices = [
-        advise(c, sensor, exposure_s=shot.exposure_s, wavelength=shot.wavelength) for c in channels
-    ]
-    iso = judge_iso(
-        limiting(advices)[0].stops, dark_noise_dn=float(np.sqrt(noise.read_variance)), iso=shot.iso
-    )
-    if shot.exposure_s is None:
-        notes.append("the exposure is not known: multiply the one that was set")
-    return BandAdvice(
-        shot, advices, sensor, iso, notes, prnu is not None, full, scale.source,
-    )  # fmt: skip
-
-
-def _prnu(
-    shot: Shot, black: float, full: float, pattern: str | Sequence[Sequence[str]] | None
-) -> float | None:
-    """Return the PRNU that a stack of a white shows, its texture included; None where it cannot."""
-    if shot.stack.count < 2 or shot.stack.mean.ndim != 2:
-        return None
-    blocks = block_statistics(shot.stack, pattern).values()
-    signal = np.concatenate([b.mean - black for b in blocks])
-    fixed = np.concatenate([b.spatial - b.temporal / b.shots for b in blocks])
-    used = np.isfinite(signal + fixed) & (signal > LIT * (full - black))
-    if np.count_nonzero(used) < FEWEST_BLOCKS:
-        return None
-    squared = float(np.sum(fixed[used]) / np.sum(signal[used] ** 2))
-    return float(np.sqrt(max(squared, 0.0)))
+    return BandAdvice(shot, channels, scale)
 
 
 def _readings(
@@ -331,32 +264,6 @@ def planes_of(
     table, known = channel_table(pattern), channel_names(pattern)
     phases = zip(table.ravel(), split(values, *table.shape), strict=True)
     return [(known[channel], phase) for channel, phase in phases]
-
-
-def _noise(
-    shots: Sequence[Shot],
-    shot: Shot,
-    darks: Sequence[Template | None],
-    black: float,
-    pattern: str | Sequence[Sequence[str]] | None,
-) -> tuple[NoiseModel, list[str]]:
-    """Fit the noise of a sensor to all exposures of a band; from single shots only an upper bound follows."""
-    size, stacks = shot.stack.mean.shape, [s.stack for s in shots]
-    fitting = {id(dark): dark for dark in darks if dark is not None and dark.mean.shape == size}
-    alone = [None] * len(stacks) if len(size) == 2 else []  # single shots are read plane by plane
-    noise = fit_noise_of_frames(stacks, alone, list(fitting.values()), black=black, pattern=pattern)
-    top = float(np.max(shot.stack.mean))
-    least = max(top - black, 1.0) / FEWEST_ELECTRONS if alone else 0.0
-    if noise is not None and noise.source == "temporal" and noise.gain > 0:
-        return noise, []
-    if noise is None or not 0 < noise.gain <= least:
-        # 8 bits of a usual sensor, or texture all over: the advice on time does not hang on it, the SNR does.
-        assumed = NoiseModel(max(top, 1.0) / 20_000, 1.0, "spatial")
-        return assumed, [
-            "the noise could not be measured: 20,000 electrons are assumed at the peak"
-        ]
-    note = "one shot only: the SNR is a lower bound, because texture counts as noise; two shots measure it"
-    return noise, [note]
 
 
 def _clipped(reading: tuple[Shot, list[Reading]]) -> Problem:
@@ -401,29 +308,21 @@ class Shot:
     name: str
     wavelength: float
     exposure_s: float | None
-    iso: float | None
     stack: Template
 
 
 def gather_shots(files: Sequence[Path], full: float, exposure_s: float | None) -> list[Shot]:
     """Put frames of one wavelength, exposure and size together."""
     groups: dict[tuple[str, float, float | None, tuple[int, ...]], list[Path]] = {}
-    known: dict[Path, Facts] = {}
     for file in files:
-        facts = known[file] = read_facts(file)
+        facts = read_facts(file)
         wavelength, time = _from_name(file.name)
         name = f"{wavelength:g} nm" if wavelength == wavelength else file.parent.name
         key = (name, wavelength, exposure_s or time or facts.exposure_s, facts.shape)
         found = next((k for k in groups if k[0] == key[0] and k[2:] == key[2:]), key)
         groups.setdefault(found, []).append(file)
     return [
-        Shot(
-            name,
-            wavelength,
-            time,
-            known[members[0]].iso,
-            stack_of(members, saturation=full, exposure_s=time),
-        )
+        Shot(name, wavelength, time, stack_of(members, saturation=full, exposure_s=time))
         for (name, wavelength, time, _), members in groups.items()
     ]
 
@@ -441,67 +340,35 @@ def _from_name(name: str) -> tuple[float, float | None]:
     return (float(wavelength[1]) if wavelength else nan), seconds
 
 
-SHADES = " ▁▂▃▄▅▆▇█"
-
-
 def advice_text(bands: Sequence[BandAdvice]) -> str:
-    """Return advice for people: channels, histogram, time, why, and ISO."""
+    """Return advice for people: channels, time, and where the aim comes from."""
     lines: list[str] = []
     for found in bands:
-        first, poorest = limiting(found.advices)
+        first, poorest = limiting(found.readings)
         shot = found.shot
         time = f"{shot.exposure_s:g} s" if shot.exposure_s else "unknown time"
         lines.append(f"{shot.name}: {time}, {shot.stack.count} shot{'s' * (shot.stack.count > 1)}")
-        lines += [_channel_line(found, advice) for advice in found.advices]
-        then = f"{first.time_s:.3g} s" if first.time_s else f"{first.factor:.2f} times as long"
+        lines += [_channel_line(reading) for reading in found.readings]
+        then = f"{found.time_s:.3g} s" if found.time_s else f"{first.factor:.2f} times as long"
         lines.append(
-            f"  set {then} ({first.stops:+.2f} stops): brings {first.reading.channel or 'it'} to "
+            f"  set {then} ({np.log2(first.factor):+.2f} stops): brings {first.channel or 'it'} to "
             f"{100 * first.target:.0f} % of saturation"
         )
-        if len(found.advices) > 1 and isnan(shot.wavelength):
-            behind = np.log2(first.reading.mean / max(poorest.reading.mean, 1e-9))
+        if len(found.readings) > 1 and isnan(shot.wavelength):
+            behind = np.log2(first.mean / max(poorest.mean, 1e-9))
             lines.append(
-                f"  {first.reading.channel} saturates first; {poorest.reading.channel} gets {behind:.1f} stops "
-                "less light: a filter or a lamp richer there would even them out"
+                f"  {first.channel} saturates first; {poorest.channel} gets {behind:.1f} stops less light"
             )
-        lines.append(f"  ISO: {found.iso_advice}")
-        lines += [f"  note: {note}" for note in found.notes]
-    lines.append(f"full scale: {bands[0].full:.0f} counts ({bands[0].full_from})")
-    lines.append(_why(bands[0]))
-    if len(bands) > 1 and all(c.first.time_s for c in bands):
-        total = sum(c.first.time_s or 0.0 for c in bands)
-        slow = max(bands, key=lambda c: c.first.time_s or 0.0)
-        lines.append(
-            f"all {len(bands)} bands: {total:.3g} s a series; {slow.shot.name} takes longest, "
-            f"{slow.first.time_s:.3g} s"
-        )
+    lines.append(f"full scale: {bands[0].full.counts:.0f} counts ({bands[0].full.source})")
+    lines.append(
+        f"the aim: one pixel in a million clips of a sensor of {FULL_WELL:,.0f} e⁻ with a PRNU of {100 * PRNU:.2g} %, under a lamp that "
+        f"drifts by 1 % and light that varies by {100 * bands[0].first.unevenness:.0f} % over the field"
+    )
     return "\n".join(lines)
 
 
-def _why(found: BandAdvice) -> str:
-    """Return where the target comes from, with its numbers."""
-    first = found.first
-    full_well = first.reading.room / found.sensor.gain
-    usual = safe_mean(full_well, prnu=found.sensor.prnu)
-    reason = (
-        f"why {100 * first.target:.0f} %: f = 1/[(1 + z√(1/(f·FW) + PRNU²))(1 + U/2)(1 + drift)], so that one "
-        f"pixel in a million clips (z 4.75) with FW {full_well:,.0f} e⁻, PRNU "
-        f"{100 * found.sensor.prnu:.2g} % {'measured' if found.prnu_known else 'assumed'}, a lamp that drifts by 1 %"
-    )
+def _channel_line(reading: Reading) -> str:
     return (
-        f"{reason}, and light that varies by U = {100 * first.reading.unevenness:.0f} % over the field; "
-        f"at 10 % it would be {100 * usual:.0f} %"
-    )
-
-
-def _channel_line(found: BandAdvice, advice: Advice) -> str:
-    reading = advice.reading
-    bars = np.add.reduceat(reading.histogram, np.arange(0, len(reading.histogram), 2))
-    height = np.ceil(8 * np.sqrt(bars / max(bars.max(), 1))).astype(int)
-    drawn = "".join(SHADES[h] for h in height)
-    then = snr_at(advice, found.sensor, found.first.factor)
-    return (
-        f"  {reading.channel or 'all':4} |{drawn}| mean {100 * reading.mean / reading.room:5.1f} %, "
-        f"{reading.stops_left:5.2f} stops left, clipped {100 * reading.clipped:.2f} %, "
-        f"SNR {advice.snr_now:.0f} now, {then:.0f} then ({10 * log10(max(then, 1e-9)):.1f} dB, 10·log10)"
+        f"  {reading.channel or 'all':4} mean {100 * reading.mean / reading.room:5.1f} %, "
+        f"{reading.stops_left:5.2f} stops left, clipped {100 * reading.clipped:.2f} %"
     )

@@ -7,14 +7,12 @@ board, with the irradiance E, the lens's transmittance τ and f-number N.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from levkas.calibration.noise_model import Sensor, snr_db
 from levkas.planning.framing import magnification
-from levkas.planning.loading import load_setup
 from levkas.planning.setup import illuminate
 from levkas.planning.spectra import GRID, LUMENS_PER_WATT, eye, integrate, steps
 from levkas.planning.tables import PlanRefused, value_problem
@@ -71,12 +69,12 @@ class CameraExposure:
         }
 
 
-def plan_exposure(setup: StudioSetup | str | Path, name: str | None = None) -> list[CameraExposure]:
+def plan_exposure(setup: StudioSetup, name: str | None = None) -> list[CameraExposure]:
     """Return the exposure of every camera under one lighting of a setup file.
 
     Parameters
     ----------
-    setup : Setup or path
+    setup : StudioSetup
     name : str, optional
         Of the lighting; the first without one.
 
@@ -85,14 +83,9 @@ def plan_exposure(setup: StudioSetup | str | Path, name: str | None = None) -> l
     PlanRefused
         Where the light's strength is not known: no lamp's `power_w`, no `illuminance_lx`.
     """
-    if not hasattr(setup, "bench"):
-        setup = load_setup(setup)  # type: ignore[arg-type]
-    lighting = setup.lighting(name)  # type: ignore[union-attr]
-    spectrum = irradiance_spectrum(setup, lighting)  # type: ignore[arg-type]
-    return [
-        expose_camera(setup, camera, lighting, spectrum)  # type: ignore[arg-type]
-        for camera in setup.cameras.values()  # type: ignore[union-attr]
-    ]
+    lighting = setup.lighting(name)
+    spectrum = irradiance_spectrum(setup, lighting)
+    return [expose_camera(setup, camera, lighting, spectrum) for camera in setup.cameras.values()]
 
 
 def irradiance_spectrum(setup: StudioSetup, lighting: Lighting) -> np.ndarray:
@@ -163,7 +156,7 @@ def expose_camera(
     per_sensor = [times[np.array(m)] for m in sensors.values()]
     free = keys.exposure == "per band"
     total = float(sum(t.sum() for t in per_sensor) if free else max(t.max() for t in per_sensor))
-    notes = tuple(_notes(setup, camera, lighting, channels, weakest))
+    notes = tuple(_notes(camera, lighting, channels, weakest))
     return CameraExposure(
         camera.name, lighting.name, channels, weakest.name, max(snrs) / max(min(snrs), 1e-9), total,
         rates, notes,
@@ -196,13 +189,12 @@ def _channel(camera: StudioCamera, i: int, sensor: str, time_s: float, rate: flo
 
 
 def _notes(
-    setup: StudioSetup,
     camera: StudioCamera,
     lighting: Lighting,
     channels: tuple[Channel, ...],
     weakest: Channel,
 ) -> list[str]:
-    """Describe what limits, saturates or beats, and what is assumed."""
+    """Describe what limits or saturates, and what is assumed."""
     notes = []
     if camera.keys.sensitivity is None:
         where = (
@@ -211,7 +203,6 @@ def _notes(
         notes.append(
             f"No sensitivity is given: {100 * camera.keys.peak_qe:g} % of the photons are assumed to count {where}."
         )
-    target = setup.bench.target
     full = [c for c in channels if c.share_of_full >= 1]
     if full:
         notes.append(
@@ -224,11 +215,6 @@ def _notes(
             f"{weakest.name} limits: it gets {ratio:.1f} times less light than the fullest channel, "
             f"SNR {weakest.snr:.0f} ({weakest.snr_db:.1f} dB, 10·log10) on white."
         )
-    if weakest.snr < target.least_snr:
-        notes.append(
-            f"SNR {weakest.snr:.0f} is below the {target.least_snr:g} that is required: average "
-            f"{int(np.ceil((target.least_snr / weakest.snr) ** 2))} frames, or give more light there."
-        )
     long = [c.name for c in channels if c.too_long]
     if long:
         notes.append(f"{', '.join(long)} would need more than {camera.keys.longest_s:g} s.")
@@ -237,37 +223,7 @@ def _notes(
             "This camera is an analyser itself: record its axis and turn the lamps' sheets to it; a "
             "third sheet before it would only darken."
         )
-    shortest = min(c.time_s for c in channels)
-    for lamp in lighting.lamps:
-        beat = flicker_bound(lamp.modulation, lamp.flicker_hz, shortest)
-        if beat > target.flicker:
-            even = max(1, round(shortest * lamp.flicker_hz)) / lamp.flicker_hz
-            notes.append(
-                f"Flicker of {lamp.name} may change a frame of {1000 * shortest:.3g} ms by up to "
-                f"{100 * beat:.2g} %. Use {1000 * even:.4g} ms, a whole number of periods of "
-                f"{lamp.flicker_hz:g} Hz, to avoid it."
-            )
-            break
     return notes
-
-
-def flicker_bound(modulation: float, frequency_hz: float, time_s: float) -> float:
-    """Return the largest relative change of an exposure by flicker: m/(π·f·t), at most m.
-
-    Parameters
-    ----------
-    modulation : float
-        (max − min) / (max + min) of the light.
-    frequency_hz : float
-        Of the light: twice the mains.
-    time_s : float
-
-    Examples
-    --------
-    >>> round(flicker_bound(0.05, 100.0, 0.3), 6), flicker_bound(0.05, 100.0, 1e-4)
-    (0.000531, 0.05)
-    """
-    return float(min(modulation, modulation / (np.pi * frequency_hz * max(time_s, 1e-12))))
 
 
 CLASSES: dict[str, tuple[float, float]] = {
@@ -279,8 +235,6 @@ CLASSES: dict[str, tuple[float, float]] = {
 """Illuminance lx and lux-hours a year of CIE 157:2004."""
 MOST_UV = 75.0
 """µW/lm."""
-ABSORBED, FILM = 0.8, 10.0
-"""Share of light that a dark panel takes up, and W/m²/K that still air carries off."""
 
 
 @dataclass(frozen=True)
@@ -296,8 +250,6 @@ class Dose:
     limit_lux_hours: float
     share_of_year: float
     uv_uw_per_lm: float
-    heat_w_per_m2: float
-    warming_k: float
     sentences: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
@@ -323,11 +275,9 @@ def plan_dose(
     hours = session.hours or capture + (session.warm_up_min + session.focus_min) / 60
     most_lx, most_dose = CLASSES[setup.object.sensitivity]
     uv = 1e6 * integrate(spectrum * (GRID < 400)) / lux
-    heat = integrate(spectrum)
-    warming = ABSORBED * heat / FILM
     dose = Dose(
         lighting.name, lux, hours, lux * hours, setup.object.sensitivity, most_lx, most_dose,
-        lux * hours / most_dose, uv, heat, warming, (),
+        lux * hours / most_dose, uv, (),
     )  # fmt: skip
     return Dose(**{**dose.__dict__, "sentences": tuple(_describe_dose(dose))})
 
@@ -349,8 +299,4 @@ def _describe_dose(dose: Dose) -> list[str]:
         )
     uv = "within" if dose.uv_uw_per_lm <= MOST_UV else "above"
     sentences.append(f"Ultraviolet is {dose.uv_uw_per_lm:.0f} µW/lm, {uv} the usual {MOST_UV:.0f}.")
-    sentences.append(
-        f"The light brings {dose.heat_w_per_m2:.1f} W/m²: a dark panel in still air would settle at most "
-        f"{dose.warming_k:.1f} K above the room."
-    )
     return sentences

@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.core.problems import Problem
-from levkas.core.text import TextRefused, read_text
 from levkas.planning.framing import image_of, in_field
 from levkas.planning.setup import (
     Lighting,
-    Lobe,
     StudioCamera,
     StudioLamp,
     StudioSetup,
@@ -100,7 +98,6 @@ def _resolve(path: Path, bench: Bench, problems: list[Problem]) -> StudioSetup |
     """Read spectra, place lamps and cameras; what is wrong is added to `problems`."""
     file, before = str(path), len(problems)
     spectra: dict[str, Spectrum] = {}
-    lobes: dict[str, Lobe] = {}
 
     def attempt(make: Any) -> Any:
         try:
@@ -111,12 +108,10 @@ def _resolve(path: Path, bench: Bench, problems: list[Problem]) -> StudioSetup |
 
     for name, keys in bench.spectra.items():
         spectra[name] = attempt(lambda n=name, k=keys: read_spectrum(n, k, path.parent, file=file))
-    for name, lamp in bench.lamps.items():
-        lobes[name] = attempt(lambda n=name, k=lamp: read_lobe(n, k, path.parent, file=file))
     problems += _names(bench, file)
     if len(problems) > before:
         return None
-    lightings = {n: _lighting(n, keys, bench, spectra, lobes) for n, keys in bench.setups.items()}
+    lightings = {n: _lighting(n, keys, bench, spectra) for n, keys in bench.setups.items()}
     cameras = {
         n: attempt(lambda n=n, k=keys: place_camera(n, k, bench, path.parent, file=file))
         for n, keys in bench.cameras.items()
@@ -155,20 +150,17 @@ def _names(bench: Bench, file: str) -> list[Problem]:
     return found
 
 
-def _lighting(
-    name: str, keys: SetupKeys, bench: Bench, spectra: dict[str, Spectrum], lobes: dict[str, Lobe]
-) -> Lighting:
+def _lighting(name: str, keys: SetupKeys, bench: Bench, spectra: dict[str, Spectrum]) -> Lighting:
     lamps = tuple(
-        _lamp(f"{p.lamp} {i + 1}", p, bench.lamps[p.lamp], bench, spectra, lobes[p.lamp])
+        _lamp(f"{p.lamp} {i + 1}", p, bench.lamps[p.lamp], bench, spectra)
         for i, p in enumerate(keys.lamps)
     )
     return Lighting(name, lamps, keys.title, keys.camera_polariser, keys.illuminance_lx)
 
 
 def _lamp(
-    name: str, placed: PlacedLamp, keys: LampKeys, bench: Bench,
-    spectra: dict[str, Spectrum], lobe: Lobe,
-) -> StudioLamp:  # fmt: skip
+    name: str, placed: PlacedLamp, keys: LampKeys, bench: Bench, spectra: dict[str, Spectrum]
+) -> StudioLamp:
     if placed.place_mm is not None:
         place = np.array(placed.place_mm)
     else:
@@ -187,55 +179,14 @@ def _lamp(
     if placed.polariser:
         passed *= bench.sheets.transmittance
     flux = placed.share * (keys.power_w or 1.0) * keys.efficacy_lm_per_w * passed
-    flicker = keys.flicker
+    # A soft light without a beam follows Lambert's law.
+    beam = 1.0 if keys.size_mm else 0.0
+    exponent = beam if keys.beam_deg is None else lobe_exponent(keys.beam_deg)
     return StudioLamp(
-        name, place, axis / max(float(np.linalg.norm(axis)), 1e-9), lobe,
-        flux / lobe.solid_angle(), power / integrate(power * eye()), known, keys.size_mm,
+        name, place, axis / max(float(np.linalg.norm(axis)), 1e-9), exponent,
+        flux * (exponent + 1) / (2 * np.pi), power / integrate(power * eye()), known, keys.size_mm,
         placed.polariser, filters, keys.power_w is not None,
-        flicker.modulation if flicker else 0.0, flicker.frequency_hz if flicker else 100.0,
     )  # fmt: skip
-
-
-def read_lobe(name: str, keys: LampKeys, root: Path, *, file: str) -> Lobe:
-    """Return the lobe of a kind of lamp; a soft light without a beam follows Lambert's law.
-
-    Raises
-    ------
-    PlanRefused
-        Where beam and table are both given, or the table does not begin at 0 degrees.
-    """
-    if keys.lobe is None:
-        if keys.beam_deg is None:
-            return Lobe(1.0 if keys.size_mm else 0.0)
-        return Lobe(lobe_exponent(keys.beam_deg))
-    if keys.beam_deg is not None:
-        raise PlanRefused(
-            value_problem(file, f"lamps.{name}.beam_deg", "beam_deg and lobe describe the same property",
-                  keys.beam_deg, "one of them")
-        )  # fmt: skip
-    angles, values = _read_angles(root / keys.lobe, f"lamps.{name}.lobe", file)
-    return Lobe(0.0, (angles, values))
-
-
-def _read_angles(path: Path, field: str, file: str) -> tuple[np.ndarray, np.ndarray]:
-    try:
-        lines = read_text(path, "a CSV of degrees and relative intensity").splitlines()
-        rows = [[float(c) for c in line.split(",")] for line in lines if line[:1].isdigit()]
-        table = np.array(rows, float)
-    except TextRefused as refused:
-        raise PlanRefused(*refused.problems) from None
-    except ValueError as error:
-        raise PlanRefused(
-            value_problem(file, field, f"{path.name}: no table", str(error)[:80])
-        ) from None
-    sound = table.ndim == 2 and table.shape[1] == 2 and len(table) > 1 and table[0, 0] == 0
-    sound = sound and np.isfinite(table).all() and (table[:, 1] >= 0).all()
-    if not sound or (np.diff(table[:, 0]) <= 0).any() or not table[0, 1] > 0:
-        raise PlanRefused(
-            value_problem(file, field, f"{path.name} is no lobe", f"{len(rows)} rows",
-                  "degrees from the axis, ascending from 0, and intensity > 0 there")
-        )  # fmt: skip
-    return table[:, 0], table[:, 1] / table[0, 1]
 
 
 FAINT = 0.01

@@ -23,41 +23,6 @@ SOFT_NODES = 5
 """Points along each side of a soft light: a Gauss-Legendre rule."""
 
 
-@dataclass(frozen=True, eq=False)
-class Lobe:
-    """Intensity over its value on the axis.
-
-    Parameters
-    ----------
-    exponent : float
-        m of cosᵐ; 0 shines evenly.
-    table : (angles, values), optional
-        Degrees from the axis, ascending from 0, and relative intensity; used instead of cosᵐ.
-    """
-
-    exponent: float = 0.0
-    table: tuple[np.ndarray, np.ndarray] | None = None
-
-    def __call__(self, cosine: np.ndarray) -> np.ndarray:
-        """Return the relative intensity at the cosine of the angle from the axis."""
-        c = np.clip(cosine, 0.0, 1.0)
-        if self.table is not None:
-            return np.interp(np.degrees(np.arccos(c)), *self.table, right=0.0)
-        return c**self.exponent if self.exponent else np.ones_like(c)
-
-    def solid_angle(self) -> float:
-        """Return the integral over the half-space, sr: flux over intensity on the axis.
-
-        >>> round(Lobe(1.0).solid_angle(), 4)  # Lambert's law: pi
-        3.1416
-        """
-        if self.table is None:
-            return float(2 * np.pi / (self.exponent + 1))
-        angle = np.radians(np.linspace(0, 90, 1801))
-        values = self(np.cos(angle)) * np.sin(angle)
-        return float(2 * np.pi * np.trapezoid(values, angle))
-
-
 def lobe_exponent(half_width_deg: float) -> float:
     """Return m of the lobe cosᵐ that is at half its intensity at an angle, degrees.
 
@@ -77,7 +42,8 @@ class StudioLamp:
         Its kind, with a number where a setup has several.
     place, axis : ndarray, (3,)
         mm; unit vector of where it aims.
-    lobe : Lobe
+    exponent : float
+        m of the lobe cosᵐ of its intensity; 0 shines evenly.
     candela : float
         Luminous intensity along the axis, filters and sheet included.
     spectrum : ndarray, (n,)
@@ -95,7 +61,7 @@ class StudioLamp:
     name: str
     place: np.ndarray
     axis: np.ndarray
-    lobe: Lobe = field(default_factory=Lobe)
+    exponent: float = 0.0
     candela: float = 1.0
     spectrum: np.ndarray = field(default_factory=lambda: np.zeros(len(GRID)))
     known: tuple[float, float] = (GRID[0], GRID[-1])
@@ -103,8 +69,6 @@ class StudioLamp:
     polariser: str | None = None
     filters: tuple[str, ...] = ()
     measured: bool = True
-    modulation: float = 0.0
-    flicker_hz: float = 100.0
 
     @property
     def angle_deg(self) -> float:
@@ -251,7 +215,8 @@ def light_of(lamp: StudioLamp, points: np.ndarray) -> tuple[np.ndarray, np.ndarr
     away = places.reshape(-1, *[1] * (points.ndim - 1), 3) - points
     squared = (away * away).sum(-1)
     towards = away / np.sqrt(squared)[..., None]
-    lobe = lamp.lobe(-(towards @ lamp.axis))
+    cosine = np.clip(-(towards @ lamp.axis), 0.0, 1.0)
+    lobe = cosine**lamp.exponent if lamp.exponent else np.ones_like(cosine)
     shares = shares.reshape(-1, *[1] * (points.ndim - 1))
     return 1e6 * lamp.candela * shares * lobe / squared, towards
 

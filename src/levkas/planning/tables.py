@@ -93,13 +93,6 @@ class SpectrumKeys(Table):
     transmittance: Annotated[Number, Field(gt=0, le=1)] | None = None
 
 
-class Flicker(Table):
-    """How far the light swings, (max − min) / (max + min), and how often a second."""
-
-    modulation: Share
-    frequency_hz: Positive = 100.0
-
-
 class LampKeys(Table):
     """A kind of lamp."""
 
@@ -108,9 +101,7 @@ class LampKeys(Table):
     power_w: Positive | None = None
     efficacy_lm_per_w: Positive = 20.0
     beam_deg: Annotated[Number, Field(gt=0, lt=90)] | None = None
-    lobe: Text | None = None
     size_mm: SizeMm | None = None
-    flicker: Flicker | None = None
 
 
 class PlacedLamp(Table):
@@ -180,20 +171,11 @@ class SessionKeys(Table):
     hours: Positive | None = None
 
 
-class Room(Table):
-    """Where lamps may stand."""
-
-    nearest_mm: Positive = 700.0
-    farthest_mm: Positive = 2300.0
-
-
 class Target(Table):
     """The exposure aimed at."""
 
     share_of_full: Annotated[Number, Field(gt=0, lt=1)] = 0.85
     white: Annotated[Number, Field(gt=0, le=1.2)] = 0.95
-    least_snr: Positive = 50.0
-    flicker: Annotated[Number, Field(gt=0, lt=1)] = 0.005
 
 
 class Bench(Table):
@@ -209,7 +191,6 @@ class Bench(Table):
     setups: dict[str, SetupKeys] = Field(min_length=1)
     sheets: Sheets = Sheets()
     session: SessionKeys = SessionKeys()
-    room: Room = Room()
     target: Target = Target()
 
 

@@ -23,7 +23,7 @@ class LightRecord(dict[str, Any]):
 
 
 def light_record(
-    path: str | Path, name: str | None = None, *, optimised: bool = False, seed: int = 1
+    path: str | Path, name: str | None = None, *, optimised: bool = False
 ) -> LightRecord:
     """Return the plan of one lighting, the others beside it, and the optimum where it is wanted.
 
@@ -40,10 +40,9 @@ def light_record(
         contradictions=[c for f in plan_framing(setup) for c in f.contradictions],
     )
     if optimised:
-        from levkas.planning.optimisation import judge_of, optimise
+        from levkas.planning.optimisation import optimise
 
-        judge = judge_of(setup, setup.lighting(name))
-        record["optimum"] = optimise(judge, rng=np.random.default_rng(seed)).to_dict()
+        record["optimum"] = optimise(setup, setup.lighting(name)).to_dict()
     return record
 
 
@@ -76,12 +75,9 @@ def light_text(record: dict[str, Any]) -> str:
             f"{100 * other['texture_varnished']:>7.1f} %"
         )
     if "optimum" in record:
-        best = record["optimum"]["best"]
         lines += [
             "",
-            f"Best pair: {best['angle_deg']:.0f}° from the normal, {best['azimuth_deg']:.0f}° from the width, "
-            f"{best['distance_mm'] / 10:.0f} cm, aim {best['aim']:.1f} of the way to the far edge, "
-            f"balance {best['balance']:.2f}",
+            f"Best angle of these lamps: {record['optimum']['angle_deg']:.0f}° from the normal",
         ]
         lines += [f"  {words}" for words in record["optimum"]["reasons"]]
     lines += [f"\n{words}" for words in dict.fromkeys(record["contradictions"])]

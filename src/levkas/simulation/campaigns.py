@@ -22,11 +22,11 @@ from levkas.simulation.capture import (
     key,
     view_painting,
 )
+from levkas.simulation.charts import chart_panel, paint_chart
 from levkas.simulation.icon import paint_icon
 from levkas.simulation.lighting import SETUPS
 from levkas.simulation.optics import Viewpoint, turn
 from levkas.simulation.painting import Painting, Panel, make_uneven
-from levkas.simulation.photographs import chart_panel, paint_chart, paint_photograph
 from levkas.simulation.pigments import WAVELENGTHS, draw_pigments, paint_spectra
 from levkas.simulation.presets import (
     REFERENCE,
@@ -79,9 +79,6 @@ def simulate_campaign(
     objects: int = 1,
     cameras: Sequence[str] | None = None,
     setups: bool | Sequence[str] = False,
-    grid: bool = True,
-    library: Path | str | None = None,
-    photographs: Sequence[Path | str] = (),
     tiles: str | Sequence[str] | None = None,
 ) -> Iterator[SimulationStep]:
     """Simulate a campaign into `folder`: `raw/`, `truth/` and a campaign.toml that builds.
@@ -104,12 +101,6 @@ def simulate_campaign(
     setups : bool or sequence of str
         Also d80 under these lightings of `presets.OTHER_SETUPS`; True is one lamp at 45 degrees.
         Ground and leaf then lean by 5 degrees, unless the preset has its own unevenness.
-    grid : bool
-        Publish upright and cropped: icons lie on their side before the cameras.
-    library : path, optional
-        Measured spectra of pigments, as in `pigments.paint_spectra`.
-    photographs : sequence of path
-        Textures of the first objects, instead of painted icons.
     tiles : str or sequence of str, optional
         Rows and columns of frames that show an object together: ``"3x4"`` of every camera but the line scanner,
         ``"d80=3x4"`` of one, ``"v10=1x3"`` passes of the line scanner, each of which wobbles by itself. A camera keeps its sampling and has a smaller sensor; a stage moves it, and its record is
@@ -155,7 +146,7 @@ def simulate_campaign(
     )
     with publishing(folder, bytes_needed=need) as aside:
         writer = FrameWriter(aside)
-        yield from session.run(writer, lightings, library, [Path(p) for p in photographs])
+        yield from session.run(writer, lightings)
         truth = session.truth()
         truth.save(aside.path / "truth")
         write_tables(aside, models)
@@ -163,7 +154,7 @@ def simulate_campaign(
         write_campaign_toml(
             aside, models, session.panels,
             chart=CHART if chosen.charts else None,
-            setups=lightings, upright=grid,
+            setups=lightings,
         )  # fmt: skip
     yield Simulated(
         session.total, session.total, f"{writer.files} files", True,
@@ -259,13 +250,7 @@ class SimulatedSession:
             )
         return views
 
-    def run(
-        self,
-        writer: FrameWriter,
-        setups: Sequence[str],
-        library: Path | str | None,
-        photographs: list[Path],
-    ) -> Iterator[SimulationStep]:
+    def run(self, writer: FrameWriter, setups: Sequence[str]) -> Iterator[SimulationStep]:
         """Capture everything."""
         p = self.preset
         targets = len(self.names) + int(p.charts)
@@ -282,8 +267,7 @@ class SimulatedSession:
         for other in others:
             yield from self._take(writer, other, "white", None)
         for i, name in enumerate(self.names):
-            photograph = photographs[i] if i < len(photographs) else None
-            painting = self.paint(name, i, library, photograph)
+            painting = self.paint(name, i)
             self.done += 1
             yield SimulationStep(self.done, self.total, f"{name} painted", True)
             yield from self._capture(writer, name, self.panels[name], painting, others)
@@ -296,28 +280,20 @@ class SimulatedSession:
         finest = max(m.sampling for m in camera_models().values()) * self.preset.scale
         return max(self.preset.fineness, 1.75 * finest)
 
-    def paint(
-        self, name: str, index: int, library: Path | str | None, photograph: Path | None
-    ) -> Painting:
-        """Paint one object: from a photograph where there is one, else an icon."""
-        panel, rng = self.panels[name], self._rng("painting", name)
-        if photograph is not None:
-            return self._aged(
-                name,
-                paint_photograph(
-                    panel, self._fineness(), rng, photograph=photograph, library=library
-                ),
-            )
-        icon = paint_icon(panel, self._fineness(), rng, saints=index % 3 + 1, library=library)
-        icon = self._aged(name, icon)
+    def paint(self, name: str, index: int) -> Painting:
+        """Paint one object."""
+        panel, rng, lean = (
+            self.panels[name],
+            self._rng("painting", name),
+            self.preset.unevenness_deg,
+        )
+        icon = paint_icon(panel, self._fineness(), rng, saints=index % 3 + 1)
+        if lean:
+            icon = make_uneven(icon, lean, self._rng("unevenness", name))
         if not self.preset.own_pigments or index == 0:
             return icon
         pigments = draw_pigments(self._rng("pigments", name))
         return replace(icon, spectra=paint_spectra(icon.names, WAVELENGTHS, pigments=pigments))
-
-    def _aged(self, name: str, painting: Painting) -> Painting:
-        lean = self.preset.unevenness_deg
-        return make_uneven(painting, lean, self._rng("unevenness", name)) if lean else painting
 
     def _capture(
         self,
@@ -485,7 +461,6 @@ def write_campaign_toml(
     *,
     chart: str | None,
     setups: Sequence[str],
-    upright: bool,
 ) -> None:
     """Write campaign.toml."""
     parts = [
@@ -493,11 +468,10 @@ def write_campaign_toml(
         'date = "2019"\nlicence = "CC0-1.0"\n'
         f'reference = {{ camera = "{REFERENCE[0]}", band = "{REFERENCE[1]}" }}\n'
     ]
-    if upright:
-        parts.append(
-            "# Icons lie on their side before the cameras, as lamps at 70 degrees want it.\n"
-            '[grid]\nrotate = 90\nregion = "auto"\n'
-        )
+    parts.append(
+        "# Icons lie on their side before the cameras, as lamps at 70 degrees want it.\n"
+        '[grid]\nrotate = 90\nregion = "auto"\n'
+    )
     parts += [_camera_text(model) for model in models.values()]
     names = ", ".join(f'"{name}"' for name in panels)
     charts = f'charts = {{ {chart} = "ColorChecker24" }}\n' if chart else ""
@@ -511,11 +485,9 @@ def write_campaign_toml(
             + _files(models[SETUP_CAMERA], f"raw/{label}/{SETUP_CAMERA}", "DSC_{shot}.tif")
         )
     for name, panel in panels.items():
-        size = (panel.width_mm, panel.height_mm)
-        shown = size[::-1] if upright else size
         parts.append(
             f'[objects.{name}]\ntitle = "Simulated {name}"\nmedium = "egg tempera and gold on wood"\n'
-            f"size_mm = [{shown[0]:g}, {shown[1]:g}]\n"
+            f"size_mm = [{panel.height_mm:g}, {panel.width_mm:g}]\n"
         )
     folder.write_bytes("campaign.toml", "\n".join(parts).encode())
 

@@ -19,8 +19,6 @@ from levkas.simulation.figures import (
 from levkas.simulation.painting import Canvas, Painting, brush, curve, ellipse, multiply
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from levkas.simulation.figures import Saint
     from levkas.simulation.painting import Canvas, Panel
 
@@ -49,7 +47,6 @@ def paint_icon(
     rng: np.random.Generator,
     *,
     saints: int = 1,
-    library: Path | str | None = None,
 ) -> Painting:
     """Paint an icon on a panel that lies on its side.
 
@@ -62,8 +59,6 @@ def paint_icon(
         Colours, brushwork, craquelure: another one paints another icon.
     saints : int
         1: half-length, with a book. 2 or 3: standing side by side.
-    library : path, optional
-        Spectral library for the pigments, as in `pigments.paint_spectra`.
 
     Returns
     -------
@@ -79,7 +74,7 @@ def paint_icon(
         _paint_standing(canvas, inset, pairs, saints)
     paint_border(canvas, inset)
     age(canvas, field=rectangle(canvas, inset))
-    return canvas.finish(panel, library=library)
+    return canvas.finish(panel)
 
 
 def _paint_ground(canvas: Canvas, inset: float) -> None:

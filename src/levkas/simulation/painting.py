@@ -14,7 +14,6 @@ from levkas.simulation.pigments import PAINTS, WAVELENGTHS, paint_spectra
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-    from pathlib import Path
 
     from numpy.typing import ArrayLike
 
@@ -201,7 +200,7 @@ class Canvas:
         share = np.clip((field - np.float32(above)) * np.float32(90), 0, 255).astype(np.uint8)
         self.lay(multiply(share, mask), paint, most)
 
-    def finish(self, panel: Panel, *, library: Path | str | None = None) -> Painting:
+    def finish(self, panel: Panel) -> Painting:
         """Return the painting on its side, top to the left, as the paper lays icons down.
 
         The panel's s runs down the icon, its t from the icon's right to its left.
@@ -214,7 +213,7 @@ class Canvas:
         cut = (slice(spare, spare + rows), slice(0, columns))
         return Painting(
             np.ascontiguousarray(flat[0][cut]),
-            paint_spectra(self.paints, WAVELENGTHS, library=library),
+            paint_spectra(self.paints, WAVELENGTHS),
             np.array([p == "gold" for p in self.paints]),
             np.ascontiguousarray(flat[1][cut]),
             np.ascontiguousarray(relief[cut]),

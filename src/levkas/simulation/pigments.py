@@ -8,23 +8,15 @@ ochres near 650 and 870 nm. Paints mix by Kubelka and Munk's single constant.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-
-from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 WAVELENGTHS = np.arange(380.0, 1021.0, 2.0)
-
-
-class LibraryRefused(Refused):
-    """A spectral library that cannot be read, or lacks a pigment."""
 
 
 @dataclass(frozen=True)
@@ -128,24 +120,6 @@ PAINTS: dict[str, dict[str, float]] = {
     "yellow": {"lead-tin yellow": 1},
 }
 
-LIBRARY_NUMBERS: dict[str, tuple[str, ...]] = {
-    "azurite": ("10200", "10210"),
-    "malachite": ("10310", "10345"),
-    "smalt": ("10010",),
-    "vermilion": ("10620", "10625"),
-    "red lead": ("42500",),
-    "ultramarine": ("45000",),
-    "indigo": ("36000",),
-    "madder": ("37202", "372057"),
-    "yellow ochre": ("40010", "40301"),
-    "raw umber": ("40610",),
-    "burnt umber": ("40720",),
-    "green earth": ("11000",),
-    "lead-tin yellow": ("10130",),
-    "carbon black": ("12000",),
-}
-
-
 FAMILIES: dict[str, tuple[str, ...]] = {
     "blue": ("azurite", "ultramarine", "smalt", "indigo", "Prussian blue", "cobalt blue"),
     "red": ("vermilion", "red lead", "madder", "cadmium red"),
@@ -171,10 +145,6 @@ REPLACED, SHIFT_NM, STRENGTH = 0.5, 6.0, 0.12
 
 def draw_pigments(rng: np.random.Generator) -> dict[str, Pigment]:
     """Draw the pigments of another workshop: some replaced by their like, all of another grind.
-
-    Parameters
-    ----------
-    rng : Generator
 
     Returns
     -------
@@ -242,7 +212,6 @@ def paint_spectra(
     paints: Sequence[str],
     wavelengths: np.ndarray,
     *,
-    library: Path | str | None = None,
     pigments: Mapping[str, Pigment] = PIGMENTS,
 ) -> np.ndarray:
     """Return the reflectance of paints of `PAINTS`.
@@ -251,89 +220,12 @@ def paint_spectra(
     ----------
     paints : sequence of str
     wavelengths : ndarray, (n,), nm
-    library : path, optional
-        ENVI spectral library; the pigments that it holds by `LIBRARY_NUMBERS` replace ours.
     pigments : mapping
         Of the painting's workshop, keys as of `PIGMENTS`.
 
     Returns
     -------
     reflectance : ndarray, (paints, n)
-
-    Raises
-    ------
-    LibraryRefused
-        Where the library cannot be read or holds none of the pigments.
     """
     spectra = {name: p.reflectance(wavelengths) for name, p in pigments.items()}
-    if library is not None:
-        spectra.update(_measured(Path(library), wavelengths))
     return np.stack([mix(PAINTS[name], spectra) for name in paints])
-
-
-def _measured(path: Path, wavelengths: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the library's pigments, of each its most colourful swatch: some lie on black."""
-    names, grid, values = read_library(path)
-    found = {}
-    for pigment, numbers in LIBRARY_NUMBERS.items():
-        rows = values[[n in numbers for n in names]]
-        if len(rows):
-            row = rows[np.ptp(rows, axis=1).argmax()]
-            found[pigment] = np.interp(wavelengths, grid, row).clip(0.01, 0.98)
-    if not found:
-        raise LibraryRefused(
-            Problem(
-                "E_BAND_MISSING",
-                "the spectral library holds none of the pigments",
-                file=str(path),
-                field="pnumber",
-                expected=", ".join(n for some in LIBRARY_NUMBERS.values() for n in some),
-            )
-        )
-    return found
-
-
-def read_library(path: Path) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Read an ENVI spectral library.
-
-    Parameters
-    ----------
-    path : Path
-        Its header (.hdr); the data lie beside it (.sli), float32.
-
-    Returns
-    -------
-    names : list of str
-        Of `pnumber` where the header has it (pigment numbers), else of `spectra names`.
-    wavelengths : ndarray, (bands,), nm
-    values : ndarray, (spectra, bands), reflectance
-
-    Raises
-    ------
-    LibraryRefused
-        Where a file or a field is missing, or sizes do not fit.
-    """
-    path = path.with_suffix(".hdr")
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-        raw = np.fromfile(path.with_suffix(".sli"), "<f4")
-    except OSError as error:
-        raise LibraryRefused(Problem("E_UNREADABLE", str(error), file=str(path))) from error
-    names = _braced(text, "pnumber") or _braced(text, "spectra names")
-    grid = np.array([float(v) for v in _braced(text, "wavelength")])
-    if not len(grid) or len(raw) != len(names) * len(grid):
-        raise LibraryRefused(
-            Problem(
-                "E_SIZE",
-                "the spectral library does not fit its header",
-                file=str(path),
-                found=f"{len(raw)} values",
-                expected=f"{len(names)} spectra of {len(grid)} bands",
-            )
-        )
-    return names, grid, raw.reshape(len(names), len(grid)).astype(float)
-
-
-def _braced(text: str, key: str) -> list[str]:
-    found = re.search(rf"^{key}\s*=\s*\{{(.*?)\}}", text, re.MULTILINE | re.DOTALL)
-    return [part.strip() for part in found.group(1).split(",")] if found else []

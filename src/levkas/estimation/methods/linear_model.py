@@ -1,4 +1,4 @@
-"""Estimates that are linear in terms of the responses: model, ridge regression and choice of the ridge."""
+"""Estimates that are linear in the responses: model, ridge regression and choice of the ridge."""
 
 from __future__ import annotations
 
@@ -16,32 +16,22 @@ RIDGES = np.logspace(-10, 1, 23)
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """``spectra = terms(responses) @ coefficients + offset``.
+    """``spectra = responses @ coefficients + offset``, (channels, bands) and (bands,).
 
-    Parameters
-    ----------
-    factors : ndarray, (terms, degree), int
-        Channels whose product each term is; −1 is no channel.
-    roots : bool
-        Whether a term is the geometric mean of its channels instead.
-    coefficients : ndarray, (terms, bands)
-    offset : ndarray, (bands,)
-    channels : int
+    `ridge` is the penalty that it was fitted with, `error` that of the samples held out.
     """
 
-    factors: np.ndarray
-    roots: bool
     coefficients: np.ndarray
     offset: np.ndarray
-    channels: int
+    ridge: float = 0.0
+    error: float = 0.0
 
     def __call__(self, responses: np.ndarray) -> tuple[np.ndarray, None]:
-        (spectra,) = in_blocks(self._block, responses, self.channels)
+        (spectra,) = in_blocks(self._block, responses, len(self.coefficients))
         return spectra, None
 
     def _block(self, responses: np.ndarray) -> tuple[np.ndarray]:
-        columns = expand(responses, self.factors, roots=self.roots)
-        return (columns @ self.coefficients + self.offset,)
+        return (responses @ self.coefficients + self.offset,)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return all that the model is, as arrays."""
@@ -50,74 +40,29 @@ class LinearModel:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> LinearModel:
         """Return the model of some arrays."""
-        return cls(
-            arrays["factors"],
-            bool(arrays["roots"]),
-            arrays["coefficients"],
-            arrays["offset"],
-            int(arrays["channels"]),
-        )
-
-
-def expand(responses: np.ndarray, factors: np.ndarray, *, roots: bool) -> np.ndarray:
-    """Return the terms of responses, (n, channels) → (n, terms).
-
-    Examples
-    --------
-    >>> expand(np.array([[4.0, 9.0]]), np.array([[0, -1], [0, 1]]), roots=False).tolist()
-    [[4.0, 36.0]]
-    >>> expand(np.array([[4.0, 9.0]]), np.array([[0, -1], [0, 1]]), roots=True).tolist()
-    [[4.0, 6.0]]
-    """
-    values = np.column_stack([responses, np.ones(len(responses))])  # channel −1 is 1
-    if roots:
-        values = np.maximum(values, 0)
-    terms = values[:, factors[:, 0]]
-    for place in range(1, factors.shape[1]):
-        terms = terms * values[:, factors[:, place]]
-    if roots:
-        degrees = (factors >= 0).sum(1)
-        for degree in range(2, factors.shape[1] + 1):
-            some = degrees == degree
-            terms[:, some] = terms[:, some] ** (1 / degree)
-    return np.asarray(terms)
-
-
-def single_channels(channels: int) -> np.ndarray:
-    """Return the factors of terms that are the channels themselves, (channels, 1)."""
-    return np.arange(channels)[:, None]
-
-
-@dataclass(frozen=True)
-class RidgeFit:
-    """A ridge regression: coefficients (terms, bands), offset (bands,), ridge, held-out error."""
-
-    coefficients: np.ndarray
-    offset: np.ndarray
-    ridge: float
-    error: float
+        numbers = (float(arrays[name]) for name in ("ridge", "error"))
+        return cls(arrays["coefficients"], arrays["offset"], *numbers)
 
 
 def fit_ridge(
-    columns: np.ndarray, training: Training, *, ridge: float | None = None, centred: bool = True
-) -> RidgeFit:
-    """Fit spectra to columns by weighted least squares with a penalty on the coefficients.
+    training: Training, *, ridge: float | None = None, centred: bool = True
+) -> LinearModel:
+    """Fit spectra to responses by weighted least squares with a penalty on the coefficients.
 
     Parameters
     ----------
-    columns : ndarray, (n, terms)
     training : Training
         Its sigma weighs the samples.
     ridge : float, optional
-        Penalty λ; that of the smallest held-out error by the training's criterion by default.
+        Penalty λ; that of the smallest held-out error by default.
     centred : bool
         Whether an offset is fitted, which is not penalised.
 
     Notes
     -----
-    minimises Σ w |y − x B − b|² + λ |B|²; solved by the singular values of the weighted columns.
+    minimises Σ w |y − x B − b|² + λ |B|²; solved by the singular values of the weighted responses.
     """
-    weights = sample_weights(training)
+    columns, weights = training.responses, sample_weights(training)
     root = np.sqrt(weights)[:, None]
     mean_x = weights @ columns / weights.sum() * centred
     mean_y = weights @ training.spectra / weights.sum() * centred
@@ -135,4 +80,4 @@ def fit_ridge(
     best = int(np.argmin(errors))
     chosen = float(tried[best])
     coefficients = right.T @ ((scale / (scale**2 + chosen))[:, None] * (left.T @ targets))
-    return RidgeFit(coefficients, mean_y - mean_x @ coefficients, chosen, errors[best])
+    return LinearModel(coefficients, mean_y - mean_x @ coefficients, chosen, errors[best])

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from levkas.estimation.methods.linear_model import LinearModel, fit_ridge, single_channels
+from levkas.estimation.methods.linear_model import LinearModel, fit_ridge
 from levkas.estimation.training import Training, require_samples
 
 
@@ -23,7 +23,5 @@ def fit_pseudo_inverse(training: Training, rng: np.random.Generator) -> LinearMo
     >>> model.coefficients.round(6).tolist()
     [[0.2], [0.6]]
     """
-    channels = training.responses.shape[1]
-    require_samples(training, channels, "pseudo-inverse")
-    fit = fit_ridge(training.responses, training, ridge=0.0, centred=False)
-    return LinearModel(single_channels(channels), False, fit.coefficients, fit.offset, channels)
+    require_samples(training, training.responses.shape[1], "pseudo-inverse")
+    return fit_ridge(training, ridge=0.0, centred=False)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from levkas.estimation.methods.linear_model import LinearModel, fit_ridge, single_channels
+from levkas.estimation.methods.linear_model import LinearModel, fit_ridge
 from levkas.estimation.training import Training, require_samples
 
 
@@ -18,7 +18,5 @@ def fit_wiener(
     training: Training, rng: np.random.Generator, *, ridge: float | None = None
 ) -> LinearModel:
     """Fit the estimator; λ of the smallest held-out error unless `ridge` is given, `rng` is not used."""
-    channels = training.responses.shape[1]
-    require_samples(training, channels + 1, "Wiener estimation")
-    fit = fit_ridge(training.responses, training, ridge=ridge)
-    return LinearModel(single_channels(channels), False, fit.coefficients, fit.offset, channels)
+    require_samples(training, training.responses.shape[1] + 1, "Wiener estimation")
+    return fit_ridge(training, ridge=ridge)
