@@ -137,7 +137,7 @@ def test_a_refused_layer_is_never_confirmed(campaign):
     assert set(confirmed) == {("one", "xray")}
 
 
-def test_a_confirmation_of_what_is_not_there_or_twice_is_refused_and_a_persons_file_keeps_its_comments(
+def test_a_confirmation_of_what_is_not_there_or_twice_is_refused_and_all_corrections_stay(
     campaign,
 ):
     path = campaign / "edits.toml"
@@ -145,7 +145,8 @@ def test_a_confirmation_of_what_is_not_there_or_twice_is_refused_and_a_persons_f
     path.write_text(text)
     confirm(campaign)
     change_confirmation(path, "one", "radar", said(*WORD, "1", "one/radar"))
-    assert path.read_text().startswith(text) and len(read_edits(path).confirmed) == 2
+    assert read_edits(path).frames[("one", "infrared")].stop == 2.5
+    assert len(read_edits(path).confirmed) == 2
     with pytest.raises(EditsInvalid) as refused:
         list(build(campaign))
     assert refused.value.problems[0].found == "one/radar"

@@ -89,8 +89,7 @@ def test_one_pair_cannot_be_deleted_and_pinned(tmp_path):
     )
     with pytest.raises(EditsInvalid) as refused:
         read_edits(path)
-    assert len(refused.value.problems) == 2
-    assert "both deleted and pinned" in str(refused.value)
+    assert [p.field.rpartition(".")[2] for p in refused.value.problems] == ["pinned", "reject"]
 
 
 def test_what_is_corrected_is_told_apart_by_a_hundredth_of_a_pixel():
@@ -144,27 +143,23 @@ def test_an_outline_is_written_read_and_kept_by_other_changes(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("corners", "text"),
+    "corners",
     [
-        ("[[0, 0], [9, 9]]", "3 to 500 corners, not 2"),
-        ("[[0, 0], [9, 9], [0, 0]]", "3 to 500 corners, not 2"),
-        (
-            "[[0, 0], [9, 9], [9, 0], [0, 9]]",
-            "the side after corner 1 meets the one after corner 3",
-        ),
-        ("[[0, 0], [9, 0], [4, 0]]", "cross or touch"),
-        ("[[0, 0], [9, 0], [9, 9], [9, 0], [0, 9]]", "cross or touch"),
-        ("[[0, 0, 1], [9, 0], [9, 9]]", "a list of corners [[x, y], …]"),
-        ('"auto"', "a list of corners [[x, y], …]"),
+        "[[0, 0], [9, 9]]",
+        "[[0, 0], [9, 9], [0, 0]]",
+        "[[0, 0], [9, 9], [9, 0], [0, 9]]",
+        "[[0, 0], [9, 0], [9, 9], [9, 0], [0, 9]]",
+        "[[0, 0, 1], [9, 0], [9, 9]]",
+        '"auto"',
     ],
 )
-def test_an_outline_that_is_no_polygon_is_refused(tmp_path, corners, text):
+def test_an_outline_that_is_no_polygon_is_refused(tmp_path, corners):
     path = tmp_path / "edits.toml"
     path.write_text(f"version = 1\n[objects.icon]\noutline = {corners}\n")
     with pytest.raises(EditsInvalid) as refused:
         read_edits(path)
     (problem,) = refused.value.problems
-    assert problem.field == "objects.icon.outline" and text in str(problem)
+    assert problem.field == "objects.icon.outline"
 
 
 def test_an_outline_may_be_closed_by_its_first_corner(tmp_path):
@@ -177,23 +172,45 @@ def test_an_outline_may_be_closed_by_its_first_corner(tmp_path):
     "text",
     [
         "version = 1\n",
-        "# ours\nversion = 1\n[objects.icon.cameras.nir] # plate\nstop = 2\n# end\n\n[objects.b.cameras.x]\nstop = 1\n",
-        "version = 1\nobjects.icon.cameras.nir.stop = 2\n",
+        "# ours\nversion = 1\n[objects.icon.cameras.nir] # plate\nstop = 2\n[objects.b.cameras.x]\nstop = 1\n",
         "version = 1\nobjects = {icon = {cameras = {nir = {stop = 2}}}}\n",
-        "version = 1\n[objects.icon]\noutline = [\n[1, 2], # a\n[9, 4],\n[5, 9]]\n# nir\n[objects.icon.cameras.nir]\nstop = 2\n",
-        "version = 1\n[objects.icon.cameras.nir]\nstop = 2\n[objects.icon]\noutline = [[1, 2], [9, 4], [5, 9]]\n",
     ],
-)  # fmt: skip
-def test_a_drawn_outline_is_written_into_every_spelling_of_the_file_and_taken_out(tmp_path, text):
+)
+def test_a_change_writes_the_file_anew_and_keeps_all_that_it_holds(tmp_path, text):
     path = tmp_path / "edits.toml"
     path.write_text(text)
     before = read_edits(path)
-    assert change_outline(path, "icon", before.outlines.get("icon", ()), OUTLINE) == OUTLINE
+    assert change_outline(path, "icon", (), OUTLINE) == OUTLINE
     assert read_edits(path) == before.with_outline("icon", OUTLINE)
     assert change_outline(path, "icon", OUTLINE, ()) == ()
-    assert read_edits(path) == before.with_outline("icon", ())
-    for comment in (line.partition("#")[2] for line in text.splitlines() if line[:1] == "#"):
-        assert path.read_text().count(comment) == 1
+    write_edits(tmp_path / "plain.toml", before)
+    assert path.read_bytes() == (tmp_path / "plain.toml").read_bytes()
+
+
+def test_corrections_that_another_has_changed_are_not_written_over(tmp_path):
+    path = tmp_path / "edits.toml"
+    ours, theirs = FrameEdits(added=((1.0, 2.0, 3.0, 4.0),)), FrameEdits(stop=3.0)
+    write_edits(path, Edits({("icon", "nir"): theirs}))
+    there = path.read_bytes()
+    with pytest.raises(EditsConflict) as refused:
+        change_edits(path, "icon", lambda _: "nir", FrameEdits(), ours)
+    assert refused.value.present == theirs and path.read_bytes() == there
+    assert refused.value.problems[0].field == "objects.icon.cameras.nir"
+    assert change_edits(path, "icon", lambda _: "xray", FrameEdits(), ours) == ours
+    assert read_edits(path).frames[("icon", "nir")] == theirs
+
+
+def test_an_editor_that_saves_while_a_change_is_made_keeps_what_it_saved(tmp_path):
+    path = tmp_path / "edits.toml"
+
+    def frame_of(edits):
+        path.write_text("version = 1\n[objects.icon.cameras.nir]\nstop = 2\n")
+        return "xray"
+
+    with pytest.raises(EditsInvalid) as refused:
+        change_edits(path, "icon", frame_of, FrameEdits(), FrameEdits(stop=3.0))
+    assert refused.value.problems[0].code == "E_BUSY"
+    assert list(read_edits(path).frames) == [("icon", "nir")]
 
 
 def test_a_drawn_outline_that_another_has_changed_or_that_is_no_polygon_is_refused(tmp_path):
@@ -202,8 +219,8 @@ def test_a_drawn_outline_that_another_has_changed_or_that_is_no_polygon_is_refus
     there = path.read_bytes()
     with pytest.raises(EditsConflict) as refused:
         change_outline(path, "icon", (), OUTLINE[::-1])
-    assert refused.value.present == OUTLINE and "in the meantime" in str(refused.value)
-    with pytest.raises(EditsInvalid, match="must not cross"):
+    assert refused.value.present == OUTLINE
+    with pytest.raises(EditsInvalid):
         change_outline(path, "icon", OUTLINE, ((0, 0), (9, 9), (9, 0), (0, 9)))
     assert path.read_bytes() == there
     assert change_outline(path, "icon", (), OUTLINE) == OUTLINE  # both drew the same

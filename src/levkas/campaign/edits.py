@@ -1,7 +1,7 @@
 """edits.toml: corrections made by hand on screen, kept beside campaign.toml and replayed by a build.
 
-Several workbenches and a person with an editor may change the file at one time: a change is written on
-top of what the file holds by then, and what it holds besides, comments included, stays as it is.
+The file belongs to the program: every change writes it anew, sorted, so that the same corrections are the same bytes. A change
+is made of a state that was read; where the file holds another by then, it is refused with what is there.
 """
 
 from __future__ import annotations
@@ -27,14 +27,12 @@ if TYPE_CHECKING:
 
 FILE_NAME, HISTORY_NAME = "edits.toml", ".edits.history.json"
 """Beside campaign.toml: the corrections, and by which steps the workbench came to them."""
-MOST_TURNS = 50
-"""Attempts to make a change while others change the file."""
 EXPLAINED = "docs/reference/edits.md explains every key; the workbench writes the file for you."
 AGAIN = "Check its present state, then make the change again."
 BY_HAND = "by hand"
 """Value of `accept`: the map is fitted to the pairs alone."""
 HEAD = """\
-# Corrections by hand; `levkas inspect` writes this file, `levkas build` replays it.
+# Corrections by hand; `levkas inspect` writes this file anew, without your comments; `levkas build` replays it.
 # A pair is [reference x, reference y, target x, target y], native pixels, centres at whole numbers.
 version = 1
 """
@@ -48,7 +46,7 @@ class EditsInvalid(Refused):
 
 
 class EditsConflict(Refused):
-    """A change contradicts what edits.toml holds by now, which is `present`: a frame's corrections, or an outline."""
+    """edits.toml has changed since it was read, and holds `present`: a frame's corrections, or an outline."""
 
     def __init__(self, *problems: Problem, present: Any) -> None:
         super().__init__(*problems)
@@ -122,26 +120,6 @@ class FrameEdits:
             {k: sorted(v) if isinstance(v, tuple) else v for k, v in record.items()}, sort_keys=True
         )
         return f"{', '.join(parts)} ({hashlib.sha256(text.encode()).hexdigest()[:8]})"
-
-
-def merge(base: FrameEdits, ours: FrameEdits, theirs: FrameEdits) -> FrameEdits:
-    """Return what came of `base` by the changes of both; where both changed one number, theirs.
-
-    Pairs are merged one by one: what either added is there, what either took away is not.
-
-    >>> base = FrameEdits(deleted=((1, 2, 3, 4), (5, 6, 7, 8)))
-    >>> merge(base, FrameEdits(deleted=base.deleted[:1]), replace(base, pinned=((9, 9, 9, 9),)))
-    FrameEdits(deleted=((1, 2, 3, 4),), restored=(), pinned=((9, 9, 9, 9),), added=(), moved=(), checks=(), reject=None, stop=None, accept='')
-    """
-    merged: dict[str, Any] = {}
-    for name in (f.name for f in fields(FrameEdits)):
-        first, one, other = (getattr(edits, name) for edits in (base, ours, theirs))
-        if isinstance(first, tuple):
-            removed, new = set(first) - set(one), set(one) - set(first)
-            merged[name] = tuple(sorted((set(other) - removed) | new))
-        else:
-            merged[name] = other if other != first else one
-    return FrameEdits(**merged)
 
 
 @dataclass(frozen=True)
@@ -250,28 +228,14 @@ def write_edits(path: Path, edits: Edits) -> None:
 def change_edits(
     path: Path, name: str, frame_of: Callable[[Edits], str], before: FrameEdits, after: FrameEdits
 ) -> FrameEdits:
-    """Write what a change made of one frame's corrections, on top of what edits.toml holds by now.
+    """Write the corrections of one frame, `after` instead of `before`, by which they were known; return what the file holds now.
 
-    Parameters
-    ----------
-    path : Path
-        edits.toml, which may not exist yet.
-    name : str
-        Of the object.
-    frame_of : callable
-        Gives the frame's name in a file of these corrections.
-    before, after : FrameEdits
-        The corrections as they were known, and with the change.
-
-    Returns
-    -------
-    written : FrameEdits
-        What the file holds of the frame now; it is on the disk.
+    `frame_of` gives the frame's name in a file of these corrections.
 
     Raises
     ------
     EditsConflict
-        Where the change contradicts what others wrote meanwhile; the file is as it was.
+        Where the file holds others than `before`; it is as it was.
     EditsInvalid
         Where the file cannot be read.
     WriteRefused, Taken
@@ -281,53 +245,25 @@ def change_edits(
     def changed(edits: Edits) -> Edits:
         frame = frame_of(edits)
         present = edits.frames.get((name, frame), FrameEdits())
-        merged = merge(before, after, present)
-        where = f"objects.{name}.cameras.{frame}"
-        if problems := _clashes(before, after, present, merged, where):
-            raise EditsConflict(*(with_explanation(p, path) for p in problems), present=present)
-        return edits.with_frame(name, frame, merged)
+        if present not in (before, after):
+            raise _conflict(path, f"objects.{name}.cameras.{frame}", present)
+        return edits.with_frame(name, frame, after)
 
     written = _change(path, changed)
     return written.frames.get((name, frame_of(written)), FrameEdits())
 
 
 def change_outline(path: Path, name: str, before: Outline, after: Outline) -> Outline:
-    """Write the outline of an object, on top of what edits.toml holds by now; none where it has no corners.
+    """Write the outline of an object, corners in reference px, none for no outline; return what the file holds, rounded to 0.01.
 
-    Parameters
-    ----------
-    path : Path
-        edits.toml, which may not exist yet.
-    name : str
-        Of the object.
-    before, after : (n, 2) corners, reference px
-        The outline as it was known, and as it is to be.
-
-    Returns
-    -------
-    written : (n, 2) corners, reference px, rounded to 0.01
-        What the file holds now; it is on the disk.
-
-    Raises
-    ------
-    EditsConflict, EditsInvalid, WriteRefused, Taken
-        As `change_edits` does; an outline that is no polygon is E_VALUE of EditsInvalid.
+    Raises as `change_edits`; an outline that is no polygon is E_VALUE of EditsInvalid.
     """
     before, after = round_corners(before), round_corners(after)
 
     def changed(edits: Edits) -> Edits:
         present = edits.outlines.get(name, ())
         if present not in (before, after):
-            problem = Problem(
-                "E_CONFLICT",
-                "the outline has changed in the meantime",
-                str(path),
-                field=f"objects.{name}.outline",
-                found=f"{len(present)} corners",
-                expected=f"{len(before)} corners",
-                fix=AGAIN,
-            )
-            raise EditsConflict(problem, present=present)
+            raise _conflict(path, f"objects.{name}.outline", present)
         return edits.with_outline(name, after)
 
     return _change(path, changed).outlines.get(name, ())
@@ -349,26 +285,27 @@ def _change(path: Path, changed: Callable[[Edits], Edits]) -> Edits:
     from levkas.core.locks import locked
 
     with locked(lock_of(path)):
-        for _ in range(MOST_TURNS):
-            data = _bytes_of(path)
-            edits = read_edits(path)
-            wanted = changed(edits)
-            if wanted == edits:
-                return edits
-            text = _revised(data, edits, wanted, path)
+        data, edits = _bytes_of(path), read_edits(path)
+        wanted = changed(edits)
+        if wanted == edits:
+            return edits
+        text = to_text(wanted)
+        _validated(tomllib.loads(text), path)
 
-            def unchanged(data: bytes = data) -> None:
-                if _bytes_of(path) != data:
-                    raise _Changed
+        def unchanged() -> None:
+            if _bytes_of(path) != data:  # by an editor, which takes no lock
+                busy = Problem("E_BUSY", "another program writes edits.toml", str(path), fix=AGAIN)
+                raise EditsInvalid(busy)
 
-            try:
-                with together(before=unchanged):
-                    write_text(path, text)
-            except _Changed:  # by an editor, which takes no lock
-                continue
-            return wanted
-    problem = Problem("E_BUSY", "another program keeps changing edits.toml", str(path))
-    raise EditsInvalid(with_explanation(problem, path))
+        with together(before=unchanged):
+            write_text(path, text)
+        return wanted
+
+
+def _conflict(path: Path, field: str, present: Any) -> EditsConflict:
+    """Return the refusal of a change of what others have changed since, with what is there."""
+    message, fix = "edits.toml has changed since it was read", AGAIN
+    return EditsConflict(Problem("E_CONFLICT", message, str(path), field, fix=fix), present=present)
 
 
 def lock_of(path: Path) -> Path:
@@ -393,142 +330,11 @@ def sweep_corrections(folder: Path) -> None:
                 pass
 
 
-class _Changed(Exception):
-    """The file is no longer what it was when it was read."""
-
-
 def _bytes_of(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError:
         return b""
-
-
-def _clashes(
-    before: FrameEdits, after: FrameEdits, present: FrameEdits, merged: FrameEdits, where: str
-) -> list[Problem]:
-    """Return the conflicts of a change with the present state."""
-    found = [
-        Problem(
-            "E_CONFLICT",
-            f"`{name}` has changed in the meantime",
-            field=f"{where}.{name}",
-            found=getattr(present, name),
-            expected=getattr(before, name),
-            fix=AGAIN,
-        )
-        for name in ("reject", "stop", "accept")
-        if getattr(before, name) not in (getattr(after, name), getattr(present, name))
-        and getattr(after, name) != getattr(present, name)
-    ]
-    if merged != present:
-        for problem in _contradictions(Edits({("", ""): merged})):
-            key = (problem.field or "").rpartition(".")[2]
-            message = f"{problem.message}: it has changed in the meantime"
-            field_ = f"{where}.{key}"
-            found.append(
-                replace(problem, code="E_CONFLICT", message=message, field=field_, fix=AGAIN)
-            )
-    return found
-
-
-def _revised(data: bytes, edits: Edits, wanted: Edits, path: Path) -> str:
-    """Return the file's text as wanted: written anew where it is as we write it, else in place, where it differs."""
-    text = data.decode("utf-8-sig")
-    made = to_text(wanted)
-    if text.strip() and text != to_text(edits):
-        made = _revised_in_place(text, edits, wanted)
-    with contextlib.suppress(tomllib.TOMLDecodeError):
-        if _validated(tomllib.loads(made), path) == wanted:
-            return made
-    problem = Problem(
-        "E_VALUE",
-        "the layout of edits.toml does not allow changes in place",
-        field="objects",
-        expected="a table of its own for every object and camera",
-    )
-    raise EditsInvalid(with_explanation(problem, path))
-
-
-def _revised_in_place(text: str, edits: Edits, wanted: Edits) -> str:
-    """Return a text of a person's own making with the tables changed in which `wanted` differs; a table that is missing is added at the end."""
-    import tomlkit
-
-    document = tomlkit.parse(text)
-    changes: list[tuple[tuple[str, ...], dict[str, Any], Edits]] = []
-    for name in sorted(edits.outlines.keys() | wanted.outlines.keys()):
-        corners = wanted.outlines.get(name, ())
-        if corners != edits.outlines.get(name, ()):
-            made = Edits().with_outline(name, corners)
-            values = {"outline": [list(corner) for corner in corners] or None}
-            changes.append((("objects", name), values, made))
-    for name, frame in sorted(edits.frames.keys() | wanted.frames.keys()):
-        one = wanted.frames.get((name, frame), FrameEdits())
-        if one != edits.frames.get((name, frame), FrameEdits()):
-            values = {f.name: getattr(one, f.name) for f in fields(FrameEdits)}
-            table_of = ("objects", name, "cameras", frame)
-            changes.append((table_of, values, Edits().with_frame(name, frame, one)))
-    added = []
-    for place, values, made in changes:
-        table: Any = document
-        for part in place:
-            table = table.get(part) if table is not None else None
-        if table is None:
-            added.append(to_text(made).removeprefix(f"{HEAD}\n"))
-        else:
-            if isinstance(table, tomlkit.items.Table) and table.is_super_table():
-                table.trivia.comment = table.trivia.comment_ws = (
-                    ""  # which tomlkit took from the first table below it
-                )
-            for key, value in values.items():
-                _revise(table, key, value)
-    if wanted.confirmed != edits.confirmed:
-        document.pop("confirm", None)
-        if wanted.confirmed:
-            added.append(to_text(Edits(confirmed=wanted.confirmed)).removeprefix(f"{HEAD}\n"))
-    text = tomlkit.dumps(document)
-    return "\n\n".join([text.rstrip(), *added]) if added else text
-
-
-def _revise(table: Any, key: str, value: Any) -> None:
-    """Change one key of a table of tomlkit; rows that stay keep their place and their comments."""
-    import tomlkit
-
-    if value in (None, "", ()):
-        table.pop(key, None)
-        return
-    if not isinstance(value, tuple):
-        if table.get(key) != value:
-            _put(table, key, value)
-        return
-    if key not in table:
-        rows = "".join(f"  {_row(row)},\n" for row in value)
-        _put(table, key, tomlkit.parse(f"{key} = [\n{rows}]\n")[key])
-        return
-    array, missing = table[key], set(value)
-    for at in reversed(range(len(array))):
-        row = round_pair(array[at])
-        if row in missing:
-            missing.discard(row)
-        else:
-            del array[at]
-    for row in sorted(missing):
-        new: Any = tomlkit.parse(f"{key} = {_row(row)}")[key]
-        if "\n" in array.as_string():
-            array.add_line(new, indent="  ")
-        else:
-            array.append(new)
-
-
-def _put(table: Any, key: str, value: Any) -> None:
-    """Set a key; a new one comes before the comments that lead to the next table."""
-    body = table.value.body if hasattr(table.value, "body") else []
-    trailing = []
-    while key not in table and body and body[-1][0] is None:
-        trailing.append(body.pop()[1])
-    table[key] = value
-    for item in reversed(trailing):
-        table.add(item)
 
 
 def to_text(edits: Edits) -> str:

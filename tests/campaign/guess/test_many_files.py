@@ -53,7 +53,7 @@ def folder(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "kind",
-    [pytest.param(one, marks=[pytest.mark.slow] * (one not in ("numbers",))) for one in KINDS],
+    [pytest.param(one, marks=[pytest.mark.exhaustive] * (one != "numbers")) for one in KINDS],
 )
 def test_the_work_of_looking_grows_with_the_number_of_files(folder, kind):
     few, many = folder(kind, 250), folder(kind, 750)
@@ -64,7 +64,8 @@ def test_the_work_of_looking_grows_with_the_number_of_files(folder, kind):
     assert len(proposals[1].text) > 200
 
 
-@pytest.mark.parametrize("kind", ["wavelengths", "both"])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["both"])
 def test_the_work_of_status_grows_with_the_number_of_files(folder, kind):
     work = []
     for count in (5, 200, 600):

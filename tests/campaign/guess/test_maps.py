@@ -50,7 +50,14 @@ FORMATS = {
 }
 
 
-@pytest.mark.parametrize("write", FORMATS, ids=lambda write: write.__name__)
+@pytest.mark.parametrize(
+    "write",
+    [
+        pytest.param(w, marks=[pytest.mark.exhaustive] * (w in (write_envi, write_pages)))
+        for w in FORMATS
+    ],
+    ids=lambda write: write.__name__,
+)
 def test_maps_are_proposed_as_such_beside_a_photograph(tmp_path, write):
     rng = np.random.default_rng(1)
     for part in ("photo", "xrf"):

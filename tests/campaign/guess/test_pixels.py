@@ -1,13 +1,10 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from levkas.campaign.guess.pixels import (
     bits_of,
     describe_pixels,
     find_mosaic,
-    is_same_scene,
     name_mosaic,
 )
 
@@ -29,19 +26,20 @@ def test_the_side_of_a_tile_is_found(side):
     assert find_mosaic(describe_pixels(plane).phases) == side
 
 
-@settings(max_examples=30, deadline=None)
-@given(st.permutations([0, 1]), st.booleans(), st.floats(0.3, 0.9), st.floats(1.2, 3.0))
-def test_red_is_found_by_the_colour_of_the_object_wherever_it_stands(order, mirrored, blue, warm):
+@pytest.mark.parametrize(
+    ("turned", "mirrored"), [(False, False), (True, False), (False, True), (True, True)]
+)
+def test_red_is_where_the_painting_is_brighter_than_the_white_and_that_is_doubted(turned, mirrored):
     white = np.array([[0.7, 1.0], [1.0, 0.6]])
-    share = np.array([[0.4, 0.3], [0.3, 0.4 / warm]])
+    share = np.array([[0.4, 0.3], [0.3, 0.2]])
     letters = np.array([["R", "G"], ["G", "B"]])
-    for array in (white, share, letters):
-        array[:] = array[::-1, ::-1] if order[0] else array
-    tiles = [a[:, ::-1] if mirrored else a for a in (white, share, letters)]
-    bright = 3000 * tiles[0] + 64
+    tiles = [
+        a[:: -1 if turned else 1, :: -1 if turned != mirrored else 1]
+        for a in (white, share, letters)
+    ]
     shown = {"icon": 3000 * tiles[0] * tiles[1] + 64}
-    named = name_mosaic(2, bright, dark=64, shown=shown, warmth={"icon": np.log(warm)})
-    assert (named.letters, named.unknown) == ("".join(tiles[2].ravel()), "")
+    named = name_mosaic(2, 3000 * tiles[0] + 64, dark=64, shown=shown)
+    assert named.letters == "".join(tiles[2].ravel()) and named.unknown
 
 
 def test_narrow_bands_tell_the_whole_pattern():
@@ -56,7 +54,7 @@ def test_narrow_bands_tell_the_whole_pattern():
 
 
 def test_without_evidence_the_order_of_red_and_blue_is_unknown():
-    assert "red or blue" in name_mosaic(2, np.array([[0.7, 1.0], [1.0, 0.6]])).unknown
+    assert name_mosaic(2, np.array([[0.7, 1.0], [1.0, 0.6]])).unknown
     other = name_mosaic(3, np.arange(1.0, 10.0).reshape(3, 3))
     assert other.rows == (("B1", "B2", "B3"), ("B4", "B5", "B6"), ("B7", "B8", "B9"))
     assert other.unknown
@@ -67,15 +65,3 @@ def test_codes_tell_bits_and_where_they_stand():
     assert (describe_pixels(plain).step, describe_pixels(high).step) == (1, 16)
     assert bits_of(4095, 1) == bits_of(65520, 16) == 12
     assert (bits_of(1000, 1), bits_of(4096, 1), bits_of(40000, 1)) == (10, 14, 16)
-
-
-def test_shots_of_one_scene_are_alike_and_of_two_are_not():
-    rng = np.random.default_rng(0)
-    scene, other = (np.kron(rng.uniform(200, 3000, (6, 8)), np.ones((10, 10))) for _ in range(2))
-    shots = [
-        describe_pixels(s + rng.normal(0, 30, s.shape)).thumbnail for s in (scene, scene, other)
-    ]
-    assert is_same_scene(shots[0], shots[1])
-    assert not is_same_scene(shots[0], shots[2])
-    darks = [describe_pixels(rng.normal(64, 2, (60, 80))).thumbnail for _ in range(2)]
-    assert is_same_scene(*darks)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -11,191 +11,7 @@ from typing import Any
 from levkas.core.problems import Problem, Refused
 from levkas.readers.wavelengths import LENGTHS, bare_centre
 
-MOST_STEPS = 200_000
-"""Steps for one name; only repeated placeholders with many readings of the first come near it."""
-_DIGITS = re.compile(r"\d+")
 _NUMERALS = re.compile("([0-9]+)")
-_OPEN = re.compile(r"(?<![^\W_])")
-_CLOSED = re.compile(r"(?![^\W_])")
-
-
-@dataclass(frozen=True)
-class LiteralPiece:
-    """Literal text, upper and lower case alike in its suffix."""
-
-    source: re.Pattern[str]
-
-    def ends(self, text: str, start: int) -> Iterator[int]:
-        """Yield where it ends that begins at `start`, what an expression tries first coming first."""
-        if found := self.source.match(text, start):
-            yield found.end()
-
-
-@dataclass(frozen=True)
-class TextPiece:
-    """Any text within a name, of `least` letters or more; as much as it can be, or as little."""
-
-    least: int = 0
-    greedy: bool = True
-
-    def ends(self, text: str, start: int, tried: int | None = None) -> Iterator[int]:
-        """Yield as the others do; `tried` is a later start in the same name, whose ends have failed."""
-        last = end_of_name(text, start) if tried is None else tried + self.least - 1
-        places = range(start + self.least, last + 1)
-        yield from reversed(places) if self.greedy else places
-
-
-@dataclass(frozen=True)
-class NumberPiece:
-    """A number with or without decimals, never a part of a longer one."""
-
-    decimals: bool = True
-
-    def ends(self, text: str, start: int) -> Iterator[int]:
-        before, point = text[start - 1 : start], text[max(start - 2, 0) : start]
-        after_point = len(point) == 2 and point[0].isdecimal() and point[1] == "."
-        if before.isdecimal() or (self.decimals and after_point):
-            return
-        whole = _DIGITS.match(text, start)
-        if whole is None:
-            return
-        point = text[whole.end() : whole.end() + 1]
-        decimals = None
-        if self.decimals and point == ".":
-            decimals = _DIGITS.match(text, whole.end() + 1)
-        if decimals:
-            yield decimals.end()
-        yield whole.end()
-
-
-@dataclass(frozen=True)
-class ChoicePiece:
-    """One of some values; beside a wildcard no part of a longer word."""
-
-    values: tuple[str, ...]
-    open_before: bool = False
-    open_after: bool = False
-
-    def ends(self, text: str, start: int) -> Iterator[int]:
-        if self.open_before and not _OPEN.match(text, start):
-            return
-        for length in self.lengths:
-            end = start + length
-            if text[start:end] in self.known and (not self.open_after or _CLOSED.match(text, end)):
-                yield end
-
-    @cached_property
-    def known(self) -> frozenset[str]:
-        """The values, to be looked up: there may be thousands."""
-        return frozenset(self.values)
-
-    @cached_property
-    def lengths(self) -> tuple[int, ...]:
-        """Lengths of the values, in their order."""
-        return tuple(dict.fromkeys(map(len, self.values)))
-
-
-@dataclass(frozen=True)
-class FoldersPiece:
-    """Any number of whole folders, none included; as many as there can be."""
-
-    def ends(self, text: str, start: int) -> Iterator[int]:
-        found = [start]
-        while (slash := text.find("/", found[-1])) > found[-1]:
-            found.append(slash + 1)
-        yield from reversed(found)
-
-
-def end_of_name(text: str, start: int) -> int:
-    """Return where the name of a folder or file ends that a place lies in."""
-    slash = text.find("/", start)
-    return len(text) if slash < 0 else slash
-
-
-PieceKind = LiteralPiece | TextPiece | NumberPiece | ChoicePiece | FoldersPiece
-Piece = tuple[PieceKind, str]
-"""The matching rule, and the name of the placeholder; empty for none."""
-
-
-def match_pieces(pieces: Sequence[Piece], text: str) -> dict[str, str] | None:
-    """Return the values of the placeholders in a text; None where it does not fit.
-
-    A placeholder that occurs twice has one value.
-
-    Raises
-    ------
-    Refused
-        Where that alone leaves too many ways to read a name.
-    """
-    names = [name for _, name in pieces]
-    twice = {name for name in names if name and names.count(name) > 1}
-    # Whether a span fails depends on its end alone, unless its value must occur again.
-    free = [isinstance(kind, TextPiece) and name not in twice for kind, name in pieces]
-    failed: dict[tuple[object, ...], int] = {}
-    places: list[int] = []
-    known: list[dict[str, str]] = []
-    waiting: list[Iterator[int]] = []
-
-    def enter(index: int, start: int, values: dict[str, str]) -> None:
-        """Go on with a piece at a place, unless it failed there."""
-        tried = None
-        if failed:
-            tried = failed.get(_state(free[index], index, text, start, values))
-        if tried is not None and tried <= start:
-            return
-        kind, name = pieces[index]
-        places.append(start)
-        known.append(values)
-        if name in values:
-            same = text.startswith(values[name], start)
-            waiting.append(iter([start + len(values[name])] if same else []))
-        elif isinstance(kind, TextPiece):
-            waiting.append(kind.ends(text, start, tried))
-        else:
-            waiting.append(kind.ends(text, start))
-
-    enter(0, 0, {})
-    for _ in range(MOST_STEPS):
-        if not waiting:
-            return None
-        index, start, values = len(waiting) - 1, places[-1], known[-1]
-        end = next(waiting[-1], None)
-        if end is None:
-            failed[_state(free[index], index, text, start, values)] = start
-            for stack in (waiting, places, known):
-                stack.pop()  # type: ignore[attr-defined]
-        elif index + 1 < len(pieces):
-            name = names[index]
-            if name in twice and name not in values:
-                values = {**values, name: text[start:end]}
-            enter(index + 1, end, values)
-        elif end == len(text):
-            return _values_by_name(names, [*places, end], text)
-    raise Refused(
-        Problem(
-            "E_VALUE",
-            "a file name matches the pattern in too many ways",
-            field="files",
-            found=text[:80],
-            expected="a pattern with text between its placeholders",
-            fix="Write characters between the placeholders of `files`.",
-        )
-    )
-
-
-def _state(
-    free: bool, index: int, text: str, start: int, values: dict[str, str]
-) -> tuple[object, ...]:
-    """Return what a failure depends on: of a free span the name that it lies in, for a later start ends where it may."""
-    return index, end_of_name(text, start) if free else start, free, *values.items()
-
-
-def _values_by_name(names: Sequence[str], places: Sequence[int], text: str) -> dict[str, str]:
-    found: dict[str, str] = {}
-    for name, start, end in zip(names, places[:-1], places[1:], strict=True):
-        if name:
-            found.setdefault(name, text[start:end])
-    return found
 
 
 FIELDS = (
@@ -229,26 +45,13 @@ _BODY = {
     "wavelength": _NUMBER,
     "exposure": _NUMBER,
 }
-_KIND: dict[str, PieceKind] = {
-    "target": TextPiece(1),
-    "object": TextPiece(1),
-    "setup": TextPiece(1, greedy=False),
-    "band": TextPiece(1, greedy=False),
-    "sensor": TextPiece(1, greedy=False),
-    "shot": TextPiece(0, greedy=False),
-    "tile": TextPiece(1, greedy=False),
-    "row": NumberPiece(decimals=False),
-    "column": NumberPiece(decimals=False),
-    "wavelength": NumberPiece(),
-    "exposure": NumberPiece(),
-}
 LONGEST = 4096
 """Letters of a path, as file systems have it."""
-TAME, SHORT = 3, 80
-"""Stars and placeholders up to which a regular expression, 50 times as fast, has few ways to share out a name of
-so many letters; of a longer one two of them."""
-MOST_ALTERNATIVES = 64
-"""Known values up to which a regular expression tries one after the other; of more, lengths are tried."""
+MOST_FREE, TAME, LONG = 5, 3, 80
+"""Stars and placeholders that share the name of a folder or file; so many that may share a name of more than so many letters:
+of 80 letters that are all separators, five have 24 million readings, of 255 three have 3 million, half a second of the processor."""
+MOST_FOLDERS = 2
+"""``**`` of one pattern."""
 
 
 class Known(tuple[tuple[str, tuple[str, ...]], ...]):
@@ -260,11 +63,6 @@ class Known(tuple[tuple[str, tuple[str, ...]], ...]):
 
     def __hash__(self) -> int:
         return self._hash
-
-    @cached_property
-    def is_long(self) -> bool:
-        """Whether a placeholder has more values than a regular expression tries quickly."""
-        return any(len(values) > MOST_ALTERNATIVES for _, values in self)
 
 
 NOTHING_KNOWN = Known()
@@ -325,6 +123,11 @@ class Pattern:
                     raise ValueError("a brace is not closed")
             if "**" in segment and segment != "**":
                 raise ValueError("** matches whole folders only: raw/**/{target}.tif")
+        if max(map(_free, segments)) > MOST_FREE or segments.count("**") > MOST_FOLDERS:
+            raise ValueError(
+                f"more than {MOST_FREE} stars and placeholders share a name, or more than {MOST_FOLDERS} ** the path: "
+                "write the characters between them"
+            )
         if segments[-1] == "**":
             raise ValueError("the pattern ends in **, which matches folders only")
         return cls(
@@ -439,8 +242,18 @@ def ways_to_read(known: Mapping[str, Collection[str]]) -> tuple[Known, ...]:
 
 def _match(text: str, known: Known, ends: bool, name: str, *, named: bool) -> dict[str, str] | None:
     """Return the values of the placeholders in a name; None where it does not fit."""
-    if known.is_long or _free(text) > (2 if len(name) > SHORT else TAME):
-        return match_pieces(_pieces(text, known, named, ends), name)
+    longest = max(map(len, name.split("/"))) if len(name) > LONG else 0
+    if longest > LONG and max(map(_free, text.split("/"))) > TAME:
+        raise Refused(
+            Problem(
+                "E_VALUE",
+                "a long file name matches the pattern in too many ways",
+                field="files",
+                found=name[:LONG],
+                expected=f"a pattern with up to {TAME} stars and placeholders a name",
+                fix="Write characters between the placeholders of `files`.",
+            )
+        )
     found = _compiled(text, known, named, ends).fullmatch(name)
     return found.groupdict() if found else None
 
@@ -459,30 +272,6 @@ def _split(text: str) -> list[str]:
     if "**" not in pieces:
         return pieces
     return [p for p in re.split(r"(\{[^{}]*\}|\0|\*)", text.replace("**/", "\0")) if p]
-
-
-@lru_cache(maxsize=4096)
-def _pieces(text: str, known: Known, named: bool, ends: bool) -> tuple[Piece, ...]:
-    """Return a pattern, or one segment of it, for `match_pieces`."""
-    values, pieces = dict(known), _split(text)
-    out: list[Piece] = []
-    for i, piece in enumerate(pieces):
-        if piece == "\0":
-            out.append((FoldersPiece(), ""))
-        elif piece == "*":
-            out.append((TextPiece(), ""))
-        elif not piece.startswith("{"):
-            out.append(
-                (LiteralPiece(re.compile(_literal(piece, ends and i == len(pieces) - 1))), "")
-            )
-        else:
-            name = piece[1:-1]
-            kind = _KIND[name]
-            if name in values:
-                before, after = (_beside(pieces[j : j + 1]) for j in (i - 1, i + 1))
-                kind = ChoicePiece(_longest_first(values[name]), before, after)
-            out.append((kind, name if named else ""))
-    return tuple(out)
 
 
 @lru_cache(maxsize=4096)
@@ -518,14 +307,10 @@ def _literal(text: str, last: bool) -> str:
 
 def _alternatives(values: tuple[str, ...], before: list[str], after: list[str]) -> str:
     """Return an expression for known values, longest first; beside a wildcard ``icon1`` is no part of ``icon10``."""
-    body = "|".join(re.escape(v) for v in _longest_first(values))
+    body = "|".join(re.escape(v) for v in sorted(values, key=lambda v: (-len(v), v)))
     start = r"(?<![^\W_])" if _beside(before) else ""
     stop = r"(?![^\W_])" if _beside(after) else ""
     return f"{start}(?:{body}){stop}"
-
-
-def _longest_first(values: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(sorted(values, key=lambda v: (-len(v), v)))
 
 
 def _beside(pieces: list[str]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Container, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 
 import numpy as np
 
@@ -25,19 +25,12 @@ DARK_SHARE = 0.08
 """A dark's 99th percentile is below this share of the brightest level that any target reaches."""
 EVEN_DARK = 0.04
 """Share of the brightest level that the percentiles 1 and 99 of a dark may be apart."""
-EVEN, SMOOTH = 0.6, 0.04
-"""A white's illumination may fall off by this share; from sensel to sensel it hardly differs."""
 MOST_TARGETS = 200
 """Targets of a camera, spread over all, of which a frame is decoded; more would take minutes."""
 STRUCTURED = 3.0
 """The others must have this many times a white's texture."""
-SAME_OBJECT, PARTLY = 0.4, 0.1
-"""Share of a white that shows what an object shows from which it is none, and from which it is doubted: real and simulated
-whites have none of it, a board that leaves a third of the view to the painting 0.3."""
 MOST_BANDS = 64
 """Bands of a tunable filter, spread over its range, whose frames are decoded to see the mosaic behind it."""
-WARM_NM, COLD_NM = 620.0, 460.0
-NEAR_NM = 25.0
 
 
 # --- darks and whites -------------------------------------------------------------------------
@@ -64,14 +57,11 @@ def infer_roles(group: CameraGroup, samples: Samples) -> list[str]:
     if len(named) == 2 or not plain or len(by_target) < 2:
         return []
     found: dict[str, Statistics] = {}
-    shown: set[str] = set()
     for target in spread(list(by_target), MOST_TARGETS):
-        like = _like(by_target[target], frames[0])
-        if statistics := samples.of_some(like, 1):
+        if statistics := samples.of_some(_like(by_target[target], frames[0]), 1):
             found[target] = statistics[0]
-            shown |= {target} if samples.shows_something(like[0].file) else set()
     white = samples.of_some(_like(group.of_role("white"), frames[0]), 1)
-    roles, reasons = _roles_of(found, white[0] if white else None, named, shown)
+    roles, reasons = _roles_of(found, white[0] if white else None, named)
     group.frames = [f.with_role(roles.get(f.target, f.role)) for f in group.frames]
     if len(by_target) > MOST_TARGETS:
         reasons.append(
@@ -81,42 +71,6 @@ def infer_roles(group: CameraGroup, samples: Samples) -> list[str]:
     return reasons
 
 
-def doubt_whites(group: CameraGroup, samples: Samples) -> list[str]:
-    """Take whites for objects that show what an object shows, and doubt those that show something.
-
-    Parameters
-    ----------
-    group : CameraGroup
-        Its frames are replaced.
-    samples : Samples
-
-    Returns
-    -------
-    doubts : list of str
-    """
-    objects, doubts = group.of_role("object"), []
-    plain = all(f.file.channels == 1 or f.facts.is_cube for f in objects)
-    for target, frames in group.by_target(group.of_role("white")).items() if plain else ():
-        white, common, shown = frames[0].file, 0.0, ""
-        for some in group.by_target(spread(objects, MOST_SAMPLED)).values():
-            share = samples.common_share(white, _like(some, frames[0])[0].file)
-            common, shown = max((common, shown), (share, some[0].target))
-        if common > SAME_OBJECT:
-            group.frames = [
-                f.with_role("object") if f.target == target else f for f in group.frames
-            ]
-            doubts.append(
-                f"whether {target} is a white, as its name says: it shows what {shown} shows, and is taken for an object"
-            )
-        elif common > PARTLY:
-            doubts.append(
-                f"whether the board fills the view of {target}: {100 * common:.0f} % of it show what {shown} shows"
-            )
-        elif samples.shows_something(white):
-            doubts.append(f"whether {target} is a white: it has the structure of an object")
-    return doubts
-
-
 def _like(frames: Sequence[NamedFile], first: NamedFile) -> Sequence[NamedFile]:
     """Return the frames of the sensor and wavelength of another; all where there is none."""
     nm = first.number("wavelength")
@@ -124,34 +78,29 @@ def _like(frames: Sequence[NamedFile], first: NamedFile) -> Sequence[NamedFile]:
 
 
 def _roles_of(
-    found: Mapping[str, Statistics],
-    white: Statistics | None,
-    named: Container[str],
-    shown: Collection[str],
+    found: Mapping[str, Statistics], white: Statistics | None, named: Container[str]
 ) -> tuple[dict[str, str], list[str]]:
     """Return the darks and whites among targets by their statistics, and the reasons.
 
-    Roles that are `named` are not looked for, nor targets that are `shown` in their structure. Beside a `white`
-    that is named a dark must be even, too: a painting may be dark all over.
+    Roles that are `named` are not looked for. A dark must be even: a painting may be dark all over; and without a dark
+    nothing is taken for a white: it may be a bright page.
     """
     every = [*found.values(), *([white] if white else [])]
     brightest = max((s.high for s in every), default=0.0)
-    plain = {t: s for t, s in found.items() if t not in shown}
-    darks = {t: s for t, s in plain.items() if s.high < DARK_SHARE * brightest}
-    if white is not None:
-        darks = {t: s for t, s in darks.items() if s.high - s.low < EVEN_DARK * brightest}
-    darks = {} if "dark" in named else darks
+    darks = {
+        t: s
+        for t, s in ({} if "dark" in named else found).items()
+        if s.high < DARK_SHARE * brightest and s.high - s.low < EVEN_DARK * brightest
+    }
     reasons = [
         f"{t} is assumed to be a dark: 99 % of its pixels are below {s.high:.4g} counts"
         for t, s in darks.items()
     ]
     rest = {t: s for t, s in found.items() if t not in darks}
     whites = []
-    for target, s in ({} if "white" in named else rest).items():
-        if target in shown:
-            continue
+    for target, s in rest.items() if "white" not in named and ("dark" in named or darks) else ():
         others = [o.texture for t, o in rest.items() if t != target]
-        even = s.unevenness < EVEN and s.texture < SMOOTH and s.mean > 0.3 * brightest
+        even = s.is_even and s.mean > 0.3 * brightest
         if even and others and max(others) > STRUCTURED * max(s.texture, 1e-6):
             whites.append(target)
             reasons.append(
@@ -184,9 +133,7 @@ def tile_side(frames: Sequence[NamedFile], samples: Samples) -> int:
     return find_mosaic(bright.phases, dark=dark) if bright is not None else 0
 
 
-def mosaic_of(
-    frames: Sequence[NamedFile], samples: Samples, warmth: Mapping[str, float]
-) -> GuessedMosaic | None:
+def mosaic_of(frames: Sequence[NamedFile], samples: Samples) -> GuessedMosaic | None:
     """Return the mosaic that frames of one sensor show, its channels named; None for none."""
     bright, dark = _bright_and_dark(frames, samples)
     if bright is None or not (side := find_mosaic(bright.phases, dark=dark)):
@@ -197,7 +144,7 @@ def mosaic_of(
             if frame.target not in shown and len(shown) < MOST_SAMPLED:
                 statistics = samples.of(frame.file)
                 shown |= {frame.target: statistics.phases[side]} if statistics else {}
-    return name_mosaic(side, bright.phases[side], dark=dark, shown=shown, warmth=warmth)
+    return name_mosaic(side, bright.phases[side], dark=dark, shown=shown)
 
 
 def mosaic_behind_filters(group: CameraGroup, samples: Samples) -> GuessedMosaic | None:
@@ -225,66 +172,3 @@ def _by_wavelength(frames: Sequence[NamedFile]) -> dict[float, list[NamedFile]]:
         if (number := frame.number("wavelength")) is not None:
             bands.setdefault(float(number), []).append(frame)
     return bands
-
-
-# --- colour of objects ------------------------------------------------------------------------
-
-
-def find_warmth(groups: Sequence[CameraGroup], samples: Samples) -> dict[str, float]:
-    """Return the warmth of every object that a camera with known wavelengths saw.
-
-    Returns
-    -------
-    warmth : dict
-        Object → logarithm of its mean reflectance at 620 nm over that at 460 nm; none where the names of all files
-        have a wavelength: of a mosaic it tells red from blue, and they are none.
-    """
-    warmth: dict[str, float] = {}
-    if not any(f.sensor or not f.number("wavelength") for g in groups for f in g.objects):
-        return warmth
-    for group in groups:
-        by_target = group.by_target()
-        roles = {f.target: f.role for f in group.frames}
-        templates = {t for t, role in roles.items() if role in ("dark", "white")}
-        decoded = {*templates, *spread(list(by_target), MOST_TARGETS)}
-        levels = {
-            target: found
-            for target, frames in by_target.items()
-            if target in decoded and (found := _two_levels(frames, samples)) is not None
-        }
-        whites = [v for t, v in levels.items() if roles[t] == "white"]
-        darks = [v for t, v in levels.items() if roles[t] == "dark"]
-        if not whites:
-            continue
-        dark = darks[0] if darks else np.zeros(2)
-        for target, level in levels.items():
-            share = (level - dark) / np.maximum(whites[0] - dark, 1e-9)
-            if roles[target] == "object" and share.min() > 0:
-                warmth.setdefault(target, float(np.log(share[0] / share[1])))
-    return warmth
-
-
-def _two_levels(frames: Sequence[NamedFile], samples: Samples) -> np.ndarray | None:
-    """Return the mean levels of a target near 620 and near 460 nm, (2,); None where it has no such bands."""
-    facts = frames[0].facts
-    by_band = _by_wavelength(frames)
-    cube = facts.is_cube and bool(facts.wavelengths)
-    centres = list(facts.wavelengths or ()) if cube else sorted(by_band)
-    places = [_nearest(centres, nm) for nm in (WARM_NM, COLD_NM)]
-    if cube:
-        spectrum = samples.spectrum_of(frames[0].file)
-        if spectrum is None or None in places:
-            return None
-        return np.array([spectrum[int(p)] for p in places if p is not None])
-    levels = []
-    for place in places:
-        found = samples.of(by_band[centres[place]][0].file) if place is not None else None
-        if found is None:
-            return None
-        levels.append(found.mean)
-    return np.array(levels)
-
-
-def _nearest(centres: Sequence[float], nm: float) -> int | None:
-    place = min(range(len(centres)), key=lambda i: abs(centres[i] - nm), default=None)
-    return place if place is not None and abs(centres[place] - nm) <= NEAR_NM else None

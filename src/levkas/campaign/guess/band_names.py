@@ -1,4 +1,4 @@
-"""Bands in names: the one part in which files of one object differ, by what it is, else by what the frames show."""
+"""Bands in names: the one part in which files of one object differ, by what it is; what names do not decide is asked."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Protocol
 
 from levkas.campaign.discovery.patterns import natural
 from levkas.campaign.guess.listing import CaptureFile
+from levkas.campaign.guess.pixels import Samples
 from levkas.campaign.guess.words import (
     BANDS,
     COLOUR_LETTERS,
@@ -20,6 +20,7 @@ from levkas.campaign.guess.words import (
     LENSES,
     LIGHTS,
     NUMBERED_BANDS,
+    PREFIXES,
     SHELL,
     Token,
     are_elements,
@@ -33,34 +34,16 @@ Place = tuple[tuple[str, ...], str]
 
 LETTERS = ({"r", "g", "b"}, {"red", "green", "blue"})
 """Sets of values of which all must be there for single letters to be colours: r and v are recto and verso, too."""
-CODE = re.compile(r"(?P<before>[A-Za-z]{0,3})(?P<number>\d{3,4})(?P<after>[A-Za-z]{1,3})")
-"""``MB450RB`` of a MegaVision, ``450N``: a wavelength between letters."""
+CODE = re.compile(r"[A-Za-z]{2,3}(?P<number>\d{3,4})[A-Za-z]{1,3}")
+"""``MB450RB`` of a MegaVision: a wavelength between letters; ``450r`` may be a leaf."""
 NUMBERED = re.compile(r"(?P<before>[A-Za-z]{0,3})(?P<number>[1-9]\d{2,3})(?P<after>[A-Za-z]{0,3})")
-"""The same with letters or without: ``W385``, ``450``; darks and whites of the same numbers say that it is one."""
-EXPOSED = re.compile(r"(?i)(exp?|t|it|int)?\d")
-"""Numbers that may be exposures."""
+"""``W385``, ``450``, ``450N``: a wavelength where several targets, or darks and whites, have the same numbers."""
 COUNTED = re.compile(r"(?P<before>[A-Za-z]+)(?P<number>\d{1,3})(?P<after>[A-Za-z]?)")
 RANGE_NM, LEAST_STEP_NM = (300.0, 2600.0), 4.0
+STEP = 1.1
+"""Times as high a level, from one number to the next, with which they may be exposures."""
 MOST_VALUES, FEWEST = 64, 2
 """Values of one part of the names; nobody has more bands in files of their own whose names have no unit."""
-LOOKED_AT, SETS = 9, 3
-"""Frames of a set that are decoded, and sets; all bands of a set are looked at where there are no more."""
-
-
-class Frames(Protocol):
-    """What the pixels of some frames show, as `levkas.campaign.guess.pixels.Samples` reads them."""
-
-    def same_scene(self, one: CaptureFile, other: CaptureFile) -> bool | None:
-        """Whether two frames are shots of one scene; None where one cannot be decoded."""
-
-    def shows_something(self, capture: CaptureFile) -> bool:
-        """Whether a frame has more structure than a dark or white."""
-
-    def is_proportional(self, one: CaptureFile, other: CaptureFile) -> bool:
-        """Whether two frames differ in brightness alone."""
-
-    def show_the_same(self, captures: Sequence[CaptureFile]) -> bool | None:
-        """Whether frames show one object in fine detail; None where they do not decide it."""
 
 
 @dataclass(frozen=True)
@@ -83,31 +66,17 @@ class _Column:
     sets: tuple[dict[str, CaptureFile], ...]
     templates: tuple[dict[str, CaptureFile], ...] = ()
 
-    def without_blanks(self, samples: Frames) -> _Column:
-        """Return the column with sets of frames that show nothing among the templates, where others show something."""
-        blank = [one for one in self.sets[:LOOKED_AT] if not _shows_something(one, samples)]
-        shown = tuple(one for one in self.sets if one not in blank)
-        return replace(self, sets=shown, templates=(*self.templates, *blank)) if shown else self
-
 
 def mark_bands(
-    captures: Sequence[CaptureFile], tokens: Tokens, samples: Frames, *, undecided_as_bands: bool
+    captures: Sequence[CaptureFile], tokens: Tokens, samples: Samples, *, undecided_as_bands: bool
 ) -> tuple[Tokens, list[Question]]:
     """Mark the part of names that is a band or a wavelength.
-
-    Parameters
-    ----------
-    captures : sequence of CaptureFile
-    tokens : dict of path to tokens
-    samples : Frames
-        Compares frames where names do not decide.
-    undecided_as_bands : bool
-        Whether what nothing decides is taken for bands.
 
     Returns
     -------
     tokens : dict of path to tokens
-        The part is of kind ``"wavelength"``, ``"band"`` or ``"sensor"``, with the reason.
+        The part is of kind ``"wavelength"``, ``"band"`` or ``"sensor"``, with the reason; where `undecided_as_bands`, what
+        nothing decides, too.
     questions : list of Question
         What nothing decides.
     """
@@ -116,21 +85,11 @@ def mark_bands(
     for capture in captures:
         for text in (*capture.folders, *(t.text for t in tokens[capture.path])):
             sizes[text].add(capture.signature)
-    clusters = [
-        (cluster, [column.without_blanks(samples) for column in _columns(cluster, tokens)])
-        for cluster in _clusters(captures, tokens)
-    ]
     marked, known = dict(tokens), dict[tuple[str, ...], tuple[str, str]]()
     undecided: list[tuple[list[CaptureFile], list[_Column]]] = []
-    for cluster, columns in clusters:
-        found = next(((c, kind) for c in columns if (kind := _by_name(c, samples))), None) or next(
-            (
-                (c, kind)
-                for c in columns
-                if (kind := _by_pixels(c, cluster, sizes, samples, undecided_as_bands))
-            ),
-            None,
-        )
+    for cluster in _clusters(captures, tokens):
+        columns = list(_columns(cluster, tokens))
+        found = next(((c, kind) for c in columns if (kind := _by_name(c, samples))), None)
         if found is None:
             undecided.append((cluster, columns))
             continue
@@ -141,14 +100,14 @@ def mark_bands(
     for cluster, columns in undecided:
         if same := next((c for c in columns if c.values in known), None):
             marked |= _marked(same, cluster, tokens, *known[same.values])
-        elif len(columns) == 1 and not any(_has_role(c, tokens) for c in cluster):
-            (column,) = columns
-            if (
-                _may_be_bands(column, cluster, sizes, samples)
-                and _shows_one(column, samples) is None
-            ):
-                files = tuple(c for one in column.sets for c in one.values())
-                questions.append(Question(files, column.values))
+        elif not any(_has_role(c, tokens) for c in cluster) and (
+            column := next((c for c in columns if _may_be_bands(c, cluster, sizes, samples)), None)
+        ):
+            files = tuple(c for one in column.sets for c in one.values())
+            questions.append(Question(files, column.values))
+            if undecided_as_bands:
+                kind = "wavelength" if _are_numbers(column.values) else "band"
+                marked |= _marked(column, cluster, tokens, kind, "")
     return marked, questions
 
 
@@ -240,11 +199,8 @@ def _follows(rows: Sequence[Sequence[Token]], one: int, other: int) -> bool:
 # --- what decides -----------------------------------------------------------------------------
 
 
-def _by_name(column: _Column, samples: Frames) -> tuple[str, str] | None:
-    """Return the kind and the reason of a part that is known for bands by its name; None where it is not.
-
-    Frames that clearly show other things overrule a name that may also count leaves.
-    """
+def _by_name(column: _Column, samples: Samples) -> tuple[str, str] | None:
+    """Return the kind and the reason of a part that is known for bands by its name; None where it is not."""
     texts, lower = column.values, {text.lower() for text in column.values}
     listed = f"{{band}}: {', '.join(texts)}"
     if lower <= LENSES and len(lower) > 2:
@@ -257,84 +213,64 @@ def _by_name(column: _Column, samples: Frames) -> tuple[str, str] | None:
     if are_elements(texts):
         return "band", listed
     codes = [CODE.fullmatch(text) for text in texts]
-    if len(texts) > 2 and all(codes) and _are_spectral([float(m["number"]) for m in codes if m]):
-        sure = all(m and len(m["before"]) > 1 for m in codes)
-        if sure or _shows_one(column, samples) is not False:
-            return "wavelength", "{wavelength}: the number between letters"
-    if column.templates and _are_numbers(texts):
-        exposures = EXPOSED.match(texts[0]) and _are_shots(column, samples)
-        if not exposures and _shows_one(column, samples) is not False:
-            return "wavelength", "{wavelength}: numbers that darks or whites have, too"
-    counts = [COUNTED.fullmatch(text) for text in texts]
-    words = {m["before"].lower() for m in counts if m}
-    counted = len(texts) > 2 and all(counts) and len(words) == 1 and words <= BANDS
-    if counted and (words <= NUMBERED_BANDS or _shows_one(column, samples) is not False):
-        word = next(m["before"] for m in counts if m)
+    numbers = [float(m["number"]) for m in codes if m]
+    if len(texts) > 2 and all(codes) and _are_spectral(numbers):
+        return "wavelength", "{wavelength}: the number between letters"
+    several = len(texts) > 2 and len(column.sets) > 1
+    if (
+        (column.templates or several)
+        and _are_numbers(texts)
+        and not _are_exposures(column, samples)
+    ):
+        return "wavelength", "{wavelength}: numbers that several targets have"
+    if len(texts) > 2 and (word := _counted_word(texts)) in NUMBERED_BANDS:
         return "band", f"{{band}}: {word!r} and a number, the same for every target"
     return None
 
 
-def _by_pixels(
-    column: _Column,
-    cluster: Sequence[CaptureFile],
-    sizes: Mapping[str, set[object]],
-    samples: Frames,
-    undecided_as_bands: bool,
-) -> tuple[str, str] | None:
-    """Return the kind and the reason of a part in which files of one scene differ; None where they do not."""
-    if not _may_be_bands(column, cluster, sizes, samples):
-        return None
-    same = _shows_one(column, samples)
-    if not same and not (undecided_as_bands and same is None):
-        return None
-    plain = all(re.fullmatch(r"[1-9]\d{2,3}", text) for text in column.values)
-    kind = "wavelength" if plain and _are_spectral([float(t) for t in column.values]) else "band"
-    return kind, f"{{{kind}}}: the files show the same details at the same place" if same else ""
+def _counted_word(texts: Sequence[str]) -> str:
+    """Return the word that numbers follow in all texts, lower case; "" for several, or none.
+
+    >>> _counted_word(["F1s", "F2s"]), _counted_word(["F1", "G1"])
+    ('f', '')
+    """
+    words = {m["before"].lower() if (m := COUNTED.fullmatch(text)) else "" for text in texts}
+    return words.pop() if len(words) == 1 else ""
 
 
 def _may_be_bands(
     column: _Column,
     cluster: Sequence[CaptureFile],
     sizes: Mapping[str, set[object]],
-    samples: Frames,
+    samples: Samples,
 ) -> bool:
     """Whether a part may name bands for all that is known: no photographs or lightings by their words, no files in
-    colour, nothing that the files of another camera are called, too, no darks or whites among pictures, no shots of
-    one scene by their numbers."""
+    colour, nothing that the files of another camera are called, too, no shots by their numbers."""
     lower = {text.lower() for text in column.values}
     if lower & IMAGES or all(LIGHTS.fullmatch(text) for text in lower):
         return False
     own = {c.signature for c in cluster}
+    several, word = len(column.values) > 2, _counted_word(column.values)
+    if several and word in BANDS:
+        return True
     if any(c.channels > 1 for c in cluster):
         return False
     if sum(not sizes[text] <= own for text in column.values) > 1:
         return False
-    some = list(column.sets[0].values())
-    if len({samples.shows_something(capture) for capture in some[:LOOKED_AT]}) > 1:
-        return False
     if not all(re.search(r"\d$", text) for text in column.values):
         return True
-    return len(some) > 2 and not _are_shots(column, samples)
+    if not all(text.isdecimal() for text in column.values) and word not in PREFIXES:
+        return several
+    alike = not samples.difference(list(column.sets[0].values()))
+    return several and (_are_numbers(column.values) or not alike)
 
 
-def _are_shots(column: _Column, samples: Frames) -> bool:
-    """Whether the files of the first set differ in brightness alone, as exposures and shots do."""
-    some = list(column.sets[0].values())
-    others = (some[len(some) // 2], some[-1])
-    return all(samples.is_proportional(some[0], other) for other in others)
-
-
-def _shows_something(one: dict[str, CaptureFile], samples: Frames) -> bool:
-    """Whether the first, middle or last frame of a set has more structure than a dark or white."""
-    some = list(one.values())
-    return any(map(samples.shows_something, (some[0], some[len(some) // 2], some[-1])))
-
-
-def _shows_one(column: _Column, samples: Frames) -> bool | None:
-    """Return whether the files of a set show one object, and of no set several; None where no set decides it."""
-    files = [[one[value] for value in column.values] for one in column.sets[:SETS]]
-    found = {samples.show_the_same(some[:LOOKED_AT]) for some in files}
-    return False if False in found else True if True in found else None
+def _are_exposures(column: _Column, samples: Samples) -> bool:
+    """Whether the levels of frames follow the numbers in their names, as those of exposures do."""
+    files = column.sets[0]
+    found = [samples.of(files[text]) for text in sorted(files, key=natural)]
+    levels = [statistics.mean for statistics in found if statistics is not None]
+    return len(levels) == len(found) and all(b > STEP * a for a, b in pairwise(levels))
 
 
 def _are_spectral(numbers: Sequence[float]) -> bool:

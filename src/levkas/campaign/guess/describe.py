@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import isnan
@@ -18,7 +18,7 @@ from levkas.campaign.guess.appearance import mosaic_behind_filters, mosaic_of, t
 from levkas.campaign.guess.band_names import Question
 from levkas.campaign.guess.groups import CameraGroup, FilePatterns, find_patterns, safe_name
 from levkas.campaign.guess.names import FEW_GROUPS, NamedFile
-from levkas.campaign.guess.pixels import MOST_SAMPLED, Samples, bits_of, spread
+from levkas.campaign.guess.pixels import EVEN, MOST_SAMPLED, SMOOTH, Samples, bits_of, spread
 from levkas.campaign.guess.words import are_elements
 from levkas.core.text import counted
 from levkas.readers.spectra import parse_spectra
@@ -33,7 +33,7 @@ READ_BYTES, ROWS = 20_000, 8
 WAVELENGTHS_NM = (200.0, 3000.0)
 COARSE = 3
 """Times as many px in the other pictures from which a stack of pages is taken for maps of a scan, which have a quarter or less."""
-TAKE = "Take the # off one of the two choices, in [cameras.{0}] and [targets]"
+TAKE = "Take the # off one of the answers, in [cameras.{0}] and [targets]"
 BRIGHT = 0.5
 """Share of a scale that must be reached to take it for the scale."""
 
@@ -121,9 +121,7 @@ class CameraNotes:
     sensors: list[SensorGuess] = field(default_factory=list)
 
 
-def describe_camera(
-    group: CameraGroup, samples: Samples, warmth: Mapping[str, float], finest: int = 0
-) -> CameraGuess:
+def describe_camera(group: CameraGroup, samples: Samples, finest: int = 0) -> CameraGuess:
     """Describe one camera.
 
     Parameters
@@ -131,8 +129,6 @@ def describe_camera(
     group : CameraGroup
     samples : Samples
         Decodes a few of its frames.
-    warmth : mapping of object to float
-        As `levkas.campaign.guess.appearance.find_warmth` returns it.
     finest : int, px
         Longer side of the largest pictures of all cameras.
     """
@@ -143,9 +139,9 @@ def describe_camera(
     keys["files"] = Guess(texts[0] if len(texts) == 1 else texts, "; ".join(files.reasons))
     traits = KINDS[kind]
     if traits.bands_in == "sensors":
-        _describe_sensors(group, files, samples, notes, warmth)
+        _describe_sensors(group, files, samples, notes)
     elif "pattern" in traits.keys:
-        keys |= _mosaic_keys(group, kind, samples, notes, warmth)
+        keys |= _mosaic_keys(group, kind, samples, notes)
     if traits.bands_in == "files":
         keys |= _band_keys(group, files)
     if traits.is_scanned and not group.frames[0].facts.is_cube:
@@ -180,8 +176,10 @@ def describe_camera(
     )
 
 
-def with_choices(camera: CameraGuess, bands: CameraGroup, question: Question) -> CameraGuess:
-    """Leave open whether the files of a camera are bands or objects; `bands` are its frames if they are bands."""
+def with_choices(
+    camera: CameraGuess, bands: CameraGroup, question: Question, beside: Sequence[str]
+) -> CameraGuess:
+    """Leave open whether the files of a camera are bands or objects; `bands` are its frames, and those of cameras `beside`, if bands."""
     files = find_patterns(bands.frames)
     texts = files.of_kind("bands")
     keys = {
@@ -194,12 +192,28 @@ def with_choices(camera: CameraGuess, bands: CameraGroup, question: Question) ->
     one = targets[0] if len(targets) == 1 else "every object"
     shown = ", ".join(question.values[:LISTED]) + " …" * (len(question.values) > LISTED)
     unknown = (
-        f"{camera.name}: whether {shown} are bands of one object or objects: neither the names nor the pixels "
-        f"decide it. {TAKE.format(camera.name)}"
+        f"{camera.name}: what {shown} are: their names do not say it. {TAKE.format(camera.name)}"
+    )
+    unknown += (
+        f"; bands take the files of {', '.join(beside)}, too, without a table of their own"
+        * bool(beside)
     )
     own = {key: replace(guess, why="") for key, guess in camera.keys.items() if key in keys}
-    choices = Choice(f"bands of {one}:", keys, targets), Choice("an object each:", own, shown_alone)
-    return replace(camera, choices=choices, unknown=(unknown, *camera.unknown))
+    each = (
+        "shots of each object:"
+        if "{shot}" in str(camera.keys["files"].value)
+        else "an object each:"
+    )
+    others = camera.choices or (Choice(each, own, shown_alone),)
+    others = tuple(replace(choice, keys=choice.keys or own) for choice in others)
+    return replace(
+        camera,
+        choices=(Choice(f"bands of {one}:", keys, targets), *others),
+        unknown=(
+            unknown,
+            *(text for text in camera.unknown if TAKE.format(camera.name) not in text),
+        ),
+    )
 
 
 def with_series_choices(
@@ -224,7 +238,7 @@ def with_series_choices(
     why = f"an .lp file lists {len(lit)} pictures under a lamp each" if len(lit) > 1 else ""
     dark = samples.of_some(group.of_role("dark"), 1)
     for frames in spread(several, FEW_GROUPS) if not why else ():
-        what = samples.difference(spread(frames, FEW_GROUPS), dark[0].mean if dark else 0.0)
+        what = samples.difference([f.file for f in frames], dark[0].mean if dark else 0.0)
         if what and (shots or what in ("light", "exposure")):
             why = f"{frames[0].file.name} and others differ in {what}"
     if not why:
@@ -330,7 +344,7 @@ def _kind(group: CameraGroup, files: FilePatterns, samples: Samples) -> Guess:
 
 
 def _mosaic_keys(
-    group: CameraGroup, kind: str, samples: Samples, notes: CameraNotes, warmth: Mapping[str, float]
+    group: CameraGroup, kind: str, samples: Samples, notes: CameraNotes
 ) -> dict[str, Guess]:
     facts, in_pattern = group.frames[0].facts, KINDS[kind].bands_in == "pattern"
     if facts.pattern:
@@ -338,7 +352,7 @@ def _mosaic_keys(
             return {}
         return {"pattern": Guess(facts.pattern, "from the header")} if in_pattern else {}
     if in_pattern:
-        mosaic = mosaic_of(group.frames, samples, warmth)
+        mosaic = mosaic_of(group.frames, samples)
     else:
         mosaic = mosaic_behind_filters(group, samples)
     if mosaic is None:
@@ -353,13 +367,12 @@ def _describe_sensors(
     files: FilePatterns,
     samples: Samples,
     notes: CameraNotes,
-    warmth: Mapping[str, float],
 ) -> None:
     """Mosaic and channel names of each sensor."""
     for number, (name, frames) in enumerate(files.sensors.items(), 1):
         facts, keys = frames[0].facts, {}
         declared = facts.pattern or facts.wavelengths
-        mosaic = None if declared else mosaic_of(frames, samples, warmth)
+        mosaic = None if declared else mosaic_of(frames, samples)
         if facts.pattern or mosaic:
             why = mosaic.why if mosaic else "from the header"
             keys["pattern"] = Guess(
@@ -521,6 +534,15 @@ def _check_templates(group: CameraGroup, samples: Samples, notes: CameraNotes) -
             "whether darks and whites are swapped: the darks are the brightest frames"
         )
         return
+    uneven = [
+        s
+        for s in samples.of_some(group.of_role("white"), MOST_SAMPLED)
+        if s.texture > 2 * SMOOTH or s.unevenness > EVEN
+    ]
+    if uneven:
+        notes.unknown.append(
+            "whether the white is one: it is not even, as a board that fills the view is"
+        )
     if dark > 0.5 * min(v for v in (white, shown, np.inf) if not isnan(v)):
         notes.unknown.append(f"whether the darks are dark: their mean is {dark:.4g} counts")
     if white < shown:

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
 
 from levkas.campaign.discovery.file_index import composed
 from levkas.campaign.discovery.patterns import SECONDS
-from levkas.campaign.guess.band_names import Frames, Question, Tokens, mark_bands
+from levkas.campaign.guess.band_names import Question, Tokens, mark_bands
 from levkas.campaign.guess.listing import CaptureFile
+from levkas.campaign.guess.pixels import Samples
 from levkas.campaign.guess.scan_folders import ScanFolder, find_scan_folders
 from levkas.campaign.guess.words import (
     BANDS,
     GENERIC,
     IMAGES,
     OBJECT,
+    PLACE,
     PREFIXES,
     SENSORS,
     TARGET,
@@ -34,7 +36,6 @@ STEM, PARENT = -1, -2
 """Places of the target that are no folder below the root: in the file's own name; the root's name."""
 FEW_GROUPS = 3
 """Groups of files whose first and last are compared to see whether numbers count shots or objects."""
-SameScene = Callable[[CaptureFile, CaptureFile], "bool | None"]
 
 
 @dataclass(frozen=True)
@@ -118,17 +119,9 @@ def _tokens_of_folder(name: str) -> tuple[Token, ...]:
 
 
 def name_targets(
-    captures: Sequence[CaptureFile], samples: Frames, *, undecided_as_bands: bool = False
+    captures: Sequence[CaptureFile], samples: Samples, *, undecided_as_bands: bool = False
 ) -> tuple[list[NamedFile], list[Question]]:
     """Find the target of every capture.
-
-    Parameters
-    ----------
-    captures : sequence of CaptureFile
-    samples : Frames
-        What frames show; used where names do not distinguish shots, bands and objects.
-    undecided_as_bands : bool
-        Whether files of which nothing decides whether they are bands or objects are taken for bands.
 
     Returns
     -------
@@ -136,7 +129,6 @@ def name_targets(
     questions : list of Question
         What nothing decides, and was taken for objects.
     """
-    same_scene = samples.same_scene
     tokens = {c.path: tokens_of(composed(c.path.stem)) for c in captures}
     tokens, questions = mark_bands(captures, tokens, samples, undecided_as_bands=undecided_as_bands)
     named: dict[Path, NamedFile] = {}
@@ -145,7 +137,7 @@ def name_targets(
     apart = [c for c in captures if c.path not in named]
     named |= {n.path: n for n in _with_templates_beside(apart, tokens)}
     rest = [c for c in captures if c.path not in named]
-    places = _places(rest, tokens, same_scene)
+    places = _places(rest, tokens, samples)
     named |= {
         c.path: _in_folder(c, tokens[c.path], places[c.path])
         for c in rest
@@ -153,7 +145,7 @@ def name_targets(
     }
     in_stem = [c for c in rest if places[c.path] == STEM]
     for cluster in _clusters(in_stem, tokens):
-        named |= {n.path: n for n in _StemCluster(cluster, tokens, same_scene).named()}
+        named |= {n.path: n for n in _StemCluster(cluster, tokens, samples).named()}
     return [named[c.path] for c in captures], questions
 
 
@@ -270,9 +262,7 @@ def _deepest(folders: tuple[str, ...]) -> int:
 # --- which part of a path ---------------------------------------------------------------------
 
 
-def _places(
-    captures: Sequence[CaptureFile], tokens: Tokens, same_scene: SameScene
-) -> dict[Path, int]:
+def _places(captures: Sequence[CaptureFile], tokens: Tokens, samples: Samples) -> dict[Path, int]:
     """Return the place of each capture's target: the index of a folder, `STEM` or `PARENT`."""
     siblings: dict[tuple[str, ...], set[str]] = defaultdict(set)
     for capture in captures:
@@ -299,7 +289,7 @@ def _places(
     for depth in {len(c.folders) for c in rest}:
         group = [c for c in rest if len(c.folders) == depth and c.path not in places]
         if group:
-            place = _place_without_templates(group, tokens, same_scene)
+            place = _place_without_templates(group, tokens, samples)
             places |= {c.path: place for c in group}
     return places
 
@@ -328,9 +318,7 @@ def _beside(
     return STEM if near else None
 
 
-def _place_without_templates(
-    group: Sequence[CaptureFile], tokens: Tokens, same_scene: SameScene
-) -> int:
+def _place_without_templates(group: Sequence[CaptureFile], tokens: Tokens, samples: Samples) -> int:
     """Return the place of files of one depth by what repeats from folder to folder."""
     words = {c.path: _object_words(tokens[c.path]) for c in group}
     folders = group[0].folders
@@ -338,7 +326,7 @@ def _place_without_templates(
         level = _varying_folder(group)
         if level is not None:
             return level
-        return STEM if _numbers_are_objects(group, tokens, same_scene) else _deepest(folders)
+        return STEM if _numbers_are_objects(group, tokens, samples) else _deepest(folders)
     by_folder: dict[tuple[str, ...], set[tuple[str, ...]]] = defaultdict(set)
     for capture in group:
         by_folder[capture.folders].add(words[capture.path])
@@ -376,9 +364,7 @@ def _varying_folder(group: Sequence[CaptureFile]) -> int | None:
     return None
 
 
-def _numbers_are_objects(
-    group: Sequence[CaptureFile], tokens: Tokens, same_scene: SameScene
-) -> bool:
+def _numbers_are_objects(group: Sequence[CaptureFile], tokens: Tokens, samples: Samples) -> bool:
     """Whether running numbers are all that distinguishes different scenes, in one band where there are several."""
     kinds = [{t.kind for t in tokens[c.path]} for c in group]
     if len(group) < 2 or not all(k & {"number", "numbered"} for k in kinds):
@@ -393,7 +379,7 @@ def _numbers_are_objects(
         before = [t.kind for t in tokens[group[0].path]]
         coded = [i for i, t in enumerate(tokens[group[0].path]) if t.why]
         return not band or (bool(coded) and "number" in before[: coded[0]])
-    return any(same_scene(group[0], c) is False for c in (alike[0], alike[-1]))
+    return bool(samples.difference([group[0], *alike]))
 
 
 def _bands_in(tokens: Sequence[Token]) -> tuple[str, ...]:
@@ -433,8 +419,8 @@ def _clusters(captures: Sequence[CaptureFile], tokens: Tokens) -> list[list[Capt
 class _StemCluster:
     """Names that are made alike; what is no target is taken off both ends, of all of them at a time."""
 
-    def __init__(self, captures: list[CaptureFile], tokens: Tokens, same_scene: SameScene) -> None:
-        self.captures, self.same_scene = captures, same_scene
+    def __init__(self, captures: list[CaptureFile], tokens: Tokens, samples: Samples) -> None:
+        self.captures, self.samples = captures, samples
         self.tokens = [tokens[c.path] for c in captures]
         self.spans = [_trimmed(t, 0, len(t)) for t in self.tokens]
         self.with_roles = any(t.role for tokens in self.tokens for t in tokens)
@@ -474,7 +460,7 @@ class _StemCluster:
         ends = self._ends(-1)
         if len({(t.kind, t.before.lower()) for t in ends}) != 1:
             return False
-        if ends[0].kind not in ("number", "numbered"):
+        if ends[0].kind not in ("number", "numbered") or self._ends_in_place():
             return False
         groups: dict[object, list[int]] = defaultdict(list)
         for i, (tokens, (start, stop)) in enumerate(zip(self.tokens, self.spans, strict=True)):
@@ -487,17 +473,22 @@ class _StemCluster:
         self._peel(-1)
         return True
 
+    def _ends_in_place(self) -> bool:
+        """Whether all names end in the row and column of a tile."""
+        parts = [
+            t[start:stop][-2:] for t, (start, stop) in zip(self.tokens, self.spans, strict=True)
+        ]
+        return all(PLACE.search(joined(part)) for part in parts)
+
     def _counts_shots(self, groups: list[list[int]]) -> bool:
         """Whether files that differ in a number alone are bands by their headers, or shots of one scene."""
+        shots = [g for g in groups if not any(t.role for t in self.tokens[g[0]])][:FEW_GROUPS]
+        differ = [self.samples.difference([self.captures[i] for i in g]) for g in shots]
         if self.with_roles:
-            objects = [g for g in groups if not any(t.role for t in self.tokens[g[0]])]
-            return not any(self._same(g) is False for g in objects[:FEW_GROUPS])
+            return not any(differ)
         if _bands_differ([self.captures[i].facts for i in group] for group in groups):
             return True
-        return bool(groups) and all(self._same(g) for g in groups[:FEW_GROUPS])
-
-    def _same(self, group: list[int]) -> bool | None:
-        return self.same_scene(self.captures[group[0]], self.captures[group[-1]])
+        return bool(shots) and not any(differ)
 
 
 def _trimmed(tokens: Sequence[Token], start: int, stop: int) -> tuple[int, int]:

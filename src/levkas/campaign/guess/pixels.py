@@ -9,16 +9,9 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from levkas.calibration.differing_shots import Sight, difference_between
+from levkas.calibration.differing_shots import LAMP, Sight, difference_between
 from levkas.calibration.full_scale import SceneShots, find_full_scale
 from levkas.calibration.patterns import thin_periods
-from levkas.campaign.guess.detail import (
-    Detail,
-    compare_detail,
-    find_detail,
-    show_the_same,
-    structured_share,
-)
 from levkas.core.blocks import block_means
 from levkas.core.problems import Refused
 
@@ -32,20 +25,18 @@ LARGEST_TILE = 5
 LEAST_SPAN = 0.06
 """Phases of a mosaic differ by more of their mean; rows and columns of a plain sensor do not."""
 BLOCKS = 24
+EVEN, SMOOTH = 0.6, 0.04
+"""A white's illumination may fall off by this share; from sensel to sensel it hardly differs."""
 GREENS_ALIKE = 0.03
 """The two greens of a Bayer tile differ by less of their mean, other colours by more."""
-AGREE = 0.8
-"""Share of the evidence that must point one way."""
 FIRST = "whether red or blue comes first in the mosaic"
 DIAGONALS = (((0, 0), (1, 1)), ((0, 1), (1, 0)))
 LONG_NM, MIDDLE_NM, SHORT_NM = (600.0, 720.0), (510.0, 570.0), (380.0, 480.0)
 T = TypeVar("T")
-MOST_SAMPLED = 6
-"""Frames of one kind that are decoded."""
+MOST_SAMPLED, FEW_SHOTS = 6, 3
+"""Frames of one kind that are decoded, and of one scene that are compared."""
 BLOCK, MOST_CODES = 60, 1 << 17
 """Rows that are taken together, whole mosaics', and values of a frame by which the full scale is looked for."""
-SHOWN = 0.3
-"""Share of a frame's tiles with structure from which it shows an object: whites and darks have 0 to 0.25."""
 LINES = 64
 """Of a cube: read from its middle, fewer where they would be more than `LARGEST_SAMPLE` values."""
 
@@ -68,8 +59,6 @@ class Statistics:
         Median spread beside that of the light over the median level, sensels of one phase compared.
     phases : dict
         Tile side p → (p, p) means, for sides 2 to 5.
-    thumbnail : ndarray, (n, m), float64
-        Block means.
     """
 
     mean: float
@@ -81,7 +70,11 @@ class Statistics:
     unevenness: float
     texture: float
     phases: dict[int, np.ndarray]
-    thumbnail: np.ndarray
+
+    @property
+    def is_even(self) -> bool:
+        """Whether it may be a white: the light falls off by less than a share, and sensels side by side are alike."""
+        return self.unevenness < EVEN and self.texture < SMOOTH
 
 
 def describe_pixels(values: np.ndarray) -> Statistics:
@@ -117,7 +110,6 @@ def describe_pixels(values: np.ndarray) -> Statistics:
         unevenness=float(p95 - p5) / abs(level),
         texture=_texture(counts) / abs(level),
         phases={side: phase_means(counts, side) for side in range(2, LARGEST_TILE + 1)},
-        thumbnail=block,
     )
 
 
@@ -180,27 +172,6 @@ def bits_of(top: int, step: int) -> int:
     return next((bits for bits in (8, 10, 12, 14) if top >> shift < 1 << bits), 16)
 
 
-def is_same_scene(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two thumbnails show the same, up to noise and a few percent of brightness."""
-    if one.shape != other.shape:
-        return False
-    a, b = one - one.mean(), other - other.mean()
-    size = float(np.sqrt((a * a).mean() * (b * b).mean()))
-    level = max(abs(float(one.mean())), abs(float(other.mean())), 1e-9)
-    if abs(float(one.mean() - other.mean())) > 0.1 * level:
-        return False
-    return size < 0.02 * level or float((a * b).mean()) > 0.97 * size
-
-
-def is_proportional(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two thumbnails show the same at whatever brightness: shots, or exposures of one series."""
-    if one.shape != other.shape:
-        return False
-    a, b = one - one.mean(), other - other.mean()
-    size = float(np.sqrt((a * a).mean() * (b * b).mean()))
-    return float((a * b).mean()) > 0.97 * size
-
-
 def _texture(values: np.ndarray) -> float:
     """Return the median absolute difference of sensels 60 apart, a multiple of every tile's side.
 
@@ -240,7 +211,6 @@ def name_mosaic(
     *,
     dark: float = 0.0,
     shown: Mapping[str, np.ndarray] | None = None,
-    warmth: Mapping[str, float] | None = None,
     narrow: Mapping[float, np.ndarray] | None = None,
 ) -> GuessedMosaic:
     """Name the channels of a mosaic.
@@ -255,8 +225,6 @@ def name_mosaic(
         Level without light.
     shown : mapping of object to ndarray, optional
         Phase means of objects, where `bright` is a white.
-    warmth : mapping of object to float, optional
-        Logarithm of its mean reflectance in long over that in short waves, as another camera saw it.
     narrow : mapping of nm to ndarray, optional
         Phase means behind narrow filters.
 
@@ -264,7 +232,7 @@ def name_mosaic(
     --------
     >>> white = np.array([[2189.0, 3011.0], [3011.0, 1949.0]])
     >>> icon = {"icon": np.array([[455.0, 333.0], [332.0, 177.0]])}
-    >>> name_mosaic(2, white, dark=66, shown=icon, warmth={"icon": 1.2}).letters
+    >>> name_mosaic(2, white, dark=66, shown=icon).letters
     'RGGB'
     """
     if narrow and side == 2 and (mosaic := _by_wavelength(narrow, dark)):
@@ -276,14 +244,12 @@ def name_mosaic(
         unknown = "the sensitivity of each channel of the mosaic: the names are in reading order"
         return GuessedMosaic(rows, f"levels repeat every {side} sensels", unknown)
     greens, ends = (DIAGONALS[diagonal], DIAGONALS[1 - diagonal])
-    red, why, unknown = _first_is_red(ends, bright - dark, dark, shown or {}, warmth or {})
+    red, why = _first_is_red(ends, bright - dark, dark, shown or {})
     grid = np.full((2, 2), "B", dtype=object)
     grid[greens[0]] = grid[greens[1]] = "G"
     grid[ends[0] if red else ends[1]] = "R"
     rows = tuple(tuple(str(n) for n in row) for row in grid)
-    return GuessedMosaic(
-        rows, f"two phases on a diagonal are alike, so they are green{why}", unknown
-    )
+    return GuessedMosaic(rows, f"two phases on a diagonal are alike, so they are green{why}", FIRST)
 
 
 def _first_is_red(
@@ -291,29 +257,16 @@ def _first_is_red(
     bright: np.ndarray,
     dark: float,
     shown: Mapping[str, np.ndarray],
-    warmth: Mapping[str, float],
-) -> tuple[bool, str, str]:
-    """Return whether the first of two phases is the red one, why, and what remains unknown."""
-    votes = {}
-    for target, phases in shown.items():
+) -> tuple[bool, str]:
+    """Return whether the first of two phases is assumed to be the red one, and why."""
+    votes = []
+    for phases in shown.values():
         first, last = (max(phases[p] - dark, 1e-3) / max(bright[p], 1e-3) for p in ends)
-        votes[target] = float(np.log(first / last))
-    known = {target: vote * warmth[target] for target, vote in votes.items() if target in warmth}
-    if known and sum(map(abs, known.values())) > 0.01:
-        vote, most = sum(known.values()), sum(map(abs, known.values()))
-        sure = abs(vote) > AGREE * most
-        return (
-            vote > 0,
-            "; the object's ratio to the white rises towards red, as in measured spectra",
-            "" if sure else FIRST,
-        )
-    if not votes:
-        return True, "", FIRST
-    vote = sum(votes.values())
+        votes.append(float(np.log(first / last)))
     why = (
         "; red is the phase in which the object is brighter relative to the white, as paintings are"
     )
-    return vote >= 0, why, FIRST
+    return sum(votes) >= 0, why if votes else ""
 
 
 def _greens(levels: np.ndarray) -> int | None:
@@ -367,7 +320,7 @@ class Samples:
     def __init__(self) -> None:
         self._known: dict[Path, Statistics | None] = {}
         self._codes: dict[Path, np.ndarray] = {}
-        self._details: dict[Path, Detail | None] = {}
+        self._sights: dict[tuple[Path, int], Sight] = {}
         self.refused: dict[str, str] = {}
 
     def of(self, capture: CaptureFile) -> Statistics | None:
@@ -383,40 +336,6 @@ class Samples:
             except ValueError:
                 self._known[capture.path] = None
         return self._known[capture.path]
-
-    def detail_of(self, capture: CaptureFile) -> Detail | None:
-        """Return the fine detail of one frame, as `find_detail` does; None where it cannot be decoded."""
-        if capture.path not in self._details:
-            statistics, detail = self.of(capture), None
-            if statistics is not None:
-                scan = capture.facts.is_cube
-                period = 0 if scan else find_mosaic(statistics.phases)
-                detail = find_detail(
-                    _plane(capture), period=period, along_lines=scan, step=statistics.step
-                )
-            self._details[capture.path] = detail
-        return self._details[capture.path]
-
-    def show_the_same(self, captures: Sequence[CaptureFile]) -> bool | None:
-        """Whether frames show one object in fine detail; None where they do not decide it, as where one shows nothing."""
-        details = [d for d in map(self.detail_of, captures) if d is not None]
-        shown = all(self.shows_something(capture) for capture in captures)
-        return show_the_same(details) if shown else None
-
-    def shows_something(self, capture: CaptureFile) -> bool:
-        """Whether a frame has more structure than a dark or white; of a cube in some of its lines."""
-        detail = self.detail_of(capture)
-        return detail is not None and structured_share(detail) > SHOWN
-
-    def common_share(self, one: CaptureFile, other: CaptureFile) -> float:
-        """Return the share of the frame in which two show the same; 0 where one cannot be decoded."""
-        a, b = self.detail_of(one), self.detail_of(other)
-        return 0.0 if a is None or b is None else compare_detail(a, b).common
-
-    def is_proportional(self, one: CaptureFile, other: CaptureFile) -> bool:
-        """Whether two frames differ in brightness alone."""
-        a, b = self.of(one), self.of(other)
-        return a is not None and b is not None and is_proportional(a.thumbnail, b.thumbnail)
 
     def of_some(self, frames: Sequence[NamedFile], count: int) -> list[Statistics]:
         """Return the statistics of up to `count` frames, spread over all."""
@@ -439,32 +358,23 @@ class Samples:
         ]
         return find_full_scale(lit, dark, period=BLOCK)
 
-    def spectrum_of(self, capture: CaptureFile) -> np.ndarray | None:
-        """Return the mean level of each band of some lines of a cube, (bands,); None where it cannot be read."""
-        try:
-            block = _middle_lines(capture)
-        except (Refused, ValueError):
-            return None
-        return np.asarray(block.mean(axis=(0, 1), dtype=np.float64))
-
-    def difference(self, frames: Sequence[NamedFile], black: float) -> str:
+    def difference(self, captures: Sequence[CaptureFile], black: float = 0.0) -> str:
         """Return in what some frames differ by more than shots do, as `difference_between`; "" in nothing that is known."""
-        first: Sight | None = None
-        for frame in frames:
-            if (statistics := self.of(frame.file)) is None:
-                continue
-            side = find_mosaic(statistics.phases) or 1
-            sight = Sight.of(_plane(frame.file), (side, side))
-            found = difference_between(first, sight, black) if first else None
-            if found is not None:
+        some = [(c, one) for c in spread(captures, FEW_SHOTS) if (one := self.of(c)) is not None]
+        side = max((find_mosaic(one.phases) for _, one in some), default=0) or 1
+        for capture, one in some[1:]:
+            first, sight = (self._sight(c, side) for c in (some[0][0], capture))
+            if found := difference_between(first, sight, black):
                 return found[0]
-            first = first or sight
+            dim, bright = sorted(max(s.mean - black, 1e-9) for s in (some[0][1], one))
+            if bright > (1 + LAMP) * dim:  # of frames too small, or without anything to compare
+                return "exposure"
         return ""
 
-    def same_scene(self, one: CaptureFile, other: CaptureFile) -> bool | None:
-        """Whether two frames show the same; None where one cannot be decoded."""
-        a, b = self.of(one), self.of(other)
-        return None if a is None or b is None else is_same_scene(a.thumbnail, b.thumbnail)
+    def _sight(self, capture: CaptureFile, side: int) -> Sight:
+        if (capture.path, side) not in self._sights:
+            self._sights[capture.path, side] = Sight.of(_plane(capture), (side, side))
+        return self._sights[capture.path, side]
 
 
 def _plane(capture: CaptureFile) -> np.ndarray:

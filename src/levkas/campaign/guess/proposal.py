@@ -14,7 +14,7 @@ from levkas.campaign.campaign import campaign_of
 from levkas.campaign.discovery.file_index import declared_targets, scan_folders
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.campaign.discovery.patterns import natural
-from levkas.campaign.guess.appearance import doubt_whites, find_warmth, infer_roles
+from levkas.campaign.guess.appearance import infer_roles
 from levkas.campaign.guess.band_names import Question
 from levkas.campaign.guess.describe import (
     CameraGuess,
@@ -124,11 +124,9 @@ def propose(listing: Listing) -> Proposal:
     if not groups:
         raise LookRefused(_no_object(listing, left_out))
     by_eye = [f"{g.name}: {reason}" for g in groups for reason in infer_roles(g, samples)]
-    doubts = [f"{g.name}: {doubt}" for g in groups for doubt in doubt_whites(g, samples)]
-    unknown = doubts + by_eye + _without_conflicts(groups)
-    warmth = find_warmth(groups, samples)
+    unknown = by_eye + _without_conflicts(groups)
     finest = max(max(g.frames[0].facts.shape[:2]) for g in groups)
-    cameras = [describe_camera(g, samples, warmth, finest) for g in groups]
+    cameras = [describe_camera(g, samples, finest) for g in groups]
     cameras = [with_sensitivity(c, listing.root, listing.tables) for c in cameras]
     lamps = listing.under_lamps()
     pairs = zip(cameras, groups, strict=True)
@@ -187,14 +185,15 @@ def _with_questions(
     others, _ = group_cameras(named, "")
     open_cameras = list(cameras)
     for question in questions:
-        path = question.files[0].path
-        own, as_bands = (
-            next((i for i, g in enumerate(some) if any(f.path == path for f in g.frames)), None)
-            for some in (groups, others)
-        )
-        decided = own is not None and groups[own].of_role("dark", "white")  # by their histograms
-        if own is not None and as_bands is not None and not decided:
-            open_cameras[own] = with_choices(open_cameras[own], others[as_bands], question)
+        asked = {capture.path for capture in question.files}
+        shares = [len(asked & {f.path for f in group.frames}) for group in groups]
+        own = shares.index(max(shares))
+        bands = next((g for g in others if asked & {f.path for f in g.frames}), None)
+        decided = groups[own].of_role("dark", "white")  # by their histograms
+        if bands is not None and not decided:
+            beside = [g.name for g, share in zip(groups, shares, strict=True) if share]
+            beside.remove(groups[own].name)
+            open_cameras[own] = with_choices(open_cameras[own], bands, question, beside)
     return open_cameras
 
 
@@ -396,6 +395,12 @@ def _targets(
     if white := sorted(by_role["white"], key=natural):
         keys["white"], shown = _white(listing, white, how)
         unknown += shown if set(white) & calibrated else []
+        unknown += [
+            f"whether {name} is a white, or {one} under white light"
+            for name in white
+            for one in by_role["object"]
+            if name.startswith(one)
+        ]
     charts = {t: _chart(t) for t in sorted(by_role["chart"], key=natural)}
     if charts:
         keys["charts"] = Guess(charts, "from their names; check the type of each chart")

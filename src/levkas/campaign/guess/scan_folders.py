@@ -8,8 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from levkas.campaign.guess.band_names import Frames, Tokens
+from levkas.campaign.guess.band_names import Tokens
 from levkas.campaign.guess.listing import CaptureFile
+from levkas.campaign.guess.pixels import Samples
 from levkas.campaign.guess.words import GENERIC, IMAGES, LIGHTS, TARGET, plain, role_in
 
 TEMPLATES = ("dark", "white")
@@ -49,7 +50,7 @@ Homes = Mapping[tuple[str, ...], Home]
 
 
 def find_scan_folders(
-    captures: Sequence[CaptureFile], tokens: Tokens, samples: Frames
+    captures: Sequence[CaptureFile], tokens: Tokens, samples: Samples
 ) -> list[ScanFolder]:
     """Find folders beside one another of which each has one object of one sensor, a dark or a white.
 
@@ -129,7 +130,7 @@ def _alike(homes: Homes) -> Iterator[tuple[int, Homes]]:
         yield from ((level, {folders: home}) for level in reversed(range(len(folders))))
 
 
-def _word_of(objects: Sequence[CaptureFile], tokens: Tokens, samples: Frames) -> str | None:
+def _word_of(objects: Sequence[CaptureFile], tokens: Tokens, samples: Samples) -> str | None:
     """Return what names the object of a folder in its files' names; "" for nothing, None for several objects."""
     words, counts = set(), set()
     for capture in objects:
@@ -143,7 +144,7 @@ def _word_of(objects: Sequence[CaptureFile], tokens: Tokens, samples: Frames) ->
         parts = tokens[first.path]
         return word or (parts[0].text if len(parts) == 1 and parts[0].kind == "number" else "")
     shots = len(counts) == 1 and not first.facts.is_cube  # of a scan several files are strips
-    return None if shots and samples.same_scene(first, objects[-1]) is False else word
+    return None if shots and samples.difference(objects) else word
 
 
 def _named(folder: str, word: str) -> tuple[str, str] | None:

@@ -8,13 +8,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from levkas.campaign.guess.names import NamedFile
-from levkas.campaign.guess.words import TARGET, Token
+from levkas.campaign.guess.words import PLACE, TARGET, Token
 
-PLACE = re.compile(
-    r"(?i:(?P<a>r(?:ow)?[-_ ]?)(?P<row>\d+)(?P<b>[-_ ,]*c(?:ol(?:umn)?)?[-_ ]?)(?P<column>\d+)"
-    r"|(?P<c>(?:grid|tile)[@_ -]?)(?P<down>\d+)(?P<d>[_ ,x-]+)(?P<across>\d+))"
-)
-"""A row and a column, with the text around their numbers."""
 AT_END = re.compile(
     rf"(?P<name>.*[^-_\s\[(])(?P<gap>[-_\s]*[\[(]|[-_\s]+)(?P<place>{PLACE.pattern})(?P<end>[\])]?)"
 )

@@ -72,6 +72,11 @@ SHELL = r"[KLM]([abαβ]\d?)?"
 _ELEMENT = re.compile(rf"(?P<symbol>[A-Z][a-z]?)([-_ ]?{SHELL})?")
 SG = ("digitalsg", "sg140", "checkersg")
 """Parts of longer names of the chart with 140 patches."""
+PLACE = re.compile(
+    r"(?i:(?P<a>r(?:ow)?[-_ ]?)(?P<row>\d+)(?P<b>[-_ ,]*c(?:ol(?:umn)?)?[-_ ]?)(?P<column>\d+)"
+    r"|(?P<c>(?:grid|tile)[@_ -]?)(?P<down>\d+)(?P<d>[_ ,x-]+)(?P<across>\d+))"
+)
+"""A row and a column, with the text around their numbers."""
 TARGET, OBJECT = "{target}", "{object}"
 TYPED = ("time", "wavelength", "exposure", "band", "sensor")
 """Kinds of tokens with a unit or a date, and those that name a band or a sensor."""
