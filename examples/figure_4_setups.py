@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import levkas
-from levkas.quality.targets import choose_places
+from levkas.quality.image_quality.light import choose_places
 
 
 def pictures(database: Path) -> tuple[str, dict[str, np.ndarray]]:

@@ -12,7 +12,7 @@ import tifffile
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from levkas.quality.targets import light_field
+from levkas.quality.image_quality.light import light_field
 
 
 def main(

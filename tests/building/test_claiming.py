@@ -15,10 +15,8 @@ from levkas.building import build, status, summarise
 from levkas.building.records_file import NAME
 from levkas.cli import app
 from levkas.core.digests import hash_tree
-from levkas.core.disk import WriteRefused
 from levkas.core.problems import Refused
 from levkas.database.validation import validate
-from levkas.quality.evaluation.layer_report import assess
 
 
 @pytest.fixture(scope="module")
@@ -175,33 +173,6 @@ def test_a_pipe_among_the_frames_is_waited_for_by_nobody(campaign):
     for work in (status, lambda path: summarise(build(path))):
         with pytest.raises(Refused, match="no file of 'one' matches the pattern"):
             work(campaign)
-
-
-def test_maps_of_an_evaluation_replace_no_picture_of_somebody_else(campaign, tmp_path):
-    maps = tmp_path / "maps"
-    for _ in range(2):
-        assess(campaign / "database", maps=maps)
-    picture = sorted(maps.glob("*.png"))[0]
-    drawn = picture.read_bytes()
-    picture.write_text("three years")
-    with pytest.raises(WriteRefused, match="was changed since"):
-        assess(campaign / "database", maps=maps)
-    assert picture.read_text() == "three years"
-    assess(campaign / "database", maps=maps, overwrite=True)
-    assert picture.read_bytes() == drawn
-
-
-def test_names_in_a_registration_record_lead_no_map_out_of_its_folder(campaign, tmp_path):
-    objects = campaign / "database/objects"
-    path = objects / "one/registration/infrared.json"
-    record = json.loads(path.read_text())
-    path.write_text(json.dumps({**record, "object": "../one"}))
-    (campaign / "database/one").mkdir()
-    for layer in objects.glob("one/one_*.tif"):  # where that name leads to
-        shutil.copy(layer, campaign / "database")
-    with pytest.raises(Refused):
-        assess(campaign / "database", maps=tmp_path / "deep/maps")
-    assert not list(tmp_path.rglob("*_ssim.png"))
 
 
 def test_a_record_that_names_a_file_elsewhere_costs_nobody_that_file(campaign):

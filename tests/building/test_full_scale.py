@@ -153,7 +153,7 @@ def test_radiometry_takes_the_full_scale_that_the_frames_show(tmp_path):
     found = examine_with_seed(write(tmp_path, "bands", full=3600, shots=3))
     (sensor,) = found.sensors
     (channel,) = sensor.channels.values()
-    assert channel.full_well.value == pytest.approx((3600 - BLACK) / GAIN, rel=0.03)
+    assert channel.full_well == pytest.approx((3600 - BLACK) / GAIN, rel=0.03)
     assert any("full at 3600" in note for note in sensor.notes)
     assert not any("no shot saturates" in note for note in sensor.notes)
 

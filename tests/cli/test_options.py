@@ -280,9 +280,7 @@ def test_a_check_names_what_is_wrong_with_every_pair_of_options(made_database, t
             assert wrong[option][1] in output, (pair, found.output)
 
 
-def test_cameras_of_frames_and_empty_folders_of_darks_are_refused(place, tmp_path):
-    refused = CliRunner().invoke(app, ["radiometry", str(place / "white.tif"), "--camera", "vis"])
-    assert refused.exit_code == 1 and "--camera" in refused.output
+def test_an_empty_folder_of_darks_is_refused(place, tmp_path):
     words = ["plan", "exposure", str(place / "white.tif"), "--bits", "12", "--dark", str(tmp_path)]
     refused = CliRunner().invoke(app, words)
     assert refused.exit_code == 1 and "no frame in this folder" in refused.output

@@ -6,7 +6,6 @@ from typer.testing import CliRunner
 
 import levkas
 from levkas.cli import app
-from levkas.core.cube import Flag
 from levkas.core.digests import hash_tree
 from levkas.core.problems import Refused
 from levkas.database.catalogue import read_catalogue
@@ -42,6 +41,16 @@ def test_an_estimated_layer_is_near_the_measured_one_and_never_called_one(own_pa
     measured = levkas.open(own_paintings)["icon3"]["vis"]
     assert np.nanmean((layer.values - measured.values) ** 2) ** 0.5 < 0.12
     assert validate(own_paintings).ok
+    record = json.loads(
+        (own_paintings / "objects/icon1/icon1_vis-estimated.estimate.json").read_text()
+    )
+    rgb = next(
+        e
+        for e in read_catalogue(own_paintings)
+        if (e.object, e.camera, e.setup) == ("icon1", "rgb", "")
+    )
+    assert record["kind"] == "estimated" and record["sources"] == {"rgb": rgb.sha256}
+    assert record["in training"] and len(record["model"]["sha256"]) == 64
 
 
 @pytest.mark.slow
@@ -59,16 +68,6 @@ def test_a_model_fitted_in_python_predicts_what_the_command_writes(own_paintings
     with pytest.raises(Refused) as refused:
         model.predict(icon["vis"])
     assert refused.value.problems[0].code == "E_CHANNELS"
-
-
-def test_flags_and_places_without_a_value_follow_the_source_layer(own_paintings, models):
-    list(apply_model(own_paintings, models / "rgb_wiener.npz", "guess", objects=["icon1"]))
-    layer = levkas.open(own_paintings)["icon1"]["guess"]
-    assert (
-        np.isnan(layer.values[:2, :3]).all() and (layer.flags.values[:2, :3] & Flag.OUTSIDE).all()
-    )
-    assert (layer.flags.values[10, 12] & Flag.SATURATED).all()
-    assert "guess" not in levkas.open(own_paintings)["icon2"]
 
 
 def test_sigma_is_the_method_s_own_or_the_held_out_error_of_the_band(own_paintings, models):
@@ -104,35 +103,14 @@ def test_the_mean_of_an_estimated_region_is_no_better_known_than_its_paint(own_p
         )
 
 
-def test_the_record_names_model_sources_and_training(own_paintings, models):
-    ran = command("apply", own_paintings, models / "rgb_wiener.npz", "guess", "--json")
-    assert ran.exit_code == 0, ran.stderr
-    record = json.loads((own_paintings / "objects/icon1/icon1_guess.estimate.json").read_text())
-    tiff = next(
-        e
-        for e in read_catalogue(own_paintings)
-        if (e.object, e.camera, e.setup) == ("icon1", "rgb", "")
-    )
-    assert record["kind"] == "estimated" and record["sources"] == {"rgb": tiff.sha256}
-    assert record["in training"] and len(record["model"]["sha256"]) == 64
-
-
-@pytest.mark.slow
 def test_an_estimate_never_replaces_a_measurement_nor_is_estimated_to(own_paintings, models):
     with pytest.raises(Refused) as refused:
         list(apply_model(own_paintings, models / "rgb_wiener.npz", "cam2"))
     assert refused.value.problems[0].code == "E_EXISTS"
-    list(apply_model(own_paintings, models / "rgb_wiener.npz", "guess"))
-    list(apply_model(own_paintings, models / "rgb_wiener.npz", "guess"))  # its own may be replaced
+    for _ in range(2):  # its own may be replaced
+        list(apply_model(own_paintings, models / "rgb_wiener.npz", "guess", objects=["icon1"]))
     ran = command(own_paintings, "--to", "guess", "--json")
     assert json.loads(ran.stdout)["problems"][0]["code"] == "E_ESTIMATED"
-
-
-def test_a_model_without_its_facts_is_refused(own_paintings, models, tmp_path):
-    (tmp_path / "bare.npz").write_bytes((models / "rgb_wiener.npz").read_bytes())
-    with pytest.raises(Refused) as refused:
-        list(apply_model(own_paintings, tmp_path / "bare.npz", "guess"))
-    assert refused.value.problems[0].file.endswith("bare.json")
 
 
 # --- models made elsewhere -----------------------------------------------------------------------
@@ -153,7 +131,6 @@ HARM = {
     "no matrix": lambda a: a | {"coefficients": a["coefficients"][None]},
     "texts": lambda a: a | {"coefficients": a["coefficients"].astype(str)},
     "infinite": lambda a: a | {"offset": a["offset"] + np.inf},
-    "foreign": lambda a: a | {"more": np.zeros(3)},
     "large": lambda a: a | {"offset": np.zeros(9 << 20)},
     "lacking": lambda a: {name: array for name, array in a.items() if name != "offset"},
     "method": lambda a: a | {"method": "nonsense"},
@@ -172,10 +149,3 @@ def test_a_model_whose_arrays_do_not_fit_is_refused_and_nothing_is_written(
     (problem,) = json.loads(ran.stdout)["problems"]
     assert problem["code"] in ("E_MODEL", "E_CHANNELS") and problem["fix"]
     assert hash_tree(own_paintings) == before
-
-
-def test_an_object_that_the_database_has_not_is_refused_by_its_name(own_paintings, models):
-    model = models / "rgb_wiener.npz"
-    ran = command("apply", own_paintings, model, "guess", "--object", "icom1", "--json")
-    (problem,) = json.loads(ran.stdout)["problems"]
-    assert ran.exit_code == 1 and problem["found"] == "icom1" and "icon1" in problem["fix"]

@@ -4,13 +4,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import levkas
 from levkas.cli import app
-from levkas.core.problems import Refused
 from levkas.database.reader import Database
 from levkas.estimation.experiment import Paintings, run_experiment
-from levkas.estimation.methods import METHODS as EVERY_METHOD
-from levkas.estimation.plan import ExperimentPlan, choose_layers
+from levkas.estimation.plan import ExperimentPlan
 from levkas.estimation.samples import SampleSource
 from levkas.estimation.training import sample_weights
 
@@ -25,11 +22,6 @@ def report_of(database, **options):
 
 def command(*arguments):
     return CliRunner().invoke(app, ["estimate", *map(str, arguments)])
-
-
-def test_defaults_are_the_broad_cameras_and_the_spectral_layer(paintings):
-    target, groups = choose_layers(levkas.open(paintings), ExperimentPlan(paintings))
-    assert target == "vis" and sorted(groups) == [("cam2",), ("rgb",)]
 
 
 def test_each_painting_is_scored_while_it_is_held_out_above_the_reference_s_sigma(paintings):
@@ -82,24 +74,6 @@ def test_the_same_seed_gives_the_same_report_whatever_the_threads(paintings, mon
 def test_what_cannot_be_estimated_is_refused_with_status_1(paintings, options, code):
     ran = command(paintings, "--json", *options)
     assert ran.exit_code == 1 and json.loads(ran.stdout)["problems"][0]["code"] == code
-
-
-@pytest.mark.slow
-def test_fewer_samples_than_coefficients_are_refused_by_the_method(paintings, monkeypatch):
-    monkeypatch.setattr("levkas.estimation.experiment.TRAINING_PIXELS", 4)
-    with pytest.raises(Refused) as refused:
-        report_of(paintings, sources=["rgb,cam2"], methods=["wiener"])
-    assert refused.value.problems[0].code == "E_TOO_FEW_SAMPLES"
-
-
-@pytest.mark.slow
-def test_the_command_ranks_every_method_where_none_is_named(paintings):
-    ran = command(paintings, "--from", "rgb,cam2", "--test", "icon1", "--json")
-    assert ran.exit_code == 0, ran.stderr
-    (result,) = json.loads(ran.stdout)["results"]
-    errors = {one["method"]: one["metrics"]["rmse"]["mean"] for one in result["methods"]}
-    assert errors.keys() == EVERY_METHOD.keys() and min(errors.values()) > 0
-    assert max(errors.values()) < 0.2 and result["channels"] == 6
 
 
 @pytest.mark.slow

@@ -1,16 +1,13 @@
 """Methods of spectral estimation against planted maps, scikit-learn and one another."""
 
-import importlib
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from levkas.core.problems import Refused
 from levkas.estimation.methods import METHODS, find_method, load_model, save_model
-from levkas.estimation.methods.gaussian_process import condition, log_likelihoods
+from levkas.estimation.methods.gaussian_process import condition
 from levkas.estimation.methods.kernel_ridge import Kernel, fit_kernel_ridge
 from levkas.estimation.methods.linear_model import RIDGES, fit_ridge
 from levkas.estimation.methods.wiener import fit_wiener
@@ -127,74 +124,7 @@ def test_gaussian_process_equals_scikit_learn(rng):
         np.testing.assert_allclose(sigma[:, band], expected, atol=1e-6)
 
 
-def test_the_likelihood_is_that_of_scikit_learn(rng):
-    gp = pytest.importorskip("sklearn.gaussian_process")
-    training = smooth(rng, count=50, bands=5, noise=0.02)
-    centred = replace(training, spectra=training.spectra - training.spectra.mean(0))
-    expected = []
-    for noise in (1e-3, 1e-1):
-        total = 0.0
-        for band in centred.spectra.T:
-            matern = gp.kernels.Matern(0.5, nu=1.5)
-            gram = matern(training.responses) + noise * np.eye(50)
-            variance = float(band @ np.linalg.solve(gram, band)) / 50
-            kernel = gp.kernels.ConstantKernel(variance) * matern
-            oracle = gp.GaussianProcessRegressor(kernel, alpha=noise * variance, optimizer=None)
-            total += oracle.fit(training.responses, band).log_marginal_likelihood_value_
-        expected.append(total)
-    kernel = Kernel(0.5, training.responses.mean(0))
-    found = log_likelihoods(centred, kernel, [1e-3, 1e-1])
-    assert found[1] - found[0] == pytest.approx(expected[1] - expected[0], rel=1e-6)
-
-
 # --- properties ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", [n for n in METHODS if n not in ("pseudo-inverse",)])
-def test_spectra_of_three_components_are_recovered(name, rng):
-    """Four channels see all that varies: without noise little is lost."""
-    training, test = (smooth(np.random.default_rng(5), count=600) for _ in range(2))
-    test = test.take(np.arange(0, 600, 3))
-    training = training.take(np.arange(600) % 3 > 0)
-    found = METHODS[name].fit(training, rng)(test.responses)[0]
-    assert np.sqrt(np.square(found - test.spectra).mean()) < 0.01
-
-
-@pytest.mark.parametrize("name", ["wiener", "matern"])
-def test_samples_of_large_sigma_count_little(name, rng):
-    """Half of the samples are off by 0.2 and say so."""
-    training = smooth(rng, count=400)
-    wrong = np.arange(400) % 2 == 0
-    spectra = training.spectra + np.where(wrong, 0.2, 0.0)[:, None]
-    sigma = np.where(wrong, 0.3, 0.003)[:, None] * np.ones_like(spectra)
-    test = smooth(np.random.default_rng(5), count=400)
-    misses = [
-        np.abs(METHODS[name].fit(t, rng)(test.responses)[0] - test.spectra).mean()
-        for t in (
-            replace(training, spectra=spectra),
-            Training(training.responses, spectra, None, sigma),
-        )
-    ]
-    assert misses[1] < 0.6 * misses[0]
-
-
-@pytest.mark.slow
-def test_the_interval_of_the_gaussian_process_holds_what_was_held_out(rng):
-    """Paintings differ in their noise-free colours: whole ones are held out."""
-    paintings = [smooth(np.random.default_rng(seed), count=250, noise=0.02) for seed in range(6)]
-    mix = np.random.default_rng(3).dirichlet(np.ones(9), 4).T
-    parts = [p.spectra @ mix + rng.normal(0, 0.02, (250, 4)) for p in paintings]
-    inside = []
-    for held in range(6):
-        others = [i for i in range(6) if i != held]
-        training = Training(
-            np.concatenate([parts[i] for i in others]),
-            np.concatenate([paintings[i].spectra for i in others]),
-            groups=np.repeat(others, 250),
-        )
-        spectra, sigma = METHODS["gaussian-process"].fit(training, rng)(parts[held])
-        inside.append((np.abs(spectra - paintings[held].spectra) <= 1.96 * sigma).mean())
-    assert 0.93 < np.mean(inside) < 0.97
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -214,38 +144,4 @@ def test_neither_blocks_nor_threads_show_and_no_response_gives_no_spectrum(name,
     np.testing.assert_allclose(found[0][there], parts, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["wiener", "matern", "gaussian-process"])
-def test_responses_that_do_not_vary_give_the_mean_spectrum(name, rng):
-    training = smooth(rng)
-    flat = replace(training, responses=np.full_like(training.responses, 0.4))
-    found = METHODS[name].fit(flat, rng)(flat.responses[:1])[0]
-    np.testing.assert_allclose(found[0], training.spectra.mean(0), atol=1e-3)
-
-
 # --- measured pigments ---------------------------------------------------------------------------
-
-
-@pytest.fixture
-def benchmark(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "benchmarks"))
-    return importlib.import_module("estimation")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("camera", ["Nikon D5100", "Nikon D80"])
-def test_kernels_are_a_quarter_better_than_a_line_on_pigments(camera, benchmark, real_data, rng):
-    """Whole pigments held out, D50, SNR 100: 0.039 by a line, 0.027 by kernels with the D80."""
-    path = None
-    if camera == "Nikon D80":
-        path = Path(os.environ.get("LEVKAS_D80", real_data / "spectra/cameras/nikon-d80.csv"))
-        if not path.is_file():
-            pytest.skip(f"no sensitivities of the D80: {path} is not there; set LEVKAS_D80")
-    samples = benchmark.simulate(real_data, benchmark.read_sensitivities(path)[0], rng)
-    errors = {
-        name: benchmark.metrics.rmse(
-            benchmark.cross_validate(METHODS[name], samples)[0], samples.spectra
-        ).mean()
-        for name in ("pseudo-inverse", "wiener", "matern")
-    }
-    assert errors["matern"] < 0.75 * min(errors["wiener"], errors["pseudo-inverse"])
-    assert errors["wiener"] < 0.045

@@ -1,12 +1,9 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 import levkas
-from levkas.core.cube import Cube, Flag
+from levkas.core.cube import Cube
 from levkas.core.problems import Refused
-from levkas.database.catalogue import read_catalogue, write_catalogue
 from levkas.database.layers import Layer, write_layer
 from levkas.estimation.samples import SampleSource, require_layers
 from levkas.estimation.splits import split_paintings
@@ -65,14 +62,6 @@ def test_a_layer_that_is_not_there_or_in_counts_is_refused(paintings, layer, cod
     assert refused.value.problems[0].code == code
 
 
-def test_masks_without_overlap_are_refused(own_paintings):
-    shape = levkas.open(own_paintings)["icon1"]["rgb"].shape
-    changed(own_paintings, "icon1", "rgb", flags=np.full(shape, Flag.GLARE, np.uint8))
-    with pytest.raises(Refused) as refused:
-        source_of(own_paintings).read("icon1", ["rgb"])
-    assert refused.value.problems[0].code == "E_NO_OVERLAP"
-
-
 @pytest.mark.parametrize(
     ("names", "options", "code"),
     [
@@ -86,17 +75,3 @@ def test_a_split_that_leaks_or_has_one_side_is_refused(names, options, code):
     with pytest.raises(Refused) as refused:
         split_paintings(list(names), **options)
     assert refused.value.problems[0].code == code
-
-
-def test_no_painting_is_on_both_sides():
-    for split in (split_paintings(list("abc")), split_paintings(list("abc"), test=["b"])):
-        assert not any({*fold.train} & {*fold.test} for fold in split)
-
-
-def test_a_catalogue_tells_kinds_only_where_a_layer_was_estimated(own_paintings):
-    before = (own_paintings / "catalogue.csv").read_bytes()
-    entries = read_catalogue(own_paintings)
-    write_catalogue(own_paintings, entries)
-    assert (own_paintings / "catalogue.csv").read_bytes() == before and b"kind" not in before
-    write_catalogue(own_paintings, [replace(entries[0], kind="estimated"), *entries[1:]])
-    assert [e.kind for e in read_catalogue(own_paintings)].count("estimated") == 1

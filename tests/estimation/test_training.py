@@ -7,7 +7,6 @@ import pytest
 
 from levkas.core.problems import Refused
 from levkas.estimation.training import (
-    MOST_CANDIDATES,
     Training,
     held_out_residuals,
     sample_weights,
@@ -41,14 +40,6 @@ def test_what_is_no_row_a_sample_is_refused_by_its_name(training, field, values)
     assert [problem.field for problem in refused.value.problems] == [field]
 
 
-def test_a_rare_colour_is_chosen(rng):
-    """One sample in 5,000 lies far from all others."""
-    responses = rng.normal(0.5, 0.02, (5000, 3))
-    responses[1234] = (0.9, 0.1, 0.1)
-    chosen = select_training(Training(responses, responses), 20, rng)
-    assert (chosen.responses == responses[1234]).all(1).any()
-
-
 def test_what_is_chosen_covers_the_responses_better_than_chance(rng):
     responses = rng.beta(1, 4, (3000, 3))
     chosen = select_training(Training(responses, responses), 100, rng).responses
@@ -58,24 +49,6 @@ def test_what_is_chosen_covers_the_responses_better_than_chance(rng):
         return np.linalg.norm(responses[:, None] - samples, axis=2).min(1).max()
 
     assert farthest(chosen) < 0.6 * farthest(drawn)
-
-
-def test_the_choice_is_that_of_its_seed():
-    responses = np.random.default_rng(0).uniform(size=(MOST_CANDIDATES + 5000, 2))
-    training = Training(responses, responses, groups=np.arange(len(responses)))
-    first, again, other = (
-        select_training(training, 50, np.random.default_rng(seed)).groups for seed in (1, 1, 2)
-    )
-    assert np.array_equal(first, again)
-    assert not np.array_equal(first, other)
-
-
-def test_samples_keep_what_belongs_to_them(training, rng):
-    assert select_training(training, 50, rng) is training
-    whole = replace(training, response_sigma=training.responses / 10, groups=np.arange(50))
-    chosen = select_training(whole, 7, rng)
-    assert np.array_equal(chosen.response_sigma, chosen.responses / 10)
-    assert np.array_equal(chosen.spectra, training.spectra[chosen.groups])
 
 
 def test_sigma_of_responses_counts_by_the_slope(rng):

@@ -48,16 +48,6 @@ def test_the_report_stands_alone_and_escapes_what_a_file_says(rewritten, tmp_pat
     assert "<script>" not in page and "<b>proposed" not in page
 
 
-def test_a_report_of_a_matte_object_without_cameras_has_what_there_is(rewritten, tmp_path):
-    path = rewritten(
-        ("varnish = { roughness = 0.1 }", ""), ("gold = { roughness = 0.2 }", ""),
-        ("recess_mm = 3 ", ""),
-        cut_cameras=True,
-    )  # fmt: skip
-    page = write_report(tmp_path / "plan.html", load_setup(path)).read_text(encoding="utf-8")
-    assert 0 < page.count("<svg") < 5 and not re.search(r"\bnan\b", page)
-
-
 @pytest.mark.parametrize(
     "call",
     [

@@ -86,13 +86,6 @@ def test_bands_of_a_tunable_filter_get_a_time_each_by_darks_of_their_size_and_ti
         assert c.time_s * rate / c.first.room == pytest.approx(c.first.target, rel=0.01)
 
 
-def test_the_longest_exposure_that_does_not_clip_is_read(tmp_path, rng):
-    for ms in (50, 200, 800):
-        write(tmp_path / "w", f"550nm_{ms}ms.tif", white(10_000, ms / 1000, rng))
-    (found,) = advise_frames([tmp_path / "w"], black=64.0, bits=12)
-    assert found.shot.exposure_s == 0.2
-
-
 def stops_of(found):
     (reading,) = found.readings
     return reading.stops_left
@@ -186,32 +179,3 @@ def test_frames_that_tell_no_time_are_refused(tmp_path, rng, made, code):
     with pytest.raises(NoAdvice) as refused:
         advise_frames([tmp_path / "w"], bits=12, black=64.0)
     assert refused.value.problems[0].code == code
-
-
-def test_sensors_of_a_beam_splitter_are_read_by_their_campaign(tmp_path, rng):
-    levels = {"ccd1": (900, 1800, 700), "ccd2": (1500, 1200, 400), "ccd3": (2600, 2600, 2600)}
-    for target, on in (("white", 1), ("dark", 0)):
-        for i, (sensor, (r, g, b)) in enumerate(levels.items()):
-            tile = np.tile([[r, g], [g, b]], (60, 80)) * on + 50.0 + 10 * i
-            frame = np.rint(tile + 3 * rng.standard_normal(tile.shape)).astype(np.uint16)
-            write(tmp_path / "raw" / target, f"{sensor}_0.tif", frame)
-    sensors = "".join(
-        f'[[cameras.cam.sensors]]\nname = "{name}"\nfiles = "raw/{{target}}/{name}_{{shot}}.tif"\n{keys}\n'
-        for name, keys in (
-            ("ccd1", 'pattern = "RGGB"\nbands = ["R1", "G1", "B1"]'),
-            ("ccd2", 'pattern = "RGGB"\nbands = ["R2", "G2", "B2"]'),
-            ("ccd3", 'bands = ["IR"]'),
-        )
-    )
-    text = CAMPAIGN.format(keys='kind = "sensors"').replace("black = 64\n", sensors)
-    (tmp_path / "campaign.toml").write_text(text.replace("[targets]", '[targets]\ndark = "dark"'))
-    found = advise_frames([tmp_path / "raw/white"], [tmp_path / "raw/dark"])
-    means = {one.channel: one.mean for band in found for one in band.readings}
-    wanted = dict(
-        zip(
-            ("R1", "G1", "B1", "R2", "G2", "B2", "IR"),
-            (900, 1800, 700, 1500, 1200, 400, 2600),
-            strict=True,
-        )
-    )
-    assert means == pytest.approx(wanted, rel=0.01)  # each sensor's own dark is taken off

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from levkas.calibration.error_sources import ErrorSource, MeanSpectrum, uncertain_mean
-from levkas.database.described import Pixels
 from levkas.database.layout import LayerId
 from levkas.pages.agreement import describe_agreement
 from levkas.quality.evaluation.camera_agreement import (
     PatchMeans,
-    choose_patches,
     compare_all,
     compare_layers,
 )
@@ -67,16 +65,6 @@ def test_a_wrong_white_is_named_in_every_pair_and_one_within_its_certificate_is_
     assert not any(pair.contradictions for pair in compare_all([*good, doubtful], {}))
 
 
-def test_the_camera_with_the_wrong_white_is_named_where_another_is_slightly_off_too():
-    """As of two-paintings: the first camera contradicts both others, and is the one that is right."""
-    layers = [layer("a", VIS), layer("wrong", NIR, factor=1 / 0.9, seed=1)]
-    pairs = compare_all([*layers, layer("c", VIS + 5, factor=0.972, seed=2)], {})
-    assert all(pair.contradictions for pair in pairs) and len(pairs) == 3
-    first, second = (text for _, text in describe_agreement(pairs).short)
-    assert first.startswith("wrong differs from ") and "white, lamp or angle" in first
-    assert second.startswith("c differs from a by -2.8 %")
-
-
 def test_a_white_that_both_used_is_no_reason_why_they_should_differ():
     white = [relative("white", 0.2, nm, "campaign") for nm in (VIS, NIR)]
     first = layer("a", VIS, sources=white[:1])
@@ -111,31 +99,6 @@ def test_another_lighting_is_read_as_another_lighting():
     assert pair.contradictions
     found = describe_agreement([pair])
     assert found.rows[0].finding == "another lighting" and not found.short
-
-
-def test_wrong_wavelengths_are_told_from_a_wrong_light():
-    inner = VIS[2:-2]
-    odd = layer("b", inner, factor=spectrum(inner + 12, 1.0) / spectrum(inner, 1.0), seed=1)
-    found = describe_agreement([compare_layers(layer("a", VIS), odd, {})])
-    assert "wavelengths" in found.short[0][1]
-
-
-def test_patches_are_even_and_without_flags():
-    rng = np.random.default_rng(0)
-    values = np.full((120, 300, 2), 0.5)
-    values[:, :100] += rng.choice([-0.4, 0.4], (120, 100, 1))
-    flags = np.zeros(values.shape, np.uint8)
-    flags[:, 200:] = 4
-
-    class Rows:
-        shape = values.shape
-
-        @staticmethod
-        def read(start, stop):
-            return Pixels(values[start:stop], flags[start:stop], None)
-
-    places = choose_patches(Rows)
-    assert len(places) and (places[:, 0] >= 88).all() and (places[:, 0] < 200).all()
 
 
 def test_one_filter_under_two_lightings_is_two_bands():

@@ -3,6 +3,7 @@
 import json
 import shutil
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -39,26 +40,27 @@ def made(folder, *, seed, truth=None, white=1.0, kind="bands"):
 
 @pytest.fixture(scope="module")
 def databases(tmp_path_factory):
+    """Return a function of the name of a database, which is built when it is asked for."""
     root = tmp_path_factory.mktemp("sessions")
     changed = panel()
     changed[CHANGED] -= 0.03
-    return {
-        "first": made(root / "a", seed=1),
-        "again": made(root / "b", seed=2),
-        "dim": made(root / "c", seed=3, white=0.92),
-        "changed": made(root / "d", seed=4, truth=changed),
+    sessions = {
+        "first": {"seed": 1},
+        "again": {"seed": 2},
+        "dim": {"seed": 3, "white": 0.92},
+        "changed": {"seed": 4, "truth": changed},
     }
+    return cache(lambda name: made(root / name, **sessions[name]))
 
 
 def agree(databases, other, *more):
-    words = ["agree", str(databases["first"]), str(databases[other]), *map(str, more)]
+    words = ["agree", str(databases("first")), str(databases(other)), *map(str, more)]
     result = CliRunner().invoke(app, [*words, "--json"])
     assert result.exception is None or isinstance(result.exception, SystemExit), result.output
-    return result.exit_code, json.loads(result.stdout)["objects"][
-        0
-    ] if result.exit_code < 2 else result
+    return result.exit_code, json.loads(result.stdout)["objects"][0]
 
 
+@pytest.mark.slow
 def test_two_sessions_of_one_panel_agree_and_nothing_changed(databases):
     code, found = agree(databases, "again")
     (pair,) = found["pairs"]
@@ -67,6 +69,7 @@ def test_two_sessions_of_one_panel_agree_and_nothing_changed(databases):
     assert found["changes"]["share"] < 0.02
 
 
+@pytest.mark.slow
 def test_colour_cameras_of_unknown_sensitivities_are_not_compared_and_do_not_agree(tmp_path):
     pair = [str(made(tmp_path / name, seed=k, kind="mosaic")) for k, name in enumerate("ab")]
     done = CliRunner().invoke(app, ["agree", *pair, "--json"])
@@ -74,9 +77,7 @@ def test_colour_cameras_of_unknown_sensitivities_are_not_compared_and_do_not_agr
     assert done.exit_code == 1 and not said["ok"]
     assert [problem["code"] for problem in said["problems"]] == ["E_BAND_MISSING"]
     assert said["objects"][0]["agrees"] is None and said["objects"][0]["pairs"] == []
-    assert (
-        said["objects"][0]["changes"]["share"] < 0.02
-    )  # looked for all the same: bands of one name
+    assert said["objects"][0]["changes"]["share"] < 0.02  # of bands of one name
 
 
 @pytest.mark.slow
@@ -87,14 +88,12 @@ def test_a_white_that_was_brighter_contradicts_and_is_no_change(databases, tmp_p
         band["ratio"] == pytest.approx(1 / 0.92, rel=0.01) for band in found["pairs"][0]["bands"]
     )
     assert found["changes"]["share"] < 0.02
-    page = (tmp_path / "out/agreement.html").read_text()
-    assert "differs from" in page and "white, lamp or angle" in page
     assert json.loads((tmp_path / "out/agreement.json").read_text())["objects"][0] == found
 
 
 def test_what_changed_is_found_where_it_is(databases):
     code, found = agree(databases, "changed", "--false-alarms", 0.001)
-    assert code == 0
+    assert code == 0 and found["agrees"] and found["pairs"][0]["patches"] >= 8
     x, y, width, height, size = found["changes"]["areas"][0]
     assert abs(x + width / 2 - 106) < 4 and abs(y + height / 2 - 66) < 4
     assert size < -0.01
@@ -103,20 +102,16 @@ def test_what_changed_is_found_where_it_is(databases):
 def test_databases_without_a_common_object_and_folders_that_are_none_are_refused(
     databases, tmp_path
 ):
-    refused = CliRunner().invoke(app, ["agree", str(databases["first"]), str(tmp_path)])
-    assert refused.exit_code == 1 and "no database was found" in refused.output
-    (tmp_path / "none").mkdir()  # as where every capture was refused
-    shutil.copy(databases["first"] / "database.toml", tmp_path / "none")
-    heading = (databases["first"] / "catalogue.csv").read_text().splitlines()[0]
-    (tmp_path / "none" / "catalogue.csv").write_text(f"{heading}\n")
-    empty = CliRunner().invoke(app, ["agree", str(databases["first"]), str(tmp_path / "none")])
-    assert empty.exit_code == 1 and "no object in common" in empty.output
-    unknown = CliRunner().invoke(
-        app, ["agree", *(str(databases[n]) for n in ("first", "again")), "--object", "pannel"]
-    )
-    assert unknown.exit_code == 1 and "panel" in unknown.output
-    other = shutil.copytree(databases["again"], tmp_path / "x")
-    for name in ("objects/panel/provenance.json",):
-        (other / name).write_text("{}")
-    broken = CliRunner().invoke(app, ["agree", str(databases["first"]), str(other)])
-    assert broken.exit_code == 1 and "provenance.json" in broken.output, broken.output
+    none, broken = tmp_path / "none", shutil.copytree(databases("changed"), tmp_path / "broken")
+    shutil.copytree(databases("first"), none, ignore=lambda *_: ["objects"])
+    heading = (none / "catalogue.csv").read_text().splitlines()[0]
+    (none / "catalogue.csv").write_text(f"{heading}\n")
+    (broken / "objects/panel/provenance.json").write_text("{}")
+    for words, named in (
+        ([tmp_path], str(tmp_path)),
+        ([none], "no object"),  # as where every capture was refused
+        ([databases("changed"), "--object", "pannel"], "panel"),
+        ([broken], "provenance.json"),
+    ):
+        done = CliRunner().invoke(app, ["agree", str(databases("first")), *map(str, words)])
+        assert done.exit_code == 1 and named in done.output.replace("\n", ""), done.output

@@ -57,24 +57,6 @@ def test_a_campaign_has_raw_files_truth_and_a_campaign_toml(tiny):
     assert frame.max() <= 4095
 
 
-@pytest.mark.slow
-def test_every_lighting_that_is_asked_for_has_frames_of_its_own(tmp_path):
-    result = simulate(tmp_path / "four", cameras=["d80"], setups=["crossed", "d65"])
-    facts = tomllib.loads(result.campaign.read_text())
-    assert list(facts["setups"]) == ["crossed", "d65"]
-    red, blue = {}, {}
-    for setup in ("", "crossed", "d65"):
-        folder = tmp_path / "four/raw" / setup / "d80"
-        red[setup] = tifffile.imread(folder / "icon1/DSC_1000.tif")[::2, ::2].mean()
-        white = tifffile.imread(folder / "white/DSC_0100.tif")
-        blue[setup] = white[1::2, 1::2].mean() / white[::2, ::2].mean()
-    assert blue["d65"] > 1.1 * blue[""] and red["crossed"] < red[""]  # gold does not shine
-    simulate(tmp_path / "even", cameras=["d80"])
-    leaning, even = digests(tmp_path / "four"), digests(tmp_path / "even")
-    name = "raw/d80/icon1/DSC_1000.tif"
-    assert leaning[name] != even[name]  # ground and leaf lean where lightings are compared
-
-
 def test_the_truth_has_the_layout_that_evaluate_reads(tiny):
     folder, result = tiny
     for camera, bands in (("d80", 3), ("msbs", 7), ("lctf-vis", 16), ("lctf-nir", 11), ("v10", 25)):
@@ -153,16 +135,6 @@ def test_what_cannot_be_simulated_is_refused(tmp_path, options, field):
         list(simulate_campaign(tmp_path / "a", **options))
     assert refused.value.problems[0].field == field
     assert not (tmp_path / "a").exists()
-
-
-@pytest.mark.parametrize("name", ["file", "link", "."])
-def test_what_stands_where_a_campaign_is_wanted_is_left_alone(tmp_path, name):
-    (tmp_path / "file").write_text("three years")
-    (tmp_path / "link").symlink_to(tmp_path / "file")
-    with pytest.raises(SimulationRefused) as refused:
-        simulate(tmp_path / name)
-    assert refused.value.problems[0].field == "folder"
-    assert (tmp_path / "file").read_text() == "three years"
 
 
 def test_a_simulation_that_is_stopped_leaves_nothing(tmp_path):

@@ -48,11 +48,3 @@ def test_a_scanner_repeats_its_line_of_sensels(painting):
     assert (other.response != fixed.response).any()
     white = next(camera.shoot("white", None, white=True))
     assert white.counts.shape == (32, model.width)
-
-
-def test_a_setup_changes_the_light_but_not_the_sensels():
-    model = camera_models()["d80"].scaled(0.05)
-    own, lamp = SimulatedCamera(model, root=4), SimulatedCamera(model, root=4, setup="45-degree")
-    assert np.abs(own.illumination - lamp.illumination).max() > 0.005
-    sensor = model.sensors[0]
-    np.testing.assert_array_equal(own.pattern(sensor).response, lamp.pattern(sensor).response)

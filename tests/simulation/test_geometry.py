@@ -62,16 +62,6 @@ def test_a_pixel_sees_the_point_that_is_projected_into_it(motion):
     )
 
 
-def test_a_lowered_point_moves_towards_the_middle_by_its_parallax():
-    plain = Viewpoint(
-        900, 700, tuple(np.eye(3).ravel()), (0, 0, 1900.0), 3800.0, (450.0, 350.0), 450.0
-    )
-    point = np.array([[150.0, 0.0]])
-    low, flat = (panel_to_base(point, plain, Panel(depth_mm=d))[0, 0] for d in (4.0, 0.0))
-    # 150 mm · 2 px/mm, seen over 1904 instead of 1900 mm.
-    assert flat - low == pytest.approx(300 * (1 - 1900 / 1904), abs=1e-4)
-
-
 @pytest.mark.parametrize(
     ("camera", "band"),
     [("main", "550 nm"), ("scan", "900 nm"), ("scan", None), ("split", "IR")],

@@ -11,10 +11,8 @@ from levkas.simulation.lighting import SETUPS, compose, light
 from levkas.simulation.optics import base_to_band, panel_to_base
 from levkas.simulation.painting import Painting, Panel
 from levkas.simulation.pigments import (
-    PAINTS,
     PIGMENTS,
     WAVELENGTHS,
-    paint_spectra,
 )
 
 PANEL = Panel(radius_mm=3000.0, depth_mm=3.0, border_mm=34.0, bevel_mm=6.0)
@@ -40,12 +38,6 @@ def test_colours_of_pigments_are_their_own_and_blues_part_in_the_near_infrared()
         assert reflectance(clear, 850) > 0.6, clear
 
 
-def test_paints_reflect_between_nothing_and_all():
-    spectra = paint_spectra(tuple(PAINTS), WAVELENGTHS)
-    assert spectra.shape == (len(PAINTS), len(WAVELENGTHS))
-    assert 0 < spectra.min() < 0.05 < 0.9 < spectra.max() <= 1
-
-
 def test_every_sample_of_the_icon_is_wholly_covered(icon):
     assert np.all(icon.amounts.sum(2, dtype=int) == 255)
     used = icon.amounts.reshape(-1, len(icon.names)).max(0) > 100
@@ -63,21 +55,6 @@ def test_the_underdrawing_shows_in_the_near_infrared_alone(icon):
             compose(p, lit, response, WAVELENGTHS).values[drawn].mean() for p in (icon, bare)
         )
         assert least <= 1 - with_it / without <= most, wavelength
-
-
-def plain(gloss=0.0, metal=False):
-    return Painting(
-        np.full((60, 80, 1), 255, np.uint8), np.full((1, len(WAVELENGTHS)), 0.5),
-        np.array([metal]), np.zeros((60, 80), np.uint8), np.zeros((60, 80), np.float32), 0.2, gloss,
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize("setup", SETUPS)
-def test_a_flat_matte_board_shows_its_reflectance_under_any_lamps(setup):
-    view = camera_models()["lctf-vis"].view()
-    lit = light(plain(), Panel(), view, SETUPS[setup])
-    response = np.full(len(WAVELENGTHS), 1 / len(WAVELENGTHS))
-    np.testing.assert_allclose(compose(plain(), lit, response, WAVELENGTHS).values, 0.5, atol=1e-4)
 
 
 @pytest.mark.slow

@@ -32,16 +32,6 @@ def test_mean_and_variance_are_those_of_equation_2(electrons):
     assert values.var() == pytest.approx(expected, rel=0.013)
 
 
-def test_two_frames_share_what_is_fixed():
-    first, second = (shoot(20_000.0, shot=k).astype(float) for k in (0, 1))
-    temporal = (first - second).var() / 2
-    # The difference of a pair loses (prnu·e)², here seven eighths of the variance.
-    assert temporal == pytest.approx(20_000 * (1 + PAPER.prnu**2) + 57 + 1 / 12, rel=0.013)
-    assert np.corrcoef(first.ravel(), second.ravel())[0, 1] == pytest.approx(
-        1 - temporal / first.var(), abs=0.01
-    )
-
-
 def test_few_photons_are_poisson():
     from scipy.stats import poisson
 

@@ -54,26 +54,6 @@ def test_neighbours_see_the_same_points_where_the_stage_put_them(folder):
     assert together.mean() > 0.99
 
 
-def test_passes_of_the_scanner_wobble_each_by_itself(folder):
-    """Points along the middle sample of a pass: their lines go evenly but for the sine that was planted."""
-    truth = SimulatedTruth.load(folder / "truth")
-    phases = []
-    for tile in ("r1c1", "r1c2"):
-        geometry = truth.cameras[f"v10#{tile}"]
-        line = np.arange(0.0, geometry.height, 0.5)
-        middle = np.full(len(line), geometry.width / 2)
-        label = geometry.bands[12].label
-        places = truth.to_panel(np.stack([middle, line], 1), f"v10#{tile}", label)[:, 1]
-        inside = np.isfinite(places)
-        angle = 2 * np.pi * places[inside] / np.polyfit(line[inside], places[inside], 1)[0] / 20
-        columns = [angle**k for k in range(3)] + [np.sin(angle), np.cos(angle)]
-        basis = np.stack(columns, 1)
-        found, *_ = np.linalg.lstsq(basis, line[inside], rcond=None)
-        assert np.hypot(*found[3:]) == pytest.approx(1.5, abs=0.2)
-        phases.append(np.arctan2(found[4], found[3]))
-    assert abs(np.sin(phases[0] - phases[1])) > 0.02
-
-
 def test_what_are_no_tiles_is_refused():
     models = choose_cameras(TINY, ["d80", "v10"])
     for tiles, overlap in (("3 by 4", 0.2), ("v11=2x2", 0.2), ("d80=2x2", 0.9)):

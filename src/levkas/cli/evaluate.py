@@ -48,18 +48,12 @@ def evaluate(
     truth: Truth = None,
     points: Points = None,
     frame: Frame = None,
-    maps: Annotated[
-        Path | None, typer.Option(help="Folder for SSIM maps as PNG, one per layer.")
-    ] = None,
-    overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Report SSIM, and the error of every band at truth or check points."""
     from levkas.quality.evaluation.layer_report import assess
 
-    report = assess(
-        database, truth=truth, points=points, frame=frame, maps=maps, overwrite=overwrite
-    )
+    report = assess(database, truth=truth, points=points, frame=frame)
     print_report("evaluate", as_json, True, report.problems, results=report.results)
     if not as_json:
         typer.echo(report.text)

@@ -13,7 +13,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "levkas estimate apply icons/database estimation/models/d80_matern.npz vis-estimated",
         "levkas estimate apply icons/database d80_wiener.npz vis-estimated --object icon2",
     ),
-    "evaluate": ("levkas evaluate icons", "levkas evaluate icons --points checks.csv --maps ssim"),
+    "evaluate": ("levkas evaluate icons", "levkas evaluate icons --points checks.csv"),
     "export": ("levkas export icons --for envi", "levkas export icons --for qgis --object icon1 --camera d80 -o out"),
     "inspect": ("levkas inspect icons", "levkas inspect icons --port 8800 --no-open"),
     "look": ("levkas look captures", "levkas look captures --write"),

@@ -78,11 +78,11 @@ def chart(
 def radiometry(
     path: Annotated[
         Path,
-        typer.Argument(help="Campaign (folder or campaign.toml), a frame, or a folder of frames."),
+        typer.Argument(help="Campaign: its folder, or campaign.toml."),
     ],
     cameras: Cameras = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="HTML page to write, for a campaign.")
+        Path | None, typer.Option("--output", "-o", help="HTML page to write.")
     ] = None,
     overwrite: Overwrite = False,
     seed: Annotated[int, typer.Option(help="Seed of the intervals' bootstrap.", min=0)] = 1,

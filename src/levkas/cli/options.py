@@ -18,7 +18,7 @@ Needs = dict[str, tuple[str, ...]]
 NEEDS: dict[str, Needs] = {
     "chart": {"--overwrite": ("--output",)},
     "estimate": {"--overwrite": ("--output",)},
-    "evaluate": {"--frame": ("--points",), "--overwrite": ("--maps",)},
+    "evaluate": {"--frame": ("--points",)},
     "map": {"--overwrite": ("--output",)},
     "agree": {"--overwrite": ("--output",)},
     "plan exposure": {
@@ -46,12 +46,19 @@ GONE = {
         "A build is one process with threads; leave it out, or build objects side by side with --object.",
     ),
     "estimate": {
+        "--choose-by": "Leave it out: parameters are chosen by the error of reflectance.",
         "--split": "Leave it out: each painting is left out in turn.",
         "--no-budget": "Leave it out: there is no error budget.",
     },
+    "evaluate": {"--maps": "Leave it out: the report of each layer shows its map of SSIM."},
+    "plan light": {"--seed": "Leave it out: nothing is drawn."},
     "publish": {
         "--edition": "Layers are published at full size; leave it out. `size` in [grid] of campaign.toml makes a smaller database."
     },
+    "simulate": dict.fromkeys(
+        ("--live", "--interval", "--faults"),
+        "Leave it out: simulate a campaign, and copy its frames where `levkas watch` looks.",
+    ),
 }
 """Command → option of an earlier version → what to do instead."""
 

@@ -174,7 +174,6 @@ def find_rendering(
 
     Parameters
     ----------
-    bands : sequence of Band
     sensitivity : (wavelengths (n,), table (n, bands)), optional
         Of a broad-band camera: a least-squares matrix to XYZ is used.
     encoded : bool

@@ -44,7 +44,6 @@ def apply_model(
 
     Parameters
     ----------
-    database : path
     model : path
         ``NAME.npz`` as ``levkas estimate -o`` wrote it, its facts beside it.
     layer : str

@@ -111,7 +111,6 @@ def estimate(
         Layer whose spectra it estimates; default the reference camera where it is spectral.
     method : str
         A name of `levkas.estimation.methods.METHODS`.
-    seed : int
 
     Returns
     -------

@@ -27,7 +27,6 @@ class ExperimentPlan:
 
     Parameters
     ----------
-    database : path
     sources : sequence of str
         Layers of which spectra are estimated, ``d80`` or, joined, ``d80,msbs``; default each camera of few channels.
     target : str
@@ -38,7 +37,6 @@ class ExperimentPlan:
         Paintings, instead of each left out in turn.
     models : bool
         Whether models fitted on all paintings are part of the report.
-    seed : int
     """
 
     database: str | Path

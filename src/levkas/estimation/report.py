@@ -24,9 +24,6 @@ class SourceReport:
     ----------
     sources : tuple of str
         Layers whose channels are the responses.
-    channels : int
-    folds : tuple of EstimationFold
-    scores : tuple of MethodScore
     problems : tuple of Problem
         Methods that refused.
     models : tuple of StoredModel
@@ -93,7 +90,6 @@ class EstimationReport:
     target : str
         Layer whose spectra were estimated.
     wavelengths : ndarray, (bands,), nm
-    sources : tuple of SourceReport
     """
 
     database: str

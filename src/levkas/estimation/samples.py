@@ -93,7 +93,6 @@ class SampleSource:
 
     Parameters
     ----------
-    database : Database
     target : str
         Layer whose spectra are estimated, ``CAMERA`` or ``CAMERA@SETUP``.
     most : int

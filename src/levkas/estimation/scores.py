@@ -23,7 +23,6 @@ class PixelErrors:
 
     Parameters
     ----------
-    object : str
     rows, columns : ndarray, (n,), int
         Places on the grid.
     metrics : dict of str to ndarray, (n,), float32
@@ -67,7 +66,6 @@ class MethodScore:
 
     Parameters
     ----------
-    method : str
     errors : tuple of PixelErrors
         One a test painting of a fold.
     seconds : float

@@ -29,8 +29,6 @@ class StoredModel:
 
     Parameters
     ----------
-    method : str
-    model : Model
     sources : tuple of str
         Layers whose channels are its responses, in order.
     target : str

@@ -107,7 +107,6 @@ def select_training(training: Training, count: int, rng: np.random.Generator) ->
 
     Parameters
     ----------
-    training : Training
     count : int
         1,000 to 3,000 are usual; with fewer samples all are returned.
     rng : numpy Generator
@@ -159,7 +158,6 @@ def held_out_errors(
 
     Parameters
     ----------
-    training : Training
     vectors, values, targets, ridges
         As of `held_out_residuals`; of the regression in which a sample counts by `sample_weights`.
     """

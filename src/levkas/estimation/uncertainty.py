@@ -117,7 +117,6 @@ class ModelErrors:
 
     Parameters
     ----------
-    prediction : PredictionError
     training : tuple of ErrorSource
         Of the spectra that it was fitted to, and of single captures of its training.
     cameras : tuple of ErrorSource
@@ -181,10 +180,8 @@ def carry_on(
 
     Parameters
     ----------
-    model : Model
     responses : ndarray, (n, channels)
         Pixels at which slopes are taken.
-    channels : sequence of Channels
     labels : sequence of str
         Of the estimated bands.
 
@@ -275,12 +272,9 @@ class Estimate:
 
     Parameters
     ----------
-    model : Model
-    errors : ModelErrors
     responses : ndarray, (n, channels)
     noise : ndarray, (n, channels), or None
         Standard deviation of the responses.
-    channels : sequence of Channels
     labels : sequence of str
         Of the estimated bands.
     """

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from levkas.core.cube import Cube
     from levkas.quality.targets.edges import EdgeTable
-    from levkas.quality.targets.indicators import IndicatorRow
     from levkas.quality.targets.measuring import ChartMeasure, Sighting
 
 LONGEST = 640
@@ -49,15 +48,9 @@ class ChartSection:
     edges: Sequence[Sequence[str]] = ()
 
 
-def describe_chart(
-    measure: ChartMeasure | EdgeTargetMeasure, between_layers: Sequence[IndicatorRow] = ()
-) -> ChartSection:
-    """Return the section of a chart that was measured, or of a target of slanted edges.
-
-    `between_layers` are shifts between the layers of objects; those of the measure's own object are shown.
-    """
-    thing = measure.name.partition("/")[0]
-    rows = [*measure.rows, *(r for r in between_layers if r.name.startswith(f"{thing}, "))]
+def describe_chart(measure: ChartMeasure | EdgeTargetMeasure) -> ChartSection:
+    """Return the section of a chart that was measured, or of a target of slanted edges."""
+    rows = measure.rows
     indicators = [
         [row.name, f"{row.value:.2f} {row.unit}", row.aim, row.fadgi, row.iso] for row in rows
     ]
@@ -150,7 +143,7 @@ def _edge_rows(tables: Sequence[EdgeTable]) -> list[list[str]]:
 
 def _boxes(tables: Sequence[EdgeTable], cube: Cube) -> np.ndarray:
     """Return the rectangles of the edges in one sensor's cube, (n, 4, 2) px."""
-    boxes = np.array([box for t in tables if t.bands == cube.bands for box in t.boxes], float)
+    boxes = np.array([t.box for t in tables if t.bands == cube.bands], float)
     low, size = boxes.reshape(-1, 4)[:, :2], boxes.reshape(-1, 4)[:, 2:]
     turns = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     return low[:, None] - 0.5 + turns * size[:, None]

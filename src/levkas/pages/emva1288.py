@@ -77,15 +77,6 @@ def _section(sensor: SensorReport) -> dict[str, Any]:
             (n, len(d.scales), share(d.drift), share(d.flicker).lstrip("+"))
             for n, d in sensor.light
         ],
-        "linearity": [
-            (
-                n,
-                f"{100 * f.rms:.2f} %",
-                share(f.worst),
-                f"{round(f.offset, 2) + 0.0:+.2f}" if f.offset else "–",
-            )
-            for n, f in sensor.linearity
-        ],
     }
 
 
@@ -101,7 +92,7 @@ def draw_transfer(channels: dict[str, PhotonTransfer]) -> str:
     axes = figure.subplots()
     for i, (name, found) in enumerate(drawn.items()):
         ink = themed(_ink(i, name))
-        quiet = found.dark_noise.value if found.dark_noise else 0.0
+        quiet = found.dark_noise or 0.0
         axes.axline((0.0, (quiet * found.gain.value) ** 2), slope=found.gain.value, color=ink)
         signal, variance = np.array(found.points).T[:2]
         mark = MARKS[i % len(MARKS)]
@@ -116,7 +107,7 @@ def draw_transfer(channels: dict[str, PhotonTransfer]) -> str:
 def draw_snr(channels: dict[str, PhotonTransfer]) -> str:
     """Return SNR over exposure as SVG: solid as raw frames have it, dashed after the flat field."""
     drawn = {
-        name: (f, f.full_well.value)
+        name: (f, f.full_well)
         for name, f in channels.items()
         if f.dark_noise is not None and f.full_well is not None
     }
@@ -125,9 +116,9 @@ def draw_snr(channels: dict[str, PhotonTransfer]) -> str:
     figure = new_figure()
     axes = figure.subplots()
     for i, (name, (found, well)) in enumerate(drawn.items()):
-        read = found.dark_noise.value if found.dark_noise else 0.0
+        read = found.dark_noise or 0.0
         exposure = np.geomspace(1, well, 80)
-        for prnu, dash in ((found.prnu.value if found.prnu else 0.0, "-"), (0.0, "--")):
+        for prnu, dash in ((found.prnu or 0.0, "-"), (0.0, "--")):
             snr = snr_db(exposure, Sensor(dark=0, read=read, prnu=prnu, dsnu=0))
             label = name if dash == "-" and name else None
             axes.plot(exposure, snr, dash, color=themed(_ink(i, name)), label=label)

@@ -98,7 +98,6 @@ def scale_of(
 
     Parameters
     ----------
-    files : sequence of Path
     facts : Facts
         Of the first.
     bits : int, optional

@@ -65,7 +65,6 @@ class Reading:
 
     Parameters
     ----------
-    channel : str
     mean, peak : float
         Of the middle of the field's brightest half, and the 99.9th percentile.
     unevenness : float

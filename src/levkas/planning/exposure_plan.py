@@ -74,7 +74,6 @@ def plan_exposure(setup: StudioSetup, name: str | None = None) -> list[CameraExp
 
     Parameters
     ----------
-    setup : StudioSetup
     name : str, optional
         Of the lighting; the first without one.
 

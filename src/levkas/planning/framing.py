@@ -75,7 +75,6 @@ def diffraction_mtf(
         As set on the lens.
     m : float
         Magnification.
-    pitch_um : float
 
     Returns
     -------

@@ -93,7 +93,6 @@ def plan_light(setup: StudioSetup, name: str | None = None, *, columns: int = 61
 
     Parameters
     ----------
-    setup : StudioSetup
     name : str, optional
         Of the lighting; the first without one.
     columns : int
@@ -202,9 +201,6 @@ def glare(
 
     Parameters
     ----------
-    thing : StudioObjectKeys
-    surface : Surface
-    lighting : Lighting
     eye : ndarray, (3,)
         Where the camera stands, mm.
     sheets : Sheets

@@ -55,8 +55,6 @@ class Optimum:
 
     Parameters
     ----------
-    angle_deg : float
-    cost : float
     values : dict of str to float
         What each criterion measures there.
     reasons : tuple of str

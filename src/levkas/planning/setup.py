@@ -200,7 +200,6 @@ def light_of(lamp: StudioLamp, points: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
     Parameters
     ----------
-    lamp : StudioLamp
     points : ndarray, (..., 3), mm
 
     Returns
@@ -226,7 +225,6 @@ def illuminate(lamps: Iterable[StudioLamp], points: np.ndarray, normals: np.ndar
 
     Parameters
     ----------
-    lamps : iterable of StudioLamp
     points, normals : ndarray, (..., 3)
         mm; unit vectors.
 

@@ -30,7 +30,6 @@ class Spectrum:
 
     Parameters
     ----------
-    name : str
     values : ndarray, (n,)
         At `GRID`: relative power, or transmittance 0 to 1; 0 outside `known` for light, the last
         value held for a filter.
@@ -115,7 +114,6 @@ def read_spectrum(name: str, keys: SpectrumKeys, root: Path, *, file: str) -> Sp
 
     Parameters
     ----------
-    name : str
     keys : SpectrumKeys
         Exactly one of `planck_k`, `cie`, `csv`, `transmittance`.
     root : path

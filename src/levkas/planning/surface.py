@@ -40,7 +40,6 @@ def sample_surface(thing: StudioObjectKeys, columns: int = 61) -> Surface:
 
     Parameters
     ----------
-    thing : StudioObjectKeys
     columns : int
         Along the width; rows keep the spacing.
 
@@ -87,7 +86,6 @@ def shading_contrast(lamps: Sequence[StudioLamp], slope: float) -> float:
 
     Parameters
     ----------
-    lamps : sequence of StudioLamp
     slope : float
         Root mean square of the relief's slope along any direction.
 

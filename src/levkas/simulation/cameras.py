@@ -38,13 +38,8 @@ class CameraModel:
     ----------
     name, kind : str
         As in campaign.toml.
-    width, height : int
-    distance_mm : float
-    bands : tuple of BandModel
-    sensors : tuple of SensorModel
     radial, tangential : tuple of 2 floats
         Of the lens at half the image's width.
-    chromatic : ChromaticOptics
     blur : float
         Standard deviation of the optics in focus, px.
     defocus : float
@@ -320,7 +315,6 @@ class BandModel:
 
     Parameters
     ----------
-    label : str
     response : ndarray, (n,)
         Light times sensitivity at `pigments.WAVELENGTHS`, of sum 1.
     level : float

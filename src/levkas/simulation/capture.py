@@ -92,12 +92,10 @@ class SimulatedCamera:
 
     Parameters
     ----------
-    model : CameraModel
     root : int
         Seed of the campaign; fixed patterns and noise follow from it and the names.
     setup : str
         "" for the camera's own lighting.
-    supersampling : int
     """
 
     model: CameraModel
@@ -154,7 +152,6 @@ class SimulatedCamera:
         ----------
         target : str
             Its name: noise follows from it.
-        sight : Sight or None
         white : bool
             Without a sight: the white board, else the dark.
         """
@@ -259,8 +256,6 @@ def fixed_pattern(
     Parameters
     ----------
     shape : (rows, columns)
-    sensor : Sensor
-    rng : Generator
     hot, dead : float
         Shares of sensels.
     """
@@ -283,8 +278,6 @@ def expose(
     ----------
     exposure : ndarray, (rows, columns), float32
         Mean photo-electrons e of each sensel.
-    sensor : Sensor
-    pattern : FixedPattern
     seed : ndarray, (1,), uint64
         What `key` returns; one a frame.
 

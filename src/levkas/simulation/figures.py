@@ -291,7 +291,6 @@ def paint_folds(
 
     Parameters
     ----------
-    canvas : Canvas
     garment : ndarray, uint8
         Mask.
     paints : (base, light, dark)

@@ -52,7 +52,6 @@ def paint_icon(
 
     Parameters
     ----------
-    panel : Panel
     px_per_mm : float
         Fineness; shapes and grain are the same at any.
     rng : Generator
@@ -347,7 +346,6 @@ def age(canvas: Canvas, *, field: np.ndarray) -> None:
 
     Parameters
     ----------
-    canvas : Canvas
     field : ndarray, (n, 2), mm
         Outline of the lowered centre; the border around it wears faster.
     """

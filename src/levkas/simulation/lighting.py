@@ -68,7 +68,6 @@ class SimulatedLighting:
 
     Parameters
     ----------
-    lamps : tuple of SimulatedLamp
     crossed : bool
         Sheet polarisers before lamps and camera, crossed.
     illuminant : str
@@ -178,8 +177,6 @@ def compose(
 
     Parameters
     ----------
-    painting : Painting
-    lit : SimulatedLight
     response : ndarray, (n,)
         Light times sensitivity at `wavelengths`, of sum 1.
     wavelengths : ndarray, (n,), nm

@@ -69,7 +69,6 @@ class Viewpoint:
         Principal point and centre of the lens, base px.
     spread : float
         px at which `radial` and `tangential` are quoted, as in `transforms.Lens`.
-    radial, tangential : tuple of 2 floats
     motion : tuple of 3 floats, or None
         Direction in which a line scanner travels, world; None for a frame camera.
     step_mm : float
@@ -153,7 +152,6 @@ def band_to_base(
 
     Parameters
     ----------
-    view : Viewpoint
     chromatic : tuple
         What `Chromatic.at` returns.
     affine : ndarray, (2, 3)

@@ -43,7 +43,6 @@ class Painting:
         Height of the surface's texture, µm; for light and gloss, too flat to displace anything.
     gloss : float
         Share of the varnish's mirror reflection that the surface has: 1 varnished, 0 matte.
-    px_per_mm : float
     names : tuple of str
         Of the paints.
     facets : (gold, varnish)
@@ -88,10 +87,8 @@ def make_uneven(painting: Painting, lean_deg: float, rng: np.random.Generator) -
 
     Parameters
     ----------
-    painting : Painting
     lean_deg : float
         Along any direction, root mean square, degrees.
-    rng : Generator
 
     Returns
     -------
@@ -110,10 +107,8 @@ class Canvas:
     ----------
     width, height : float
         mm.
-    px_per_mm : float
     paints : tuple of str
         Keys of `pigments.PAINTS`; the first covers all to begin with.
-    rng : Generator
     """
 
     def __init__(
@@ -396,11 +391,8 @@ def grain(
     Parameters
     ----------
     shape : (rows, columns)
-    px_per_mm : float
     spacing : (x, y)
         Distance of the nodes of the coarsest octave, mm; unequal for streaks.
-    rng : Generator
-    octaves : int
     fall : float
         Amplitude of an octave over that of the coarser one.
 

@@ -218,7 +218,6 @@ def paint_spectra(
 
     Parameters
     ----------
-    paints : sequence of str
     wavelengths : ndarray, (n,), nm
     pigments : mapping
         Of the painting's workshop, keys as of `PIGMENTS`.

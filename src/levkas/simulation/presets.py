@@ -34,7 +34,6 @@ class Preset:
         Spread of how cameras stand and paintings lie.
     depth_mm, radius_mm : (least, most)
         Of the panel.
-    bevel_mm, twist_mm : float
     full_well : float, optional
         Electrons of all sensors; few for much noise.
     scanner_turn_deg : float
@@ -128,7 +127,6 @@ def choose_tiles(
 
     Parameters
     ----------
-    models : dict of str to CameraModel
     tiles : str or sequence of str, optional
         ``"3x4"``: rows and columns of every camera that takes frames; ``"d80=3x4"``: of one, ``"v10=1x3"``: passes of the line scanner.
     overlap : float

@@ -29,7 +29,6 @@ class Texture:
     ----------
     values : ndarray, (rows, columns), float32
         Sampled over the board from its corner (−width/2, −height/2); interpolated linearly.
-    px_per_mm : float
     """
 
     values: np.ndarray
@@ -44,8 +43,6 @@ class RayLattice:
     ----------
     points : ndarray, (height + 2 PAD + 1, width + 2 PAD + 1, 2), float32
         (s, t) in mm at integer base pixels, the first at (−PAD, −PAD).
-    view : Viewpoint
-    panel : Panel
     """
 
     points: np.ndarray
@@ -111,8 +108,6 @@ def render(
 
     Parameters
     ----------
-    texture : Texture
-    lattice : RayLattice
     matrix, bow : ndarray (2, 3), float
         Native pixels of the band → base pixels, as `optics.band_to_base` returns them.
     surroundings : float

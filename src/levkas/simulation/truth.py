@@ -44,8 +44,6 @@ class CameraGeometry:
     ----------
     width, height : int
         Native pixels of each sensor.
-    bands : tuple of BandGeometry
-    chromatic : ChromaticOptics
     sensors : dict of str to ndarray, (2, 3)
         Pixels of the first sensor → this one.
     """
@@ -78,7 +76,6 @@ class SimulatedTruth:
         (camera, band).
     panels : dict of str to Panel
         By object.
-    cameras : dict of str to CameraGeometry
     views : dict of str to dict of str to View
         By object, then camera.
 

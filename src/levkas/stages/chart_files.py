@@ -45,7 +45,6 @@ class Subject(NamedTuple):
     quantity: str = "reflectance"
     top: float | None = None
     edges: Mapping[str, tuple[EdgePlace, ...]] = MappingProxyType({})
-    on_grid: bool = False
     note: str = ""
 
     def read(self, path: Path) -> CubeFile:
@@ -115,7 +114,7 @@ def subjects_of(
         native = _native_files(database, entry) if both else {}
         note = NO_NATIVE if both and not native else ""
         facts = bool(objects), entry.quantity, top
-        yield Subject(name, chart, {"": file}, *facts, on_grid=True, note=note)
+        yield Subject(name, chart, {"": file}, *facts, note=note)
         if native:
             name = f"{name}, native pixels"
             yield Subject(name, chart, native, True, entry.quantity, top)

@@ -473,8 +473,6 @@ def _notes(fitted: SensorLight, record: Mapping[str, Any], reference: ChartRefer
             f"the chart differs from its spectra by {held:.2g} rms in {worst}: check for glare, "
             "another chart, or a wrong wavelength"
         )
-    if reference.note:
-        notes.append(f"chart: {reference.note}")
     alike: dict[tuple[str, str], list[str]] = {}
     for label, why in fitted.why.items():
         alike.setdefault((why, fitted.light_of[label]), []).append(label)

@@ -27,7 +27,6 @@ from levkas.quality.targets.edges import (
     EdgePlace,
     EdgeTargetMeasure,
     join_findings,
-    layer_rows,
     measure_named,
 )
 from levkas.quality.targets.indicators import IndicatorRow, WhiteEvenness
@@ -156,19 +155,16 @@ def _measure_cubes(
     edges: Sequence[EdgePlace] = (),
 ) -> ChartReport:
     """Measure charts in calibrated cubes; a layer that need not hold one is passed over without."""
-    on_grid: list[ChartMeasure | EdgeTargetMeasure] = []
     for subject in subjects:
         file = str(next(iter(subject.files.values())))
         try:
             measured = _measure_subject(subject, corners, reference, tuple(edges))
             report.measures.append(measured)
-            on_grid += [measured] * subject.on_grid
             report.problems.extend(replace(p, file=p.file or file) for p in measured.edges.problems)
         except Refused as refused:
             if not subject.certain and all(p.code in NOT_FOUND for p in refused.problems):
                 continue
             report.problems.extend(replace(p, file=p.file or file) for p in refused.problems)
-    report.between_layers.extend(layer_rows(on_grid))
     return report
 
 
@@ -503,8 +499,6 @@ class ChartReport:
 
     measures: list[ChartMeasure | EdgeTargetMeasure] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
-    between_layers: list[IndicatorRow] = field(default_factory=list)
-    """Shifts between the layers of an object on the grid, at edges that were given."""
 
     @property
     def ok(self) -> bool:
@@ -514,15 +508,11 @@ class ChartReport:
     @property
     def text(self) -> str:
         """What a person wants to know."""
-        lines = [line for m in self.measures for line in _lines(m)]
-        return "\n".join(lines + [_row_line(row) for row in self.between_layers])
+        return "\n".join(line for m in self.measures for line in _lines(m))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields of `chart --json`."""
-        return {
-            "charts": [m.to_dict() for m in self.measures],
-            "between_layers": [row.to_dict() for row in self.between_layers],
-        }
+        return {"charts": [m.to_dict() for m in self.measures]}
 
     def page(self, title: str) -> str:
         """Return a report page as HTML."""
@@ -534,7 +524,7 @@ class ChartReport:
             CameraReport(
                 title=title,
                 subtitle="Charts: signal, noise and colour",
-                charts=[describe_chart(m, self.between_layers) for m in self.measures],
+                charts=[describe_chart(m) for m in self.measures],
                 problems=[{"code": p.code, "text": str(p)} for p in self.problems],
                 footer=f"Levkas {__version__}. Coordinates are in native pixels.",
             )

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from levkas.core.cube import Flag
 from levkas.quality.image_quality.dynamic_range import scene_ranges, sensor_stops
 from levkas.quality.image_quality.glare import Glare, find_glare, flag_glare, mark_glare
-from levkas.quality.image_quality.light import choose_places
 from levkas.quality.image_quality.sharpness import band_sharpness, edge_blur
 
 
@@ -24,12 +24,6 @@ def test_paint_is_no_glare_and_not_lifted():
     brighter = paint * np.float32(1.13)  # lamps at another angle: the Fresnel loss of varnish
     found = find_glare(brighter, clear(paint), other=(paint, clear(paint)))
     assert not found.mask.any() and not found.lifted.any()
-
-
-def test_white_paint_that_leans_towards_a_lamp_is_no_glare():
-    lean = np.radians(20)
-    paint = np.full((4, 4, 3), 0.9 * (np.cos(lean) + np.sin(lean)), np.float32)
-    assert paint.max() > 1.1 and not find_glare(paint, clear(paint)).mask.any()
 
 
 def test_what_is_added_to_all_bands_is_lifted_and_what_follows_the_paint_is_not():
@@ -62,14 +56,6 @@ def test_brighter_than_paint_in_any_band_is_glare_beyond_the_noise():
     sigma[0, 3] = 0.05
     found = find_glare(paint, clear(paint), sigma)
     assert found.bright.tolist() == [[False, True, True, False]]
-
-
-def test_rows_are_judged_as_the_whole_is():
-    paint = painting() * 1.6
-    flags = np.where(painting(2) > 0.7, np.uint8(Flag.SATURATED), np.uint8(0))
-    whole = find_glare(paint, flags).mask
-    parts = [find_glare(paint[y : y + 7], flags[y : y + 7]).mask for y in range(0, 60, 7)]
-    assert whole.any() and np.array_equal(np.concatenate(parts), whole)
 
 
 def test_the_flag_is_set_in_every_band_and_leaves_others():
@@ -107,19 +93,8 @@ def test_range_of_a_scene_is_what_was_planted_and_noise_is_its_floor():
     assert np.isnan(sensor_stops(100, 0.0))
 
 
-def test_range_of_codes_ends_at_the_noise_of_their_rounding():
-    rng = np.random.default_rng(8)
-    picture = np.clip(255 * rng.random((200, 200, 1)) ** 6, 1e-3, 255)  # as interpolation leaves it
-    flags = np.zeros(picture.shape, np.uint8)
-    (free,) = scene_ranges(picture, flags, None, ["G"])
-    (codes,) = scene_ranges(picture, flags, None, ["G"], counts=True)
-    assert free.stops > 15 and codes.stops == pytest.approx(np.log2(255 * 12**0.5), abs=0.1)
-
-
 @pytest.mark.parametrize("blur", [0.8, 1.5, 3.0])
 def test_blur_of_edges_is_what_was_planted_whatever_the_contrast(blur):
-    from scipy.ndimage import gaussian_filter
-
     rng = np.random.default_rng(3)
     scene = gaussian_filter(np.kron(rng.random((20, 20)), np.ones((24, 24))), blur)
     # A pixel's own width adds a twelfth to the square.
@@ -130,8 +105,6 @@ def test_blur_of_edges_is_what_was_planted_whatever_the_contrast(blur):
 
 
 def test_the_band_out_of_focus_is_the_softest_and_noise_has_no_focus():
-    from scipy.ndimage import gaussian_filter
-
     rng = np.random.default_rng(4)
     scene = np.kron(rng.random((16, 16)), np.ones((24, 24)))
     stack = np.stack(
@@ -141,10 +114,8 @@ def test_the_band_out_of_focus_is_the_softest_and_noise_has_no_focus():
     assert soft.blur_px > 2 * sharp.blur_px and np.isnan(noise.blur_px)
 
 
-@pytest.mark.parametrize("blur", [0.45, 0.8, 1.5])
+@pytest.mark.parametrize("blur", [0.45, 1.5])
 def test_thin_lines_do_not_look_sharper_than_the_lens(blur):
-    from scipy.ndimage import gaussian_filter
-
     rng, fine = np.random.default_rng(6), 4
     size = 384 * fine
     scene = np.kron(rng.random((8, 8)), np.ones((size // 8, size // 8)))
@@ -158,27 +129,3 @@ def test_thin_lines_do_not_look_sharper_than_the_lens(blur):
     found, edges = edge_blur(observed)
     # Without the choice of steps the sharpest one came out at the floor, 0.25 px.
     assert edges >= 50 and found == pytest.approx(np.sqrt(blur**2 + 1 / 12), abs=0.25)
-
-
-def test_edges_of_glare_do_not_count_for_focus():
-    from scipy.ndimage import gaussian_filter
-
-    rng = np.random.default_rng(7)
-    scene = gaussian_filter(np.kron(rng.random((16, 16)), np.ones((24, 24))), 0.8)
-    glare = gaussian_filter((rng.random((16, 16)) > 0.8).repeat(24, 0).repeat(24, 1) * 8.0, 3)
-    observed = (scene + glare)[..., None]
-    (fooled,) = band_sharpness(observed, ["G"])
-    (found,) = band_sharpness(observed, ["G"], left_out=glare[..., None] > 1)
-    assert fooled.blur_px > 2 and found.blur_px == pytest.approx(0.85, rel=0.1)
-
-
-def test_close_ups_are_where_lightings_differ_and_never_lap_over():
-    rng = np.random.default_rng(5)
-    first = np.repeat(rng.integers(0, 90, (200, 240, 1), np.uint8), 3, 2)
-    second = first.copy()
-    second[100:150, 20:70] = 255
-    side, corners = choose_places([first, second])
-    x, y = corners[0]
-    assert x <= 45 < x + side and y <= 125 < y + side
-    for i, (a, b) in enumerate(corners):
-        assert all(max(abs(a - c), abs(b - d)) >= side for c, d in corners[:i])

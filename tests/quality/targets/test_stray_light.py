@@ -8,12 +8,7 @@ from scipy.signal import fftconvolve
 
 from levkas.core.cube import Band, Cube
 from levkas.quality.targets.charts import chart_of, reference_of
-from levkas.quality.targets.stray_light import (
-    describe_stray_light,
-    describe_trap,
-    measure_stray_light,
-    stray_light_of_trap,
-)
+from levkas.quality.targets.stray_light import measure_stray_light, stray_light_of_trap
 
 CLASSIC = chart_of("ColorChecker24")
 NM = np.array([450.0, 550.0, 650.0])
@@ -42,14 +37,13 @@ def test_light_that_lies_on_all_patches_is_measured_and_named(share):
         np.mean(np.abs(shares - share / (1 + share)) < 2 * np.array([one.errors for one in found]))
         > 0.9
     )
-    words = [describe_stray_light(one, BANDS) for one in found]
-    assert np.mean([("lifted" if share > 0 else "lowered") in text for text in words]) > 0.95
+    assert np.mean([one.worst is not None for one in found]) > 0.95
 
 
 def test_other_charts_and_whites_of_another_reflectance_are_no_stray_light():
     for seed in range(50):
         stray = measure_stray_light(one_chart(seed, scale=0.9), NM, CLASSIC, reference_of(CLASSIC))
-        assert describe_stray_light(stray, BANDS) == ""
+        assert stray.worst is None
 
 
 def test_a_broad_channel_is_compared_with_the_mean_of_the_greys_and_infrared_with_nothing():
@@ -80,13 +74,3 @@ def strayed(x, share, reach, power):
     fall = np.exp(-r) if power is None else (1 + r**2) ** (-power / 2)
     light, weight = (fftconvolve(a, fall, "same") for a in (x, np.ones(x.shape)))
     return (1 - share) * x + share * light / weight
-
-
-def test_a_trap_in_what_has_no_stray_light_shows_none():
-    x = np.kron(np.random.default_rng(4).uniform(0.02, 0.9, (8, 10)), np.ones((20, 20)))
-    x[60:80, 80:100] = 0.0
-    shot = (x + 0.003 * np.random.default_rng(5).standard_normal(x.shape))[..., None]
-    cube = Cube(shot.astype(np.float32), np.zeros(shot.shape, np.uint8), None, BANDS[:1])
-    found = stray_light_of_trap(cube, [(82, 62, 16, 16)])
-    assert abs(found.shares[0]) < 3 * found.errors[0]
-    assert describe_trap(found.to_dict(BANDS[:1])) == ""

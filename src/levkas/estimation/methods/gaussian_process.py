@@ -41,7 +41,6 @@ class GaussianProcessModel:
 
     Parameters
     ----------
-    kernel : Kernel
     noise : float
         λ, in units of the kernel.
     anchors : ndarray, (n, channels)

@@ -62,11 +62,9 @@ class KernelModel:
 
     Parameters
     ----------
-    kernel : Kernel
     anchors : ndarray, (anchors, channels)
     coefficients : ndarray, (anchors, bands)
     offset : ndarray, (bands,)
-    ridge : float
     """
 
     kernel: Kernel
@@ -111,7 +109,6 @@ def fit_kernel_ridge(
 
     Parameters
     ----------
-    training : Training
     rng : numpy Generator
         Draws the first of the farthest points.
     length, ridge : float, optional

@@ -31,8 +31,6 @@ class Blocks:
         Mean variance of one shot over time, without what the lamp does to all pixels alike, counts².
     spatial : ndarray, (n,)
         Variance of the stack's mean about a plane, counts².
-    shots : int
-    exposure_s : float, optional
     band : str, optional
         Of a tunable filter, which may have a dark for each band.
     """
@@ -52,7 +50,6 @@ def block_statistics(
     drift: Drift | None = None,
     dark: float = 0.0,
     clipped: bool = False,
-    side: int = SIDE,
 ) -> dict[str, Blocks]:
     """Reduce a stack to blocks, channel by channel.
 
@@ -68,8 +65,6 @@ def block_statistics(
         Counts without light, for that.
     clipped : bool
         Use blocks with pixels at black, too.
-    side : int
-        Of a block, in pixels of one phase.
 
     Returns
     -------
@@ -85,7 +80,7 @@ def block_statistics(
     shared = common_variance(drift.scales) if drift is not None else 0.0
     found: dict[str, list[np.ndarray]] = {name: [] for name in names}
     for channel, mean, spread, marks in zip(which, *planes, strict=True):
-        found[names[channel]].append(_phase(mean, spread, marks, side, stack.count))
+        found[names[channel]].append(_phase(mean, spread, marks, stack.count))
     blocks = {}
     for name, phases in found.items():
         mean, temporal, spatial = np.concatenate(phases, axis=1)
@@ -105,11 +100,11 @@ def cut_blocks(plane: np.ndarray, side: int) -> np.ndarray:
     return whole.transpose(0, 2, 1, 3).reshape(high * wide, side * side)
 
 
-def without_plane(plane: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean of each block, (n,), and what a fitted plane leaves of its pixels, (n, side²)."""
-    pixels = cut_blocks(plane, side).astype(np.float64)
-    ramp = (np.arange(side) - (side - 1) / 2).repeat(side)
-    across = ramp.reshape(side, side).T.ravel()
+def without_plane(plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean of each block, (n,), and what a fitted plane leaves of its pixels, (n, SIDE²)."""
+    pixels = cut_blocks(plane, SIDE).astype(np.float64)
+    ramp = (np.arange(SIDE) - (SIDE - 1) / 2).repeat(SIDE)
+    across = ramp.reshape(SIDE, SIDE).T.ravel()
     centre = pixels.mean(1)
     rest = pixels - centre[:, None]
     for slope in (ramp, across):
@@ -117,16 +112,14 @@ def without_plane(plane: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]
     return centre, rest
 
 
-def _phase(
-    mean: np.ndarray, variance: np.ndarray, bad: np.ndarray, side: int, shots: int
-) -> np.ndarray:
+def _phase(mean: np.ndarray, variance: np.ndarray, bad: np.ndarray, shots: int) -> np.ndarray:
     """Return mean, temporal and spatial variance of each block, (3, n)."""
-    centre, rest = without_plane(mean, side)
-    spatial = np.sum(rest**2, 1) / (side * side - 3)
-    over_time = cut_blocks(variance, side).mean(1, dtype=np.float64)
+    centre, rest = without_plane(mean)
+    spatial = np.sum(rest**2, 1) / (SIDE * SIDE - 3)
+    over_time = cut_blocks(variance, SIDE).mean(1, dtype=np.float64)
     usual = np.sqrt(_typical(spatial))
     stray = np.abs(rest).max(1) > STRAY * np.maximum(usual, 0.3 / np.sqrt(shots))
-    lost = cut_blocks(bad, side).any(1)
+    lost = cut_blocks(bad, SIDE).any(1)
     spatial[stray] = np.nan
     found = np.stack([centre, over_time, spatial])
     found[:, lost | ~np.isfinite(centre)] = np.nan

@@ -19,9 +19,6 @@ class Dark:
     ----------
     level, temporal, fixed : ndarray, (blocks,), or float
         Mean, variance of one shot with rounding, variance from sensel to sensel; NaN if not known.
-    exposure_s : float, optional
-    spread : ndarray, (blocks,), or float
-        Of a single shot: variance from sensel to sensel, noise over time included.
     band : str, optional
         Of a tunable filter; None: it serves all.
     """
@@ -30,7 +27,6 @@ class Dark:
     temporal: np.ndarray | float
     fixed: np.ndarray | float
     exposure_s: float | None = None
-    spread: np.ndarray | float = float("nan")
     band: str | None = None
 
     @classmethod
@@ -38,39 +34,20 @@ class Dark:
         """Return a dark that was not clipped, without the blocks that hold hot sensels."""
         sound = np.where(np.isfinite(blocks.spatial), 0.0, np.nan)
         fixed = blocks.spatial - blocks.temporal / blocks.shots
-        spread = blocks.spatial if blocks.shots == 1 else float("nan")
         level, temporal = blocks.mean + sound, blocks.temporal + sound
-        return cls(level, temporal, fixed, blocks.exposure_s, spread=spread, band=blocks.band)
+        return cls(level, temporal, fixed, blocks.exposure_s, blocks.band)
 
 
-def model_darks(darks: Sequence[Dark]) -> DarkModel:
-    """Return the level and fixed pattern without light over exposures, of all blocks alike."""
-    return DarkModel([DrawnDark(dark, np.ones(np.size(dark.level))) for dark in darks])
+def mean_of(values: np.ndarray | float) -> float:
+    """Return the mean over blocks that are known; NaN where none is."""
+    known = np.atleast_1d(values)[np.isfinite(np.atleast_1d(values))]
+    return float(known.mean()) if known.size else float("nan")
 
 
-class DrawnDark:
-    """One dark in one draw of the bootstrap: weighted means, and its level block by block."""
-
-    def __init__(self, dark: Dark, weights: np.ndarray) -> None:
-        self.spread = _mean(dark.spread, weights)
-        parts = (dark.level, dark.temporal, dark.fixed)
-        self.level, self.temporal, self.fixed = (_mean(part, weights) for part in parts)
-        self.under = dark.level if isinstance(dark.level, np.ndarray) else self.level
-        self.exposure_s = dark.exposure_s
-        self.band = dark.band
-
-
-def _mean(values: np.ndarray | float, weights: np.ndarray) -> float:
-    if not isinstance(values, np.ndarray):
-        return float(values)
-    known = np.isfinite(values) & (weights > 0)
-    return float(np.average(values[known], weights=weights[known])) if known.any() else np.nan
-
-
-def dark_line(darks: Sequence[DrawnDark]) -> tuple[float, float]:
+def dark_line(darks: Sequence[Dark]) -> tuple[float, float]:
     """Return black at no time and counts a second; NaN a second where times do not differ by half."""
     times = np.array([d.exposure_s if d.exposure_s else np.nan for d in darks])
-    level = np.array([d.level for d in darks])
+    level = np.array([mean_of(d.level) for d in darks])
     known = np.isfinite(times) & np.isfinite(level)
     if np.count_nonzero(known) < 2 or times[known].max() < 2 * times[known].min():
         return float(level[0]), float("nan")
@@ -84,25 +61,21 @@ class DarkModel:
     Level = black + current·t, and the fixed pattern's variance = a + b·t², as current differs from sensel
     to sensel.
 
-    Parameters
-    ----------
-    darks : sequence of DrawnDark
-
     Attributes
     ----------
-    first : DrawnDark
+    first : Dark
         The shortest whose noise over time is known, else the shortest.
     black, current : float
         Counts at no time, counts a second; NaN a second where the exposures are too alike.
     """
 
-    def __init__(self, darks: Sequence[DrawnDark]) -> None:
+    def __init__(self, darks: Sequence[Dark]) -> None:
         self.darks = sorted(darks, key=lambda dark: dark.exposure_s or 0.0)
-        noisy = (dark for dark in self.darks if np.isfinite(dark.temporal))
+        noisy = (dark for dark in self.darks if np.isfinite(mean_of(dark.temporal)))
         self.first = next(noisy, self.darks[0])
         self.black, self.current = dark_line(self.darks)
 
-    def own(self, band: str | None, exposure_s: float | None) -> DrawnDark | None:
+    def own(self, band: str | None, exposure_s: float | None) -> Dark | None:
         """Return the dark of an exposure: of the band, else one that serves all, else of another band."""
         alike = [d for d in self.darks if same_time(d.exposure_s, exposure_s)]
         order = {band: 0, None: 1}
@@ -118,11 +91,11 @@ class DarkModel:
         """Return the counts without light, block by block or as one."""
         own = self.own(band, exposure_s)
         if own is not None:
-            return own.under
+            return own.level
         near = self._nearest(self.darks, band, exposure_s)
         rest = ((exposure_s or 0.0) - (near.exposure_s or 0.0)) * self.current
         timed = exposure_s and near.exposure_s and np.isfinite(rest)
-        return near.under + (rest if timed else 0.0)
+        return near.level + (rest if timed else 0.0)
 
     def signal(self, stack: Blocks) -> np.ndarray:
         """Return the counts above dark of a stack, block by block."""
@@ -133,27 +106,25 @@ class DarkModel:
         times = (stack.exposure_s, self.first.exposure_s)
         if not all(times) or same_time(*times):
             return 0.0
-        return _mean_of(self.under(stack.band, stack.exposure_s)) - self.first.level
+        return mean_of(self.under(stack.band, stack.exposure_s)) - mean_of(self.first.level)
 
     def fixed(self, stack: Blocks) -> float:
         """Return the variance from sensel to sensel without light; 0 where no dark shows it."""
-        known = [d for d in self.darks if np.isfinite(d.fixed)]
+        known = [d for d in self.darks if np.isfinite(mean_of(d.fixed))]
         if not known:
             return 0.0
         near = self._nearest(known, stack.band, stack.exposure_s)
         squares = [d.exposure_s**2 for d in known if d.exposure_s]
         alone = len(squares) < len(known) or max(squares) < 4 * min(squares)
         if alone or not stack.exposure_s or same_time(near.exposure_s, stack.exposure_s):
-            return near.fixed
-        slope, start = np.polyfit(squares, [d.fixed for d in known], 1)
+            return mean_of(near.fixed)
+        slope, start = np.polyfit(squares, [mean_of(d.fixed) for d in known], 1)
         return max(float(start + slope * stack.exposure_s**2), 0.0)
 
-    def _nearest(
-        self, darks: Sequence[DrawnDark], band: str | None, exposure_s: float | None
-    ) -> DrawnDark:
+    def _nearest(self, darks: Sequence[Dark], band: str | None, exposure_s: float | None) -> Dark:
         order = {band: 0, None: 1}
 
-        def apart(dark: DrawnDark) -> tuple[float, int]:
+        def apart(dark: Dark) -> tuple[float, int]:
             if not dark.exposure_s or not exposure_s:
                 return 0.0, order.get(dark.band, 2)
             return abs(float(np.log(dark.exposure_s / exposure_s))), order.get(dark.band, 2)
@@ -168,7 +139,3 @@ def same_time(one: float | None, other: float | None) -> bool:
     (True, False)
     """
     return bool(one and other) and abs(float(one) / float(other) - 1) <= SAME_TIME  # type: ignore[arg-type]
-
-
-def _mean_of(values: np.ndarray | float) -> float:
-    return float(np.nanmean(values))

@@ -2,13 +2,14 @@
 
 Noise over time grows with the light, var = K·(mean − dark) + var of the dark, so that its slope K is
 counts per electron and turns all else into electrons. What stays from shot to shot is fixed pattern:
-DSNU in the dark, PRNU in the light. Intervals are those of a bootstrap over blocks of pixels.
+DSNU in the dark, PRNU in the light. The interval of the gain is that of a bootstrap over blocks of pixels.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from levkas.calibration.code_spacing import Levels
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.problems import Problem
 from levkas.quality.emva1288.blocks import Blocks
-from levkas.quality.emva1288.darks import Dark, DarkModel, DrawnDark, model_darks
+from levkas.quality.emva1288.darks import Dark, DarkModel, mean_of
 
 DRAWS = 200
 LEAST_QUANTISED = 0.24  # counts²: below it EMVA 1288 takes rounding for the noise
@@ -52,41 +53,40 @@ class PhotonTransfer:
     ----------
     gain : Interval
         Counts per electron: EMVA's overall system gain K.
-    black : Interval
+    black : float
         Counts of a dark, at no time where the darks have several.
-    dark_noise : Interval, optional
+    dark_noise : float, optional
         Temporal dark noise, electrons, rounding taken out; at no time where the darks have several.
-    dark_current : Interval, optional
+    dark_current : float, optional
         Electrons a second.
-    dsnu : Interval, optional
+    dsnu : float, optional
         Electrons: EMVA's DSNU₁₂₈₈, of the shortest dark.
-    prnu : Interval, optional
+    prnu : float, optional
         Share of the signal: PRNU₁₂₈₈. Texture of the white counts.
-    full_well : Interval, optional
+    full_well : float, optional
         Electrons at saturation: the saturation capacity.
-    linearity_error : Interval, optional
+    linearity_error : float, optional
         Deviation from EMVA's line, rms over 5–95 % of saturation, relative.
-    dynamic_range : Interval, optional
+    dynamic_range : float, optional
         Full well over the signal whose SNR is one.
-    snr : Interval, optional
+    snr : float, optional
         At saturation, shot noise alone: the root of the full well.
     levels : int
         Stacks of light that took part.
-    notes : tuple of str
     points : tuple of (signal, variance)
         Of the photon transfer curve, counts above dark and counts², rounding taken out.
     """
 
     gain: Interval
-    black: Interval
-    dark_noise: Interval | None
-    dark_current: Interval | None
-    dsnu: Interval | None
-    prnu: Interval | None
-    full_well: Interval | None
-    linearity_error: Interval | None
-    dynamic_range: Interval | None
-    snr: Interval | None
+    black: float
+    dark_noise: float | None
+    dark_current: float | None
+    dsnu: float | None
+    prnu: float | None
+    full_well: float | None
+    linearity_error: float | None
+    dynamic_range: float | None
+    snr: float | None
     levels: int
     notes: tuple[str, ...] = ()
     points: tuple[tuple[float, float], ...] = ()
@@ -121,7 +121,6 @@ def measure_sensor(
         Of the raw codes: rounding on a compression curve is taken out.
     reached : bool
         Whether any frame saturates; else the full well is a lower bound, with a note.
-    draws : int
 
     Returns
     -------
@@ -141,47 +140,55 @@ def measure_sensor(
     """
     lit = [*whites, *scenes]
     _check(darks, lit, saturation)
-    rounding = levels or Levels(0, 0, 0)
+    rounding, model = levels or Levels(0, 0, 0), DarkModel(darks)
+    dark_level, dark_variance = mean_of(model.first.level), mean_of(model.first.temporal)
+    room = saturation - model.black
+    points = _transfer(lit, model, room, rounding)
+    quiet = dark_variance - float(rounding.quantisation(dark_level))
     count = len(lit[0].mean)
-
-    def draw(weights: np.ndarray) -> dict[str, float]:
-        return estimate(darks, whites, scenes, saturation, rounding, weights)
-
-    best = draw(np.ones(count))
-    if not best["gain"] > 0:
+    gain, quiet, known = _gain(points, quiet, np.ones(count))
+    if not gain > 0:
         raise _refusal(
             "E_NOISE",
             "noise over time does not grow with the light",
-            f"gain {best['gain']:.3g} DN/e⁻",
+            f"gain {gain:.3g} DN/e⁻",
             "more than 0",
             "Capture an evenly lit white twice at half of saturation, nothing moved, and two darks at its exposure.",
         )
-    drawn: dict[str, list[float]] = {name: [] for name in best}
-    for _ in range(draws):
-        weights = rng.multinomial(count, np.full(count, 1 / count)).astype(float)
-        for name, value in draw(weights).items():
-            drawn[name].append(value)
-    found = {name: _interval(value, drawn[name]) for name, value in best.items()}
-    notes = _notes(best, model_darks(darks), lit, whites, reached)
-    wanted = {f.name for f in fields(PhotonTransfer)}
-    given = {name: value for name, value in found.items() if name in wanted}
-    points = _points(darks, lit, rounding)
-    return PhotonTransfer(**given, levels=len(lit), notes=notes, points=points)  # type: ignore[arg-type]
-
-
-def without_full_scale(found: PhotonTransfer) -> PhotonTransfer:
-    """Return the measures without those that need the code at which a sensel is full."""
-    notes = tuple(note for note in found.notes if not note.startswith("no shot saturates"))
-    return replace(found, full_well=None, snr=None, dynamic_range=None, notes=notes)
+    drawn = [
+        _gain(points, quiet, rng.multinomial(count, np.full(count, 1 / count)).astype(float))[0]
+        for _ in range(draws)
+    ]
+    half = 1.96 * float(np.nanstd(drawn))
+    read = max(quiet - gain * (dark_level - model.black), 0.0)  # shot noise of the dark current
+    dark_noise = np.sqrt(read) / gain if known else np.nan
+    fixed, full_well = mean_of(model.first.fixed), room / gain
+    found = {
+        "dark_noise": dark_noise,
+        "dark_current": model.current / gain,
+        "dsnu": np.sqrt(max(fixed, 0.0)) / gain if np.isfinite(fixed) else np.nan,
+        "prnu": _prnu(whites, model, room),
+        "full_well": full_well,
+        "linearity_error": _linearity(whites, model, room),
+        "dynamic_range": full_well / (np.sqrt(dark_noise**2 + 0.25) + 0.5),
+        "snr": np.sqrt(max(full_well, 0.0)),
+    }
+    return PhotonTransfer(
+        Interval(gain, gain - half, gain + half),
+        model.black,
+        **{name: float(v) if np.isfinite(v) else None for name, v in found.items()},
+        levels=len(lit),
+        notes=_notes(dark_variance, model, lit, whites, reached),
+        points=_points(model, lit, rounding),
+    )
 
 
 def _points(
-    darks: Sequence[Dark], lit: Sequence[Blocks], rounding: Levels
+    model: DarkModel, lit: Sequence[Blocks], rounding: Levels
 ) -> tuple[tuple[float, float], ...]:
     """Return means of groups of blocks of like signal, dark current included, over all lit stacks."""
-    model = model_darks(darks)
     repeated = [b for b in lit if b.shots > 1]
-    above = model.first.level - model.black
+    above = mean_of(model.first.level) - model.black
     signal = np.concatenate([model.signal(b) + model.dark_signal(b) + above for b in repeated])
     variance = np.concatenate([b.temporal - rounding.quantisation(b.mean) for b in repeated])
     order = np.argsort(signal)
@@ -190,15 +197,8 @@ def _points(
     return tuple((float(signal[p].mean()), float(variance[p].mean())) for p in parts if len(p))
 
 
-def _interval(value: float, drawn: Sequence[float]) -> Interval | None:
-    if not np.isfinite(value):
-        return None
-    half = 1.96 * float(np.nanstd(drawn))
-    return Interval(value, value - half, value + half)
-
-
 def _notes(
-    best: dict[str, float],
+    dark_variance: float,
     model: DarkModel,
     lit: Sequence[Blocks],
     whites: Sequence[Blocks],
@@ -214,7 +214,7 @@ def _notes(
         )
     if not reached:
         notes.append("no shot saturates: the full well is what the converter's top code would hold")
-    if best["dark_variance"] < LEAST_QUANTISED:
+    if dark_variance < LEAST_QUANTISED:
         notes.append("rounding hides the noise in the dark: it is an upper bound (EMVA 1288, 6.6)")
     if whites and not any(np.isfinite(b.mean).any() for b in whites):
         notes.append("the white is saturated everywhere: capture it with its peak at 85 %")
@@ -309,68 +309,43 @@ def _refusal(code: str, message: str, found: object, expected: str, fix: str) ->
     return CalibrationRefused(Problem(code, message, found=found, expected=expected, fix=fix))
 
 
-def estimate(
-    darks: Sequence[Dark],
-    whites: Sequence[Blocks],
-    scenes: Sequence[Blocks],
-    saturation: float,
-    rounding: Levels,
-    weights: np.ndarray,
-) -> dict[str, float]:
-    """Return every number from blocks drawn `weights` times."""
-    model = DarkModel([DrawnDark(dark, weights) for dark in darks])
-    first, room = model.first, saturation - model.black
-    quiet = first.temporal - float(rounding.quantisation(first.level))
-    gain, quiet, known = _gain([*whites, *scenes], model, room, quiet, rounding, weights)
-    read = max(quiet - gain * (first.level - model.black), 0.0)  # shot noise of the dark current
-    dark_noise = np.sqrt(read) / gain if known else np.nan
-    full_well = room / gain
-    prnu = _prnu(whites, model, room, (gain, quiet), rounding, weights)
-    least = np.sqrt(dark_noise**2 + 0.25) + 0.5
-    return {
-        "gain": gain,
-        "black": model.black,
-        "dark_noise": dark_noise,
-        "dark_current": model.current / gain,
-        "dsnu": np.sqrt(max(first.fixed, 0.0)) / gain if np.isfinite(first.fixed) else np.nan,
-        "prnu": prnu,
-        "full_well": full_well,
-        "linearity_error": _linearity(whites, model, room, weights),
-        "dynamic_range": full_well / least,
-        "snr": np.sqrt(max(full_well, 0.0)),
-        "dark_variance": first.temporal,
-    }
+class _Transfer(NamedTuple):
+    """Blocks of repeated stacks below 70 % of saturation, (n,) each: number of the block, signal, variance, freedom, rounding."""
+
+    block: np.ndarray
+    signal: np.ndarray
+    variance: np.ndarray
+    freedom: np.ndarray
+    rounded: np.ndarray
 
 
-def _gain(
-    lit: Sequence[Blocks],
-    model: DarkModel,
-    room: float,
-    quiet: float,
-    rounding: Levels,
-    weights: np.ndarray,
-) -> tuple[float, float, bool]:
-    """Return the slope of variance over signal, its intercept, and whether dark or lit stacks determine it.
-
-    The line goes through the first dark's own point: its level and `quiet`. Dark current that a stack gathered
-    beyond that has shot noise as light has, and counts as signal here.
-    """
+def _transfer(lit: Sequence[Blocks], model: DarkModel, room: float, rounding: Levels) -> _Transfer:
+    """Return what the gain is fitted to. Dark current that a stack gathered beyond the first dark's has shot noise as light has."""
     rows = []
     for b in (b for b in lit if b.shots > 1):
-        signal = model.signal(b) + model.dark_signal(b)
-        variance = b.temporal - rounding.quantisation(b.mean)
-        used = np.isfinite(signal + variance) & (signal < SLOPE_TO * room) & (weights > 0)
-        freedom = np.full(used.sum(), b.shots - 1.0) * weights[used]
-        rows.append((signal[used], variance[used], freedom, rounding.quantisation(b.mean)[used]))
-    x, y, freedom, rounded = (np.concatenate(part) for part in zip(*rows, strict=True))
-    known = np.isfinite(quiet)
-    if not known:
-        free = _line(x, y, freedom, rounded, None)
-        # One shot of a dark spreads by its noise over time and its pattern: no less than the noise.
-        quiet = float(np.clip(free[1], 0.0, np.fmin(model.first.spread, np.inf)))
-        if quiet == free[1]:
-            return *free, True
-    return *_line(x, y, freedom, rounded, quiet), known
+        signal, rounded = model.signal(b) + model.dark_signal(b), rounding.quantisation(b.mean)
+        variance = b.temporal - rounded
+        used = np.flatnonzero(np.isfinite(signal + variance) & (signal < SLOPE_TO * room))
+        freedom = np.full(used.size, b.shots - 1.0)
+        rows.append((used, signal[used], variance[used], freedom, rounded[used]))
+    return _Transfer(*(np.concatenate(part) for part in zip(*rows, strict=True)))
+
+
+def _gain(points: _Transfer, quiet: float, weights: np.ndarray) -> tuple[float, float, bool]:
+    """Return the slope of variance over signal, its intercept, and whether dark or lit stacks determine it.
+
+    The line goes through the first dark's own point, `quiet`, where that is known; `weights` are those of blocks, (blocks,).
+    """
+    here = points.freedom * weights[points.block]
+    x, y, freedom, rounded = (
+        part[here > 0] for part in (points.signal, points.variance, here, points.rounded)
+    )
+    if np.isfinite(quiet):
+        return *_line(x, y, freedom, rounded, quiet), True
+    free = _line(x, y, freedom, rounded, None)
+    if free[1] >= 0:
+        return *free, True
+    return *_line(x, y, freedom, rounded, 0.0), False
 
 
 def _line(
@@ -391,50 +366,28 @@ def _line(
     return gain, intercept
 
 
-def _prnu(
-    whites: Sequence[Blocks],
-    model: DarkModel,
-    room: float,
-    dark: tuple[float, float],
-    rounding: Levels,
-    weights: np.ndarray,
-) -> float:
+def _prnu(whites: Sequence[Blocks], model: DarkModel, room: float) -> float:
     """Return the spread of the response, the temporal share and the dark's own pattern taken out."""
-    gain, quiet = dark
     above, below = 0.0, 0.0
-    for b in whites:
+    for b in (b for b in whites if b.shots > 1):
         signal = model.signal(b)
-        over_time = b.temporal
-        if b.shots == 1:
-            total = signal + model.dark_signal(b)
-            over_time = gain * total + quiet + rounding.quantisation(b.mean)
-        fixed = b.spatial - over_time / b.shots - model.fixed(b)
+        fixed = b.spatial - b.temporal / b.shots - model.fixed(b)
         used = np.isfinite(signal + fixed)
         used &= (signal > PRNU_RANGE[0] * room) & (signal < PRNU_RANGE[1] * room)
-        above += float(np.sum(weights[used] * fixed[used]))
-        below += float(np.sum(weights[used] * signal[used] ** 2))
+        above += float(np.sum(fixed[used]))
+        below += float(np.sum(signal[used] ** 2))
     return float(np.sqrt(max(above, 0.0) / below)) if below > 0 else float("nan")
 
 
-def _linearity(
-    whites: Sequence[Blocks],
-    model: DarkModel,
-    room: float,
-    weights: np.ndarray,
-) -> float:
+def _linearity(whites: Sequence[Blocks], model: DarkModel, room: float) -> float:
     """Return the rms deviation of whites from the line Σ(Δy/y)² → least over 5–95 % of saturation."""
     timed = [b for b in whites if b.exposure_s]
-    if len({b.exposure_s for b in timed}) < 3:
-        return float("nan")
     signals = [model.signal(b) for b in timed]
     inside = [np.isfinite(s) & (s < LINE_RANGE[1] * room) for s in signals]
     chosen = [i for i, ok in enumerate(inside) if ok.mean() > 0.5]
-    if len(chosen) < 3:
+    if len(chosen) < 3 or not (common := np.all([inside[i] for i in chosen], axis=0)).any():
         return float("nan")
-    common = np.all([inside[i] for i in chosen], axis=0) & (weights > 0)
-    if not common.any():
-        return float("nan")
-    y = np.array([np.average(signals[i][common], weights=weights[common]) for i in chosen])
+    y = np.array([signals[i][common].mean() for i in chosen])
     t = np.array([timed[i].exposure_s for i in chosen], float)
     used = y > LINE_RANGE[0] * room
     if len(set(t[used])) < 3:

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.calibration.drift import Drift
-from levkas.calibration.linearity import Linearity
 from levkas.core.problems import Problem
-from levkas.quality.emva1288.facts import FrameFacts, describe_levels, facts_table
+from levkas.quality.emva1288.facts import FrameFacts, describe_levels
 from levkas.quality.emva1288.photon_transfer import Interval, PhotonTransfer
 
 if TYPE_CHECKING:
@@ -37,7 +36,6 @@ class SensorReport:
 
     Parameters
     ----------
-    camera, sensor : str
     facts : FrameFacts
         Of the first frame of the first object.
     levels : Levels
@@ -46,9 +44,6 @@ class SensorReport:
         By channel of the mosaic; one without a name for a plain sensor.
     light : list of (str, Drift)
         Stacks of two shots or more, and how steady their light was.
-    linearity : list of (str, Linearity)
-        Exposure series of an object.
-    notes : list of str
     problems : list of Problem
         Why something could not be measured.
     """
@@ -59,7 +54,6 @@ class SensorReport:
     levels: Levels
     channels: dict[str, PhotonTransfer] = field(default_factory=dict)
     light: list[tuple[str, Drift]] = field(default_factory=list)
-    linearity: list[tuple[str, Linearity]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
 
@@ -76,10 +70,10 @@ class SensorReport:
             cells = [_cell(getattr(found, key), factor) for found in self.channels.values()]
             lines.append((title, *cells, unit))
         ranges = [found.dynamic_range for found in self.channels.values()]
-        decibels = ["–" if r is None else f"{20 * log10(r.value):.1f}" for r in ranges]
-        stops = ["–" if r is None else f"{log2(r.value):.2f}" for r in ranges]
+        decibels = ["–" if r is None else f"{20 * log10(r):.1f}" for r in ranges]
+        stops = ["–" if r is None else f"{log2(r):.2f}" for r in ranges]
         peaks = [found.snr for found in self.channels.values()]
-        peak = ["–" if p is None else f"{10 * log10(p.value):.1f}" for p in peaks]
+        peak = ["–" if p is None else f"{10 * log10(p):.1f}" for p in peaks]
         lines += [
             ("dynamic range", *decibels, "dB, 20·log₁₀"),
             ("dynamic range", *stops, "stops, log₂"),
@@ -107,20 +101,21 @@ class SensorReport:
                 }
                 for name, d in self.light
             ],
-            "linearity": [{"stack": name, **asdict(found)} for name, found in self.linearity],
             "notes": self.notes,
         }
 
 
 @dataclass(frozen=True)
 class Examination:
-    """Sensors of a campaign, or frames of a folder."""
+    """Sensors of a campaign."""
 
     root: Path
     sensors: list[SensorReport]
-    frames: list[FrameFacts]
-    levels: Levels | None
-    problems: list[Problem]
+
+    @property
+    def problems(self) -> list[Problem]:
+        """Why sensors could not be measured."""
+        return [problem for sensor in self.sensors for problem in sensor.problems]
 
     @property
     def ok(self) -> bool:
@@ -130,25 +125,17 @@ class Examination:
     @property
     def text(self) -> str:
         """Tables for people."""
-        parts = [sensor_text(sensor) for sensor in self.sensors]
-        if self.frames:
-            parts.append(facts_table(self.frames, self.root))
-        if self.levels is not None and self.frames:
-            parts.append(f"all together: {describe_levels(self.levels, self.frames[0].full)}")
-        return "\n\n".join(parts)
+        return "\n\n".join(sensor_text(sensor) for sensor in self.sensors)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for `--json`."""
-        return {
-            "cameras": [sensor.to_dict() for sensor in self.sensors],
-            "frames": [frame.to_dict() for frame in self.frames],
-        }
+        return {"cameras": [sensor.to_dict() for sensor in self.sensors]}
 
 
-def _cell(interval: Interval | None, factor: float) -> str:
-    if interval is None:
-        return "–"
-    value, half = factor * interval.value, factor * (interval.high - interval.low) / 2
+def _cell(found: Interval | float | None, factor: float) -> str:
+    if not isinstance(found, Interval):
+        return "–" if found is None else f"{factor * found:.4g}"
+    value, half = factor * found.value, factor * (found.high - found.low) / 2
     digits = 0 if half <= 0 else max(0, min(6, 1 - int(log10(half) // 1)))
     return f"{value:.{digits}f} ± {half:.{digits}f}" if half > 0 else f"{value:.4g}"
 
@@ -156,14 +143,10 @@ def _cell(interval: Interval | None, factor: float) -> str:
 def _plain(found: PhotonTransfer) -> dict[str, Any]:
     content: dict[str, Any] = {"levels": found.levels, "points": found.points}
     for key, title, unit, factor in ROWS:
-        interval = getattr(found, key)
-        content[key] = interval and {
-            "value": factor * interval.value,
-            "low": factor * interval.low,
-            "high": factor * interval.high,
-            "unit": unit,
-            "name": title,
-        }
+        value = getattr(found, key)
+        parts = {"value": value} if not isinstance(value, Interval) else asdict(value)
+        numbers = {part: number and factor * number for part, number in parts.items()}
+        content[key] = None if value is None else {**numbers, "unit": unit, "name": title}
     return content
 
 
@@ -194,10 +177,5 @@ def sensor_text(sensor: SensorReport) -> str:
         )
         lines.append(
             f"  light of {name}: drift {100 * drift.drift:+.2f} %{flicker}, {len(drift.scales)} shots"
-        )
-    for name, found in sensor.linearity:
-        fitted = f", black fitted {found.offset:+.2f} DN from the darks" if found.offset else ""
-        lines.append(
-            f"  linearity of {name}: {100 * found.rms:.2f} % rms{fitted}, {found.points} points"
         )
     return "\n".join([*lines, *(f"  note: {note}" for note in sensor.notes)])

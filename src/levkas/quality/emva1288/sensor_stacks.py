@@ -11,11 +11,10 @@ import numpy as np
 from levkas.calibration.clipped_darks import is_clipped
 from levkas.calibration.code_spacing import Levels
 from levkas.calibration.drift import Drift
-from levkas.calibration.linearity import Linearity
 from levkas.calibration.sensor_context import SensorContext, exposure_of
 from levkas.calibration.templates import Template
 from levkas.quality.emva1288.blocks import Blocks, block_statistics
-from levkas.quality.emva1288.darks import Dark, model_darks
+from levkas.quality.emva1288.darks import Dark, DarkModel, mean_of
 
 if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import FrameRef
@@ -36,8 +35,6 @@ class SensorStacks:
         By channel.
     light : list of (name, Drift)
         Of every stack of two shots or more.
-    linearity : list of (name, Linearity)
-        Of objects that were taken at several exposures.
     reached : bool
         Whether any shot saturates.
     """
@@ -50,7 +47,6 @@ class SensorStacks:
     whites: dict[str, list[Blocks]] = field(default_factory=dict)
     scenes: dict[str, list[Blocks]] = field(default_factory=dict)
     light: list[tuple[str, Drift]] = field(default_factory=list)
-    linearity: list[tuple[str, Linearity]] = field(default_factory=list)
     reached: bool = False
     notes: list[str] = field(default_factory=list)
 
@@ -137,4 +133,4 @@ def level_under(sensor: SensorStacks, band: str | None, time: float | None) -> f
     darks = next(iter(sensor.darks.values()), [])
     if not darks:
         return sensor.bench.black or 0.0
-    return float(np.nanmean(model_darks(darks).under(band, time)))
+    return mean_of(DarkModel(darks).under(band, time))

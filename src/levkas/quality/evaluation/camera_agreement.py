@@ -41,40 +41,20 @@ Sensitivities = dict[str, tuple[np.ndarray, np.ndarray]]
 """Of the bands of a layer, by label: nm, and the response there."""
 
 
-@dataclass(frozen=True)
-class AgreementSettings:
-    """Constants of the comparison.
-
-    Parameters
-    ----------
-    side : int, px
-        Of a patch: 100 pixels and more make noise small beside what is common, 24 px hold few even patches of an icon.
-    rows, columns : int
-        Most strips of the grid from which patches are taken, and most patches of each: what is read of a large layer.
-    uneven : float
-        Standard deviation of a patch over its mean, from which it is no even one: there the place counts more than the light.
-    least : int
-        Patches by which a pair of bands is judged.
-    dark : float
-        Mean of a patch below which its ratio is one of noise.
-    apart : float
-        Relative difference below which no contradiction between cameras is reported, whatever their uncertainties: bands of other
-        shapes differ by that much.
-    reach_nm : float
-        How far a band of the first may lie from that of the second on either side.
-    """
-
-    side: int = 12
-    rows: int = 6
-    columns: int = 24
-    uneven: float = 0.15
-    least: int = 8
-    dark: float = 0.02
-    apart: float = 0.02
-    reach_nm: float = 40.0
-
-
-SETTINGS = AgreementSettings()
+SIDE = 12
+"""Px of a patch: 100 pixels and more make noise small beside what is common, 24 px hold few even patches of an icon."""
+ROWS, COLUMNS = 6, 24
+"""Most strips of the grid from which patches are taken, and most patches of each: what is read of a large layer."""
+UNEVEN = 0.15
+"""Standard deviation of a patch over its mean, from which it is no even one: there the place counts more than the light."""
+LEAST = 8
+"""Patches by which a pair of bands is judged."""
+DARK = 0.02
+"""Mean of a patch below which its ratio is one of noise."""
+APART = 0.02
+"""Relative difference below which no contradiction between cameras is reported: bands of other shapes differ by that much."""
+REACH_NM = 40.0
+"""How far a band of the first may lie from that of the second on either side."""
 SAME_NM, SAME_WIDTH = 1.0, 0.2
 """By how much centres of bands, and widths relatively, may differ for the bands to be one."""
 
@@ -85,7 +65,6 @@ class PatchMeans:
 
     Parameters
     ----------
-    layer : LayerId
     places : ndarray, (p, 2), px
         Corners of the patches, least x and y.
     means : tuple of MeanSpectrum, (p,)
@@ -124,7 +103,6 @@ class BandAgreement:
 
     Parameters
     ----------
-    band : str
     wavelength : float, nm
     ratio, spread : float
         Median over patches of the band over what the other layer predicts; their standard deviation, by the median deviation.
@@ -147,7 +125,7 @@ class BandAgreement:
     @property
     def contradicts(self) -> bool:
         """Whether the difference is more than both uncertainties allow, and than bands of other shapes differ by."""
-        return self.expected_ratio > 1 and abs(self.ratio - 1) > SETTINGS.apart
+        return self.expected_ratio > 1 and abs(self.ratio - 1) > APART
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,18 +175,18 @@ class PairAgreement:
         }
 
 
-def choose_patches(rows: LayerRows, settings: AgreementSettings = SETTINGS) -> np.ndarray:
+def choose_patches(rows: LayerRows) -> np.ndarray:
     """Return the corners of even patches of a layer, (p, 2) px, some strips of the grid over."""
-    (height, width, _), side = rows.shape, settings.side
-    tops = np.unique(np.linspace(side, height - 2 * side, settings.rows).astype(int))
-    starts = np.unique(np.linspace(side, width - 2 * side, settings.columns).astype(int))
+    (height, width, _), side = rows.shape, SIDE
+    tops = np.unique(np.linspace(side, height - 2 * side, ROWS).astype(int))
+    starts = np.unique(np.linspace(side, width - 2 * side, COLUMNS).astype(int))
     found = []
     for top in tops[tops >= 0].tolist():
         values, flags, _ = rows.read(top, top + side)
         sound = ((flags & ~TRUSTED) == 0).all((0, 2))
         for start in starts[starts >= 0].tolist():
             patch = values[:, start : start + side].mean(-1)
-            even = patch.std() < settings.uneven * max(float(patch.mean()), settings.dark)
+            even = patch.std() < UNEVEN * max(float(patch.mean()), DARK)
             if even and sound[start : start + side].all():
                 found.append((start, top))
     return np.array(found, int).reshape(-1, 2)
@@ -227,10 +205,8 @@ def measure_patches(
 
     Parameters
     ----------
-    rows : LayerRows
     places : ndarray, (p, 2)
         Corners of the patches, px.
-    budget : LayerBudget
     at : Transform, optional
         Pixels of the patches → pixels of the layer, where these are others.
     owner : str
@@ -240,7 +216,7 @@ def measure_patches(
     """
     labels = [band.label for band in rows.bands]
     places = places[np.lexsort((places[:, 0], places[:, 1]))]
-    corners = places[:, None] + SETTINGS.side * CORNERS - 0.5
+    corners = places[:, None] + SIDE * CORNERS - 0.5
     if at is not None:
         corners = at(corners.reshape(-1, 2)).reshape(corners.shape)
     known = position_sigmas(rows.root, rows.layer, labels, corners.mean(1), records)
@@ -281,7 +257,6 @@ def weigh_bands(
     first: PatchMeans,
     second: PatchMeans,
     sensitivities: Sensitivities,
-    settings: AgreementSettings = SETTINGS,
     *,
     of_first: Sensitivities | None = None,
 ) -> dict[int, np.ndarray]:
@@ -310,7 +285,7 @@ def weigh_bands(
             continue
         inside = (grid >= at[0]) & (grid <= at[-1])
         gaps = np.diff(at)[np.clip(np.searchsorted(at, grid) - 1, 0, len(at) - 2)]
-        if weights[inside & (gaps <= 2 * settings.reach_nm)].sum() < 0.99:
+        if weights[inside & (gaps <= 2 * REACH_NM)].sum() < 0.99:
             continue
         rows = np.zeros((2, len(nm)))
         within = np.clip(grid, at[0], at[-1])
@@ -333,12 +308,11 @@ def compare_layers(
     first: PatchMeans,
     second: PatchMeans,
     sensitivities: Sensitivities,
-    settings: AgreementSettings = SETTINGS,
     *,
     of_first: Sensitivities | None = None,
 ) -> PairAgreement | None:
     """Compare the bands of the second, whose sensitivities they are, with what the first predicts; None where none can be."""
-    rows = weigh_bands(first, second, sensitivities, settings, of_first=of_first)
+    rows = weigh_bands(first, second, sensitivities, of_first=of_first)
     if not rows:
         return None
     bands = np.array([*rows])
@@ -356,14 +330,14 @@ def compare_layers(
             {k: v[n:] - v[:n] for k, v in join([predicted, own]).parts.items()},
         )
         sigma = apart.sigma
-        good = (predicted.values > settings.dark) & np.isfinite(own.values) & (sigma > 0)
+        good = (predicted.values > DARK) & np.isfinite(own.values) & (sigma > 0)
         ratios[p, good] = own.values[good] / predicted.values[good]
         expected[p, good] = np.abs(apart.values[good]) / (COVERAGE * sigma[good])
     centres = {k: _centre(second, k, sensitivities) for k in rows}
     made = tuple(
         _band(second.labels[k], centres[k], ratios[:, i], expected[:, i])
         for i, k in enumerate(bands.tolist())
-        if np.isfinite(ratios[:, i]).sum() >= settings.least
+        if np.isfinite(ratios[:, i]).sum() >= LEAST
     )
     if not made:
         return None
@@ -442,7 +416,6 @@ def agreement_in(
         The database.
     layers : sequence of LayerId
         The reference first.
-    budgets, sensitivities : mapping by name of the layer
     registrations : mapping by name of the layer, optional
         Records that were read already.
     """
@@ -451,7 +424,7 @@ def agreement_in(
     if len(opened) < 2:
         return ()
     places = choose_patches(opened[0])
-    if len(places) < SETTINGS.least:
+    if len(places) < LEAST:
         return ()
     records = None
     with suppress(MappingRefused):  # of a layer without a registration no place is known

@@ -45,7 +45,6 @@ class ObjectAgreement:
     ----------
     name, other : str
         The object in each.
-    pairs : tuple of PairAgreement
     changes : Changes or None
         None where no layer of one has the bands of one of the other.
     compared : str
@@ -104,7 +103,6 @@ def compare_databases(
 
     Parameters
     ----------
-    first, second : Path
     objects : sequence of str
         Only these; of two databases with one object each these are compared, whatever their names.
     rate : float

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 
 from levkas.calibration.error_sources import COVERAGE
 from levkas.core.problems import Problem, Refused, closest_match
-from levkas.core.text import missing_path, read_json
+from levkas.core.text import missing_path
 from levkas.database.containment import check_inside
 from levkas.database.layout import Places, layer_name
 from levkas.database.pixel_frames import warn_of_turns
@@ -116,8 +115,6 @@ def assess(
     truth: str | Path | None = None,
     points: str | Path | None = None,
     frame: str | None = None,
-    maps: str | Path | None = None,
-    overwrite: bool = False,
 ) -> Assessment:
     """Evaluate every layer of a database.
 
@@ -133,10 +130,6 @@ def assess(
         file of any program that `levkas.registration.control_points` reads.
     frame : str, optional
         OBJECT/CAMERA[@SETUP][:BAND] that such a file is of; not needed where there is one layer.
-    maps : path, optional
-        Folder that receives a PNG of each layer's SSIM map.
-    overwrite : bool
-        Whether files may be replaced there that were not written so, or were changed since.
 
     Returns
     -------
@@ -148,8 +141,6 @@ def assess(
     ------
     EvaluationRefused
         Where there is no database, or the points cannot be read.
-    WriteRefused
-        Where a map would replace a file that Levkas did not write, or the disk refuses.
 
     Examples
     --------
@@ -157,18 +148,11 @@ def assess(
     >>> [(one["layer"], one["verdict"]) for one in found.results]
     [('one/infrared', 'accept'), ('one/photo', 'accept')]
     """
-    from levkas.core.ownership import OwnFiles
-
-    own = OwnFiles(maps, overwrite=overwrite) if maps else None
     output, beside = locate(place(database))
     folder = find_truth(truth, beside) or beside / "truth"
     checks, problems = read_check_points(Path(points), output, frame) if points else ({}, [])
-    results = []
-    for _, record in read_registrations(output):
-        with own.writing() if own else contextlib.nullcontext():
-            results.append(
-                _assess_layer(output, record, folder, checks, Path(maps) if maps else None)
-            )
+    records = (record for _, record in read_registrations(output))
+    results = [_assess_layer(output, record, folder, checks) for record in records]
     return Assessment(results, problems)
 
 
@@ -227,7 +211,6 @@ def read_check_points(
     path : Path
         A CSV with columns object, camera, band, reference_x, reference_y, x, y, or a file of a
         program that `levkas.registration.control_points` reads.
-    database : Path
     frame : str, optional
         OBJECT/CAMERA[@SETUP][:BAND] of such a file.
 
@@ -321,7 +304,6 @@ def _assess_layer(
     record: dict[str, Any],
     truth_folder: Path,
     checks: Checks,
-    maps: Path | None,
 ) -> dict[str, Any]:
     name, camera, setup = record["object"], record["camera"], record.get("setup", "")
     layer = layer_name(camera, setup)
@@ -336,7 +318,7 @@ def _assess_layer(
         else _band_error(label, band, record, truth, own.get(label))
         for label, band in record.get("bands", {}).items()
     ]
-    ssim = layer_ssim(output, record, maps) if decision != "refuse" else None
+    ssim = layer_ssim(output, record) if decision != "refuse" else None
     return {
         "object": name,
         "camera": camera,
@@ -348,7 +330,6 @@ def _assess_layer(
         "check_points": _checked(record, own),
         "ssim": ssim and ssim[0],
         "ssim_u": ssim and ssim[1],
-        "seconds": _seconds(output, name, layer),
         "method": record.get("method", ""),
     }
 
@@ -452,9 +433,7 @@ def _band_error(
     return summarise_errors(label, errors, reference[keep])
 
 
-def layer_ssim(
-    output: Path, record: dict[str, Any], maps: Path | None
-) -> tuple[float, float] | None:
+def layer_ssim(output: Path, record: dict[str, Any]) -> tuple[float, float] | None:
     """Return the SSIM of one published layer against the reference camera's, and its standard uncertainty; None where there is none."""
     from levkas.quality.evaluation.similarity import structural_similarity
 
@@ -463,16 +442,6 @@ def layer_ssim(
     if ours is None or base is None:
         return None
     score, full = structural_similarity(base[0], ours[0], base[1] & ours[1])
-    if maps is not None:
-        from levkas.core.files import make_folder, write_bytes
-        from levkas.database.preview import encode_png
-
-        make_folder(maps)
-        layer = "_".join(
-            p for p in (record["object"], record["camera"], record.get("setup", "")) if p
-        )
-        shown = np.nan_to_num(np.clip(full, 0, 1) * 255).astype(np.uint8)
-        write_bytes(maps / f"{layer}_ssim.png", encode_png(shown))
     if np.isnan(score):
         return None
     some = full[::THINNED, ::THINNED]
@@ -487,13 +456,3 @@ def _grey(output: Path, name: str, record: dict[str, Any]) -> tuple[np.ndarray, 
     path = Places(output).layer(name, record["camera"], record.get("setup", ""))
     check_inside(output, path, path.with_name(f"{path.stem}.flags.tif"))
     return read_grey(path) if path.is_file() else None
-
-
-def _seconds(output: Path, name: str, layer: str) -> float | None:
-    if is_remote(output):  # what a build keeps beside the database is not published
-        return None
-    path = output.with_name(output.name + ".kept") / name / layer / "register.json"
-    try:
-        return float(read_json(path)["notes"]["seconds"])
-    except (Refused, ValueError, KeyError, TypeError):
-        return None

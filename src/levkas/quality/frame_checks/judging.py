@@ -41,9 +41,6 @@ class FrameOfSet:
         Band, shot and tile are empty where the name has none; a frame without a band serves all.
     at : float
         s, on the clock of the camera or of the files, which orders the frames of a sensor.
-    facts : Facts
-    measures : FrameMeasures
-    exposure_s : float, optional
     names : tuple of str
         Of the channels.
     full : float, optional
@@ -137,38 +134,23 @@ class SetRules:
 
 @dataclass
 class FrameJudge:
-    """The frames of one sensor under one setup; findings of unchanged companions are kept between calls."""
+    """The frames of one sensor under one setup; findings of a frame whose companions are the same are kept between calls."""
 
     rules: SetRules = SetRules()
     _kept: dict[tuple[object, ...], list[Finding]] = field(default_factory=dict)
-    _last: _Judged | None = None
 
     def judge(self, frames: Iterable[FrameOfSet]) -> dict[str, list[Finding]]:
         """Return the findings of every frame by its name, in the order of time."""
         companions = _Companions(sorted(frames, key=lambda f: f.order), self.rules)
-        untouched = companions.untouched(self._last)
-        judged = _Judged(companions.shared, {f.name: f for f in companions.frames}, {})
-        kept = {key: found for key, found in self._kept.items() if key[0] in untouched}
+        kept, judged = {}, {}
         for frame in companions.frames:
-            if frame.version in untouched and self._last is not None:
-                judged.found[frame.name] = self._last.found[frame.name]
-                continue
             beside = companions.of(frame)
             key = (frame.version, *beside.key)
             if (found := self._kept.get(key)) is None:
                 found = _findings(frame, beside, self.rules)
-            kept[key] = judged.found[frame.name] = found
-        self._kept, self._last = kept, judged
-        return judged.found
-
-
-@dataclass(frozen=True, eq=False)
-class _Judged:
-    """A set as it was judged: what all its frames are compared with, the frames and their findings, by name."""
-
-    shared: tuple[object, ...]
-    frames: Mapping[str, FrameOfSet]
-    found: dict[str, list[Finding]]
+            kept[key] = judged[frame.name] = found
+        self._kept = kept
+        return judged
 
 
 def judge(
@@ -259,38 +241,6 @@ class _Companions:
         sizes = Counter(_size(f, rules) for f in frames)
         self.size = sizes.most_common(1)[0][0] if sizes else None
 
-    @property
-    def shared(self) -> tuple[object, ...]:
-        """What every frame is compared with."""
-        usual = {
-            fact.name: {
-                b: (u.first.version, u.text, u.of_all, u.prevails) for b, u in found.items()
-            }
-            for fact, found in self.usual.items()
-        }
-        return self.black, self.scale, self.dark_times, self.size, usual
-
-    def untouched(self, last: _Judged | None) -> set[str]:
-        """Return the versions of the frames that have the companions that they had: those of other objects and bands.
-
-        Companions share object, band or picture; whites of other bands, and frames that serve all bands, are any frame's.
-        """
-        if last is None or last.shared != self.shared:
-            return set()
-        now = {frame.name: frame for frame in self.frames}
-        gone = [frame for name, frame in last.frames.items() if now.get(name) is not frame]
-        fresh = [frame for name, frame in now.items() if last.frames.get(name) is not frame]
-        changed = [*gone, *fresh]
-        if any(f.role == "white" or not f.band for f in changed):
-            return set()
-        targets, bands = {f.target for f in changed}, {f.band for f in changed}
-        pictures = {f.measures.key for f in changed}
-        return {
-            f.version
-            for f in self.frames
-            if f.target not in targets and f.band not in bands and f.measures.key not in pictures
-        }
-
     def of(self, frame: FrameOfSet) -> _Beside:
         stack = self.by["stack", frame.role, frame.shown, frame.band, frame.exposure_s]
         like: tuple[FrameOfSet, ...]
@@ -346,11 +296,8 @@ class _Companions:
 
     def _before(self, frame: FrameOfSet, frames: Sequence[FrameOfSet]) -> FrameOfSet | None:
         """Return the last frame before it that is sound by itself: a clipped white shows no drift of the next."""
-        places = [self.place[f.name] for f in frames] if len(frames) < 3 else _Places(self, frames)
-        at = bisect_left(places, self.place[frame.name])
-        return next(
-            (f for f in (frames[i] for i in range(at - 1, -1, -1)) if self._is_sound(f)), None
-        )
+        at = bisect_left(frames, self.place[frame.name], key=lambda f: self.place[f.name])
+        return next((f for f in reversed(frames[:at]) if self._is_sound(f)), None)
 
     def _is_sound(self, frame: FrameOfSet) -> bool:
         """Whether nothing that a frame shows by itself makes it one to capture again."""
@@ -366,11 +313,7 @@ class _Companions:
                 every = self.by["band", role, band]
                 self.by["sound", role, band] = [f for f in every if self._is_sound(f)]
             frames = self.by["sound", role, band]
-            at = (
-                bisect_left([f.at for f in frames], frame.at)
-                if len(frames) < 64
-                else _at(frames, frame.at)
-            )
+            at = bisect_left(frames, frame.at, key=lambda f: f.at)
             around = frames[max(0, at - 1) : at + 1]
             if around:
                 return min(around, key=lambda f: abs(f.at - frame.at))
@@ -399,23 +342,6 @@ def _scenes(frame: FrameOfSet) -> list[tuple[object, ...]]:
         ("band", frame.band),
         ("target", frame.shown),
     ]
-
-
-class _Places(Sequence[int]):
-    """Places in time of some frames, looked up one by one: bisection reads a few of many."""
-
-    def __init__(self, companions: _Companions, frames: Sequence[FrameOfSet]) -> None:
-        self.companions, self.frames = companions, frames
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    def __getitem__(self, at):  # type: ignore[no-untyped-def]
-        return self.companions.place[self.frames[at].name]
-
-
-def _at(frames: Sequence[FrameOfSet], moment: float) -> int:
-    return bisect_left(frames, moment, key=lambda f: f.at)
 
 
 @dataclass(frozen=True, eq=False)
@@ -544,8 +470,6 @@ def _lit_findings(frame: FrameOfSet, beside: _Beside, rules: SetRules) -> list[F
         found += picture.check_focus(
             own, beside.best.measures, before, same_scene=beside.same_scene
         )
-    if frame.role == "object":
-        found += picture.check_framing(own)
     return found
 
 

@@ -52,7 +52,7 @@ class Finding:
     ----------
     check : str
         ``"exposure"``, ``"black"``, ``"dark"``, ``"white"``, ``"drift"``, ``"noise"``, ``"focus"``, ``"glare"``,
-        ``"moved"``, ``"framing"``, ``"dust"``, ``"settings"``, ``"twice"`` or ``"file"``.
+        ``"moved"``, ``"dust"``, ``"settings"``, ``"twice"`` or ``"file"``.
     severity : {"look", "stop"}
         Whether a person should look at it, or the frame cannot be used.
     text, advice : str
@@ -106,7 +106,6 @@ def check_exposure(
 
     Parameters
     ----------
-    frame : FrameMeasures
     role : str
         Other than dark.
     names : sequence of str
@@ -168,10 +167,8 @@ def check_dark(
 
     Parameters
     ----------
-    dark : FrameMeasures
     black, scale : float, optional
         Stated black level and full scale, counts.
-    before : FrameMeasures, optional
     """
     level = float(np.median(dark.level))
     noise = max(float(np.nanmedian(dark.noise)), QUIET_COUNTS)
@@ -223,7 +220,6 @@ def check_white_frame(
 
     Parameters
     ----------
-    white : FrameMeasures
     black : float
         Counts without light.
     before : FrameMeasures, optional

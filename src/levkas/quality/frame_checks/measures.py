@@ -6,12 +6,11 @@ Nothing depends on other frames, so that each is decoded once, in whatever order
 from __future__ import annotations
 
 import hashlib
-import json
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from math import prod
+from io import BytesIO
 
 import numpy as np
 
@@ -89,7 +88,6 @@ class FrameMeasures:
         Rows and columns of the mosaic.
     digest : ndarray of uint8, (16,)
         Equal where the frames are.
-    pictures : FramePictures
     """
 
     shape: np.ndarray
@@ -135,19 +133,15 @@ NUMBERS = tuple(f.name for f in fields(FrameMeasures) if f.name != "pictures")
 
 
 def _packed(**arrays: np.ndarray) -> bytes:
-    """Return arrays as a line of JSON with their types and shapes, and their values, compressed: a tenth of npz's time."""
-    heads = json.dumps({name: (a.dtype.str, a.shape) for name, a in arrays.items()})
-    values = b"".join(np.ascontiguousarray(a).tobytes() for a in arrays.values())
-    return heads.encode() + b"\n" + zlib.compress(values, 1)
+    """Return arrays as an archive of numpy's, compressed."""
+    buffer = BytesIO()
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]
+    return zlib.compress(buffer.getvalue(), 1)
 
 
 def _unpacked(data: bytes, names: Sequence[str]) -> dict[str, np.ndarray]:
-    head, _, packed = data.partition(b"\n")
-    values, found, at = zlib.decompress(packed), {}, 0
-    for name, (kind, shape) in json.loads(head).items():
-        found[name] = np.frombuffer(values, kind, prod(shape), at).reshape(shape)
-        at += found[name].nbytes
-    return {name: found[name] for name in names}
+    with np.load(BytesIO(zlib.decompress(data))) as found:
+        return {name: found[name] for name in names}
 
 
 def measure_frame(

@@ -1,4 +1,4 @@
-"""Checks of the picture of a frame: focus, whether it moved, glare, framing, dust."""
+"""Checks of the picture of a frame: focus, whether it moved, glare, dust."""
 
 from __future__ import annotations
 
@@ -31,11 +31,8 @@ BETWEEN_BANDS = (4.0, 0.006)
 GLARE, ABOVE_WHITE, OTHER_LIGHT = (0.01, 0.06), 1.15, 0.3
 """Share of the picture above the white, to look at and to stop at; reflectance that no paint has; share from which it is
 the white that is wrong."""
-CUT, MARGIN, LIKE_BORDER = 0.08, 0.01, 0.06
-"""Share of a side that is the object; border to leave, of the width; difference from the border, of the range."""
 SPOT, SPOT_NOISES, LARGEST_SPOT = 0.03, 8.0, 0.002
 """Depth of a speck in a white, relative, and over noise; share of the frame that a speck has at most."""
-SIDES = ("top", "bottom", "left", "right")
 
 
 def check_focus(
@@ -126,34 +123,6 @@ def check_glare(
     text = f"{percent(share)} of the picture is brighter than the white: glare"
     advice = "move the lamps further to the side, or shade what they mirror in; for gold it may be all right"
     return [Finding("glare", severity, text, advice)]
-
-
-def check_framing(frame: FrameMeasures) -> list[Finding]:
-    """Check that the object lies inside the frame with a border left, where the frame has a plain border at all.
-
-    A side is plain where it shows what most of the border shows. Of a detail that fills the frame no side is: nothing is
-    known then.
-    """
-    picture = frame.picture
-    band = max(2, round(MARGIN * max(picture.shape)))
-    strips = (picture[:band], picture[-band:], picture[:, :band].T, picture[:, -band:].T)
-    lines = [np.median(strip, 0) for strip in strips]
-    span = float(np.subtract(*np.quantile(picture, (0.99, 0.01))))
-    if span <= 0:
-        return []
-    levels = [float(np.median(line)) for line in lines]
-    alike = [sum(abs(one - other) < LIKE_BORDER * span for other in levels) for one in levels]
-    background = levels[int(np.argmax(alike))]
-    covered = [float(np.mean(np.abs(line - background) > LIKE_BORDER * span)) for line in lines]
-    inside = float(np.mean(np.abs(picture - background) > LIKE_BORDER * span))
-    plain = [share < 0.01 for share in covered]
-    cut = [side for side, share in zip(SIDES, covered, strict=True) if share > CUT]
-    if sum(plain) < 3 or not cut or inside < 0.2:
-        return []
-    text = f"the object reaches the border of the frame at the {cut[0]}, or is cut there"
-    return [
-        Finding("framing", "look", text, "move camera or object until a border is left all round")
-    ]
 
 
 def check_dust(white: FrameMeasures, before: FrameMeasures, *, black: float) -> list[Finding]:

@@ -36,7 +36,6 @@ class LightField(NamedTuple):
     rectangle : (x, y, width, height)
         Largest upright one in which no block is below 1 − `drop` of the brightest block in it,
         native px.
-    drop : float
     uniformity : float
         Least over greatest level of the whole field, 0 … 1.
     peak : float

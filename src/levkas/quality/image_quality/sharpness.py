@@ -37,7 +37,6 @@ class Sharpness(NamedTuple):
 
     Parameters
     ----------
-    band : str
     blur_px : float
         Standard deviation of the blur, native px; 0.25 is the least that can be measured. NaN where
         the band has too few step edges to measure.
@@ -59,7 +58,6 @@ def band_sharpness(
     ----------
     values : ndarray, (h, w, bands)
         Native px, not resampled. The middle 768 x 768 px are looked at.
-    labels : sequence of str
     left_out : ndarray of bool like `values`, optional
         Where edges are none of the picture's: glare, saturation.
 

@@ -18,7 +18,7 @@ import numpy as np
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    pass
 
 OVERSAMPLED = 4
 """Bins of the edge spread function a pixel."""
@@ -296,9 +296,3 @@ def _refused(code: str, message: str, found: str, expected: str = "", fix: str =
     return EdgeRefused(
         Problem(code, message, found=found, expected=expected or None, fix=fix or None)
     )
-
-
-def largest_shift(responses: Sequence[EdgeResponse]) -> float:
-    """Return the largest distance, px normal to the edge, between the edges of two bands in one region."""
-    places = [found.position for found in responses]
-    return max(places) - min(places)

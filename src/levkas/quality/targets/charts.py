@@ -36,8 +36,6 @@ class Chart:
 
     Parameters
     ----------
-    name : str
-    columns, rows : int
     greys : tuple of int
         Indices of the grey scale, brightest first.
     """
@@ -119,13 +117,12 @@ def kind_of(name: str) -> Chart | None:
 class ChartReference(NamedTuple):
     """Reflectances of a chart's patches.
 
-    `wavelengths` (m,) nm, `spectra` (n, m), `source` for captions, and corrections of the header in `note`.
+    `wavelengths` (m,) nm, `spectra` (n, m), `source` for captions.
     """
 
     wavelengths: np.ndarray
     spectra: np.ndarray
     source: str
-    note: str = ""
 
     def at(self, wavelengths: np.ndarray) -> np.ndarray:
         """Return reflectances at some wavelengths, (n, k); NaN beyond what was measured."""
@@ -152,9 +149,7 @@ def parse_reference(text: str, chart: Chart, *, file: str = "") -> ChartReferenc
     Parameters
     ----------
     text : str
-        The header names patches by column and row: ``A:1`` or ``A1``. A name that occurs twice
-        where another is missing is taken by its place, with a note. Per cent are recognised by their size.
-    chart : Chart
+        The header names patches by column and row: ``A:1`` or ``A1``. Per cent are recognised by their size.
     file : str
         For messages.
 
@@ -171,7 +166,6 @@ def parse_reference(text: str, chart: Chart, *, file: str = "") -> ChartReferenc
         rows = len(table) + bool(head)
         raise _bad_reference(file, f"{rows} rows", "a header and two wavelengths or more")
     names = ["".join(c for c in cell if c.isalnum()).upper() for cell in head[1:]]
-    names, note = _correct_names(names, chart)
     missing = [patch for patch in chart.patches if patch not in names]
     if missing:
         expected = f"a column for each of {len(chart.patches)} patches"
@@ -182,21 +176,7 @@ def parse_reference(text: str, chart: Chart, *, file: str = "") -> ChartReferenc
         raise _bad_reference(file, "wavelengths that are none or not distinct", "each once, in nm")
     spectra = table[:, 1:].T[[names.index(patch) for patch in chart.patches]]
     spectra = spectra / 100 if spectra.max() > 2 else spectra
-    return ChartReference(table[:, 0], spectra, file.rsplit("/", 1)[-1] or "CSV", note)
-
-
-def _correct_names(names: list[str], chart: Chart) -> tuple[list[str], str]:
-    """Correct a patch that was named twice where the order of the columns shows which one was meant."""
-    twice = {name for name in names if names.count(name) > 1}
-    if not twice or len(names) != len(chart.patches):
-        return names, ""
-    by_column = [f"{chr(65 + c)}{r + 1}" for c in range(chart.columns) for r in range(chart.rows)]
-    for order in (by_column, list(chart.patches)):
-        wrong = [i for i, name in enumerate(names) if name != order[i]]
-        if all(names[i] in twice and order[i] not in names for i in wrong):
-            misread = ", ".join(f"{names[i]} in column {i + 2} read as {order[i]}" for i in wrong)
-            return order, misread
-    return names, ""
+    return ChartReference(table[:, 0], spectra, file.rsplit("/", 1)[-1] or "CSV")
 
 
 def _bad_reference(file: str, found: str, expected: str) -> ChartRefused:
@@ -225,7 +205,6 @@ def place_patches(
     corners : (4, 2), px
         Centres of the four corner patches, clockwise from the first: dark skin, bluish green,
         black and white of the Classic.
-    chart : Chart
     size : (width, height) of the picture
     sampled : float
         Side of an area over the pitch.

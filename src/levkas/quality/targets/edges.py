@@ -1,17 +1,15 @@
-"""Slanted edges of a target: named by rectangles, or found on the borders of a chart's grey patches."""
+"""Slanted edges of a target, named by rectangles."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from levkas.core.cube import Flag, is_flagged
 from levkas.core.problems import Problem
-from levkas.geometry.transforms import Homography
 from levkas.quality.image_quality.slanted_edge import (
-    LEAST_ANGLE,
     EdgeRefused,
     EdgeResponse,
     measure_edge,
@@ -23,18 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from levkas.core.cube import Band, Cube
-    from levkas.quality.targets.charts import Chart
-    from levkas.quality.targets.locating import Located
 
 Box = tuple[int, int, int, int]
-MOST_BORDER_ANGLE = 10.0
-"""Degrees: borders of patches are short."""
-LEAST_BORDER_LUMINANCE = 0.15
-"""Of a grey patch, against the black round it."""
-BORDER = 0.41
-"""Of the pitch: half the side of a patch."""
-ALONG, ACROSS = 0.3, 0.14
-"""Half sides of a border's rectangle, of the pitch: clear of corners, and of the patch next to it."""
 
 
 class EdgePlace(NamedTuple):
@@ -72,15 +60,11 @@ def parse_edges(texts: Sequence[str]) -> tuple[EdgePlace, ...]:
 
 @dataclass(frozen=True, eq=False)
 class EdgeTable:
-    """Spatial frequency response of all bands across one edge, or the median of several alike.
+    """Spatial frequency response of all bands across one edge.
 
     Parameters
     ----------
-    label : str
     axis : {"x", "y"}
-    boxes : tuple of Box
-    angle_deg : float
-    bands : tuple of Band
     response : ndarray, (bands, frequencies)
         NaN where a band was refused.
     sfr50, sfr10 : ndarray, (bands,)
@@ -89,15 +73,13 @@ class EdgeTable:
         Sampling efficiency, 0 … 1; largest modulation.
     shift : ndarray, (bands,)
         Place of the edge about the bands' mean, px normal to the edge.
-    origin : float
-        That mean, px in the cube's frame; NaN for the median of several edges.
     refused : dict
         By band, why its response could not be measured.
     """
 
     label: str
     axis: str
-    boxes: tuple[Box, ...]
+    box: Box
     angle_deg: float
     bands: tuple[Band, ...]
     response: np.ndarray
@@ -106,7 +88,6 @@ class EdgeTable:
     efficiency: np.ndarray
     most: np.ndarray
     shift: np.ndarray
-    origin: float
     refused: dict[str, str]
 
     @property
@@ -129,7 +110,7 @@ class EdgeTable:
             "edge": self.label,
             "axis": self.axis,
             "angle_deg": round(self.angle_deg, 3),
-            "rectangles": [list(box) for box in self.boxes],
+            "rectangle": list(self.box),
             "bands": [
                 {"band": band.label, **{k: _plain(v[i]) for k, v in parts.items()}}
                 for i, band in enumerate(self.bands)
@@ -223,49 +204,6 @@ def measure_named(cube: Cube, places: Sequence[EdgePlace], *, period: int = 1) -
     return EdgeFindings(tuple(tables), tuple(problems), tuple(notes))
 
 
-def measure_borders(cube: Cube, located: Located, chart: Chart, *, period: int = 1) -> EdgeFindings:
-    """Measure the borders of a chart's bright greys where the chart leans by 2 to 10 degrees."""
-    sides = located.corners[[1, 3]] - located.corners[0]
-    lean = [
-        abs((np.rad2deg(np.arctan2(*side[::-1])) + 45) % 90 - 45) for side in sides.astype(float)
-    ]
-    if min(lean) < LEAST_ANGLE or max(lean) > MOST_BORDER_ANGLE:
-        note = (
-            f"the borders of the patches lean by {np.mean(lean):.1f} degrees: turn the chart by about 5 "
-            "degrees, or name slanted edges, for the spatial frequency response and colour misregistration"
-        )
-        return EdgeFindings(notes=(note,))
-    found: dict[str, list[EdgeTable]] = {"x": [], "y": []}
-    for place in border_places(located, chart, (cube.values.shape[1], cube.values.shape[0])):
-        try:
-            table = _tabulate(cube, place, period)
-            found[table.axis].append(table)
-        except EdgeRefused:
-            continue  # a border may be too short, or soft: others are there
-    tables = tuple(_median(axis, several) for axis, several in found.items() if several)
-    notes = () if tables else ("no border of a patch is long and sharp enough for its response",)
-    return EdgeFindings(tables, notes=notes)
-
-
-def border_places(located: Located, chart: Chart, size: tuple[int, int]) -> list[EdgePlace]:
-    """Return upright rectangles round the middle of the four borders of every bright grey patch."""
-    plane = Homography.fit(chart.corners, located.corners)
-    places = []
-    for patch in (g for g in chart.greys if chart.luminances[g] > LEAST_BORDER_LUMINANCE):
-        for name, way in (("left", (-1, 0)), ("right", (1, 0)), ("top", (0, -1)), ("bottom", (0, 1))):  # fmt: skip
-            out = np.array(way, float)
-            middle = chart.centres[patch] + BORDER * out
-            ends = np.array([middle, middle + ACROSS * out, middle + ALONG * out[::-1]])
-            at, across, along = plane(ends)
-            half = np.maximum(np.abs(across - at), np.abs(along - at))
-            low = np.ceil(at - half).astype(int)
-            high = np.floor(at + half).astype(int) + 1
-            if np.all(low >= 0) and high[0] <= size[0] and high[1] <= size[1]:
-                box = (int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
-                places.append(EdgePlace(f"{chart.patches[patch]}, {name}", box))
-    return places
-
-
 def _tabulate(cube: Cube, place: EdgePlace, period: int) -> EdgeTable:
     """Measure one edge in every band; raises EdgeRefused where none has one."""
     x, y, width, height = place.box
@@ -308,11 +246,10 @@ def _table_of(
 
     nothing = np.full(len(first.response), np.nan)
     places = over_bands("position")
-    origin = float(np.nanmean(places))
     return EdgeTable(
         place.label,
         first.axis,
-        (place.box,),
+        place.box,
         float(np.nanmedian(over_bands("angle_deg"))),
         bands,
         np.array([found[i].response if i in found else nothing for i in range(len(bands))]),
@@ -320,38 +257,8 @@ def _table_of(
         over_bands("sfr10"),
         over_bands("efficiency"),
         over_bands("most"),
-        places - origin,
-        origin + place.box[0 if first.axis == "x" else 1],
+        places - np.nanmean(places),
         {bands[i].label: refused.problems[0].message for i, refused in refusals.items()},
-    )
-
-
-def _median(axis: str, tables: list[EdgeTable]) -> EdgeTable:
-    """Return the median over edges that lean alike, band by band."""
-    import warnings
-
-    def middle(name: str) -> np.ndarray:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # a band that no edge has
-            return np.asarray(np.nanmedian([getattr(t, name) for t in tables], axis=0))
-
-    first = tables[0]
-    refused_bands = {band for table in tables for band in table.refused}
-    nowhere = {b: first.refused[b] for b in refused_bands if all(b in t.refused for t in tables)}
-    return EdgeTable(
-        f"{len(tables)} border{'s' * (len(tables) > 1)} of grey patches",
-        axis,
-        tuple(box for table in tables for box in table.boxes),
-        float(np.median([table.angle_deg for table in tables])),
-        first.bands,
-        middle("response"),
-        middle("sfr50"),
-        middle("sfr10"),
-        middle("efficiency"),
-        middle("most"),
-        middle("shift"),
-        float("nan"),
-        nowhere,
     )
 
 
@@ -380,36 +287,4 @@ def rate_edges(tables: Sequence[EdgeTable]) -> list[IndicatorRow]:
         )
         name = f"colour misregistration, largest ({low} to {high}, {table.axis})"
         rows.append(indicator("misregistration", name, table.largest_shift, "px"))
-    return rows
-
-
-class _Measured(Protocol):
-    """A chart or a target of edges that was measured."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def edges(self) -> EdgeFindings: ...
-
-
-def layer_rows(measures: Sequence[_Measured]) -> list[IndicatorRow]:
-    """Return the shift between the layers of each object on the grid, at every edge that several of them show.
-
-    Notes
-    -----
-    A layer's edge lies where its bands have it in the mean. Names of measures are OBJECT/LAYER.
-    """
-    places_of: dict[tuple[str, str, str], list[tuple[str, float]]] = {}
-    for measure in measures:
-        thing, slash, layer = measure.name.partition("/")
-        for table in measure.edges.tables:
-            if slash and np.isfinite(table.origin):
-                places = places_of.setdefault((thing, table.label, table.axis), [])
-                places.append((layer, table.origin))
-    rows = []
-    for (thing, label, axis), places in places_of.items():
-        if len(places) > 1:
-            low, high = (pick(places, key=lambda p: p[1]) for pick in (min, max))
-            name = f"{thing}, {label}, along {axis}: shift between layers, largest ({low[0]} to {high[0]})"
-            rows.append(indicator("misregistration", name, high[1] - low[1], "px"))
     return rows

@@ -50,8 +50,6 @@ LIMITS = {
     "sharpening": IndicatorLevels("1", _up_to(1.02)),
     "misregistration": IndicatorLevels("0", _up_to(0.33, 0.5, 0.8)),
 }
-LEAST_NOISE = 0.25
-"""Standard deviation of L* below which FADGI 2023 suspects noise that was filtered away."""
 
 
 class IndicatorRow(NamedTuple):

@@ -78,7 +78,6 @@ def locate_chart(
         Reflectance, or counts above dark.
     wavelengths : ndarray, (bands,), nm
         NaN for broad channels.
-    chart : Chart
     reference : Reference, optional
         Spectra to compare with, band by band where wavelengths are known.
     corners : (4, 2), optional
@@ -147,7 +146,6 @@ def locate_in_cube(
 
     Parameters
     ----------
-    cube : Cube
     chart, reference, corners
         As for `locate_chart`.
     near : ndarray, (4, 2), optional
@@ -273,20 +271,6 @@ def grey_agreement(means: np.ndarray, chart: Chart) -> tuple[float, np.ndarray]:
     whole = max(_rank_correlation(column, luminances) for column in means.T)
     agreement = float(np.median(found)) if whole > LEAST_OF_ALL else -1.0
     return agreement, np.full(means.shape[1], np.nan)
-
-
-def wavelength_of_order(column: np.ndarray, reference: ChartReference) -> tuple[float, float]:
-    """Return the wavelength, nm, at which a chart reflects most as a band saw it, and that rank correlation.
-
-    Parameters
-    ----------
-    column : ndarray, (patches,)
-        Of a band that does not fit its own wavelength.
-    reference : ChartReference
-    """
-    found = [_rank_correlation(column, at) for at in reference.spectra.T]
-    best = int(np.argmax(found))
-    return float(reference.wavelengths[best]), found[best]
 
 
 def _rank_correlation(a: np.ndarray, b: np.ndarray) -> float:

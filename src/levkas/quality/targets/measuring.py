@@ -23,17 +23,15 @@ from levkas.quality.targets.edges import (
     EdgeFindings,
     EdgePlace,
     join_findings,
-    measure_borders,
     measure_named,
 )
 from levkas.quality.targets.indicators import (
-    LEAST_NOISE,
     IndicatorRow,
     WhiteEvenness,
     indicator,
     lightness_slope,
 )
-from levkas.quality.targets.locating import LEAST_AGREEMENT, Located, wavelength_of_order
+from levkas.quality.targets.locating import Located
 from levkas.quality.targets.patches import (
     SATURATED,
     PatchTable,
@@ -74,7 +72,7 @@ class Sighting:
     curve: Curve | None = None
     """Of a finished photograph, whose values are light by it."""
     edges: tuple[EdgePlace, ...] = ()
-    """Slanted edges that were named; without them the borders of grey patches are looked at."""
+    """Slanted edges that were named."""
     common: np.ndarray | None = None
 
 
@@ -85,7 +83,6 @@ def decode_sighting(sighting: Sighting, chart: Chart, top: float) -> Sighting:
     ----------
     sighting : Sighting
         Its values are the codes of the photograph.
-    chart : Chart
     top : float
         The greatest code: 255 of 8 bits.
     """
@@ -115,10 +112,8 @@ class ChartMeasure:
     ----------
     name : str
         Target and layer, or file.
-    chart : Chart
     sightings : tuple of Sighting
         A sensor each.
-    bands : tuple of Band
     table : PatchTable
         Over all bands.
     preblurs : tuple of Preblur or None
@@ -127,7 +122,6 @@ class ChartMeasure:
         None where there are no reference spectra, or no visible band.
     rows : tuple of Row
         Indicators.
-    notes : tuple of str
     edges : EdgeFindings
         Spatial frequency response and shifts of the bands.
     stray : StrayLight or None
@@ -229,10 +223,8 @@ def measure(
     preblurs = [p for s in sightings for p in _preblurs(s)]
     wavelengths = np.array([band.wavelength for band in bands], float)
     unfit = np.concatenate([s.located.unfit for s in sightings])
-    remarks = [*notes, *_warnings(table, bands, sightings), *_misfits(bands, sightings, reference)]
+    remarks = [*notes, *_warnings(table, bands, sightings), *_misfits(bands, sightings)]
     remarks += _unknown_bands(bands, reference)
-    if reference is not None and reference.note:
-        remarks.append(f"reference: {reference.note}")
     colours, rows = None, []
     photograph = len(sightings) == 1 and sightings[0].curve is not None
     remarks += [s.curve.note for s in sightings if s.curve is not None]
@@ -251,12 +243,11 @@ def measure(
         colours = compare_colours(means, wavelengths[~unfit], reference, srgb=photograph)
         weights = np.zeros(len(bands))
         weights[~unfit] = colours.weights
-        noise_row, remark = rate_noise(sightings, weights, table.mean @ weights, chart)
-        rows = [*rate(colours, chart, evenness=evenness), *noise_row]
-        remarks += remark
+        noise = rate_noise(sightings, weights, table.mean @ weights, chart)
+        rows = [*rate(colours, chart, evenness=evenness), *noise]
     elif not clean:
         remarks.append("colours are not compared where patches saturate")
-    edges = join_findings([_edges(one, chart) for one in sightings])
+    edges = join_findings([_edges(one) for one in sightings])
     stray = None
     if reference is not None and reflective and not photograph and clean:
         means = np.where(unfit, np.nan, table.mean)
@@ -300,61 +291,38 @@ def _stray_row(stray: StrayLight, bands: Sequence[Band]) -> list[IndicatorRow]:
     return [IndicatorRow(name, 100 * float(stray.shares[most]), "%", "0", "–", "–")]
 
 
-def _edges(sighting: Sighting, chart: Chart) -> EdgeFindings:
+def _edges(sighting: Sighting) -> EdgeFindings:
     period = 1 if sighting.pattern is None else max(sighting.pattern.shape)
-    if sighting.edges:
-        return measure_named(sighting.cube, sighting.edges, period=period)
-    return measure_borders(sighting.cube, sighting.located, chart, period=period)
+    return measure_named(sighting.cube, sighting.edges, period=period)
 
 
-INFRARED = 690.0
-"""nm; the published spectra end at 730: a band that ranks patches as these do sees near infrared."""
-
-
-def _misfits(
-    bands: Sequence[Band], sightings: Sequence[Sighting], reference: ChartReference | None
-) -> list[str]:
-    """Report which bands rank the patches otherwise than their wavelength should, and what they look like."""
-    notes = []
-    columns = np.concatenate([s.located.means for s in sightings], 1)
+def _misfits(bands: Sequence[Band], sightings: Sequence[Sighting]) -> list[str]:
+    """Report which bands rank the patches otherwise than their wavelength should."""
     fit = np.concatenate([s.located.bands for s in sightings])
-    for i in map(int, np.flatnonzero(np.concatenate([s.located.unfit for s in sightings]))):
-        assert reference is not None  # without it no band is compared
-        wavelength, agreement = wavelength_of_order(columns[:, i], reference)
-        like = f"it looks like {wavelength:g} nm ({agreement:.2f})"
-        if agreement < LEAST_AGREEMENT:
-            like = (
-                f"it looks like no single wavelength, most like {wavelength:g} nm ({agreement:.2f})"
-            )
-        leak = "; near infrared leaks through its filter" if wavelength >= INFRARED else ""
-        notes.append(
-            f"the signal of {bands[i].label} does not match its wavelength: rank correlation "
-            f"{fit[i]:.2f}; {like}{leak}. It is left out of the colours"
-        )
-    return notes
+    unfit = np.concatenate([s.located.unfit for s in sightings])
+    return [
+        f"the signal of {bands[i].label} does not match its wavelength: rank correlation {fit[i]:.2f}. It is left out of the colours"
+        for i in map(int, np.flatnonzero(unfit))
+    ]
 
 
 def _unknown_bands(bands: Sequence[Band], reference: ChartReference | None) -> list[str]:
     """Report of which bands nothing is published; they are compared with nothing."""
     if reference is None:
         return []
-    wavelengths = np.array([band.wavelength for band in bands], float)
-    beyond = np.isfinite(wavelengths) & ~reference.covers(wavelengths)
-    notes = []
-    for where, part in (
-        ("infrared", beyond & (wavelengths > reference.wavelengths[-1])),
-        ("ultraviolet", beyond & (wavelengths < reference.wavelengths[0])),
-    ):
-        labels = [bands[i].label for i in map(int, np.flatnonzero(part))]
-        if labels:
-            more = f" and {len(labels) - 6} more" if len(labels) > 6 else ""
-            notes.append(
-                f"no reference in the {where} for {', '.join(labels[:6])}{more}: the spectra "
-                f"({reference.source}) cover {reference.wavelengths[0]:g} to "
-                f"{reference.wavelengths[-1]:g} nm. Signal and noise are reported there without a "
-                "comparison; give a CSV that covers this range"
-            )
-    return notes
+    nm = np.array([band.wavelength for band in bands], float)
+    labels = [bands[i].label for i in np.flatnonzero(np.isfinite(nm) & ~reference.covers(nm))]
+    if not labels:
+        return []
+    return [
+        f"no reference for {_named(labels)}: the spectra ({reference.source}) cover {reference.wavelengths[0]:g} to "
+        f"{reference.wavelengths[-1]:g} nm. Signal and noise are reported there without a comparison"
+    ]
+
+
+def _named(labels: Sequence[str]) -> str:
+    more = f" and {len(labels) - 6} more" if len(labels) > 6 else ""
+    return ", ".join(labels[:6]) + more
 
 
 def _patches_of(sighting: Sighting) -> PatchTable:
@@ -389,15 +357,14 @@ def _warnings(table: PatchTable, bands: Sequence[Band], sightings: Sequence[Sigh
     if full.max() > SATURATED:
         where = [b.label for b, share in zip(bands, full, strict=True) if share > SATURATED]
         doubts.append(
-            f"patches saturate in {', '.join(where[:6])}: no SNR there; capture the chart with less exposure"
+            f"patches saturate in {_named(where)}: no SNR there; capture the chart with less exposure"
         )
     coarse = table.quantised.sum(0)
     if coarse.any():
         where = [f"{b.label} ({n})" for b, n in zip(bands, coarse, strict=True) if n]
-        more = f" and {len(where) - 6} more" if len(where) > 6 else ""
         doubts.append(
             "the signal-to-noise is limited by quantisation, the rounding to codes, in patches of "
-            f"{', '.join(where[:6])}{more}: expose longer, or save more bits"
+            f"{_named(where)}: expose longer, or save more bits"
         )
     glared = any(is_flagged(s.cube.flags, Flag.GLARE).any() for s in sightings)
     if glared:
@@ -433,7 +400,6 @@ def compare_colours(
         Reflectance.
     wavelengths : ndarray, (bands,), nm
         NaN for broad channels.
-    reference : Reference
     srgb : bool
         Whether the three channels are red, green and blue of linear sRGB, as a photograph shows them.
 
@@ -518,31 +484,16 @@ def noise_of_lightness(
     luminances: np.ndarray,
     patches: Sequence[int],
 ) -> np.ndarray:
-    """Return the standard deviation of L* in patches.
+    """Return the standard deviation of L* in patches about a fitted plane, (patches,), NaN where one saturates.
 
-    Parameters
-    ----------
-    sightings : sequence of Sighting
-        A sensor each; their noise is independent.
-    weights : ndarray, (bands,)
-        Luminance Y of the values, over the bands of all sensors.
-    luminances : ndarray, (patches,)
-        Y of those patches as measured, white 1.
-    patches : sequence of int
-
-    Returns
-    -------
-    noise : ndarray, (patches,)
-        About a fitted plane, of the values as they are delivered: mean of shots, demosaiced, the chart's
-        texture included; NaN where a patch saturates. Sensors see the patch on pixels of their own, so that
-        σ(Y) is propagated: σ(L*) = σ(Y)·dL*/dY.
+    Of the values as they are delivered: mean of shots, demosaiced, the chart's texture included. `weights` are those of luminance Y,
+    (bands,), over the bands of all sensors, whose noise is independent; `luminances` Y of the patches, (patches,), white 1.
+    Sensors see the patch on pixels of their own, so that σ(Y) is propagated: σ(L*) = σ(Y)·dL*/dY.
     """
-    variance = np.zeros(len(patches))
-    first = 0
+    variance, first = np.zeros(len(patches)), 0
     for one in sightings:
-        bands = one.cube.values.shape[2]
-        part = weights[first : first + bands]
-        first += bands
+        part = weights[first : first + one.cube.values.shape[2]]
+        first += len(part)
         for i, patch in enumerate(patches):
             rows, columns = pixels_of(one.located.areas[patch])
             full = is_flagged(one.cube.flags[rows, columns], Flag.SATURATED)
@@ -556,18 +507,12 @@ def noise_of_lightness(
 
 def rate_noise(
     sightings: Sequence[Sighting], weights: np.ndarray, luminances: np.ndarray, chart: Chart
-) -> tuple[list[IndicatorRow], list[str]]:
-    """Return the row of the noise of L* in the grey patches, none where they saturate, and a remark."""
+) -> list[IndicatorRow]:
+    """Return the row of the noise of L* in the grey patches, none where they saturate."""
     greys = list(chart.greys)
     noise = noise_of_lightness(sightings, weights, luminances[greys], greys)
     if not np.isfinite(noise).any():
-        return [], []
+        return []
     worst = int(np.nanargmax(noise))
     name = f"noise of L*, worst grey ({chart.patches[greys[worst]]})"
-    remarks = []
-    if noise[worst] <= LEAST_NOISE:
-        remarks.append(
-            f"the noise of L* is below {LEAST_NOISE:g}, where FADGI suspects that noise was filtered away; means of "
-            "shots and large pixels have as little"
-        )
-    return [indicator("noise", name, float(noise[worst]), "L*")], remarks
+    return [indicator("noise", name, float(noise[worst]), "L*")]

@@ -197,12 +197,10 @@ class Preblur(NamedTuple):
 
     Parameters
     ----------
-    found : bool
     lag1 : (along x, along y)
         Autocorrelation of neighbours.
     factor : float
         True over measured standard deviation, 1 where nothing was found.
-    pixels : int
     """
 
     found: bool

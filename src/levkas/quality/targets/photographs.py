@@ -48,7 +48,6 @@ def find_curve(means: np.ndarray, chart: Chart) -> Curve:
     ----------
     means : ndarray, (patches, channels)
         Of its values, 0 … 1.
-    chart : Chart
 
     Examples
     --------

@@ -89,8 +89,6 @@ def measure_stray_light(
         Reflectance as measured.
     wavelengths : ndarray, (bands,), nm
         NaN for a broad channel: greys hardly change over wavelength, and their mean is taken.
-    chart : Chart
-    reference : ChartReference
 
     Returns
     -------
