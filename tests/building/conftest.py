@@ -1,10 +1,20 @@
 """Campaigns of every kind of camera, quickly built."""
 
 import runpy
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+import toy
+
+
+@pytest.fixture
+def toys(monkeypatch: pytest.MonkeyPatch) -> toy.Toys:
+    """Put stages that write a line of text in the place of a build's."""
+    return toy.install(monkeypatch)
 
 
 @pytest.fixture(scope="session")

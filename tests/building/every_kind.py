@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -81,7 +82,9 @@ points = "{object}_{camera}.csv"
 SIZE = (240, 200)
 
 
-def view(number: int, inverted: bool = False, shift: float = 6.0) -> np.ndarray:
+def view(
+    number: int, inverted: bool = False, shift: float = 6.0, size: tuple[int, int] = SIZE
+) -> np.ndarray:
     """A painting as a camera sees it, 0 to 1; every camera stands a little elsewhere."""
     rng = np.random.default_rng(number)
     big = np.full((400, 480), 90, np.float32)
@@ -93,18 +96,23 @@ def view(number: int, inverted: bool = False, shift: float = 6.0) -> np.ndarray:
     big = np.clip(big + 60 * grain, 5, 250)
     matrix = np.array([[1.95, 0.02, shift], [-0.02, 1.95, 5.0]])
     how = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    observed = cv2.warpAffine(big, matrix, SIZE, flags=how, borderMode=cv2.BORDER_REFLECT) / 255
+    observed = cv2.warpAffine(big, matrix, size, flags=how, borderMode=cv2.BORDER_REFLECT) / 255
     return np.clip(1 - observed if inverted else observed, 0.02, 0.98)
 
 
-def make(folder: Path, objects: tuple[str, ...] = ("one", "two"), cameras=tuple(CAMERAS)) -> Path:
+def make(
+    folder: Path,
+    objects: tuple[str, ...] = ("one", "two"),
+    cameras: Sequence[str] = tuple(CAMERAS),
+    size: tuple[int, int] = SIZE,
+) -> Path:
     """Write the campaign; only the first object was seen by other cameras than the photograph's."""
     folder.mkdir(parents=True)
     for number, name in enumerate(objects):
-        observed = view(number)
+        observed = view(number, size=size)
         _write(folder / f"photo/{name}.png", np.dstack([255 * observed] * 3).astype(np.uint8))
         if number == 0:
-            _write_others(folder, name, cameras)
+            _write_others(folder, name, cameras, size)
     tables = "".join(f"[cameras.{name}]{CAMERAS[name]}" for name in cameras)
     names = ", ".join(f'"{name}"' for name in objects)
     rest = REST if "filters" in cameras else REST.replace("cameras = { filters", "# { filters")
@@ -116,15 +124,15 @@ def make(folder: Path, objects: tuple[str, ...] = ("one", "two"), cameras=tuple(
     return folder
 
 
-def _write_others(folder: Path, name: str, cameras: tuple[str, ...]) -> None:
+def _write_others(folder: Path, name: str, cameras: Sequence[str], size: tuple[int, int]) -> None:
     rng = np.random.default_rng(9)
 
     def raw(scene: np.ndarray | float) -> np.ndarray:
-        light = np.broadcast_to(scene, SIZE[::-1]) * FULL + rng.normal(BLACK, 2, SIZE[::-1])
+        light = np.broadcast_to(scene, size[::-1]) * FULL + rng.normal(BLACK, 2, size[::-1])
         return np.rint(light).clip(0, 4095).astype(np.uint16)
 
     observed = {"dark": 0.0, "white": 1.0}
-    _write(folder / f"xray/{name}.png", (255 * view(0, True)).astype(np.uint8))
+    _write(folder / f"xray/{name}.png", (255 * view(0, True, size=size)).astype(np.uint8))
     for number, camera in enumerate(("filters", "raking", "colour", "twin")):
         if camera not in (*cameras, "raking"):
             continue
@@ -133,11 +141,11 @@ def _write_others(folder: Path, name: str, cameras: tuple[str, ...]) -> None:
             for band in bands.get(camera, bands["filters"]):
                 if camera == "raking" and target == "dark":
                     continue
-                scene = observed.get(target, view(0, camera == "raking", 7.0 + number))
+                scene = observed.get(target, view(0, camera == "raking", 7.0 + number, size))
                 _write(folder / f"{camera}/{target}{band}.tif", raw(scene))
     if "scan" in cameras:
         for target in ("dark", "white", name):
-            cube = [raw(observed.get(target, view(0, False, 9.0 + n))) for n in range(2)]
+            cube = [raw(observed.get(target, view(0, False, 9.0 + n, size))) for n in range(2)]
             data = np.stack([plane[:1] if target in observed else plane for plane in cube], axis=1)
             _write_cube(folder / f"scan/{target}", data)
     (folder / "exposures.csv").write_text(

@@ -59,16 +59,6 @@ def test_a_kind_is_added_by_a_row_and_a_function(film, plates, tmp_path):
     assert np.nanmedian(apart) < 0.5 and np.isfinite(apart).sum() > 0.98 * np.isfinite(there).sum()
 
 
-def test_an_unknown_kind_is_refused_with_those_that_there_are(plates, tmp_path):
-    text = (plates / "campaign.toml").read_text().replace('"image"', '"mosiac"', 1)
-    (tmp_path / "campaign.toml").write_text(text)
-    with pytest.raises(levkas.Refused) as refused:
-        levkas.load_campaign(tmp_path)
-    message = refused.value.problems[0].message
-    assert all(repr(kind) in message for kind in camera_kinds.KINDS)
-    assert "Did you mean 'mosaic'?" in message
-
-
 @pytest.mark.parametrize("kind", camera_kinds.KINDS.values(), ids=camera_kinds.KINDS.keys())
 def test_every_row_names_a_function_whose_change_makes_calibrated_layers_stale(kind):
     module, _, name = kind.develop.partition(":")
@@ -79,12 +69,6 @@ def test_every_row_names_a_function_whose_change_makes_calibrated_layers_stale(k
 def test_the_function_of_the_page_lies_where_its_change_makes_layers_stale(film):
     module = camera_kinds.KINDS["film"].develop.partition(":")[0].split(".")
     assert module[1] in STAGES["calibrate"]
-
-
-def test_every_kind_is_described_where_users_look():
-    page = PAGE.parents[1] / "campaign.md"
-    described = page.read_text(encoding="utf-8").partition("Kinds:")[2]
-    assert [kind for kind in camera_kinds.KINDS if f"\n`{kind}`\n: " not in described] == []
 
 
 def test_a_kind_that_reads_all_pages_of_a_file_has_no_warning_of_unread_ones(

@@ -6,15 +6,18 @@ import os
 import sqlite3
 import subprocess
 import sys
+import time
 from contextlib import closing
+from pathlib import Path
 
 import pytest
 
 from levkas.building import records_file
 from levkas.building.build_records import BuildRecords, Key
 from levkas.building.hashes import Hashes
-from levkas.building.records_file import NAME, read_rows, sweep_older_records
+from levkas.building.records_file import NAME, read_rows
 from levkas.core import files
+from levkas.core.digests import hash_file, stamp_of
 from levkas.core.disk import WriteRefused
 from levkas.core.problems import Problem
 
@@ -81,41 +84,40 @@ def test_a_damaged_record_is_of_a_stage_that_is_done_again(folders, flipped):
     assert BuildRecords(*folders).why_stale(KEY, PRINTS) == ""
 
 
-@pytest.mark.parametrize("part", ["object", "camera", "setup", "stage"])
-def test_a_record_that_a_flipped_bit_gives_another_stage_is_nobodys(folders, part):
-    change(folders[0], f"UPDATE stages SET {part} = 'register'")
-    records = BuildRecords(*folders)
-    assert records.why_stale(KEY, PRINTS) == "not yet built" and not records.recorded()
-
-
-def test_a_record_under_bytes_that_are_no_text_hides_no_other(folders):
+@pytest.mark.parametrize("flipped", ["stage = 'register'", "camera = CAST(x'ff70' AS TEXT)"])
+def test_a_record_that_a_flipped_bit_gives_another_stage_is_nobodys(folders, flipped):
     other = Key("two", "photo", stage="calibrate")
     BuildRecords(*folders).keep(other, PRINTS, [])
-    change(folders[0], "UPDATE stages SET camera = CAST(x'ff70' AS TEXT) WHERE object = 'one'")
-    assert BuildRecords(*folders).recorded() == [other]
+    change(folders[0], f"UPDATE stages SET {flipped} WHERE object = 'one'")
+    records = BuildRecords(*folders)
+    assert records.why_stale(KEY, PRINTS) == "not yet built" and records.recorded() == [other]
+
+
+def torn(path):
+    data = path.read_bytes()  # the page of the tables' names is whole
+    path.write_bytes(data[:4096] + os.urandom(len(data) - 4096))
+
+
+def other_tables(path):
+    path.unlink()
+    with closing(sqlite3.connect(path)) as rows, rows:
+        rows.execute("CREATE TABLE stages (object, sha256, more INTEGER NOT NULL)")
+        rows.execute("CREATE VIEW files AS SELECT 1 AS name")
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"no records" * 1000, None], ids=["empty", "garbage", "torn"]
+    "damage",
+    [Path.unlink, lambda path: path.write_bytes(b"no records" * 1000), torn, other_tables],
+    ids=["gone", "garbage", "torn", "other tables"],
 )
-def test_a_damaged_file_is_as_none_and_is_made_anew(folders, content):
-    path = folders[0] / NAME
-    data = path.read_bytes()
-    path.write_bytes(data[:4096] + os.urandom(len(data) - 4096) if content is None else content)
-    records = BuildRecords(*folders)
+def test_a_damaged_file_is_as_none_and_is_made_anew(folders, damage):
+    damage(folders[0] / NAME)
+    records, product = BuildRecords(*folders), folders[1] / "a.tif"
     assert records.why_stale(KEY, PRINTS) == "not yet built" and not records.recorded()
-    records.keep(KEY, PRINTS, [])
+    assert records.hashes.known(product) is None
+    records.keep(KEY, PRINTS, [product])
     assert BuildRecords(*folders).why_stale(KEY, PRINTS) == ""
-
-
-def test_tables_of_another_form_are_as_none_and_are_made_anew(folders):
-    (folders[0] / NAME).unlink()
-    with closing(sqlite3.connect(folders[0] / NAME)) as rows, rows:
-        rows.execute("CREATE TABLE stages (object, sha256, more INTEGER NOT NULL)")
-    records = BuildRecords(*folders)
-    assert records.why_stale(KEY, PRINTS) == "not yet built"
-    records.keep(KEY, PRINTS, [])
-    assert BuildRecords(*folders).why_stale(KEY, PRINTS) == ""
+    assert Hashes(folders[0] / NAME)(product) == hash_file(product)
 
 
 KILLED = """
@@ -134,12 +136,6 @@ def test_a_transaction_of_a_killed_build_is_undone(folders):
     assert killed.returncode == 9 and path.with_name(f"{NAME}-journal").stat().st_size
     assert BuildRecords(*folders).why_stale(KEY, PRINTS) == ""
     assert BuildRecords(*folders).recorded() == [KEY]
-
-
-def test_a_record_is_on_the_disk_before_the_build_goes_on(folders):
-    with closing(records_file._connect(folders[0] / NAME, "rw")) as rows:
-        assert rows.execute("PRAGMA journal_mode").fetchall() == [("delete",)]
-        assert rows.execute("PRAGMA synchronous").fetchall() == [(3,)]  # extra: the folder, too
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO])
@@ -176,14 +172,6 @@ def test_where_files_cannot_be_locked_records_are_kept_all_the_same(folders, mon
     assert BuildRecords(*folders).why_stale(KEY, PRINTS) == "not yet built"
 
 
-def test_a_folder_of_any_name_holds_records(tmp_path):
-    kept = tmp_path / "a ?#%25&mode=ro é \udcff"
-    kept.mkdir()
-    BuildRecords(kept, tmp_path).keep(KEY, PRINTS, [])
-    assert [path.name for path in kept.iterdir()] == [NAME]
-    assert BuildRecords(kept, tmp_path).why_stale(KEY, PRINTS) == ""
-
-
 def test_reading_makes_no_file(tmp_path):
     records = BuildRecords(tmp_path, tmp_path)
     assert records.why_stale(KEY, PRINTS) == "not yet built" and not records.recorded()
@@ -192,29 +180,66 @@ def test_reading_makes_no_file(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_database_whose_records_were_taken_away_meanwhile_is_recorded_anew(folders):
-    records = BuildRecords(*folders)
-    assert records.why_stale(KEY, PRINTS) == ""
-    (folders[0] / NAME).unlink()
-    other = Key("two", "photo", stage="calibrate")
-    records.keep(other, PRINTS, [])
-    assert BuildRecords(*folders).recorded() == [other]
+def test_what_a_build_noted_outlasts_another_that_does_the_stage_again(folders):
+    mine, other = BuildRecords(*folders), BuildRecords(*folders)
+    mine.keep(KEY, PRINTS, [], captured="2019-08-30")
+    other.forget(KEY)
+    assert mine.notes(KEY) == {"captured": "2019-08-30"} and other.notes(KEY) == {}
 
 
-def test_records_of_earlier_versions_are_removed_and_nothing_else(tmp_path):
-    older = ("hashes.sqlite", "catalogue.json", "one/report.json", "one/photo/register.was")
-    stays = (
-        "campaign.json",
-        "one/photo/measured.npz",
-        "one/photo/register.error.txt",
-    )
-    for name in (*older, *stays, "one/photo/calibrate.refused"):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text("{}")
-    sweep_older_records(tmp_path)
-    assert {p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*") if p.is_file()} == {
-        *stays
-    }
-    (tmp_path / "one/mine.json").write_text("{}")
-    sweep_older_records(tmp_path)
-    assert (tmp_path / "one/mine.json").is_file()
+# --- hashes of files
+
+
+@pytest.fixture
+def kept(tmp_path):
+    """An index of one file, whose hash in it is not its own: so one sees where it comes from."""
+    frame, index = tmp_path / "frame \udcff.tif", tmp_path / "a ?#%25&mode=ro é" / NAME
+    index.parent.mkdir()
+    frame.write_bytes(b"frame")
+    hashes = Hashes(index)
+    hashes._learn(frame, (*stamp_of(frame), "f" * 64), old_enough=True)
+    hashes.save()
+    return frame, index
+
+
+def test_what_was_read_is_found_again_by_its_stamp(kept):
+    frame, index = kept
+    assert Hashes(index)(frame) == "f" * 64
+    assert Hashes(index, verify=True)(frame) == hash_file(frame)
+    frame.write_bytes(b"other")
+    assert Hashes(index)(frame) == hash_file(frame)
+
+
+@pytest.mark.parametrize(
+    "flipped", ["sha256 = NULL", "sha256 = 'ffff'", "inode = 'one'", "size = NULL"]
+)
+def test_a_damaged_row_of_the_index_is_read_again(kept, flipped):
+    frame, index = kept
+    change(index.parent, f"UPDATE files SET {flipped}")
+    assert Hashes(index)(frame) == hash_file(frame)
+
+
+def test_a_file_that_was_just_changed_is_read_once_more_before_its_hash_is_recorded(
+    kept, monkeypatch
+):
+    frame, index = kept
+    hashes = Hashes(index, verify=True)
+    monkeypatch.setattr("levkas.building.hashes.is_old_enough", lambda stamp, now: False)
+    before = hashes(frame)
+    stamp = frame.stat()
+    frame.write_bytes(b"FRAME")
+    os.utime(frame, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+    monkeypatch.undo()
+    time.sleep(0.2)  # past the tick
+    hashes.save()
+    assert Hashes(index)(frame) == hash_file(frame) != before
+
+
+def test_two_builds_write_one_index(tmp_path):
+    for number in range(2):
+        path, hashes = tmp_path / f"{number}", Hashes(tmp_path / NAME)
+        path.write_bytes(b"x")
+        hashes(path, own=True)
+        hashes.save()
+    both = Hashes(tmp_path / NAME)
+    assert both.known(tmp_path / "0") and both.known(tmp_path / "1")

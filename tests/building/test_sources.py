@@ -2,7 +2,6 @@
 
 import ast
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -11,8 +10,6 @@ from pathlib import Path
 import pytest
 
 import levkas
-from levkas.core import instructions
-from levkas.core.instructions import HELD
 from levkas.stages import sources
 from levkas.stages.sources import HERE, NUMBERS, PAGES, PRODUCTS, STAGES, code_version, files_of
 
@@ -51,7 +48,6 @@ def test_the_packages_of_the_numbers_import_nothing_else_of_levkas():
     assert others == set()
 
 
-@pytest.mark.slow
 def test_every_library_is_in_the_fingerprint_or_known_to_have_no_effect():
     roots = {module.partition(".")[0] for _, module in modules(PAGES)}
     others = roots - {*sys.stdlib_module_names, "levkas", ""}
@@ -106,29 +102,6 @@ def test_another_version_of_a_library_changes_the_stages_that_use_it(
     )
     assert {stage for stage in STAGES if code_version(stage) != before[stage]} == stages
     sources._hash.cache_clear()
-
-
-@pytest.mark.slow
-def test_other_instruction_sets_make_every_stage_stale_that_computes(plates):
-    free = {k: v for k, v in os.environ.items() if k not in (*HELD, "OPENCV_CPU_DISABLE")}
-    script = "from levkas.cli import main; main()"
-    command = [sys.executable, "-c", script, "status", str(plates), "--json"]
-
-    def stale(**more):
-        env = free | {"PYTHONPATH": os.pathsep.join(sys.path)} | more
-        result = subprocess.run(command, capture_output=True, text=True, check=True, env=env)
-        steps = json.loads(result.stdout)["stages"]
-        return {s["stage"] for s in steps if "instructions" in s["why"]}
-
-    assert stale() == set()
-    found = instructions.describe_instructions()  # held, as conftest.py does
-    if found["level"] == instructions.BASELINE:
-        sets = stale(LEVKAS_INSTRUCTIONS="native")
-        assert sets in ({"calibrate", "register", "resample", "report"}, set())
-    record = json.loads((plates / "database/objects/one/provenance.json").read_text())
-    assert {step["instructions"] for step in record["steps"]} == {
-        instructions.instructions_in_use()
-    }
 
 
 @pytest.mark.slow

@@ -78,17 +78,6 @@ def write_rows(path: Path, *changes: Change) -> None:
             _commit(path, changes)
 
 
-def sweep_older_records(folder: Path) -> None:
-    """Remove what stood there in place of this file before: an index of hashes, and some files a stage."""
-    index = folder / "hashes.sqlite"
-    if index.is_file():
-        for path in sorted(folder.glob("*/**/*")):
-            if path.suffix in (".json", ".was", ".refused"):
-                files.remove(path)
-        for path in (*folder.glob("catalogue.*"), index):
-            files.remove(path)
-
-
 def _commit(path: Path, changes: Iterable[Change]) -> None:
     with closing(_connect(path, "rwc")) as connection, connection:
         for table in TABLES:

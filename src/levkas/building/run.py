@@ -37,7 +37,6 @@ from levkas.building.outcomes import (
     within,
 )
 from levkas.building.plan import Plan, plan_of
-from levkas.building.records_file import sweep_older_records
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.edits import sweep_corrections
 from levkas.core.internal_errors import as_refusal
@@ -102,7 +101,6 @@ def build(
     claim(campaign, places, whole.captures, whole.names)
     for folder in (places.output, places.kept):
         sweep(folder)
-    sweep_older_records(places.kept)
     sweep_corrections(campaign.root)
     records = BuildRecords(
         places.kept, places.output, keep_removed=keep_removed, verify=verify,
