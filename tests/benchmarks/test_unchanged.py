@@ -20,7 +20,7 @@ VALUES = np.linspace(0.1, 0.9, 2 * 6 * 5, dtype=np.float32).reshape(2, 6, 5)
 @pytest.fixture
 def tool(monkeypatch):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
-    return importlib.import_module("differences")
+    return importlib.import_module("unchanged")
 
 
 def write_array(folder, values, chunks=(6, 5, 2)):
