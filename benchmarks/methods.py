@@ -40,7 +40,7 @@ from levkas.registration import BandImage, register
 
 sys.path.insert(0, str(Path(__file__).with_name("peers")))
 from levkas_peers.native import NativeLayer, read_native_layer
-from levkas_peers.pair import AnyMap, NoAnswer, pair_of, spread
+from levkas_peers.pair import AnyMap, NoAnswer, pair_of
 
 Map = Callable[[np.ndarray], np.ndarray]
 TIME_LIMIT_S = 600.0
@@ -168,9 +168,13 @@ def run_method(
     """Return (band → map from reference px to native px, decision, note); raises NoAnswer."""
     method = COMPARED[name]
     if method.module:
-        pair, camera = pair_of(ours, theirs, band, region)
-        answer = getattr(import_module(method.module), method.function)(pair)
-        return spread(camera, pair.whole(answer.found)), answer.decision, answer.note
+        maps: dict[str, Map] = {}
+        for sensor in dict.fromkeys(image.sensor for image in theirs):
+            images = [image for image in theirs if image.sensor == sensor]
+            pair = pair_of(ours, images, band, region)
+            answer = getattr(import_module(method.module), method.function)(pair)
+            maps |= dict.fromkeys((image.label for image in images), pair.whole(answer.found))
+        return maps, answer.decision, answer.note
     options: dict[str, Any] = {"method": name, "region": region}
     options |= {"reference_band": band, "reference_transforms": reference_maps}
     try:

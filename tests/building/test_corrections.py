@@ -10,10 +10,8 @@ from levkas import map_points
 from levkas.building import build, status, summarise
 from levkas.campaign.edits import Edits, EditsInvalid, FrameEdits, round_pair, write_edits
 from levkas.core.digests import hash_tree
-from levkas.publish.run import publish
-from levkas.registration.advice import percent
-from levkas.registration.shares import checked_share
 
+pytestmark = pytest.mark.slow
 CORNERS = np.array([[80.0, 70.0], [220.0, 60.0], [225.0, 190.0], [90.0, 200.0]])
 
 
@@ -71,55 +69,12 @@ def test_only_what_is_named_is_stale_and_status_says_why(corrected):
     assert all(state == "fresh" for state, _ in others)
 
 
-@pytest.mark.slow
 def test_corrections_are_replayed_to_the_same_bytes(corrected, turned_plates, tmp_path):
     folder, _, _ = corrected
     fresh = turned_plates.make(tmp_path / "elsewhere")
     shutil.copy(folder / "edits.toml", fresh / "edits.toml")
     assert summarise(build(fresh)).ok
     assert hash_tree(fresh / "database") == hash_tree(folder / "database")
-
-
-def test_the_record_tells_the_course_and_the_matches_what_became_of_them(corrected):
-    folder, _, _ = corrected
-    place = folder / "database/objects/bad/registration"
-    record = json.loads((place / "xray.json").read_text())
-    rows = (place / "xray.matches.csv").read_text().splitlines()
-    assert sum("added by hand" in row for row in rows) == 4
-    # What the paper's removal would do to the pairs is not what happened.
-    assert record["trace"]["kind"] == "windows" and "rounds" not in record["trace"]
-    (sensor,) = record["trace"]["sensors"]
-    windows = sensor["windows"]
-    assert {len(column) for column in windows.values()} == {sensor["count"]}
-    # Pairs by hand are fitted too, and stay.
-    places = {(x, y) for x, y in zip(windows["x"], windows["y"], strict=True)}
-    assert {tuple(corner) for corner in CORNERS} <= places
-    numbers = record["errors"]["sensors"][""]
-    assert sum(sensor["checks"]["found"]) == numbers["verification"]["found"]
-    page = (folder / "database/objects/bad/report.html").read_text()
-    assert "check windows agree with the map" in page and "Figure 10" not in page
-    assert f"over {percent(checked_share(numbers | numbers['verification']))}" in page
-    # What an X-ray and a photograph have in common is not likeness.
-    assert "SSIM map" not in page and page.index("In short") < page.index('id="evidence"')
-    assert "aligned with 4 pairs by hand" in page and record["pairs_by_hand"] == 4
-    other = folder / "database/objects/good"
-    assert "pairs_by_hand" not in json.loads((other / "registration/xray.json").read_text())
-    assert "by hand" not in (other / "report.html").read_text()
-    climbs = record["model"]["sensors"][0]["selections"]
-    assert climbs and all(c["model"] in c["held_out_px"] for c in climbs)
-
-
-def test_a_publication_says_which_layers_were_aligned_by_hand(corrected, tmp_path):
-    folder, _, _ = corrected
-    list(publish(folder / "database", output=tmp_path / "out", iiif=False))
-    (row,) = (
-        line
-        for line in (tmp_path / "out/README.md").read_text().splitlines()
-        if "pairs by hand" in line
-    )
-    assert row.startswith("| bad | xray |") and "aligned with 4 pairs by hand" in row
-    page = (tmp_path / "out/viewer/objects/bad/index.html").read_text()
-    assert page.count('"by_hand": "Aligned with 4 pairs by hand"') == 1
 
 
 def test_corrections_of_what_is_not_there_are_refused(corrected, turned_plates, tmp_path):
@@ -131,13 +86,3 @@ def test_corrections_of_what_is_not_there_are_refused(corrected, turned_plates, 
     with pytest.raises(EditsInvalid) as refused:
         status(folder)
     assert [p.found for p in refused.value.problems] == ["xry", "UV", "none"]
-
-
-def test_two_tables_of_one_sensor_are_refused(corrected, turned_plates, tmp_path):
-    folder = tmp_path / "campaign"
-    shutil.copytree(corrected[0], folder, ignore=shutil.ignore_patterns("database*"))
-    four = four_pairs(turned_plates.truth)
-    write_edits(folder / "edits.toml", Edits({("bad", "xray"): four, ("bad", "xray:grey"): four}))
-    with pytest.raises(EditsInvalid) as refused:
-        status(folder)
-    assert [p.found for p in refused.value.problems] == ["xray, xray:grey"]

@@ -47,22 +47,3 @@ def test_what_does_not_fit_is_refused_before_it_is_read(simulated, tmp_path, mon
     assert ended["d80", "calibrate"].state == "done"
     again = built(simulated, tmp_path / "database")  # where there is room now
     assert again["v10", "calibrate"].state == "done"
-
-
-def test_a_stage_that_runs_out_of_memory_is_refused_and_the_others_go_on(
-    simulated, tmp_path, monkeypatch
-):
-    from levkas.stages import calibrate
-
-    develop = calibrate.develop
-
-    def starving(capture, *more):
-        if capture.camera == "d80":
-            raise MemoryError("Unable to allocate 37.3 GiB")
-        return develop(capture, *more)
-
-    monkeypatch.setattr(calibrate, "develop", starving)
-    ended = built(simulated, tmp_path / "database")
-    (problem,) = ended["d80", "calibrate"].problems
-    assert problem.code == "E_MEMORY" and "37.3 GiB" in problem.message
-    assert ended["v10", "calibrate"].state == "done"

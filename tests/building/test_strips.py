@@ -1,6 +1,5 @@
 """Strips of a line scan of a known scene: joined to a twentieth of a pixel, streamed or held, or refused by name."""
 
-import re
 from functools import cache
 
 import cv2
@@ -13,16 +12,15 @@ from levkas.building import build, summarise
 from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
-from levkas.core.cube import Flag
-from levkas.core.digests import hash_tree
 from levkas.core.problems import Refused
 from levkas.geometry.transforms import Affine
-from levkas.stages import scan_templates, scans
+from levkas.stages import scan_templates
 from levkas.stages.calibrate import develop
 from levkas.stages.native_cubes import Native
 from levkas.stages.scans import open_scan
 from levkas.stages.template_cache import TemplateCache
 
+pytestmark = pytest.mark.slow
 LINES, SAMPLES, BANDS = 260, 150, 6
 WHITE, DARK = 3000.0, 100.0
 KEYS = """
@@ -116,7 +114,6 @@ def shift_of(left, truth):
     return np.linalg.lstsq(slopes, -left[inner].ravel(), rcond=None)[0]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "x, y",
     [
@@ -135,10 +132,8 @@ def test_strips_are_joined_to_a_twentieth_of_a_pixel(tmp_path, x, y):
     left, truth = miss(cube, np.roll(scene, -12, 0))
     beyond = np.s_[8:-8, SAMPLES + 2 : 250]
     assert np.abs(shift_of(left[beyond], truth[beyond])).max() < 0.05
-    assert sum("strips 1 and 2" in text for text in native.warnings) == 1
 
 
-@pytest.mark.slow
 def test_no_seam_is_seen_and_sigma_of_the_overlap_holds(tmp_path):
     scene = paint(soft=3.0)
     folder = write_campaign(tmp_path / "c", [strip(scene, 0, 0), strip(scene, 110.37, 0.4)])
@@ -155,47 +150,28 @@ def test_no_seam_is_seen_and_sigma_of_the_overlap_holds(tmp_path):
     assert not cube.flags[rows, 4:-4].any()
 
 
-@pytest.mark.slow
-def test_strips_whole_pixels_apart_keep_their_values(tmp_path):
-    scene = paint()
-    parts = [strip(scene, 0, 2), strip(scene, 118, 6)]
-    joined = developed(write_campaign(tmp_path / "c", parts)).cubes[""]
-    for number, (columns, rows) in enumerate([(np.s_[:118], 0), (np.s_[150:268], 4)]):
-        alone = tmp_path / f"alone_{number}"
-        write_campaign(alone, parts)
-        for kind in ("raw", "hdr"):
-            (alone / f"panel_{2 - number}.{kind}").unlink()
-        single = developed(alone).cubes[""]
-        inside = np.s_[: columns.stop] if number == 0 else np.s_[32:]
-        height = LINES - rows
-        for name in ("values", "sigma"):
-            here, there = (getattr(c, name) for c in (joined, single))
-            assert np.array_equal(here[rows:, columns], there[:height, inside]), name
-    assert (joined.flags[:4, 150:] & Flag.OUTSIDE).all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind, most", [("slope", 0.03), ("wobble", 0.05)])
-def test_a_stage_that_runs_askew_or_wobbles_is_followed(tmp_path, kind, most):
+def test_a_stage_that_runs_askew_is_followed_and_one_that_wobbles_refused(tmp_path):
     scene = paint(3)
 
-    def course(line):
-        if kind == "slope":
-            return 0.006 * line, 0 * line
-        return 0.4 * np.sin(2 * np.pi * line / 170), 0.2 * np.cos(2 * np.pi * line / 170)
+    def wobble(line):
+        turn = 2 * np.pi * line / 170
+        return 0.6 * np.sin(turn), 0.3 * np.cos(turn)
 
-    strips = [strip(scene, 0, 2), strip(scene, 108.3, 2.1, course)]
+    strips = [strip(scene, 0, 2), strip(scene, 108.3, 2.1, lambda y: (0.006 * y, 0 * y))]
     native = developed(write_campaign(tmp_path / "c", strips))
     (seam,) = native.measured[""]["strips"]
-    assert seam["course"] == kind
+    assert seam["course"] == "slope"
     left, truth = miss(native.cubes[""], np.roll(scene, -6, 0))
     beyond = np.s_[20:-20, SAMPLES + 2 : 250]
     rows = np.array_split(np.arange(len(left[beyond])), 6)
     found = [shift_of(left[beyond][r], truth[beyond][r]) for r in rows]
-    assert np.sqrt(np.mean(np.square(found), 0)).max() < most
+    assert np.sqrt(np.mean(np.square(found), 0)).max() < 0.03
+    strips[1] = strip(scene, 108.3, 2.1, wobble)
+    with pytest.raises(Refused) as refused:
+        developed(write_campaign(tmp_path / "w", strips))
+    assert refused.value.problems[0].code == "E_STRIPS"
 
 
-@pytest.mark.slow
 def test_three_strips_are_joined_and_streamed_to_the_same_bytes(tmp_path, monkeypatch):
     scene = paint(4)
     places = [(0, 0), (112.37, 1.3), (223.9, -0.6)]
@@ -237,55 +213,24 @@ def test_a_build_registers_both_strips(built):
     for columns in (np.s_[8:105], np.s_[156:255]):
         part = np.s_[10:-10, columns]
         assert np.abs(shift_of((values - truth)[part], truth[part])).max() < 0.05
-    kept = [*(folder / "database").rglob("report.html")]
-    assert any("share 35.63 samples" in path.read_text() for path in kept)
 
 
-@pytest.mark.slow
-def test_a_streamed_build_has_the_same_bytes(built, tmp_path, monkeypatch):
-    folder, _ = built
-    monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
-    monkeypatch.setenv("LEVKAS_TILE", "13")
-    summarise(build(folder, output=tmp_path / "streamed"))
-    outputs = (folder / "database", tmp_path / "streamed")
-    one, two = (hash_tree(output / "objects/panel/native") for output in outputs)
-    assert one and one == two
-
-
-def test_light_that_changed_between_passes_is_warned_of(tmp_path):
-    scene = paint()
-    strips = [strip(scene, 0, 0), strip(scene, 115.37, 0)]
-    native = developed(write_campaign(tmp_path / "c", strips, light=0.94))
-    (seam,) = native.measured[""]["strips"]
-    assert seam["difference_over_sigma"] > 1.5
-    assert any("times their sigma" in text for text in native.warnings)
-    assert np.abs(seam["offset_px"][0] - 115.37) < 0.05
-
-
-@pytest.mark.parametrize(
-    "second, found",
-    [
-        ((200, 0), "at best|match equally well|uncertainty"),
-        ((-119.6, 1.2), "panel_2.hdr lies to the left of panel_1.hdr"),
-    ],
-    ids=["no overlap", "the other way round"],
-)
-def test_strips_that_do_not_match_are_refused_by_name(tmp_path, second, found):
+@pytest.mark.parametrize("second", [(200, 0), (-119.6, 1.2)], ids=["no overlap", "other way round"])
+def test_strips_that_do_not_match_are_refused_by_name(tmp_path, second):
     scene = np.roll(paint(), 600, 1)
     folder = write_campaign(
         tmp_path, [strip(scene, 200, 4), strip(scene, 200 + second[0], 4 + second[1])]
     )
-    with pytest.raises(
-        CalibrationRefused, match=r"panel_1.hdr and panel_2.hdr, cannot be joined"
-    ) as refused:
+    with pytest.raises(CalibrationRefused) as refused:
         developed(folder)
     (problem,) = refused.value.problems
     assert problem.code == "E_STRIPS" and problem.file.endswith("panel_2.hdr")
     assert problem.field == "cameras.scan.files"
-    assert re.search(found, f"{problem.found} {problem.fix}")
 
 
-@pytest.mark.parametrize("kind", ["bare board", "repeats", "lines alone"])
+@pytest.mark.parametrize(
+    "kind", ["bare board", "repeats", pytest.param("lines alone", marks=pytest.mark.exhaustive)]
+)
 def test_an_overlap_that_does_not_tell_the_offset_is_refused(tmp_path, kind):
     y, x = np.mgrid[:LINES, :SAMPLES].astype(float)
     grey = {
@@ -299,28 +244,7 @@ def test_an_overlap_that_does_not_tell_the_offset_is_refused(tmp_path, kind):
     assert refused.value.problems[0].code == "E_STRIPS"
 
 
-def test_strips_of_other_bands_are_refused(tmp_path):
-    scene = paint()
-    write_campaign(tmp_path, [strip(scene, 0, 0), strip(scene, 110, 0)])
-    write_cube(tmp_path / "panel_2", np.full((LINES, SAMPLES, BANDS - 1), 900, np.uint16))
-    captures, refused = find_captures(load_campaign(tmp_path))
-    assert not captures
-    assert "there are 5 in panel_2.hdr" in str(next(iter(refused.values())))
-
-
-def test_what_one_strip_lost_the_other_one_shows(tmp_path):
-    scene = paint()
-    folder = write_campaign(tmp_path, [strip(scene, 0, 0), strip(scene, 110.4, 0)])
-    codes = np.fromfile(folder / "panel_1.raw", np.uint16).reshape(LINES, BANDS, SAMPLES)
-    codes[100:104, :, 125:128] = 65535
-    codes.tofile(folder / "panel_1.raw")
-    cube = developed(folder).cubes[""]
-    left, _ = miss(cube, scene)
-    assert not (cube.flags[100:104, 125:128] & Flag.SATURATED).any()
-    assert np.abs(left[100:104, 125:128]).max() < 6 * cube.sigma[100:104, 125:128].max()
-
-
-@pytest.mark.parametrize("larger", [pytest.param(1.0, marks=pytest.mark.slow), 0.5])
+@pytest.mark.parametrize("larger", [pytest.param(1.0, marks=pytest.mark.exhaustive), 0.5])
 def test_sigma_of_strips_holds_when_they_are_resampled_again(tmp_path, larger):
     """Half a pixel beside the first strip, then on a grid turned by 5 degrees, as large or half as large."""
     smooth = paint(soft=6.0)

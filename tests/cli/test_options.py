@@ -204,7 +204,6 @@ def bases(root, database):
         "plan exposure": frames,
         "agree": [database, database],
         "estimate apply": [database, root / "m.npz", "new"],
-        "points convert": [root / "checks.csv", root / "out.csv"],
     }  # fmt: skip
 
 
@@ -313,8 +312,6 @@ def test_options_of_a_cube_or_a_database_are_refused_with_a_campaign(place):
         (["estimate", "DB", "--method", "wienr"], "wiener"),
         (["plan", "light", "BENCH", "--setup-name", "propsed"], "proposed"),
         (["plan", "exposure", "--setup", "BENCH", "--setup-name", "propsed"], "proposed"),
-        (["points", "convert", "CHECKS", "OUT", "--to", "qgiss"], "qgis"),
-        (["points", "convert", "CHECKS", "OUT", "--from", "qgiss"], "qgis"),
         (["publish", "DB", "--check", "--analyse", "ratios"], "ratio"),
         (["simulate", "OUT", "--preset", "smal"], "small"),
         (["simulate", "OUT", "--setup", "sof"], "soft"),

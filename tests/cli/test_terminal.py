@@ -202,12 +202,6 @@ def test_map_says_what_is_wrong_and_ends_with_1(mapped, monkeypatch, words, repo
     assert status == 1 and out == "" and reported in err and len(err.splitlines()) <= 3
 
 
-def test_control_points_of_no_known_kind_are_quoted_as_text(tmp_path):
-    (tmp_path / "a.csv").write_text("x,y\n1,2\n")
-    _, _, err = run("points", "convert", tmp_path / "a.csv", tmp_path / "b.csv")
-    assert "found 'x,y'" in err and "b'" not in err
-
-
 # --- bar and help ---------------------------------------------------------------------------------
 
 

@@ -4,7 +4,6 @@ import csv
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -14,8 +13,6 @@ from levkas.core.disk import WriteRefused
 from levkas.core.ownership import MARK
 from levkas.core.problems import Refused
 from levkas.publish.export.run import FORMS, export
-from levkas.registration.control_points.dialects import write_points
-from levkas.registration.control_points.points import ControlPoints
 
 
 def exported(database, form, folder, **options):
@@ -112,17 +109,6 @@ def test_nothing_is_written_into_a_database_from_outside(database, tmp_path):
     )
     assert done.exit_code == 1 and "into a folder of Levkas" in done.output
     assert hash_tree(foreign) == before
-
-
-def test_converted_points_replace_no_file_unless_asked_to(tmp_path):
-    points = ControlPoints(np.eye(3, 2), np.eye(3, 2))
-    (target := tmp_path / "out.csv").write_text("three years")
-    with pytest.raises(WriteRefused, match="already exists"):
-        write_points(points, target, "levkas")
-    assert target.read_text() == "three years"
-    write_points(points, target, "levkas", overwrite=True)
-    assert target.is_file()
-    assert target.read_text() != "three years"
 
 
 CONTENTS = {

@@ -21,8 +21,11 @@ from levkas.quality.targets.charts import Chart, parse_reference
 from levkas.readers.envi import open_envi
 from levkas.readers.frames import read_facts, read_frame
 from levkas.readers.images import read_exif
-from levkas.registration.control_points.dialects import read_points
-from levkas.registration.control_points.layers import is_table_of_frames, read_table_of_frames
+from levkas.registration.control_points import (
+    is_table_of_frames,
+    read_points,
+    read_table_of_frames,
+)
 from levkas.stages.spectra import read_sensitivity, read_spectrum
 
 SLOW_S = 2.0

@@ -7,8 +7,7 @@ import imagecodecs
 import numpy as np
 import tifffile
 
-from levkas.registration.control_points.dialects import DIALECTS, format_points
-from levkas.registration.control_points.points import ControlPoints
+from levkas.registration.control_points import ControlPoints, format_points
 
 CAMPAIGN = b"""[campaign]
 title = "Two paintings"
@@ -94,14 +93,11 @@ def table_seeds():
 
 def point_seeds():
     """Return control points in every dialect that is read, as `seeds` does."""
-    points = ControlPoints(
-        [[0, 0.5], [10, 20], [30.25, 7]],
-        [[1, 2], [11, 21.5], [28, 9]],
-        names=("eye", "hand", ""),
-        enabled=[True, False, True],
-    )
-    for dialect, facts in DIALECTS.items():
-        yield f"{dialect}.points{facts.suffix}", format_points(points, dialect), {}
+    points = ControlPoints([[0, 0.5], [30.25, 7]], [[1, 2], [28, 9]], enabled=[True, False])
+    yield "levkas.points.csv", format_points(points), {}
+    yield "bigwarp.points.csv", b'"eye","true","1.0","2.0","0.0","0.5"\n', {}
+    qgis = b"#CRS: \nmapX,mapY,sourceX,sourceY,enable,dX,dY,residual\n1,-1,5.5,-1.5,1,0,0,0\n"
+    yield "qgis.points.points", qgis, {}
     frames = (
         b"object,camera,band,reference_x,reference_y,x,y\nicon,d80,R,1,2,3,4\nicon,d80,,5,6,7,8\n"
     )

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from levkas.geometry import from_dict
 from levkas.geometry.depth_step import DepthStepShift
 from levkas.geometry.transforms import Affine, Composed, Lens
 from levkas.registration.depth_step import (
@@ -83,16 +82,6 @@ def test_there_is_no_ledge_in_an_even_panel():
     )
 
 
-def test_a_ledge_goes_there_and_back_and_its_slopes_are_those_of_differences():
-    ledge = sunk()
-    points = np.random.default_rng(4).uniform([120, 90], [880, 670], (400, 2))
-    assert np.allclose(ledge.inverse(ledge(points)), points, atol=1e-6)
-    assert np.array_equal(from_dict(ledge.to_dict())(points), ledge(points))
-    across, down = np.array([1e-4, 0]), np.array([0, 1e-4])
-    slopes = [(ledge(points + d) - ledge(points - d)) / 2e-4 for d in (across, down)]
-    assert ledge.jacobian(points) == pytest.approx(np.stack(slopes, 2), abs=1e-6)
-
-
 def test_a_ledge_displaces_along_either_axis_evenly_and_growing_along_it():
     truth = Composed(sunk(shift=((0.6, 0.1), (0.07, 0.0), (0.0, -0.09))), VIEW)
     observed = windows(truth, 5)
@@ -102,36 +91,6 @@ def test_a_ledge_displaces_along_either_axis_evenly_and_growing_along_it():
     points = inside.reshape(-1, 2)
     assert fitted.shift[2, 0] == fitted.shift[1, 1] == 0.0
     assert np.abs(fitted(points) - truth.steps[0](points)).max() < 0.02
-
-
-@pytest.mark.slow
-def test_what_is_seen_through_a_map_with_a_ledge_finds_the_same_ledge_again():
-    truth = Composed(sunk(shift=((0.6, 0.1), (0.05, 0.0), (0.0, 0.05))), VIEW)
-    observed = windows(truth, 6, 2 * CELL)
-    first = select_model(observed, SelectionTerms(192, cell=CELL, depth_step=True))
-    # What windows see through that map: the mean of what it leaves, added to the mean of itself.
-    through = average_over_windows(first.transform, observed.points, CELL)
-    points = windows(truth, 7, 2 * CELL)
-    left = points.target - windows(first.transform, 8, 2 * CELL).target  # both noises
-    again = Observations(
-        observed.points, through + left, observed.jacobian, observed.information / 2
-    )
-    second = select_model(again, SelectionTerms(192, cell=CELL, depth_step=True))
-    assert second.name.endswith("+depth_step")
-    dense = np.random.default_rng(9).uniform([20, 20], [980, 740], (2000, 2))
-    errors = [
-        np.linalg.norm(r.transform(dense) - truth(dense), axis=1).mean() for r in (first, second)
-    ]
-    assert errors[1] < 1.5 * errors[0] + 0.002
-    # Were the map asked at the middle of a window, its step would be taken for sharper than it is seen.
-    wrong = Observations(
-        observed.points,
-        first.transform(observed.points) + left,
-        observed.jacobian,
-        observed.information / 2,
-    )
-    third = select_model(wrong, SelectionTerms(192, cell=CELL, depth_step=True))
-    assert np.linalg.norm(third.transform(dense) - truth(dense), axis=1).mean() > errors[1]
 
 
 def test_a_window_inside_sees_a_map_where_it_is_and_one_on_the_slope_its_mean():

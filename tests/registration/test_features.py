@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from levkas.registration.features import (
-    DETECTORS,
-    KeyPoints,
-    available_detectors,
-    find_key_points,
-)
+from levkas.registration.features import DETECTORS, KeyPoints, find_key_points
 from levkas.registration.matching import MATCHERS, find_neighbours, match
 from levkas.registration.record import RegistrationRefused
 
@@ -29,7 +24,7 @@ def everywhere(image):
     return np.ones(image.shape, bool)
 
 
-def test_sift_has_no_bias_between_pictures_of_different_scale(scene):
+def test_matches_have_no_bias_between_pictures_of_different_scale(scene):
     # Half-size by exact 2 x 2 means: x' = (x + 0.5) / 2 - 0.5. OpenCV's default is 0.13 px off.
     small = scene.reshape(240, 2, 320, 2).mean((1, 3))
     a, b = picture(scene), picture(small)
@@ -39,14 +34,6 @@ def test_sift_has_no_bias_between_pictures_of_different_scale(scene):
     good = np.hypot(*miss.T) < 2
     assert good.sum() > 100
     assert np.abs(np.median(miss[good], 0)).max() < 0.05
-
-
-def test_key_points_are_the_same_each_time_and_sorted(scene):
-    image = picture(scene)
-    one, two = (find_key_points(image, everywhere(image)) for _ in "ab")
-    np.testing.assert_array_equal(one.points, two.points)
-    np.testing.assert_array_equal(one.descriptors, two.descriptors)
-    assert np.all(np.diff(one.points[:, 0]) >= 0)
 
 
 def test_the_limit_keeps_the_strongest_of_every_part(scene):
@@ -65,19 +52,10 @@ def test_no_key_point_stands_on_what_is_invalid(scene):
     assert not np.any((x > 298) & (x < 341))
 
 
-def test_a_blank_picture_has_no_key_points():
-    blank = np.full((64, 64), 127, np.uint8)
-    assert len(find_key_points(blank, everywhere(blank))) == 0
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("detector", sorted(DETECTORS))
-def test_every_detector_matches_a_shifted_picture_or_says_why_not(scene, detector):
+def test_every_detector_matches_a_shifted_picture(scene, detector):
     a, b = picture(scene)[:-8, :-12], picture(scene)[8:, 12:]
-    if detector not in available_detectors():
-        with pytest.raises(RegistrationRefused, match=r'"sift", "orb".*OpenCV'):
-            find_key_points(a, everywhere(a), detector=detector)
-        return
     one = find_key_points(a, everywhere(a), detector=detector)
     two = find_key_points(b, everywhere(b), detector=detector)
     rows, columns, _ = match(one, two)
@@ -88,8 +66,9 @@ def test_every_detector_matches_a_shifted_picture_or_says_why_not(scene, detecto
 
 
 def test_an_unknown_detector_is_refused():
-    with pytest.raises(RegistrationRefused, match="sift"):
-        find_key_points(np.zeros((20, 20), np.uint8), np.ones((20, 20), bool), detector="orbit")
+    with pytest.raises(RegistrationRefused) as refused:
+        find_key_points(np.zeros((20, 20), np.uint8), np.ones((20, 20), bool), detector="kaze")
+    assert refused.value.problems[0].field == "registration.detector"
 
 
 def whole(rng, n, d=16):
@@ -114,15 +93,6 @@ def test_neighbours_are_those_of_all_distances():
     np.testing.assert_array_equal(found.back, distance.argmin(0))
 
 
-def test_binary_descriptors_are_compared_bit_by_bit():
-    rng = np.random.default_rng(2)
-    a, b = (rng.integers(0, 256, (n, 61)).astype(np.uint8) for n in (40, 30))
-    bits = np.unpackbits(a[:, None] ^ b[None], axis=2).sum(2)
-    found = find_neighbours(a, b)
-    np.testing.assert_array_equal(found.distance, bits.min(1))
-    np.testing.assert_array_equal(found.nearest, bits.argmin(1))
-
-
 @pytest.mark.parametrize("matching", sorted(MATCHERS))
 def test_no_place_is_used_twice(matching):
     rng = np.random.default_rng(4)
@@ -132,15 +102,3 @@ def test_no_place_is_used_twice(matching):
     rows, columns, _ = match(one, two, matching=matching, ratio=1.0)
     assert len(rows) > 10
     assert len(np.unique(places[rows], axis=0)) == len(rows) == len(np.unique(columns))
-
-
-def test_matching_with_nothing_is_nothing():
-    none, some = key_points(np.empty((0, 16), np.float32)), key_points(np.ones((3, 16), np.float32))
-    assert len(match(none, some)[0]) == len(match(some, none)[0]) == 0
-
-
-@pytest.mark.parametrize("options", [{"ratio": 0.0}, {"ratio": 1.1}, {"matching": "guess"}])
-def test_wrong_options_of_matching_are_refused(options):
-    some = key_points(np.ones((3, 16), np.float32))
-    with pytest.raises(RegistrationRefused):
-        match(some, some, **options)

@@ -6,7 +6,7 @@ import pytest
 from scipy import ndimage
 
 from levkas.registration import BandImage, RegistrationRefused, register
-from levkas.registration.foreground import ObjectArea, nearest_within, segment_foreground
+from levkas.registration.foreground import ObjectArea, segment_foreground
 
 
 def texture(shape, seed=1):
@@ -44,40 +44,12 @@ def test_a_painting_with_a_sky_like_the_ground_is_whole(level):
     assert found.mean() < 1.1 * 160 * 140 / picture.size
 
 
-def test_dust_on_the_ground_is_no_part_of_the_object():
-    clean = on_a_ground((400, 400), [(100, 300, 100, 300)])
-    dusty = clean.copy()
-    dusty[20:28, 20:28] = 0.9
-    assert np.array_equal(segment_foreground(dusty), segment_foreground(clean))
-
-
 def test_a_declared_outline_goes_before_the_ground_and_ends_what_is_compared():
     picture = on_a_ground((200, 260), FIELDS)
     area = ObjectArea.of(picture, outline=[(60, 50), (200, 50), (200, 150), (60, 150)])
     assert not area.automatic and area.body.sum() == 141 * 101
     assert area.compared.sum() == 133 * 93  # 4 px inside
     assert area.to_dict()["outline"] == [[60, 50], [200, 50], [200, 150], [60, 150]]
-
-
-def test_an_outline_that_is_the_frame_leaves_nothing_out():
-    area = ObjectArea.of(texture((60, 80)), outline=[(0, 0), (79, 0), (79, 59), (0, 59)])
-    assert area.compared.all() and area.share_of(None) == 1.0
-
-
-def test_the_share_of_the_object_is_that_of_the_layer():
-    area = ObjectArea.of(texture((100, 200)), outline=[(0, 0), (99, 0), (99, 99), (0, 99)])
-    assert area.share_of(None) == pytest.approx(0.5)
-    right = [(99.5, -0.5), (199.5, -0.5), (199.5, 99.5), (99.5, 99.5)]
-    assert area.share_of(right) == 0.0
-    turned = [(50, -0.5), (149.5, 49.5), (50, 99.5), (-49.5, 49.5)]
-    # A rhomb: left of its middle 3768 px lie in the frame, all object; right of it 4975, of which 3719 are.
-    assert area.share_of(turned) == pytest.approx((3768 + 3719) / (3768 + 4975), abs=0.01)
-
-
-def test_places_beside_a_hollow_outline_are_moved_into_its_hollow():
-    hollow = np.array([[0.0, 0], [10, 0], [10, 10], [5, 5], [0, 10]])
-    moved = nearest_within(hollow, np.array([[5.0, 8], [5, 3]]))
-    assert np.allclose(np.abs(moved[0] - [5, 8]), [1.5, 1.5]) and moved[1].tolist() == [5, 3]
 
 
 @pytest.fixture(scope="module")
@@ -118,16 +90,6 @@ def test_nothing_outside_a_declared_outline_is_judged(palette, method):
     assert found.verdict.decision != "refuse"
     miss = found.transforms["G"](np.array([[100.0, 100]])) - [102.3, 101.4]
     assert np.abs(miss).max() < 0.1
-
-
-def test_the_predicted_error_beside_an_object_is_that_of_its_rim(palette):
-    """Corners of the frame lie far from what was checked; a lattice over the frame must not carry that inside."""
-    reference, target = palette
-    found = register([reference], [target])
-    sigma = found.sigma["G"]
-    inside = np.stack(np.meshgrid(np.arange(45, 250, 5.0), np.arange(45, 190, 5.0)), -1)
-    assert sigma(inside.reshape(-1, 2)).max() < 0.5
-    assert sigma(np.array([[0.0, 0], [299, 239]])).max() < 1.0
 
 
 @pytest.mark.parametrize(
@@ -175,8 +137,3 @@ def test_the_sides_of_a_panel_are_known_however_it_lies(turn):
     places = corners @ [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     inside = np.add(places, [149.5, 169.5])
     assert (area.edge.min(0) <= inside.min(0)).all() and (area.edge.max(0) >= inside.max(0)).all()
-
-
-def test_what_fills_its_frame_has_no_sides():
-    area = ObjectArea.of(texture((120, 160)).astype(np.float32))
-    assert area.sides is None and not len(area.edge)

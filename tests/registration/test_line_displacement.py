@@ -1,7 +1,5 @@
 """Lines that are displaced against one another, as windows do not see them: scanners made by scipy, line by line."""
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
@@ -9,8 +7,7 @@ from scipy import ndimage
 
 from levkas.geometry.transforms import Affine
 from levkas.registration import register
-from levkas.registration.line_correction import LineCorrection, find_correction
-from levkas.registration.line_course import LineShifts, find_displacement
+from levkas.registration.line_correction import find_correction
 from levkas.registration.line_displacement import measure_line_displacement
 from levkas.registration.local_shifts import highpass
 from levkas.registration.verdict_rules import lines_lie_still
@@ -67,50 +64,45 @@ def measured(front, picture, transform=STRAIGHT):
     return measure_line_displacement(highpass(front)[None], picture, transform)
 
 
-@pytest.mark.parametrize("way", [along, across])
-@pytest.mark.parametrize(("size", "period"), [(1.5, 60), (0.3, 20), (0.2, 7), (1.0, 3), (0.6, 110)])
-def test_a_wobble_of_the_stage_is_found_with_its_size(painting, front, way, size, period):
-    found = measured(front, scan(painting, way(sine(size, period))))
+def some(course, first, last):
+    return course * ((first < LINE) & (last > LINE))
+
+
+JITTER = np.random.default_rng(5).normal(0, 0.3, (240, 2))
+
+
+@pytest.mark.parametrize(
+    ("shift", "rms"),
+    [
+        (along(sine(1.5, 60)), 1.5 / 2**0.5),
+        (across(sine(0.3, 20)), 0.3 / 2**0.5),
+        (along(sine(0.2, 7)), 0.2 / 2**0.5),
+        (across(sine(1.0, 3)), 1 / 2**0.5),
+        (across(some(sine(1.5, 20), 100, 150)), 1.5 * (49 / 480) ** 0.5),
+        (along(0.2 * (LINE % 2 - 0.5)), 0.1),  # interlaced halves
+        (along(4.0 * (LINE % 2 - 0.5)), 2.0),
+        (across(1.2 * ((LINE / 30) % 1 - 0.5)), 1.2 / 12**0.5),
+        (JITTER, 0.3 * 2**0.5),
+    ],
+)
+def test_lines_are_found_displaced_by_what_was_planted(painting, front, shift, rms):
+    found = measured(front, scan(painting, shift))
     assert (found.displaced, found.lines) == (True, "rows")
     # A cubic along the scan takes its part of long periods, and what strays counts less.
-    assert found.rms == pytest.approx(size / 2**0.5, rel=0.15, abs=0.02)
-    assert (found.along > 3 * found.across) == (way is along)
+    assert found.rms == pytest.approx(rms, rel=0.15, abs=0.02)
+    if shift is not JITTER:
+        assert (found.along > 3 * found.across) == bool(shift[:, 0].any())
+    assert lines_lie_still({"line_displacement": found.to_dict()}).decision in (
+        "warn",
+        "refuse",
+        "unchecked",
+    )
 
 
 def test_a_weak_wobble_of_a_noisy_scan_is_found(painting, front):
-    for seed in range(4):
+    for seed in range(2):
         found = measured(front, scan(painting, across(sine(0.4, 9)), noise=0.06, seed=seed))
         assert found.displaced and found.rms == pytest.approx(0.4 / 2**0.5, rel=0.3)
-
-
-@pytest.mark.parametrize("apart", [0.2, 1.0, 2.0, 4.0])
-def test_interlaced_halves_are_found_with_their_distance(painting, front, apart):
-    found = measured(front, scan(painting, along(apart * (LINE % 2 - 0.5))))
-    assert (found.picture, found.displaced) == ("target", True)
-    assert found.rms == pytest.approx(apart / 2, rel=0.08)
-
-
-@pytest.mark.parametrize("lost", [1, 2])
-def test_lines_that_are_lost_or_repeated_are_found_where_they_are(painting, front, lost):
-    whole = scan(painting, lines=242)
-    for picture, way in (
-        (np.delete(whole, np.arange(120, 120 + lost), 0), 1),
-        (np.insert(whole, 120, np.repeat(whole[120:121], lost, 0), 0), -1),
-    ):
-        # The map lies in the middle: half of the lines are off one way, half the other.
-        place = turned(0.6, (4.0, 6.0 - way * lost / 2))
-        found = measured(front, picture[:238], place)
-        assert found.displaced and 0.1 * lost < found.rms < 0.5 * lost
-        step = np.nanmedian(found.displacement[130:160, 1] - found.displacement[80:110, 1])
-        assert np.sign(step) == way
-
-
-def test_random_lines_and_a_saw_tooth_are_found(painting, front):
-    jitter = np.random.default_rng(5).normal(0, 0.3, (240, 2))
-    found = measured(front, scan(painting, jitter))
-    assert found.displaced and found.rms == pytest.approx(0.3 * 2**0.5, rel=0.12)
-    found = measured(front, scan(painting, across(1.2 * ((LINE / 30) % 1 - 0.5))))
-    assert found.displaced and found.rms == pytest.approx(1.2 / 12**0.5, rel=0.15)
 
 
 def test_columns_of_a_scanner_on_its_side_are_lines_too(painting, front):
@@ -120,37 +112,9 @@ def test_columns_of_a_scanner_on_its_side_are_lines_too(painting, front):
     assert (found.lines, found.displaced) == ("columns", True)
 
 
-def test_lines_of_the_reference_are_told_from_those_of_a_turned_picture(studio, painting):
-    place = turned(25, (60.0, -30.0))
-    wobbling = scan(painting, along(sine(0.6, 16)), Affine.identity())
-    still = studio.photograph(painting, place.inverse, SIZE, seed=3, noise=0.004)
-    found = measured(wobbling, still, place)
-    assert (found.picture, found.lines) == ("reference", "rows")
-    assert found.rms == pytest.approx(0.6 / 2**0.5, rel=0.15)
-
-
-def test_a_slow_wobble_of_parallel_pictures_may_be_of_either(painting, front):
-    still = scan(painting, None, turned(0.0))
-    wobbling = scan(painting, across(sine(0.6, 60)), Affine.identity(), noise=0.002)
-    assert measured(wobbling, still, turned(0.0)).picture == "either"
-
-
-def test_sizes_are_in_px_of_the_reference(studio, painting, front):
-    twice = turned(0.4, (3.0, 2.0), 2.0)
-    x, y = np.meshgrid(np.arange(600.0), np.arange(460.0))
-    places = twice.inverse(np.stack([(x + sine_of(460, 1.0, 40)).ravel(), y.ravel()], 1)) + MARGIN
-    observed = ndimage.map_coordinates(painting, places.T[::-1], order=3).reshape(x.shape)
-    found = measured(front, observed.astype(np.float32), twice)
-    assert found.rms == pytest.approx(0.5 / 2**0.5, rel=0.1)
-
-
-def sine_of(lines, size, period):
-    return size * np.sin(2 * np.pi * np.arange(lines)[:, None] / period)
-
-
-@pytest.mark.parametrize("noise", [0.002, 0.02, 0.06])
+@pytest.mark.parametrize("noise", [0.002, 0.06])
 def test_nothing_is_found_where_lines_lie_still(painting, front, noise):
-    for seed in range(8):
+    for seed in range(4):
         found = measured(front, scan(painting, noise=noise, seed=seed))
         assert not found.displaced and found.deviations < 3.5
 
@@ -174,43 +138,12 @@ def test_a_ledge_displaces_no_lines(painting, front):
     assert lines_lie_still({"line_displacement": measured(front, observed).to_dict()}) is None
 
 
-def test_some_lines_alone_make_a_map_doubtful(painting, front):
-    shift = np.zeros((240, 2))
-    shift[60:67], shift[180:184] = (3.0, 0.0), (0.0, -0.7)
-    found = measured(front, scan(painting, shift))
-    assert (found.displaced, found.lines) == (True, "rows")
-    assert lines_lie_still({"line_displacement": found.to_dict()}).decision == "warn"
-
-
-def test_a_wobble_in_a_part_of_the_lines_makes_a_map_doubtful(painting, front):
-    some = (LINE > 100) & (LINE < 150)
-    found = measured(front, scan(painting, across(sine(1.5, 20) * some)))
-    assert found.rms == pytest.approx(1.5 * (49 / 480) ** 0.5, rel=0.15)
-    assert lines_lie_still({"line_displacement": found.to_dict()}).decision == "warn"
-
-
 def along_line(ends):
     """Return displacements (240, 310) that grow along each line from minus to plus `ends`, (240,) px."""
     return ends[:, None] * np.linspace(-1, 1, 310)
 
 
-@pytest.mark.parametrize(
-    ("size", "period"), [(2.0, 60), pytest.param(0.5, 25, marks=pytest.mark.exhaustive), (1.5, 8)]
-)
-@pytest.mark.parametrize("way", ["turn", "stretch"])
-def test_a_stage_that_turns_or_stretches_its_lines_is_found(painting, front, way, size, period):
-    change = along_line(sine(size, period))
-    x, y = np.meshgrid(np.arange(310.0), np.arange(240.0))
-    x, y = (x, y + change) if way == "turn" else (x + change, y)
-    places = STRAIGHT.inverse(np.stack([x.ravel(), y.ravel()], 1)) + MARGIN
-    observed = ndimage.map_coordinates(painting, places.T[::-1], order=3).reshape(x.shape)
-    found = measured(front, noisy(observed, 3, 0.5))
-    assert (found.displaced, found.lines, found.slope) == (True, "rows", True)
-    assert found.rms == pytest.approx(size / 6**0.5, rel=0.2)
-    assert lines_lie_still({"line_displacement": found.to_dict()}).decision == "warn"
-
-
-@pytest.mark.parametrize("quality", [80, 40, 20])
+@pytest.mark.parametrize("quality", [80, 20])
 def test_blocks_of_jpeg_displace_no_lines(painting, front, quality):
     pictures = []
     for observed in (front, scan(painting)):
@@ -241,61 +174,13 @@ def noisy(picture, seed, noise=1.0):
 @pytest.mark.parametrize("noise", [1.0, pytest.param(4.0, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("blur", [0.0, 1.0])
 @pytest.mark.parametrize(
-    "side", [8, 20, 48, *(pytest.param(n, marks=pytest.mark.exhaustive) for n in (12, 32))]
+    "side", [20, *(pytest.param(n, marks=pytest.mark.exhaustive) for n in (8, 12, 32, 48))]
 )
 def test_edges_of_tiles_displace_no_lines_beside_them(side, blur, noise):
     """Lines between edges hold noise alone, which seems to lie anywhere but beyond the edges, in all parts alike."""
     one, other = noisy(tiles(side), 1, noise), noisy(tiles(side, blur), 2, noise)
     found = measured(one, other, Affine.identity())
     assert not found.displaced
-
-
-def test_tiles_show_a_wobble_along_the_lines_and_say_nothing_across_them():
-    y = np.arange(480)[:, None]
-    wobbling = tiles(20, shift=0.5 * np.sin(2 * np.pi * y / 60))
-    found = measured(noisy(tiles(20), 1), noisy(wobbling, 2), Affine.identity())
-    assert found.displaced and found.rms == pytest.approx(0.5 / 2**0.5, rel=0.15)
-    assert found.common_edges and found.across == 0.0 and found.to_dict()["common_edges"]
-
-
-def framed(painting):
-    """Return a painting between bars that run along the lines, as an icon is scanned towards its frame."""
-    found = painting.copy()
-    for first in (6, 15, 24, 33, 42, 196, 205, 214):
-        found[MARGIN + first : MARGIN + first + 9] = 0.9 if first % 2 else 0.05
-    return found
-
-
-def test_a_frame_along_the_lines_hides_no_wobble_across_them(studio, painting):
-    panel = framed(painting)
-    front = studio.photograph(panel, Affine.identity(), seed=1)
-    found = measured(front, scan(panel, across(sine(0.8, 40))))
-    assert (found.lines, found.displaced) == ("rows", True)
-    painted = slice(56, 190)
-    left = find_correction(found, 1.0).shift[painted, 1] - sine(0.8, 40)[painted]
-    smooth = np.polynomial.legendre.legvander(np.linspace(-1, 1, len(left)), 3)
-    left = left - smooth @ np.linalg.lstsq(smooth, left, rcond=None)[0]  # a map is smooth, too
-    assert np.sqrt(np.mean(left**2)) < 0.1
-    assert not measured(front, scan(panel)).displaced
-
-
-@pytest.mark.parametrize(("information", "least", "most"), [(6.0, 0, 2), (80.0, 20, 20)])
-def test_lines_at_the_rim_that_show_next_to_nothing_are_not_displaced(information, least, most):
-    found = 0
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        shift, known = rng.normal(0, 0.1, (200, 4, 2)), rng.uniform(60, 100, (200, 4, 2))
-        shift[190:198, :, 1] += rng.normal(0, 4, (8, 1))
-        known[190:198] = information
-        shifts = LineShifts.of(shift, known, np.array([10.0, 50, 150, 190]), (0.0, 200.0))
-        found += find_displacement(shifts, np.ones(2))[0]
-    assert least <= found <= most
-
-
-def test_too_few_lines_are_not_measured(front):
-    blank = measured(front, np.full((240, 310), 0.5, np.float32))
-    assert blank is None or not blank.displaced
-    assert measured(front[:20], front[:20], Affine.identity()) is None
 
 
 def walk(size, smooth=3, seed=3):
@@ -328,12 +213,14 @@ def beside_cubic(course):
     return part - basis @ np.linalg.lstsq(basis, part, rcond=None)[0]
 
 
-@pytest.mark.parametrize("way", [along, across])
 @pytest.mark.parametrize(
-    "course",
+    ("way", "course"),
     [
-        *(sine(1.5, 20), walk(1.0), 1.0 * (LINE > 120)),
-        *(pytest.param(sine(1.5, n), marks=pytest.mark.exhaustive) for n in (60, 200)),
+        (along, sine(1.5, 20)),
+        (across, walk(1.0)),
+        (across, 1.0 * (LINE > 120)),
+        pytest.param(along, sine(1.5, 60), marks=pytest.mark.exhaustive),
+        pytest.param(across, sine(1.5, 200), marks=pytest.mark.exhaustive),
     ],
 )
 def test_lines_are_found_where_the_stage_put_them(painting, front, way, course):
@@ -342,13 +229,6 @@ def test_lines_are_found_where_the_stage_put_them(painting, front, way, course):
     left = np.abs(beside_cubic(found.shift - planted)).sum(1)
     assert left.mean() < 0.08 and np.quantile(left, 0.95) < 0.25
     assert found.error < 0.12
-
-
-def test_odd_and_even_lines_are_each_found(painting, front):
-    found = put_right(front, scan(painting, along(1.5 * (LINE % 2 - 0.5))))
-    odd, even = found.shift[17:224:2, 0], found.shift[16:224:2, 0]
-    assert np.median(odd) - np.median(even) == pytest.approx(1.5, abs=0.08)
-    assert found.spacing == 1 and found.uneven == pytest.approx(0.75, rel=0.1)
 
 
 @pytest.mark.parametrize("way", ["turn", "stretch"])
@@ -364,29 +244,6 @@ def test_lines_that_turn_or_stretch_are_put_right(painting, front, way):
         there = np.stack([np.full(len(line), float(place)), line], 1)
         moved = (found.transform().inverse(there) - there)[:, 1 if way == "turn" else 0]
         assert np.abs(moved - change[20:220, place]).mean() < 0.12
-
-
-@pytest.mark.parametrize("lines", ["rows", "columns"])
-def test_a_correction_puts_every_line_where_it_lies(lines):
-    shift = np.stack([0.7 * sine(1, 15), sine(1.0, 40)], 1)
-    still = np.zeros_like(shift)
-    correction = LineCorrection(lines, shift, still, (0.0, 309.0), 4.0, 0.0, 1.0, None)
-    number = np.arange(10, 230.0)
-    right = np.stack([np.full(220, 50.0), number], 1) + shift[10:230]
-    there = np.stack([np.full(220, 50.0), number], 1)
-    if lines == "columns":
-        right, there = right[:, ::-1], there[:, ::-1]
-    assert np.abs(correction.transform()(right) - there).max() < 0.02
-    half = replace(correction, shift=shift / 2)
-    twice = half.followed_by(replace(half, shift=shift / 2))
-    assert np.abs(twice.shift - shift)[10:230].max() < 0.1
-
-
-def test_nothing_is_put_right_where_parts_of_lines_disagree(painting, front):
-    found = measured(front, scan(painting, along(sine(1.0, 40))))
-    noise = np.random.default_rng(1).normal(0, 0.3, found.parts.shift.shape)
-    apart = replace(found, parts=replace(found.parts, shift=noise))
-    assert find_correction(apart, 1.0) is None
 
 
 @pytest.fixture(scope="module")
@@ -418,62 +275,7 @@ def test_a_map_follows_a_wobbling_scan_and_its_record_has_the_size(wobbling):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "planted",
-    [
-        across(walk(1.0)),
-        *(
-            pytest.param(one, marks=pytest.mark.exhaustive)
-            for one in (across(sine(1.5, 20)), along(1.0 * (LINE % 2 - 0.5)))
-        ),
-    ],
-)
-def test_a_map_follows_what_lines_do(painting, front, planted):
-    errors, _ = errors_of(register(front, scan(painting, planted)), planted)
-    assert np.linalg.norm(errors, axis=1).mean() < 0.1
-
-
-def test_rows_and_columns_that_are_displaced_both_are_named_and_one_of_them_is_followed(
-    painting, front
-):
-    x, y = np.meshgrid(np.arange(310.0), np.arange(240.0))
-    moved = np.stack([x + np.sin(2 * np.pi * y / 40), y + 0.5 * np.sin(2 * np.pi * x / 30)], -1)
-    places = STRAIGHT.inverse(moved.reshape(-1, 2)) + MARGIN
-    shown = ndimage.map_coordinates(painting, places.T[::-1], order=3).reshape(x.shape)
-    noise = np.random.default_rng(2).normal(0, 0.004, x.shape)
-    found = register(front, (shown + noise).astype(np.float32))
-    assert found.verdict.decision == "warn"
-    numbers = found.verdict.numbers["sensor"]["verification"]
-    assert numbers["line_correction"]["lines"] == "rows"
-    assert numbers["line_displacement"]["lines"] == "columns"
-
-
-@pytest.mark.slow
-def test_sigma_holds_the_displacement_of_lines(painting, front):
-    still = register(front, scan(painting))
-    assert still.verdict.decision == "accept"
-    assert still.basis["sensors"][0]["lines"] is None
-    assert np.median(still.sigma["1"].values) < 0.05
-    halves = register(front, scan(painting, along(LINE % 2 - 0.5)))
-    assert halves.sigma["1"].values.min() == pytest.approx(0.37, rel=0.1)  # of either axis
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(("apart", "decision"), [(0.5, "warn"), (3.0, "refuse")])
 def test_interlaced_halves_are_never_accepted(painting, front, apart, decision):
     found = register(front, scan(painting, along(apart * (LINE % 2 - 0.5))))
     assert found.verdict.decision == decision
-
-
-def test_less_than_the_limit_is_accepted_and_named(painting, front):
-    found = register(front, scan(painting, along(0.12 * (LINE % 2 - 0.5)), noise=0.002))
-    assert found.verdict.decision == "accept" and found.verdict.next_step == ""
-    lines = found.verdict.numbers["sensor"]["verification"]["line_displacement"]
-    assert lines["rms_px"] == pytest.approx(0.06, rel=0.2)
-    assert found.sigma["1"].values.min() > 0.04
-
-
-def test_the_papers_method_looks_at_lines_too(painting, front):
-    found = register(front, scan(painting, across(sine(0.6, 30))), method="mirhashemi2019")
-    assert found.verdict.decision == "warn"
-    assert found.verdict.numbers["line_displacement"]["displaced"]

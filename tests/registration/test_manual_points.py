@@ -6,9 +6,8 @@ import pytest
 from levkas.geometry.transforms import Affine, Homography
 from levkas.registration import BandImage, register
 from levkas.registration.initial import fit_initial_transform
-from levkas.registration.manual_points import ManualPoints, nearest_rows
+from levkas.registration.manual_points import ManualPoints
 from levkas.registration.outliers import RemovalTerms, clean
-from levkas.registration.record import RegistrationRefused
 
 SIZE = (800, 600)
 
@@ -37,35 +36,6 @@ def test_a_pinned_pair_stays_and_a_dropped_one_goes():
     assert found.kept[0] and not found.kept[-1]
     assert found.trace.kept_at(-1)[0] and not found.trace.kept_at(0)[-1]
     assert not found.kept[1:60].any()
-
-
-def test_a_pair_pinned_beyond_reject_stays():
-    target, reference, _ = plant(wrong=0)
-    reference[0] += 500.0
-    assert cleaned(target, reference, pinned=np.arange(300) == 0).kept[0]
-
-
-def test_where_all_pairs_are_pinned_none_leaves():
-    target, reference, bad = plant()
-    found = cleaned(target, reference, pinned=np.ones(len(bad), bool))
-    assert found.kept.all() and found.trace.rounds == 1
-
-
-def test_masks_of_nothing_change_nothing():
-    target, reference, bad = plant()
-    nothing = np.zeros(len(bad), bool)
-    plain, masked = (
-        cleaned(target, reference, **o) for o in ({}, {"pinned": nothing, "dropped": nothing})
-    )
-    assert np.array_equal(plain.trace.removed, masked.trace.removed)
-    assert np.array_equal(plain.model.coefficients, masked.model.coefficients)
-
-
-def test_places_are_found_again_by_their_rounded_coordinates():
-    rng = np.random.default_rng(0)
-    exact = rng.uniform(0, 3000, (500, 4))
-    assert np.array_equal(nearest_rows(exact.round(2), exact), np.arange(500))
-    assert (nearest_rows(exact + np.array([0.05, 0, 0, 0]), exact) == -1).all()
 
 
 @pytest.mark.parametrize(
@@ -97,11 +67,6 @@ def pair(studio):
     return BandImage.of("550 nm", reference), BandImage.of("NIR", target), truth
 
 
-def given_of(truth, points, kind="added", off=0.0):
-    pairs = np.hstack([points, truth(points) + off])
-    return {"": ManualPoints(**{kind: pairs})}
-
-
 @pytest.mark.parametrize("method", ["levkas", "mirhashemi2019"])
 def test_every_method_keeps_what_is_given_and_measures_check_points(pair, method):
     reference, target, truth = pair
@@ -115,37 +80,3 @@ def test_every_method_keeps_what_is_given_and_measures_check_points(pair, method
     assert [rows[tuple(p)][0] for p in points[2:]] == ["check"] * 2
     errors = [row["error"] for row in found.errors["check_points"]]
     assert len(errors) == 2 and max(errors) < 0.3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", ["levkas", "mirhashemi2019"])
-def test_a_deleted_pair_is_not_used_and_says_so(pair, method):
-    reference, target, _ = pair
-    plain = register([reference], [target], reference_band="550 nm", method=method)
-    row = int(np.flatnonzero(plain.matches.kept)[0])
-    gone = np.concatenate([plain.matches.reference[row], plain.matches.target[row]])[None]
-    hand = {"": ManualPoints(deleted=gone.round(2))}
-    found = register([reference], [target], reference_band="550 nm", method=method, given=hand)
-    at = nearest_rows(gone, np.hstack([found.matches.reference, found.matches.target]))[0]
-    assert (found.matches.state[at], found.matches.reason[at]) == ("removed", "deleted by hand")
-
-
-def test_three_pairs_are_not_enough_to_start_what_key_points_do_not(pair):
-    reference, _, truth = pair
-    rng = np.random.default_rng(0)
-    noise = BandImage.of("NIR", rng.normal(0.5, 0.1, (230, 300)).astype(np.float32))
-    hand = given_of(truth, np.array([[60.0, 50], [240, 60], [230, 180]]))
-    with pytest.raises(RegistrationRefused) as refused:
-        register([reference], [noise], reference_band="550 nm", given=hand)
-    assert refused.value.problems[0].code == "E_MATCHES"
-
-
-@pytest.mark.slow
-def test_four_pairs_on_pictures_of_nothing_are_not_believed(pair):
-    reference, _, truth = pair
-    rng = np.random.default_rng(0)
-    noise = BandImage.of("NIR", rng.normal(0.5, 0.1, (230, 300)).astype(np.float32))
-    hand = given_of(truth, np.array([[60.0, 50], [240, 60], [230, 180], [70, 170]]))
-    with pytest.raises(RegistrationRefused) as refused:
-        register([reference], [noise], reference_band="550 nm", given=hand)
-    assert refused.value.problems[0].code == "E_WINDOWS"

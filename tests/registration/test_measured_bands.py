@@ -1,11 +1,8 @@
-import itertools
-
 import cv2
 import numpy as np
 import pytest
 
 from levkas.registration.bands import BandImage
-from levkas.registration.chromatic import ChromaticShifts, interpolate_chromatic
 from levkas.registration.measured_bands import LEAST_MEASURED, measured_bands
 
 COUNT = 2 * LEAST_MEASURED
@@ -53,43 +50,3 @@ def test_a_band_that_was_moved_is_measured_too(moved):
     found = measured_bands(scan({alone: np.array(moved)}))
     assert alone in found
     assert len(found) == LEAST_MEASURED + 1
-
-
-def test_a_band_beside_one_that_shows_nothing_is_measured():
-    bands = scan()
-    picks = measured_bands(bands)
-    blind = bands[picks[5]]
-    bands[picks[5]] = BandImage(
-        blind.label, blind.wavelength, blind.values, np.zeros_like(blind.valid)
-    )
-    between = set(range(picks[4], picks[6] + 1))
-    assert set(measured_bands(bands)) == {*picks, *between}
-
-
-def test_amounts_of_all_bands_are_those_of_the_likeliest_process_over_wavelength():
-    rng = np.random.default_rng(2)
-    nm = np.linspace(400, 1000, 60)
-    measured = nm[::5]
-    y = np.sin(measured / 90) * 0.3 + rng.normal(0, 0.02, len(measured))
-    variances = np.full((len(measured), 1), 4e-4)
-    shifts = ChromaticShifts("shift", np.zeros(2), 1.0, y[:, None], variances)
-    found = interpolate_chromatic(shifts, measured, nm)
-
-    # The same, band by band and scale by scale, with inverse and determinant as they stand in the book.
-    places = np.concatenate([measured, nm])
-    # What is not seen counts as 0 in the mean square of the amounts.
-    noise, size = np.diag(variances[:, 0] + 1e-10), (y**2).sum() / len(places)
-    likeliest = (-np.inf, None, None)
-    for length, smooth, own in itertools.product(
-        (80.0, 200.0, 500.0), (0.0, 1.0, 10.0), (0.0, 0.01, 0.1, 1.0)
-    ):
-        bend = np.exp(-0.5 * ((places[:, None] - places) / length) ** 2)
-        prior = 100 * size + size * (smooth * bend + own * np.eye(len(places)))
-        observed, across = prior[: len(y), : len(y)] + noise, prior[len(y) :, : len(y)]
-        likelihood = -0.5 * (y @ np.linalg.inv(observed) @ y + np.linalg.slogdet(observed)[1])
-        if likelihood > likeliest[0] + 1e-6:
-            mean = across @ np.linalg.inv(observed) @ y
-            left = prior[len(y) :, len(y) :] - across @ np.linalg.inv(observed) @ across.T
-            likeliest = likelihood, mean, np.diag(left)
-    assert found.amounts[:, 0] == pytest.approx(likeliest[1], abs=1e-6)
-    assert found.variances[:, 0] == pytest.approx(likeliest[2], abs=1e-6)

@@ -124,24 +124,6 @@ def test_a_channel_is_not_drawn_to_where_green_has_its_detail(pigments, referenc
     assert np.abs(camera.bias_of(reference, "RGGB", "malvar")).max() < 0.02
 
 
-def test_the_mean_of_two_sites_is_measured_midway():
-    sites = Sites(2, ((0, 1), (1, 0)))
-    y, x = np.mgrid[:7, :9].astype("f4")
-    places = np.stack([sites.picture(x), sites.picture(y)], -1)
-    assert places.shape == (3, 4, 2)
-    rows, columns = np.mgrid[:3, :4]
-    assert np.allclose(
-        sites.transform(places.reshape(-1, 2)), np.stack([columns, rows], -1).reshape(-1, 2)
-    )
-
-
-def test_of_many_or_unlike_sensels_no_picture_is_made():
-    many = np.array([[0, 1, 0, 1], [1, 2, 1, 2], [0, 1, 0, 1], [1, 2, 1, 2]])
-    assert Sites.in_pattern(many, 1) is None
-    assert Sites.in_pattern(np.array([[0, 1, 2]]), 0) is None
-    assert Sites.in_pattern(np.arange(16).reshape(4, 4), 6) == Sites(4, ((1, 2),))
-
-
 def test_between_its_sites_a_channel_is_what_they_measured():
     y, x = np.mgrid[:8, :8].astype("f4")
     plane = 2 * x + y

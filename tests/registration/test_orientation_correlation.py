@@ -4,16 +4,10 @@ import numpy as np
 import pytest
 
 from levkas.geometry.transforms import Affine
-from levkas.registration import BandImage, RegistrationRefused, register
-from levkas.registration.orientation_correlation import (
-    CoarsePose,
-    ReducedPictures,
-    find_poses,
-    match_blocks,
-    match_by_directions,
-)
+from levkas.registration import BandImage, register
+from levkas.registration.orientation_correlation import match_by_directions
 from levkas.registration.verdict import objections_to
-from levkas.registration.verdict_rules import WINDOWS, begins_with_key_points
+from levkas.registration.verdict_rules import WINDOWS
 
 SIZE = (260, 200)
 
@@ -68,7 +62,7 @@ def worst(transform, truth):
     return float(np.linalg.norm(transform(points) - truth(points), axis=1).max())
 
 
-@pytest.mark.parametrize(("angle", "scale"), [(0.0, 1.0), (7.0, 1.15), (-94.0, 0.9), (172.0, 1.1)])
+@pytest.mark.parametrize(("angle", "scale"), [(7.0, 1.15), (-94.0, 0.9), (172.0, 1.1)])
 def test_the_pose_of_outlines_in_other_tones_is_found(angle, scale):
     visible, heat = scene(3)
     home, there = turned(0, 1), turned(angle, scale)
@@ -79,29 +73,6 @@ def test_the_pose_of_outlines_in_other_tones_is_found(angle, scale):
     assert found.kept.sum() >= 20
 
 
-def test_a_pose_that_is_half_turned_is_found_beside_the_upright_one():
-    visible, heat = scene(3)
-    ours = ReducedPictures([observed(visible, turned(0, 1), 1)], 96)
-    theirs = ReducedPictures([observed(heat, turned(176, 1.1), 2)], 96)
-    upright = CoarsePose(0.0, np.deg2rad(-5.0), 1.12, False, np.eye(2, 3))
-    turned_round = upright._replace(angle=upright.angle + np.pi)
-    both = find_poses(ours, theirs, [upright], 1.2, half_turned=True)
-    each = find_poses(ours, theirs, [upright, turned_round], 1.2)
-    assert [pose.angle for pose in both] == [turned_round.angle, upright.angle]
-    assert [p.score for p in both] == pytest.approx([p.score for p in each], abs=0.02)
-    # The grid is laid from the other corner: by less than one of its px.
-    assert np.abs(both[0].matrix - each[0].matrix).max() < 1.2
-
-
-def test_a_mirrored_picture_is_found():
-    visible, heat = scene(3)
-    found = match_by_directions(
-        [observed(visible, turned(0, 1), 1)], [observed(heat, turned(0, 1), 2)[:, ::-1]]
-    )
-    assert found is not None and found.mirrored
-    assert worst(found.transform, Affine(np.array([[-1.0, 0, SIZE[0] - 1], [0, 1, 0]]))) < 2.5
-
-
 @pytest.mark.parametrize(
     "seed", [4, 5, *(pytest.param(n, marks=pytest.mark.exhaustive) for n in range(6, 10))]
 )
@@ -109,24 +80,6 @@ def test_other_outlines_have_no_pose(seed):
     visible, heat = scene(3)[0], scene(seed)[1]
     home = turned(0, 1)
     assert match_by_directions([observed(visible, home, 1)], [observed(heat, home, 2)]) is None
-
-
-@pytest.mark.slow
-def test_pictures_without_edges_have_no_pose():
-    flat = np.full((200, 260), 0.5, np.float32)
-    assert match_by_directions([flat], [flat]) is None
-    empty = np.full((200, 260), np.nan, np.float32)
-    assert match_by_directions([observed(scene(3)[0], turned(0, 1), 1)], [empty]) is None
-
-
-def test_blocks_lie_where_they_were_moved_to():
-    visible, heat = scene(5)
-    home = turned(0, 1)
-    moved = Affine(np.column_stack([np.eye(2), [4.0, -3.0]]))
-    blocks = match_blocks([observed(visible, home, 1)], [observed(heat, home, 2)], moved)
-    assert len(blocks.shift) == 30
-    assert np.median(blocks.shift, 0) == pytest.approx([-4, 3], abs=0.6)
-    assert blocks.agreeing.mean() < 0.2
 
 
 @pytest.mark.slow
@@ -143,19 +96,6 @@ def test_pictures_that_share_outlines_only_are_registered_and_doubted():
     assert found.verdict.decision != "refuse"
     sigma = found.sigma["grey"](np.array([[130.0, 100.0], [5.0, 5.0]]))
     assert np.isfinite(sigma).all() and (sigma > 0).all()
-
-
-def test_other_outlines_are_refused():
-    home = turned(0, 1)
-    ours, theirs = (
-        [BandImage.of("grey", observed(picture, home, k))]
-        for k, picture in enumerate([scene(3)[0], scene(8)[1]])
-    )
-    try:
-        decision = register(ours, theirs, reference_band="grey").verdict.decision
-    except RegistrationRefused:
-        decision = "refuse"
-    assert decision == "refuse"
 
 
 UNSURE = {
@@ -178,10 +118,3 @@ def test_want_of_evidence_is_a_doubt_where_outlines_agree():
         "second_peak_ratio": 1.2,
     }
     assert "refuse" in [one.decision for one in objections_to(off, WINDOWS)]
-
-
-def test_a_map_begun_from_outlines_is_doubted_unless_windows_confirm_it_nearly_everywhere():
-    confirmed = {**UNSURE, "windows": 80, "found": 80, "agreeing": 78}
-    for agreeing, doubted in ((78, False), (50, True)):
-        objection = begins_with_key_points({**confirmed, "found": agreeing, "agreeing": agreeing})
-        assert (objection is not None) == doubted

@@ -1,13 +1,14 @@
 """Maps fitted to a person's pairs alone, and what those leave of an error."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from levkas.geometry.transforms import Affine, Homography, solve_2x2
 from levkas.registration import BandImage, RegistrationRefused, register
-from levkas.registration.advice import ACCEPT, BY_HAND, OTHER, POINTS, SCREEN, advise
 from levkas.registration.manual_points import ManualPoints
-from levkas.registration.placed_by_hand import PARAMETERS, leverage, place_by_hand
+from levkas.registration.placed_by_hand import place_by_hand
 
 SHAPE = (700, 900)
 NINE_OF_TEN = 2.146  # radius of nine of ten errors, in sigmas of one axis
@@ -68,28 +69,6 @@ def test_sigma_holds_nine_of_ten_errors_of_hands_that_shake():
     assert 0.8 < np.mean(inside) < 0.97
 
 
-def test_sigma_grows_away_from_the_pairs_and_with_their_residuals():
-    rng = np.random.default_rng(4)
-    rows = pointed(rng, camera(rng, 0.0), 8, 0.5)
-    rows[:, :2] = 300 + (rows[:, :2] - 300) * 0.3  # all in one part of the frame
-    near, far = place_by_hand(ManualPoints(added=rows), SHAPE).sigma(SHAPE)(
-        np.array([[330.0, 330], [890, 690]])
-    )
-    assert far > 2 * near
-    rows[:, 2:] += rng.normal(0, 5, (8, 2))
-    assert place_by_hand(ManualPoints(added=rows), SHAPE).sigma(SHAPE)(rows[:1, :2]) > 2 * near
-
-
-def test_four_pairs_of_a_tilted_camera_make_a_homography_that_claims_no_fit():
-    rng = np.random.default_rng(5)
-    view = camera(rng, 0.3)
-    placed = place_by_hand(ManualPoints(added=pointed(rng, view, 4, 0.5)), SHAPE)
-    assert placed.model == "homography" and placed.fit_px is None
-    middle = np.array([[450.0, 350]])
-    assert np.linalg.norm(placed.transform(middle) - view(middle)) < 1.5
-    assert placed.sigma(SHAPE)(middle)[0] > 0.5
-
-
 def test_a_homography_that_folds_within_the_frame_is_not_taken():
     corners = np.array([[100.0, 100], [200, 100], [200, 200], [100, 200], [150, 150]])
     theirs = np.array([[0.0, 0], [100, 0], [70, 20], [30, 20], [50, 14]])  # a horizon is near
@@ -97,23 +76,14 @@ def test_a_homography_that_folds_within_the_frame_is_not_taken():
     assert placed.model != "homography"
 
 
-def test_leverage_sums_to_the_number_of_parameters():
-    points = np.random.default_rng(6).uniform(0, 900, (11, 2))
-    for model, count in PARAMETERS.items():
-        assert np.trace(leverage(points, points, model).sum(0)) == pytest.approx(count)
+ON_A_LINE = np.linspace(0, 500, 6)[:, None] * [1, 1, 1, 2]
 
 
-@pytest.mark.parametrize("pairs", [0, 3])
-def test_few_pairs_are_refused(pairs):
-    rows = np.random.default_rng(7).uniform(0, 500, (pairs, 4))
-    with pytest.raises(RegistrationRefused, match="too few pairs"):
+@pytest.mark.parametrize("rows", [np.zeros((0, 4)), np.eye(4)[:3] * 500, ON_A_LINE])
+def test_pairs_that_determine_no_map_are_refused(rows):
+    with pytest.raises(RegistrationRefused) as refused:
         place_by_hand(ManualPoints(added=rows, accepted=True), SHAPE)
-
-
-def test_pairs_on_a_line_are_refused():
-    along = np.linspace(0, 500, 6)[:, None]
-    with pytest.raises(RegistrationRefused, match="one line"):
-        place_by_hand(ManualPoints(added=np.hstack([along, along, along, 2 * along])), SHAPE)
+    assert refused.value.problems[0].code == "E_MATCHES"
 
 
 @pytest.mark.parametrize("method", ["levkas", "mirhashemi2019"])
@@ -138,32 +108,13 @@ def test_of_two_sensors_one_is_placed_by_hand_and_the_other_by_its_picture():
     scene = gaussian_filter(np.random.default_rng(9).random((220, 260)), 2)
     first = BandImage.of("grey", scene[10:210, 10:250])
     second = BandImage.of("blank", np.full((100, 120), 0.5))
-    sensors = [_of_sensor(first, "a"), _of_sensor(second, "b")]
+    sensors = [replace(first, sensor="a"), replace(second, sensor="b")]
     rows = np.array(
         [[20.0, 20, 10, 10], [220, 20, 110, 10], [220, 190, 110, 95], [20, 190, 10, 95]]
     )
     given = {"b": ManualPoints(added=rows, accepted=True)}
     found = register(scene, sensors, given=given)
     assert found.verdict.decision == "by hand" and found.method == "levkas"
-    assert found.verdict.reasons[0].startswith("sensor b: ")
     middle = np.array([[100.0, 100]])
     assert found.transforms["grey"](middle) == pytest.approx(middle - 10, abs=0.1)
     assert found.transforms["blank"](middle) == pytest.approx(middle / 2, abs=0.1)
-
-
-def _of_sensor(image, sensor):
-    from dataclasses import replace
-
-    return replace(image, sensor=sensor)
-
-
-def test_a_refusal_names_the_workbench_and_never_wants_what_was_given():
-    blank = np.full((80, 100), 0.5)
-    for method in ("levkas", "mirhashemi2019"):
-        with pytest.raises(RegistrationRefused) as refused:
-            register(np.random.default_rng(1).random((80, 100)), blank, method=method)
-        assert all("levkas inspect" in problem.fix for problem in refused.value.problems)
-    assert advise(BY_HAND, 0) == BY_HAND and advise(f"{OTHER}.", 0).endswith(SCREEN)
-    for step in (BY_HAND, f"{OTHER}.", ""):
-        assert POINTS not in advise(step, 4) and ACCEPT[-20:] in advise(step, 4)
-    assert "mark 2 more points" in advise(BY_HAND, 2)

@@ -52,36 +52,6 @@ def test_pairs_of_which_two_in_five_are_wrong_register_what_the_pictures_alone_d
     assert counted["given"] == 50 and 30 <= counted["agreeing"] <= 31 and counted["used"]
 
 
-@pytest.mark.slow
-def test_wrong_pairs_are_refused_as_no_pairs_are(hard):
-    reference, target, _ = hard
-    rng = np.random.default_rng(5)
-    places = rng.uniform(20, 210, (30, 2))
-    agreed = np.hstack([places, 0.4 * places + 7.0])  # all of one mind, and wrong
-    given = {
-        "": ManualPoints(starts=np.vstack([agreed, candidates(Affine.identity(), rng, 0, 20)]))
-    }
-    assert refusal(reference, target, given=given) == refusal(reference, target)
-
-
-@pytest.mark.slow
-def test_pairs_move_nothing_that_the_pictures_register_alone(studio):
-    painting = studio.paint(3)
-    truth = Affine(np.array([[0.99, 0.03, 4.0], [-0.03, 0.99, 7.0]]))
-    one = BandImage.of("r", studio.photograph(painting, Affine.identity(), seed=1))
-    two = BandImage.of("b", studio.photograph(painting, truth.inverse, seed=2))
-    wrong = {"": ManualPoints(starts=np.hstack([INSIDE, INSIDE + 40]).repeat(9, 0))}
-    alone, beside = (
-        register([one], [two], reference_band="r", given=given) for given in ({}, wrong)
-    )
-    records = [one.to_dict() for one in (alone, beside)]
-    found = [one["errors"]["sensors"][""].pop("start_pairs") for one in records]
-    assert found == [None, {"given": 18, "agreeing": 0, "used": False}]
-    for one in records:
-        one["verdict"]["numbers"]["sensor"].pop("start_pairs")
-    assert records[0] == records[1]
-
-
 def test_sets_of_pairs_are_tried_from_the_largest_to_the_smallest():
     rng = np.random.default_rng(2)
     p = rng.uniform(0, 300, (30, 2))

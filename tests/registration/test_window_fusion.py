@@ -2,12 +2,6 @@ import numpy as np
 import pytest
 
 from levkas.registration.local_shifts import WindowShifts
-from levkas.registration.model_selection import (
-    SelectionTerms,
-    scattered_information,
-    select_model,
-)
-from levkas.registration.models import Observations
 from levkas.registration.window_fusion import total_information
 
 CELL, SIGMA = 16.0, 0.05
@@ -43,22 +37,3 @@ def test_neither_a_lens_nor_a_ledge_is_taken_for_noise():
 
     # One triple in four lies across the ledge; the scatter about any polynomial would be tenfold.
     assert 0.5 < total_information(observed(bent)) / total_information(observed(still)) < 1.0
-
-
-def test_a_picture_of_few_windows_does_not_tell():
-    assert total_information(observed(still, columns=6, rows=5)) is None
-
-
-def test_information_by_scatter_goes_by_the_noise_and_is_that_of_any_model_that_is_selected():
-    terms = SelectionTerms(coarse=True)
-
-    def found(sigma, said):
-        windows = observed(lambda points: 1e-3 * points, sigma, said)[0]
-        identity = np.broadcast_to(np.eye(2), (len(windows.centres), 2, 2))
-        target = windows.centres - windows.shift
-        return Observations(windows.centres, target, identity, windows.information)
-
-    one, twice = found(SIGMA, SIGMA), found(2 * SIGMA, 0.3 * SIGMA)
-    information = scattered_information(one, terms)
-    assert information == pytest.approx(4 * scattered_information(twice, terms), rel=0.1)
-    assert information == select_model(one, terms).total_information

@@ -10,8 +10,8 @@ import numpy as np
 
 from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Affine, invert
-from levkas.registration.bands import BandImage, area_average
-from levkas.registration.mirhashemi2019 import AlignedCamera, scale_only
+from levkas.registration.bands import BandImage, area_average, grey
+from levkas.registration.mirhashemi2019 import SensorPicture, scale_only
 
 Map = Callable[[np.ndarray], np.ndarray]
 STEP_PX = 0.5
@@ -108,11 +108,11 @@ def pair_of(
     target: Sequence[BandImage],
     reference_band: str,
     region: Sequence[float] | None = None,
-) -> tuple[Pair, AlignedCamera]:
-    """Return the pair of two cameras, and the target with the alignment of its other sensors to its first."""
+) -> Pair:
+    """Return the pair of two cameras; `target` are bands of one sensor."""
     sensor = next(image.sensor for image in reference if image.label == reference_band)
-    ours = AlignedCamera.of([i for i in reference if i.sensor == sensor], sensor, None)
-    theirs = AlignedCamera.of(target, target[0].sensor, None)
+    ours = SensorPicture(*grey([i for i in reference if i.sensor == sensor]))
+    theirs = SensorPicture(*grey(target))
     x, y, w, h = _cut(region, ours.size)
     pull = scale_only(ours.size, theirs.size)  # target → reference
     scale = min(1.0, float(pull.matrix[0, 0]))
@@ -120,7 +120,7 @@ def pair_of(
     corners = np.array([[0, 0], [w, 0], [0, h]], float)
     start = Affine.fit(corners, back.inverse(pull.inverse(corners + np.array([x, y]))))
     box = np.s_[y : y + h, x : x + w]
-    pair = Pair(
+    return Pair(
         np.ascontiguousarray(ours.values[box], np.float32),
         np.ascontiguousarray(ours.valid[box]),
         np.ascontiguousarray(values, np.float32),
@@ -129,20 +129,6 @@ def pair_of(
         (x, y),
         back,
     )
-    return pair, theirs
-
-
-def spread(camera: AlignedCamera, found: Map) -> dict[str, Map]:
-    """Give every band the map of its camera's first sensor, then that of its own sensor."""
-    maps: dict[str, Map] = {}
-    for image in camera.images:
-        own: Any = camera.alignments[image.sensor]
-        maps[image.label] = found if image.sensor == camera.sensor else _after(found, own)
-    return maps
-
-
-def _after(first: Map, then: Map) -> Map:
-    return lambda points: then(first(points))
 
 
 def _cut(region: Sequence[float] | None, size: tuple[int, int]) -> tuple[int, int, int, int]:

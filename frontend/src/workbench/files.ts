@@ -5,17 +5,10 @@ import { getBytes, getJson, messageOf } from "./api";
 import { readSession } from "./columns";
 import type { Store } from "./store";
 
-const DIALECTS: [string, string][] = [
-  ["levkas", "Levkas (CSV)"],
-  ["bigwarp", "BigWarp (CSV)"],
-  ["qgis", "QGIS georeferencer (.points)"],
-];
 const CHUNK = 0x8000; // bytes that one call makes characters of
 
 export function filesDialog(store: Store): HTMLDialogElement {
-  const options = DIALECTS.map(([value, words]) => make("option", { value }, words));
-  const dialect = make("select", { id: "dialect", "aria-label": "Program" }, ...options);
-  const save = make("button", { type: "button", class: "primary", id: "export" }, "Save a file");
+  const save = make("button", { type: "button", class: "primary", id: "export" }, "Save a CSV");
   const input = make("input", {
     type: "file",
     id: "import",
@@ -23,7 +16,7 @@ export function filesDialog(store: Store): HTMLDialogElement {
   });
   const status = make("p", { "aria-live": "polite", id: "files-status" });
   const show = (text: string): void => void (status.textContent = text);
-  save.addEventListener("click", () => void exportPoints(store, dialect.value).then(show));
+  save.addEventListener("click", () => void exportPoints(store).then(show));
   input.addEventListener("change", () => {
     const file = input.files?.[0];
     input.value = "";
@@ -35,10 +28,10 @@ export function filesDialog(store: Store): HTMLDialogElement {
     make(
       "p",
       {},
-      "Export the pairs for another program, or import pairs that were set there. Pixel conventions are converted.",
+      "Save the pairs as a CSV, or import pairs of a CSV, of BigWarp or of QGIS. Pixel conventions are converted.",
     ),
     make("h3", {}, "Save"),
-    make("div", { class: "actions" }, dialect, save),
+    make("div", { class: "actions" }, save),
     make("h3", {}, "Open"),
     make("p", { class: "soft" }, "The format is recognised from the file."),
     input,
@@ -46,18 +39,15 @@ export function filesDialog(store: Store): HTMLDialogElement {
   );
 }
 
-async function exportPoints(store: Store, dialect: string): Promise<string> {
+async function exportPoints(store: Store): Promise<string> {
   try {
-    const { name, data, losses } = await getJson<{
-      name: string;
-      data: string;
-      losses: string[];
-    }>(`${store.path}/export`, { dialect });
+    const { name, data } = await getJson<{ name: string; data: string }>(
+      `${store.path}/export`,
+      {},
+    );
     const bytes = Uint8Array.from(atob(data), (c) => c.charCodeAt(0));
     saveFile(name, bytes, "application/octet-stream");
-    return [`Saved ${name}.`, ...losses.map((loss) => `This format cannot store: ${loss}.`)].join(
-      " ",
-    );
+    return `Saved ${name}.`;
   } catch (error) {
     return messageOf(error);
   }

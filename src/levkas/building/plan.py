@@ -109,7 +109,6 @@ def read_plan(path: str | Path) -> Plan:
 
 def plan_of(campaign: Campaign) -> Plan:
     """Find the captures of a campaign and lay out its tasks."""
-    check_detectors(campaign)
     index = scan_folders(campaign)
     captures, refusals = find_captures(campaign, index)
     check_names(campaign, index, refusals)
@@ -118,23 +117,6 @@ def plan_of(campaign: Campaign) -> Plan:
     charts = [chart for page in pages.values() for chart in page.charts]
     graph = graph_of(campaign, captures, charts)
     return Plan(campaign, captures, refusals, graph, pages, index.folders.listed)
-
-
-def check_detectors(campaign: Campaign) -> None:
-    """Refuse a campaign whose key points the installed OpenCV cannot find; raises CampaignInvalid."""
-    tables = {"registration": campaign.registration}
-    tables |= {f"cameras.{n}.registration": c.registration for n, c in campaign.cameras.items()}
-    requested = {where: keys.detector for where, keys in tables.items() if keys.detector}
-    if set(requested.values()) <= {"sift"}:
-        return
-    from levkas.registration.features import available_detectors, no_detector
-
-    here = available_detectors()
-    missing = [
-        no_detector(name, f"{w}.detector") for w, name in requested.items() if name not in here
-    ]
-    if missing:
-        raise CampaignInvalid(*(replace(p, file=str(campaign.path)) for p in missing))
 
 
 def _check_edits(campaign: Campaign, captures: list[Capture], refusals: Refusals) -> None:

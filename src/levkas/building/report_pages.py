@@ -58,9 +58,8 @@ from levkas.pages.tiles import draw_tiles
 from levkas.quality.evaluation.camera_agreement import PairAgreement, agreement_in
 from levkas.quality.image_quality.light import choose_places
 from levkas.readers.frames import files_of
-from levkas.registration.advice import percent
+from levkas.registration.advice import LEAST_OUTSIDE, percent
 from levkas.registration.record import decided
-from levkas.registration.shares import LEAST_OUTSIDE
 from levkas.stages.budget import budget_of
 from levkas.stages.sources import LIBRARIES, LIBRARIES_OF_PAGES, library_version
 from levkas.stages.spectra import weights_of_bands

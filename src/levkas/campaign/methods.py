@@ -64,7 +64,7 @@ class PaperOptions(MethodOptions):
     stop: Annotated[Number, Field(gt=0)] | None = None
     ratio: Annotated[Number, Field(gt=0, le=1)] | None = None
     order: Annotated[Whole, Field(ge=1, le=5)] | None = None
-    detector: Literal["sift", "orb", "kaze", "akaze"] | None = None
+    detector: Literal["sift", "orb"] | None = None
     matching: Literal["mutual-ratio", "mutual", "ratio"] | None = None
 
 

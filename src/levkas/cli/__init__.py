@@ -77,9 +77,6 @@ app = typer.Typer(
 _plan = typer.Typer(
     help="Plan light, framing and exposures.", no_args_is_help=True, rich_markup_mode=None
 )
-_points = typer.Typer(
-    help="Control points of other programs.", no_args_is_help=True, rich_markup_mode=None
-)
 
 
 def _print_version(wanted: bool) -> None:
@@ -101,11 +98,6 @@ def _levkas(
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-
-
-@_points.callback()
-def _points_callback() -> None:
-    pass
 
 
 for _name, _command in {
@@ -135,9 +127,7 @@ for _name, _command in {
     "exposure": plan.exposure,
 }.items():
     _plan.command(_name, cls=StrictCommand)(_command)
-_points.command("convert", cls=StrictCommand)(evaluate.convert)
 app.add_typer(_plan, name="plan")
-app.add_typer(_points, name="points")
 
 
 def main() -> None:

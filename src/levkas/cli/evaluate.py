@@ -1,4 +1,4 @@
-"""Commands about positions and agreement: evaluate, agree, map, points convert."""
+"""Commands about positions and agreement: evaluate, agree, map."""
 
 from __future__ import annotations
 
@@ -148,31 +148,3 @@ def map_points(
     from levkas.core.files import write_text
 
     write_text(output, mapped)
-
-
-@refusing("points convert")
-def convert(
-    source: Annotated[
-        Path,
-        typer.Argument(metavar="IN", help="File to read."),
-    ],
-    output: Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")],
-    to: Annotated[str, typer.Option(help="levkas, bigwarp or qgis.")] = "levkas",
-    dialect: Annotated[
-        str | None,
-        typer.Option("--from", help="Dialect of IN; by default detected from its content."),
-    ] = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-) -> None:
-    """Convert control points from one program to another, including the pixel origin."""
-    from levkas.registration.control_points import losses, read_points, write_points
-
-    points = read_points(source, dialect=dialect)
-    write_points(points, output, to, overwrite=overwrite)
-    lost = losses(points, to)
-    print_report(
-        "points convert", as_json, True, [], points=len(points), written=str(output), losses=lost
-    )
-    if not as_json:
-        typer.echo(f"{len(points)} points: {output}{''.join(f'; {loss}' for loss in lost)}")

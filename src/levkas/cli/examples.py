@@ -24,10 +24,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "plan exposure": ("levkas plan exposure white.NEF", "levkas plan exposure --setup studio.toml -o exposure.html"),
     "plan framing": ("levkas plan framing studio.toml", "levkas plan framing studio.toml --json"),
     "plan light": ("levkas plan light studio.toml", "levkas plan light studio.toml --optimise -o light.html"),
-    "points convert": (
-        "levkas points convert landmarks.csv pairs.csv",
-        "levkas points convert xray.points xray.csv --to bigwarp",
-    ),
     "publish": ("levkas publish icons --check", "levkas publish icons -o published --url https://example.org/icons"),
     "radiometry": ("levkas radiometry icons", "levkas radiometry icons --camera d80 -o radiometry.html"),
     "simulate": ("levkas simulate trial", "levkas simulate trial --preset small --objects 2"),

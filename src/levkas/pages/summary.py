@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from levkas.registration.advice import percent
-from levkas.registration.shares import LEAST_OUTSIDE
+from levkas.registration.advice import LEAST_OUTSIDE, percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

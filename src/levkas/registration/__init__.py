@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.campaign.methods import DEFAULT_METHOD, METHODS, Method
-from levkas.core.problems import Problem
 from levkas.registration.advice import advise
 from levkas.registration.bands import BandImage
 from levkas.registration.record import (
@@ -23,6 +22,7 @@ from levkas.registration.record import (
     RegistrationRefused,
     Trace,
     Verdict,
+    refusal,
 )
 from levkas.registration.request import Request
 
@@ -180,15 +180,13 @@ def _require_maps(found: Registration, request: Request, method: str) -> None:
     """Refuse a registration that lacks the map of a band: a fault of its method, not of the pictures."""
     lacking = [band.label for band in request.target if band.label not in found.transforms]
     if lacking:
-        raise RegistrationRefused(
-            Problem(
-                "E_METHOD",
-                f"the registration method {method!r} returns no map for {len(lacking)} of {len(request.target)} bands",
-                field="registration.method",
-                found=", ".join(lacking[:12]),
-                expected="a transform of every band of the target, by its label",
-                fix="Report this to the author of the method, or choose another one.",
-            )
+        raise refusal(
+            "E_METHOD",
+            f"the registration method {method!r} returns no map for {len(lacking)} of {len(request.target)} bands",
+            field="registration.method",
+            found=", ".join(lacking[:12]),
+            expected="a transform of every band of the target, by its label",
+            fix="Report this to the author of the method, or choose another one.",
         )
 
 
@@ -219,8 +217,8 @@ def _bands_of(pixels: np.ndarray | Sequence[BandImage], name: str) -> Sequence[B
         found = f"{found} of {type(pixels[0]).__name__}"
         fix = "Give one array; np.stack(pictures, axis=-1) makes it."
     expected = "an array (height, width) or (height, width, bands) of integers or floats"
-    raise RegistrationRefused(
-        Problem("E_VALUE", f"the {name} is no picture", None, name, found, expected, fix)
+    raise refusal(
+        "E_VALUE", f"the {name} is no picture", field=name, found=found, expected=expected, fix=fix
     )
 
 

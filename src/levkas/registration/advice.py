@@ -19,16 +19,6 @@ ACCEPT = (
     "beside them in edits.toml"
 )
 SCREEN = "`levkas inspect CAMPAIGN` shows both pictures side by side, and takes pairs that you place by hand."
-LITTLE = 0.25
-"""Share of the reference; where pictures have less in common, that is named as why a map folds. Half or twice changes
-advice alone."""
-MORE = (
-    "Capture this camera again with more of the reference in view: both show too little in common for the shape of "
-    "a map"
-)
-UNLIKE = 3.0
-"""Ratio of the samplings of two pictures, px to px; from there on it is named as why a map folds, or is not one of a camera. Half or twice changes
-advice alone."""
 BETWEEN = (
     "Choose a reference camera whose sampling lies between the two (`reference` in campaign.toml), or bin the frames of "
     "the finer camera"
@@ -46,35 +36,6 @@ IN_WORKBENCH = (
     (" in `levkas inspect CAMPAIGN`", ""),
 )
 """Words of a step, and what stands for them where the workbench is open already."""
-
-
-def advice_on_shape(share: float, scale: float = 1.0) -> str:
-    """Return what to do about a map that folds, or has another scale than a camera gives, where pictures have a `share` of the reference in common.
-
-    `scale` is in px of the picture per px of the reference.
-
-    >>> advice_on_shape(0.1)[:25], advice_on_shape(0.8) == BY_HAND, advice_on_shape(0.8, 1 / 5)[:25]
-    ('Capture this camera again', True, 'Choose a reference camera')
-    """
-    causes = [MORE] if share < LITTLE else []
-    causes += [BETWEEN] if is_unlike(scale) else []
-    return f"{'. '.join(causes)}, or {POINTS}." if causes else BY_HAND
-
-
-def is_unlike(scale: float) -> bool:
-    """Return whether two pictures sample the object so differently that it may be why a map folds."""
-    return bool(max(scale, 1 / max(scale, 1e-9)) > UNLIKE)
-
-
-def describe_sampling(scale: float) -> str:
-    """Return px of a picture per px of the reference, in words.
-
-    >>> describe_sampling(7.96), describe_sampling(0.2)
-    ('8.0 of its px to one of the reference', '5.0 px of the reference to one of its own')
-    """
-    if scale < 1:
-        return f"{1 / max(scale, 1e-9):.1f} px of the reference to one of its own"
-    return f"{scale:.1f} of its px to one of the reference"
 
 
 def advise(step: str, pairs: int, decision: str = "refuse") -> str:
@@ -137,3 +98,31 @@ def percent(share: float) -> str:
     if 0 < share < 0.005:
         return "less than 1 %"
     return f"{min(round(100 * share), 100 if share >= 1 else 99)} %"
+
+
+# --- shares of a layer: the published frame, as far as the reference's frame reaches
+
+
+Numbers = Mapping[str, Any]
+LEAST_OUTSIDE = 0.005
+"""Share of the layer from which on it is reported that the outline leaves it out; less is no percent."""
+
+
+def object_share(numbers: Numbers) -> float:
+    """Return the share of the layer that shows the object, 0 … 1; 1 where nothing says."""
+    return float(numbers.get("object_share", 1.0))
+
+
+def overlap_share(numbers: Numbers) -> float:
+    """Return the share of the layer in which a camera shows the object, 0 … 1."""
+    return object_share(numbers) * float(numbers["overlap"])
+
+
+def checked_share(numbers: Numbers) -> float:
+    """Return the share of the layer where windows or matches confirm a map, 0 … 1.
+
+    >>> round(checked_share({"object_share": 0.8, "overlap": 0.5, "checked": 0.9, "coverage": 1.0}), 2)
+    0.36
+    """
+    confirmed = min(numbers.get("checked", 1.0), max(numbers.get("coverage", 1.0), 0.0))
+    return overlap_share(numbers) * float(confirmed)

@@ -10,7 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, nan
 
+import cv2
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from levkas.core.compiled import njit
 from levkas.core.threads import each
@@ -38,18 +40,12 @@ LARGE_HOLE = 7
 
 @dataclass(frozen=True)
 class Sites:
-    """Pixels of a mosaic that recorded one band; between them it is interpolated, by the detail of other bands too.
-
-    Parameters
-    ----------
-    period : int, px
-        Side of the square that repeats.
-    places : tuple of (row, column)
-        Of the band's pixels in it.
-    """
+    """Pixels of a mosaic that recorded one band; between them it is interpolated, by the detail of other bands too."""
 
     period: int
+    """In px: side of the square that repeats."""
     places: tuple[tuple[int, int], ...]
+    """Of the band's pixels in it."""
 
     @classmethod
     def in_pattern(cls, table: np.ndarray, channel: int) -> Sites | None:
@@ -76,8 +72,6 @@ class Sites:
 
         Unlike other demosaicing this takes no detail from other bands, which lies where these have it.
         """
-        import cv2
-
         n, measured = self.period, np.zeros(image.shape, np.float32)
         for y, x in self.places:
             measured[y::n, x::n] = 1.0
@@ -97,32 +91,21 @@ class Sites:
 
 @dataclass(frozen=True)
 class BandImage:
-    """Image of one band.
-
-    Parameters
-    ----------
-    label : str
-    wavelength : float, nm
-        NaN where the channel is broad.
-    values : ndarray, (h, w), float32
-        Native px of the band's sensor.
-    valid : ndarray, (h, w), bool
-        False where the value must not be relied on.
-    sensor : str
-        Name of the sensor; bands of one sensor share its native px.
-    sites : Sites or None
-        Of a band of a mosaic, where it was measured; None where all px were, or nobody knows.
-    one_scan : bool
-        Whether the bands of its sensor are pictures of one scan, which lie on one another: they share one map.
-    """
+    """Image of one band."""
 
     label: str
     wavelength: float
+    """In nm: naN where the channel is broad."""
     values: np.ndarray
+    """(h, w), float32. Native px of the band's sensor."""
     valid: np.ndarray
+    """(h, w), bool. False where the value must not be relied on."""
     sensor: str = ""
+    """Name of the sensor; bands of one sensor share its native px."""
     sites: Sites | None = None
+    """Of a band of a mosaic, where it was measured; None where all px were, or nobody knows."""
     one_scan: bool = False
+    """Whether the bands of its sensor are pictures of one scan, which lie on one another: they share one map."""
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.shape != self.valid.shape:
@@ -197,6 +180,8 @@ def region_mask(region: Sequence[float] | None, shape: tuple[int, ...]) -> np.nd
 def grey(images: Sequence[BandImage]) -> tuple[np.ndarray, np.ndarray]:
     """Average the bands of one sensor: the paper's grey picture of a camera.
 
+    Raises ValueError with no band, or bands of different sizes.
+
     Parameters
     ----------
     images : sequence of BandImage
@@ -209,11 +194,6 @@ def grey(images: Sequence[BandImage]) -> tuple[np.ndarray, np.ndarray]:
         where none is.
     valid : ndarray, (h, w), bool
         At least half of the bands are valid there.
-
-    Raises
-    ------
-    ValueError
-        With no band, or bands of different sizes.
 
     Examples
     --------
@@ -245,6 +225,8 @@ def area_average(
 ) -> tuple[np.ndarray, np.ndarray, Affine]:
     """Reduce an image to `scale` times its size by area averages over what is valid.
 
+    Raises ValueError where `scale` is not within (0, 1].
+
     Parameters
     ----------
     values, valid : ndarray, (h, w), float32 and bool
@@ -257,14 +239,7 @@ def area_average(
         Reduced; a pixel is valid where at least half of its area is.
     back : Affine
         Reduced px → px of `values`, with the exact ratio of the two sizes on each axis.
-
-    Raises
-    ------
-    ValueError
-        Where `scale` is not within (0, 1].
     """
-    import cv2
-
     if not 0 < scale <= 1:
         raise ValueError(f"scale must be in (0, 1], got {scale}")
     h, w = values.shape
@@ -296,8 +271,6 @@ def pull(
     values, valid : ndarray, `shape`, float32 and bool
         Valid where all that is interpolated is.
     """
-    from scipy.ndimage import map_coordinates
-
     h, w = shape
     filled = np.where(valid, values, 0).astype(np.float32)
     weight = valid.astype(np.float32)
@@ -408,8 +381,6 @@ def _inpaint(image: np.ndarray) -> np.ndarray:
     A window counts only where all of it is valid, so that a few scattered pixels would blind
     whole regions. What contains a block of `LARGE_HOLE` px stays NaN.
     """
-    import cv2
-
     hole = np.isnan(image)
     if not hole.any() or hole.all():
         return image

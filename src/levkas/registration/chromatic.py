@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from levkas.core.compiled import njit
 from levkas.core.threads import each
@@ -23,32 +24,22 @@ from levkas.registration.models import inflate_covariance
 
 @dataclass(frozen=True)
 class ChromaticSettings:
-    """Constants of the chromatic shifts.
-
-    Parameters
-    ----------
-    blocks : int
-        Across the longer side, in which the gradients of windows are summed.
-    least_windows : int
-        Of a band; with fewer it takes its shift from the other bands.
-    rounds : int
-        Of re-weighting windows.
-    lengths : tuple of float, nm
-        Correlation lengths over wavelength that are tried.
-    smooth, own : tuple of float
-        Variances of the smooth part, beside none at all, and of each band's own, in units of the amounts' mean
-        square.
-    least_bands : int
-        Of different wavelengths from which amounts are smoothed.
-    """
+    """Constants of the chromatic shifts."""
 
     blocks: int = 8
+    """Across the longer side, in which the gradients of windows are summed."""
     least_windows: int = 12
+    """Of a band; with fewer it takes its shift from the other bands."""
     rounds: int = 6
+    """Of re-weighting windows."""
     lengths: tuple[float, ...] = (80.0, 200.0, 500.0)
+    """In nm: correlation lengths over wavelength that are tried."""
     smooth: tuple[float, ...] = (1.0, 10.0)
     own: tuple[float, ...] = (0.0, 0.01, 0.1, 1.0)
+    """`smooth`, `own`: variances of the smooth part, beside none at all, and of each band's own, in units of the amounts'
+    mean square."""
     least_bands: int = 4
+    """Of different wavelengths from which amounts are smoothed."""
     least_variance: float = 1e-10
 
 
@@ -77,23 +68,17 @@ SHARES: dict[str, float | None] = {
 
 @dataclass(frozen=True)
 class ChromaticShifts:
-    """Displacements of every band, in one frame.
-
-    Parameters
-    ----------
-    kind : str
-        The richest fields that were taken, of `KINDS`.
-    centre, spread : (2,) and float, reference px
-    amounts : ndarray, (bands, fields), px
-    variances : ndarray, (bands, fields), px², or None
-        Of the amounts; None where nothing was fitted.
-    """
+    """Displacements of every band, in one frame."""
 
     kind: str
+    """The richest fields that were taken, of `KINDS`."""
     centre: np.ndarray
     spread: float
+    """`centre`, `spread`: reference px."""
     amounts: np.ndarray
+    """(bands, fields), px."""
     variances: np.ndarray | None = None
+    """(bands, fields), px², or None. Of the amounts; None where nothing was fitted."""
 
     def variance(self, band: int, points: np.ndarray) -> np.ndarray:
         """Return the variance of a band's displacement at `points`, (n,) px², mean of both axes."""
@@ -390,8 +375,6 @@ def _posterior(
     Algorithm 2.1 of [rasmussen2006]_ for each combination of scales; that of the highest marginal
     likelihood is taken. Scales are compared on what was measured alone, which is less than all that is wanted.
     """
-    from scipy.linalg.lapack import dpotrf, dtrtrs
-
     plain = np.linalg.lstsq(selection, y, rcond=1e-3)[0]
     size = max(float(np.mean(plain**2)), float(np.median(noise)), 1e-10)
     if price > 0:

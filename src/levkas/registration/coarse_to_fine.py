@@ -2,8 +2,7 @@
 
 On each grid of a pyramid the windows of all bands are shifted, their shifts fused and a base map selected;
 on the finest grid that rounds are repeated, with the lateral chromatic aberration of each band, until the
-map moves no more. A second way with stiff models only is tried where the first fits badly: yielding models
-follow windows that are off, and take the next ones along.
+map moves no more.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
-from levkas.core.problems import Problem
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration.advice import POINTS
@@ -42,8 +40,7 @@ from levkas.registration.marks import (
     whiteness,
 )
 from levkas.registration.measured_bands import chromatic_of_all, is_smooth_in_wavelength
-from levkas.registration.model_selection import SelectedModel, SelectionTerms, select_model
-from levkas.registration.models import Observations
+from levkas.registration.model_selection import SelectedModel, SelectionTerms
 from levkas.registration.orientation_correlation import match_blocks
 from levkas.registration.predictors import (
     ReferenceStack,
@@ -52,7 +49,7 @@ from levkas.registration.predictors import (
     measure_shifts,
     resample_band,
 )
-from levkas.registration.record import RegistrationRefused, Sigma
+from levkas.registration.record import RegistrationRefused, Sigma, refusal
 from levkas.registration.uncertainty import measure_sigma, with_lines
 from levkas.registration.verification import (
     PermutationTest,
@@ -63,7 +60,6 @@ from levkas.registration.verification import (
 from levkas.registration.window_fusion import (
     FusionSettings,
     base_change,
-    describe_selection,
     fit_base,
     fuse_windows,
     has_information,
@@ -82,53 +78,36 @@ Begin = Callable[["CameraFeatures", "CameraFeatures"], InitialTransform | None]
 
 @dataclass(frozen=True)
 class RefinementSettings:
-    """Constants of the coarse-to-fine search.
-
-    Parameters
-    ----------
-    coarse_bands : int
-        Bands compared on grids before the finest, evenly over the wavelengths.
-    rounds, stiff_rounds, most_rounds : int
-        Rounds on the finest grid that are always made, with stiff models only, and at most.
-    converged : float, px of the grid
-        A map that moves less, the median over windows, has converged.
-    large : int, px of the grid
-        Frames larger than this make the first round on a grid twice as coarse: bands are pixels apart
-        there, and a coarser grid brings them near at a quarter of the cost.
-    least_cells : int
-        Cells of windows across the coarsest grid.
-    good : float, px of the grid
-        Held-out error up to which no stiff way is tried.
-    sharper : float
-        Factor by which the total information must grow on a finer grid that is taken although its
-        model fits worse: windows are four times as many there, and have to be twice as certain.
-    finest_sampling, plain_sampling : float, native px per px of the grid
-        Of the finest grid, which shows most of a picture that it oversamples twice, and of the grid on
-        which a map is judged, about as fine as the picture.
-    sure_coverage : float
-        Share of cells that windows confirm; below, blocks are compared by their outlines too.
-    line_bands, nearly : int, float
-        Bands of which the mean is looked at for displaced lines, and their explained share over that of the best band.
-    line_rounds : int
-        Of putting lines right and registering again, at most: under ±1.5 px a first map is off where windows average over lines,
-        by less in the second, and the third changes little.
-    """
+    """Constants of the coarse-to-fine search."""
 
     coarse_bands: int = 4
+    """Bands compared on grids before the finest, evenly over the wavelengths."""
     rounds: int = 2
-    stiff_rounds: int = 4
     most_rounds: int = 8
+    """`rounds`, `most_rounds`: rounds on the finest grid that are always made, and at most."""
     converged: float = 0.1
+    """In px of the grid: a map that moves less, the median over windows, has converged."""
     large: int = 600_000
+    """In px of the grid: frames larger than this make the first round on a grid twice as coarse: bands are pixels apart
+    there, and a coarser grid brings them near at a quarter of the cost."""
     least_cells: int = 5
-    good: float = 0.25
+    """Cells of windows across the coarsest grid."""
     sharper: float = 8.0
+    """Factor by which the total information must grow on a finer grid that is taken although its model fits worse: windows
+    are four times as many there, and have to be twice as certain."""
     finest_sampling: float = 0.45
     plain_sampling: float = 0.9
+    """`finest_sampling`, `plain_sampling`: in native px per px of the grid: of the finest grid, which shows most of a
+    picture that it oversamples twice, and of the grid on which a map is judged, about as fine as the picture."""
     sure_coverage: float = 0.5
+    """Share of cells that windows confirm; below, blocks are compared by their outlines too."""
     line_bands: int = 8
     nearly: float = 0.9
+    """`line_bands`, `nearly`: bands of which the mean is looked at for displaced lines, and their explained share over that
+    of the best band."""
     line_rounds: int = 3
+    """Of putting lines right and registering again, at most: under ±1.5 px a first map is off where windows average over
+    lines, by less in the second, and the third changes little."""
 
 
 Light = Literal["same", "other", "unknown"]
@@ -139,25 +118,15 @@ COARSE_SCALES = (1 / 30, INITIAL.scales[1])
 
 @dataclass(frozen=True)
 class SensorTask:
-    """One sensor to be registered.
-
-    Parameters
-    ----------
-    bands : sequence of BandImage
-        In the order of their wavelengths.
-    images : mapping of label to ndarray
-        Square roots of the bands, as `sqrt_images` gives them.
-    reference : ReferenceStack
-    mask : ndarray of bool, reference px
-        Where the object lies.
-    initial : InitialTransform
-    by_hand : ManualPoints
-    """
+    """One sensor to be registered."""
 
     bands: Sequence[BandImage]
+    """In the order of their wavelengths."""
     images: Mapping[str, np.ndarray]
+    """Square roots of the bands, as `sqrt_images` gives them."""
     reference: ReferenceStack
     mask: np.ndarray
+    """In reference px: where the object lies."""
     initial: InitialTransform
     by_hand: ManualPoints
 
@@ -291,77 +260,31 @@ class SensorTask:
 
 @dataclass(frozen=True)
 class RefinedMap:
-    """Map of one sensor after one refinement, with yielding or with stiff models.
-
-    Parameters
-    ----------
-    base : Transform
-        Reference px → native px, without the chromatic aberration of single bands.
-    step : int
-        Reference px per px of the grid on which it was judged.
-    chromatic : ChromaticShifts
-    selected : SelectedModel
-    windows : list of WindowShifts
-        Shifts of the last round, before its correction; one a band.
-    selections : list of dict
-        Models and their held-out errors at each step, JSON-ready.
-    evidence : dict
-        How far its best band is predicted above chance.
-    verification : dict
-        Numbers of `verify`.
-    checks : CheckWindows
-    course : dict
-        ``rounds`` that were made, ``converged``: whether the map had converged in the last of them,
-        ``moved``, reference px: by how much that moved it, the median over windows, ``band`` by which
-        it was judged.
-    light : {"same", "other", "unknown"}
-        Whether that band sees light that the reference sees too: only then pictures are compared by likeness (SSIM).
-    """
+    """Map of one sensor after one refinement."""
 
     base: Transform
+    """Reference px → native px, without the chromatic aberration of single bands."""
     step: int
+    """Reference px per px of the grid on which it was judged."""
     chromatic: ChromaticShifts
     selected: SelectedModel
     windows: list[WindowShifts]
-    selections: list[dict[str, Any]]
+    """Shifts of the last round, before its correction; one a band."""
     evidence: dict[str, float]
+    """How far its best band is predicted above chance."""
     verification: dict[str, Any]
+    """Numbers of `verify`."""
     checks: CheckWindows
     course: dict[str, Any]
+    """``rounds`` that were made, ``converged``: whether the map had converged in the last of them, ``moved``, reference px:
+    by how much that moved it, the median over windows, ``band`` by which it was judged."""
     light: Light
-
-    @property
-    def is_good(self) -> bool:
-        """Whether the map needs no refinement with stiff models."""
-        near = self.selected.held_out_error < SETTINGS.good * self.step
-        return near and self.evidence["share_above_chance"] > PermutationTest.PARTLY
+    """Whether that band sees light that the reference sees too: only then pictures are compared by likeness (SSIM)."""
 
 
 @dataclass(frozen=True)
 class RegisteredSensor:
-    """One sensor registered.
-
-    Parameters
-    ----------
-    name : str
-    transforms : dict of label to Transform
-    chromatic : ChromaticShifts
-    windows : dict of label to WindowShifts
-    sigma : dict of label to Sigma
-    initial : InitialTransform or None
-    refined : RefinedMap or None
-        None, as `initial`, for the reference's own sensor, whose base map is the identity.
-    lines : LineDisplacement or None
-        How single lines lie beside the map; None where too few show enough.
-    correction : LineCorrection or None
-        Of lines that are displaced, which the maps follow; `refined` is of the picture put right.
-    apart_px : float or None
-        How far the map lies from a declared alignment, native px; None where none is declared.
-    pairs : StartPairs or None
-        How many pairs of another program agree with the map; None where none are given, or looked for.
-    placed : PlacedByHand or None
-        The map where it is fitted to a person's pairs alone; there is no `initial` and no `refined` then.
-    """
+    """One sensor registered."""
 
     name: str
     transforms: dict[str, Transform]
@@ -370,11 +293,17 @@ class RegisteredSensor:
     sigma: dict[str, Sigma] = field(default_factory=dict)
     initial: InitialTransform | None = None
     refined: RefinedMap | None = None
+    """None, as `initial`, for the reference's own sensor, whose base map is the identity."""
     lines: LineDisplacement | None = None
+    """How single lines lie beside the map; None where too few show enough."""
     correction: LineCorrection | None = None
+    """Of lines that are displaced, which the maps follow; `refined` is of the picture put right."""
     apart_px: float | None = None
+    """How far the map lies from a declared alignment, native px; None where none is declared."""
     pairs: StartPairs | None = None
+    """How many pairs of another program agree with the map; None where none are given, or looked for."""
     placed: PlacedByHand | None = None
+    """The map where it is fitted to a person's pairs alone; there is no `initial` and no `refined` then."""
 
     @property
     def base(self) -> Transform | None:
@@ -398,13 +327,14 @@ def register_sensor(
 ) -> RegisteredSensor:
     """Register the bands of one sensor of another camera to the reference.
 
+    Raises RegistrationRefused: ``E_MATCHES``, ``E_WINDOWS``, ``E_SCALE`` or ``E_FOLD``.
+
     Parameters
     ----------
     bands : sequence of BandImage
         Of the sensor.
     images : mapping of label to ndarray
         Square roots, as `sqrt_images` gives them, of the bands that are measured; others follow from them.
-    reference : ReferenceStack
     ours, theirs : CameraFeatures
         Key points of the reference and of the sensor.
     by_hand : ManualPoints, optional
@@ -413,25 +343,18 @@ def register_sensor(
         Uncertainty of the reference's own bands.
     begin : callable
         Returns the initial transform of two cameras' key points, or None; by default from these alone.
-
-    Raises
-    ------
-    RegistrationRefused
-        ``E_MATCHES``, ``E_WINDOWS``, ``E_SCALE`` or ``E_FOLD``.
     """
     initial = begin(ours, theirs)
     by_hand = by_hand or ManualPoints()
     if by_hand:
         initial = seed_with_points(initial, by_hand, ours, theirs)
     if initial is None:
-        raise RegistrationRefused(
-            Problem(
-                "E_MATCHES",
-                "too few key points match between this sensor and the reference",
-                field=bands[0].sensor or None,
-                fix=f"Check that both pictures show the same object, in focus and well exposed; if they do, {POINTS}"
-                + (", or declare the sensor's `align`." if bands[0].sensor else "."),
-            )
+        raise refusal(
+            "E_MATCHES",
+            "too few key points match between this sensor and the reference",
+            field=bands[0].sensor or None,
+            fix=f"Check that both pictures show the same object, in focus and well exposed; if they do, {POINTS}"
+            + (", or declare the sensor's `align`." if bands[0].sensor else "."),
         )
     bands = by_wavelength(bands)
     labels = [band.label for band in bands]
@@ -499,37 +422,14 @@ def _put_lines_right(
         left = again.measure_lines(better)
         if left is None or left.rms >= lines.rms:
             break
-        # Lines of the reference lay still before: near the rim, it may be what of this picture is not measured.
-        if left.picture == "reference":
-            left = replace(left, picture="either")
         whole, now, found, lines = correction, again, better, left
     return now, found, lines, whole
 
 
 def refine_map(task: SensorTask) -> RefinedMap:
-    """Refine with all models, and where that fits badly with stiff ones too; return what more windows confirm.
-
-    Raises
-    ------
-    RegistrationRefused
-        ``E_WINDOWS``, ``E_SCALE`` or ``E_FOLD``, where neither way comes to an end.
-    """
-    ways, refused = [], None
-    for stiff in (False, True):
-        try:
-            ways.append(_refine_one_way(task, stiff=stiff))
-        except RegistrationRefused as refusal:
-            refused = refused or refusal
-        if ways and ways[0].is_good:
-            break
-    if not ways and refused is not None:
-        raise refused
-    return max(ways, key=lambda way: int(way.verification["agreeing"]))
-
-
-def _refine_one_way(task: SensorTask, *, stiff: bool) -> RefinedMap:
+    """Refine the map of one sensor from coarse to fine; raises RegistrationRefused (``E_WINDOWS``, ``E_SCALE``, ``E_FOLD``)."""
     bands = task.bands
-    way = _Refinement(task, stiff)
+    way = _Refinement(task)
     way.approach()
     way.converge()
     best = max(range(len(bands)), key=lambda i: float(way.windows[i].r2.mean()))
@@ -539,7 +439,7 @@ def _refine_one_way(task: SensorTask, *, stiff: bool) -> RefinedMap:
     whole = Composed(way.chromatic.transform(best), way.base)
     numbers, checks = _verify(task, bands[best], whole, judged, test)
     return RefinedMap(
-        way.base, judged, way.chromatic, way.selected, way.windows, way.selections, test.evidence,
+        way.base, judged, way.chromatic, way.selected, way.windows, test.evidence,
         numbers, checks, way.course, task.light_of(bands[best], whole, judged),
     )  # fmt: skip
 
@@ -550,12 +450,10 @@ class _Refinement:
     selected: SelectedModel
     windows: list[WindowShifts]
 
-    def __init__(self, task: SensorTask, stiff: bool) -> None:
-        self.task, self.stiff = task, stiff
-        self.base = _stiffened(task.initial) if stiff else task.initial.transform
+    def __init__(self, task: SensorTask) -> None:
+        self.task, self.base = task, task.initial.transform
         self.step = task.finest_step
         self.chromatic = zero_displacement(len(task.bands), *frame_centre(task.reference.shape))
-        self.selections: list[dict[str, Any]] = []
         self.course: dict[str, Any] = {}
 
     def approach(self) -> None:
@@ -569,14 +467,13 @@ class _Refinement:
         known = None
         for step in pyramid_steps(task.reference.shape, finest):
             windows = task.measure_shifts(bands, identity, self.base, step)
-            least = (2 if self.stiff else 1) * FusionSettings.least_windows
-            if has_information(fuse_windows(windows)[1]).sum() < least and step > finest:
+            seen = has_information(fuse_windows(windows)[1]).sum()
+            if seen < FusionSettings.least_windows and step > finest:
                 continue  # too little to see at this size; the initial transform stands
             selected = fit_base(
                 self.base, windows, task.by_hand.fixed, step, task.cell(step),
-                SelectionTerms(coarse=True, stiff=self.stiff),
+                SelectionTerms(coarse=True),
             )  # fmt: skip
-            self.selections.append(describe_selection(selected, step))
             now = (total_information(windows), selected.total_information)
             if known is not None and _is_less(now, known):
                 return
@@ -588,13 +485,12 @@ class _Refinement:
         bands, wavelengths = self.task.bands, [band.wavelength for band in self.task.bands]
         height, width = self.task.reference.shape
         small = height * width < SETTINGS.large * self.step**2
-        least = SETTINGS.stiff_rounds if self.stiff else SETTINGS.rounds
-        planned = [self.step] * least if small else [2 * self.step, self.step]
+        planned = [self.step] * SETTINGS.rounds if small else [2 * self.step, self.step]
         steps = planned + [self.step] * (SETTINGS.most_rounds - len(planned))
         for rounds, step in enumerate(steps, 1):
             self.windows = self._measure_windows(step)
             before = self.base
-            self._fit(step, SelectionTerms(stiff=self.stiff, depth_step=step == self.step))
+            self._fit(step, SelectionTerms(depth_step=step == self.step))
             moved = base_change(before, self.base, self.selected.observations.points)
             if len(bands) > 1 and not self.task.one_scan:
                 common = base_change(before, self.base, self.windows[0].centres)
@@ -629,7 +525,6 @@ class _Refinement:
         self.selected = fit_base(
             self.base, self.windows, task.by_hand.fixed, step, task.cell(step), terms, among
         )
-        self.selections.append(describe_selection(self.selected, step))
         self._check(self.selected)
         self.base = self.selected.transform
 
@@ -659,16 +554,6 @@ def _is_less(now: tuple[float | None, float], before: tuple[float | None, float]
     if now[1] >= before[1]:
         return False
     return now[0] is None or before[0] is None or now[0] < SETTINGS.sharper * before[0]
-
-
-def _stiffened(initial: InitialTransform) -> Transform:
-    """Return the similarity, homography or lens that is nearest to the matches of an initial transform."""
-    p, q = initial.reference[initial.kept], initial.target[initial.kept]
-    if len(p) < 6:
-        return initial.transform
-    identity = np.broadcast_to(np.eye(2), (len(p), 2, 2))
-    observed = Observations(p, q, initial.transform.jacobian(p), identity)
-    return select_model(observed, SelectionTerms(spacing=1.0, stiff=True)).transform
 
 
 def _verify(

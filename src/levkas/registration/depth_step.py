@@ -21,37 +21,26 @@ from levkas.registration.models import Observations, fit_polynomial
 
 @dataclass(frozen=True)
 class DepthStepSettings:
-    """Constants of the search.
-
-    Parameters
-    ----------
-    narrowest, widest : float
-        Margins that are tried, shares of the shorter side of what was observed.
-    margins : int
-        How many.
-    least_width, most_width : float, cells
-        Of the slope: narrower ones than windows resolve are laid at two cells.
-    near : float, cells
-        Two steps whose sides lie closer are one.
-    halvings, turns : int
-        Of the search's steps; of fitting the step and the rest in turns.
-    most_searched : int
-        Windows among which a step is looked for.
-    least_gain : float
-        Weighted squares that a step has to explain, in units of the windows' variance. The best
-        rectangle takes some tens by chance alone; the step of a simulated panel takes 200 to 1400.
-    """
+    """Constants of the search."""
 
     narrowest: float = 0.04
     widest: float = 0.3
+    """`narrowest`, `widest`: margins that are tried, shares of the shorter side of what was observed."""
     margins: int = 14
+    """How many."""
     least_width: float = 2.0
     most_width: float = 4.0
+    """`least_width`, `most_width`: in cells: of the slope: narrower ones than windows resolve are laid at two cells."""
     near: float = 0.1
+    """In cells: two steps whose sides lie closer are one."""
     halvings: int = 5
     turns: int = 2
+    """`halvings`, `turns`: of the search's steps; of fitting the step and the rest in turns."""
     most_searched: int = 2000
+    """Windows among which a step is looked for."""
     least_gain: float = 150.0
+    """Weighted squares that a step has to explain, in units of the windows' variance. The best rectangle takes some tens by
+    chance alone; the step of a simulated panel takes 200 to 1400."""
 
 
 SETTINGS = DepthStepSettings()
@@ -67,22 +56,15 @@ WEIGHTS = np.repeat([0.25, 0.5, 0.25], 3) / 3
 
 @dataclass(frozen=True)
 class DepthStep:
-    """Place of a step in depth, reference px.
-
-    Parameters
-    ----------
-    edges : ndarray, (6,)
-        Left, right, top and bottom begin of the slope about `centre`, the width of the slope, and by
-        how much it is turned, radians.
-    centre, spread : (2,) and float
-    cell : float
-        Side of a window's cell.
-    """
+    """Place of a step in depth, reference px."""
 
     edges: np.ndarray
+    """(6,). Left, right, top and bottom begin of the slope about `centre`, the width of the slope, and by how much it is
+    turned, radians."""
     centre: np.ndarray
     spread: float
     cell: float
+    """Side of a window's cell."""
 
     def window_share(self, points: np.ndarray) -> np.ndarray:
         """Return the share of each window, (n,), that the recessed part makes up, slope included."""
@@ -125,7 +107,6 @@ def find_depth_step(
 
     Parameters
     ----------
-    observations : Observations
     cell : float, reference px
         Side of the cells of which a window has three by three.
     order : int

@@ -14,56 +14,38 @@ from dataclasses import dataclass, fields
 from threading import RLock
 from typing import Any
 
+import cv2
 import numpy as np
 
-from levkas.core.problems import Problem
 from levkas.geometry.transforms import Affine
 from levkas.registration.bands import area_average
-from levkas.registration.record import RegistrationRefused
+from levkas.registration.record import refusal
 
 
 @dataclass(frozen=True)
 class FeatureSettings:
-    """Constants of the features.
-
-    Parameters
-    ----------
-    contrast : float
-        Threshold of SIFT below which an extremum is no key point.
-    limit : int
-        Key points of a picture that the paper's method keeps, the strongest of each cell.
-    balance_cells : int
-        Cells along either side from which they are taken evenly.
-    root_levels : int
-        RootSIFT in whole numbers up to this keeps every dot product exact in float32, in any order of
-        summation.
-    orb_points : int
-        Of ORB before the strongest of each cell are kept; OpenCV's 500 lie where contrast is highest.
-    fast_threshold : int, grey levels
-        Of FAST, in ORB.
-    kaze_threshold : float
-        Of the detector of KAZE and AKAZE.
-    key_points : int
-        Of a grey picture that the default method keeps, the strongest first.
-    edge_threshold : int
-        Of SIFT, above which an extremum lies on an edge; in the default method.
-    most_greys : int
-        Means of parts of the spectrum in which key points are found, beside that of all bands.
-    edge_px : float
-        Scale at which the gradient's magnitude is taken.
-    """
+    """Constants of the features."""
 
     contrast: float = 0.01
+    """Threshold of SIFT below which an extremum is no key point."""
     limit: int = 10_000
+    """Key points of a picture that the paper's method keeps, the strongest of each cell."""
     balance_cells: int = 8
+    """Cells along either side from which they are taken evenly."""
     root_levels: int = 512
+    """RootSIFT in whole numbers up to this keeps every dot product exact in float32, in any order of summation."""
     orb_points: int = 40_000
+    """Of ORB before the strongest of each cell are kept; OpenCV's 500 lie where contrast is highest."""
     fast_threshold: int = 5
-    kaze_threshold: float = 3e-4
+    """In grey levels: of FAST, in ORB."""
     key_points: int = 4000
+    """Of a grey picture that the default method keeps, the strongest first."""
     edge_threshold: int = 12
+    """Of SIFT, above which an extremum lies on an edge; in the default method."""
     most_greys: int = 4
+    """Means of parts of the spectrum in which key points are found, beside that of all bands."""
     edge_px: float = 2.0
+    """Scale at which the gradient's magnitude is taken."""
 
 
 SETTINGS = FeatureSettings()
@@ -71,24 +53,18 @@ SETTINGS = FeatureSettings()
 
 @dataclass(frozen=True)
 class KeyPoints:
-    """Key points of one picture, in a total order that does not depend on how they were found.
-
-    Parameters
-    ----------
-    points : ndarray, (n, 2), px
-    sizes : ndarray, (n,), px
-        Diameter of the neighbourhood that was described.
-    angles : ndarray, (n,), degrees
-    responses : ndarray, (n,)
-    descriptors : ndarray, (n, d)
-        float32 (Euclidean distance; whole numbers, or of unit length) or uint8 (Hamming distance).
-    """
+    """Key points of one picture, in a total order that does not depend on how they were found."""
 
     points: np.ndarray
+    """(n, 2), px."""
     sizes: np.ndarray
+    """(n,), px. Diameter of the neighbourhood that was described."""
     angles: np.ndarray
+    """(n,), degrees."""
     responses: np.ndarray
+    """(n,)."""
     descriptors: np.ndarray
+    """(n, d). float32 (Euclidean distance; whole numbers, or of unit length) or uint8 (Hamming distance)."""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -106,9 +82,10 @@ def find_key_points(
     *,
     detector: str = "sift",
     limit: int = SETTINGS.limit,
-    **options: Any,
 ) -> KeyPoints:
     """Find key points whose neighbourhood is valid.
+
+    Raises RegistrationRefused where there is no such detector.
 
     Parameters
     ----------
@@ -118,22 +95,21 @@ def find_key_points(
         A key of `DETECTORS`.
     limit : int
         At most so many, the strongest of each cell of an 8 x 8 grid.
-    **options
-        Of the detector, e.g. ``contrast=0.01`` of SIFT.
 
     Returns
     -------
     key_points : KeyPoints
         Sorted by x, then y, then size, then angle.
-
-    Raises
-    ------
-    RegistrationRefused
-        Where there is no such detector, or the OpenCV that is installed lacks it.
     """
     if detector not in DETECTORS:
-        raise RegistrationRefused(no_detector(detector))
-    found = DETECTORS[detector](picture, **options)
+        raise refusal(
+            "E_VALUE",
+            f"key points of kind {detector!r} are not available",
+            field="registration.detector",
+            found=detector,
+            expected=", ".join(DETECTORS),
+        )
+    found = DETECTORS[detector](picture)
     found = found[_supported(found, valid)]
     order = np.lexsort((found.angles, found.sizes, found.points[:, 1], found.points[:, 0]))
     found = found[order]
@@ -142,8 +118,6 @@ def find_key_points(
 
 def _supported(found: KeyPoints, valid: np.ndarray) -> np.ndarray:
     """Return which key points have no invalid pixel within half their radius."""
-    import cv2
-
     if valid.all():
         return np.ones(len(found), bool)
     room = cv2.distanceTransform(valid.astype(np.uint8), cv2.DIST_L2, 5)
@@ -171,54 +145,25 @@ def _strongest(found: KeyPoints, shape: tuple[int, ...], limit: int) -> np.ndarr
     return np.sort(chosen)
 
 
-def sift(
-    picture: np.ndarray, *, contrast: float = SETTINGS.contrast, root: bool = True
-) -> KeyPoints:
-    """SIFT of [lowe2004]_; RootSIFT ([arandjelovic2012]_) with `root`.
-
-    Parameters
-    ----------
-    picture : ndarray, (h, w), uint8
-    contrast : float
-        Threshold below which an extremum is not a key point.
-    root : bool
-        Hellinger instead of Euclidean distance.
-    """
-    found = _sift(picture, contrastThreshold=contrast)
-    if not root:
-        return found
+def sift(picture: np.ndarray) -> KeyPoints:
+    """SIFT of [lowe2004]_ with RootSIFT ([arandjelovic2012]_), in whole numbers: distances do not depend on the order of summation."""
+    found = _sift(picture, contrastThreshold=SETTINGS.contrast)
     total = np.maximum(found.descriptors.sum(1, keepdims=True), 1)
-    return _whole(found, np.sqrt(found.descriptors / total))
+    levels = np.rint(np.sqrt(found.descriptors / total) * SETTINGS.root_levels)
+    return KeyPoints(
+        found.points, found.sizes, found.angles, found.responses, levels.astype(np.float32)
+    )
 
 
 def _sift(picture: np.ndarray, mask: np.ndarray | None = None, **options: Any) -> KeyPoints:
     """SIFT without the bias of a quarter pixel that OpenCV has by default."""
-    finder = _opencv("SIFT_create", "sift")(enable_precise_upscale=True, **options)
+    finder = cv2.SIFT_create(enable_precise_upscale=True, **options)
     return _gather(*finder.detectAndCompute(picture, mask), width=128)
-
-
-def _whole(found: KeyPoints, descriptors: np.ndarray) -> KeyPoints:
-    """Return key points with descriptors in whole numbers: distances do not depend on the order of summation."""
-    levels = np.rint(descriptors * SETTINGS.root_levels).astype(np.float32)
-    return KeyPoints(found.points, found.sizes, found.angles, found.responses, levels)
-
-
-def kaze(picture: np.ndarray) -> KeyPoints:
-    """KAZE ([alcantarilla2012]_); in OpenCV 4, and in OpenCV 5 only with its extra modules."""
-    finder = _opencv("KAZE_create", "kaze")(threshold=SETTINGS.kaze_threshold)
-    found = _gather(*finder.detectAndCompute(picture, None), width=64)
-    return _whole(found, found.descriptors)
-
-
-def akaze(picture: np.ndarray) -> KeyPoints:
-    """AKAZE ([alcantarilla2013]_), binary descriptors; in OpenCV as `kaze` is."""
-    finder = _opencv("AKAZE_create", "akaze")(threshold=SETTINGS.kaze_threshold)
-    return _gather(*finder.detectAndCompute(picture, None), width=61)
 
 
 def orb(picture: np.ndarray) -> KeyPoints:
     """ORB ([rublee2011]_), binary descriptors; in every OpenCV."""
-    finder = _opencv("ORB_create", "orb")(
+    finder = cv2.ORB_create(
         nfeatures=SETTINGS.orb_points,
         fastThreshold=SETTINGS.fast_threshold,
         scaleFactor=1.2,
@@ -227,46 +172,7 @@ def orb(picture: np.ndarray) -> KeyPoints:
     return _gather(*finder.detectAndCompute(picture, None), width=32)
 
 
-DETECTORS: dict[str, Callable[..., KeyPoints]] = {
-    "sift": sift,
-    "orb": orb,
-    "kaze": kaze,
-    "akaze": akaze,
-}
-
-
-def available_detectors() -> list[str]:
-    """Return the detectors that the installed OpenCV has; KAZE and AKAZE left it with release 5."""
-    return [name for name in DETECTORS if _constructor(f"{name.upper()}_create")]
-
-
-def _constructor(name: str) -> Any:
-    import cv2
-
-    homes = (cv2, getattr(cv2, "xfeatures2d", None))
-    return next((getattr(home, name) for home in homes if hasattr(home, name)), None)
-
-
-def _opencv(constructor: str, detector: str) -> Any:
-    found = _constructor(constructor)
-    if found is None:
-        raise RegistrationRefused(no_detector(detector))
-    return found
-
-
-def no_detector(detector: str, field: str = "registration.detector") -> Problem:
-    """Return the problem of a detector that is unknown, or not in the installed OpenCV."""
-    import cv2
-
-    here = ", ".join(f'"{name}"' for name in available_detectors())
-    return Problem(
-        "E_VALUE",
-        f"key points of kind {detector!r} are not available",
-        field=field,
-        found=detector,
-        expected=f"one of {here}, which OpenCV {cv2.__version__} here has",
-        fix='Use "sift".',
-    )
+DETECTORS: dict[str, Callable[[np.ndarray], KeyPoints]] = {"sift": sift, "orb": orb}
 
 
 def _gather(key_points: Any, descriptors: Any, *, width: int) -> KeyPoints:
@@ -348,8 +254,6 @@ class CameraFeatures:
 
     def reduced(self, share: float) -> tuple[CameraFeatures, Affine]:
         """Return the features of pictures reduced to `share`, 0 < share <= 1, of their size, and reduced px → px of these."""
-        import cv2
-
         greys = []
         for grey in self.greys:
             known = np.isfinite(grey)
@@ -425,8 +329,6 @@ def _find(image: np.ndarray, n: int, *, edges: bool) -> KeyPoints:
 
 def _gradient_magnitude(image: np.ndarray) -> np.ndarray:
     """Return the square root of the gradient's magnitude, which does not depend on the sign of contrast; NaN where invalid."""
-    import cv2
-
     known = np.isfinite(image)
     low, high = np.percentile(image[known], (0.5, 99.5)) if known.any() else (0.0, 1.0)
     filled = np.clip(np.where(known, image, (low + high) / 2), low, high)
@@ -438,8 +340,6 @@ def _gradient_magnitude(image: np.ndarray) -> np.ndarray:
 
 def _equalised(image: np.ndarray) -> np.ndarray:
     """Return 8 bits with local mean subtracted and local contrast equalised, so that glare hides little."""
-    import cv2
-
     low, high = np.nanpercentile(image, (0.5, 99.5)) if np.isfinite(image).any() else (0.0, 1.0)
     filled = np.where(np.isfinite(image), image, (low + high) / 2)
     flat = np.clip((filled - low) / max(high - low, 1e-12), 0, 1).astype(np.float32)

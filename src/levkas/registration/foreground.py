@@ -36,30 +36,20 @@ Corners = Sequence[Sequence[float]] | np.ndarray
 
 @dataclass(frozen=True)
 class ObjectArea:
-    """Where the object lies in the reference.
-
-    Parameters
-    ----------
-    body : ndarray of bool, (h, w)
-        Pixels within the outline.
-    outline : ndarray, (n, 2), reference px
-        Corners; empty where the whole frame is the object.
-    automatic : bool
-        Whether the outline was segmented; else it is declared.
-    region : (x, y, width, height), reference px, optional
-        Declared for the published frame: nothing outside is compared.
-    edge : ndarray, (n, 2), reference px
-        The outline without tolerance: the corners that are declared, or the hull of what was segmented.
-    sides : (float, float), reference px, optional
-        As of `measure_sides`; None where the whole frame is the object.
-    """
+    """Where the object lies in the reference."""
 
     body: np.ndarray
+    """(h, w). Pixels within the outline."""
     outline: np.ndarray
+    """(n, 2), reference px. Corners; empty where the whole frame is the object."""
     automatic: bool
+    """Whether the outline was segmented; else it is declared."""
     region: tuple[float, ...] | None = None
+    """In reference px: declared for the published frame: nothing outside is compared."""
     edge: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    """(n, 2), reference px. The outline without tolerance: the corners that are declared, or the hull of what was segmented."""
     sides: tuple[float, float] | None = None
+    """In reference px: as of `measure_sides`; None where the whole frame is the object."""
 
     @classmethod
     def of(

@@ -14,19 +14,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from levkas.core.problems import Problem
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Homography, Polynomial, Transform
-from levkas.registration.advice import (
-    BETWEEN,
-    LEAST_PAIRS,
-    advice_on_shape,
-    describe_sampling,
-    is_unlike,
-    percent,
-)
+from levkas.registration.advice import BETWEEN, BY_HAND, LEAST_PAIRS, percent
 from levkas.registration.features import (
     KeyPoints,
     ScaledFeatures,
@@ -39,7 +34,7 @@ from levkas.registration.matching import (
     match_widely,
     unique_rows,
 )
-from levkas.registration.models import Observations, fit_similarity
+from levkas.registration.models import fit_plane
 from levkas.registration.orientation_correlation import match_by_directions, match_near
 from levkas.registration.pose_clustering import REACH, find_pose_cluster
 
@@ -50,50 +45,35 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class InitialSettings:
-    """Constants of the initial transform.
-
-    Parameters
-    ----------
-    long_side : int, px
-        Of the pictures in which key points are found first; then twice that.
-    most_pairs : int
-        Pairs of grey pictures beyond the first that are tried.
-    sure_share : float
-        Share of matches that agree from which the mirror image is not tried.
-    least_likeness : float
-        Dot product of the descriptors of matches near a transform.
-    reach : float, px
-        Residual up to which matches agree.
-    least_inliers, few_inliers : int
-        Matches that have to agree; fewer than these are worth a wide search.
-    scales : (float, float)
-        Target px per reference px of a plausible map.
-    least_contradiction, contradiction_share : float
-        Reference px, and share of the longer side, by which pairs by hand contradict key points.
-    candidates : int
-        Sets of pairs of another program that are tried.
-    least_pairs : int
-        Pairs of such a set: four determine a homography, two more agree with it.
-    pair_share : float
-        Share of the longer side up to which they agree, as far as a search on coarse grids makes good.
-    coarse_sampling : tuple of float
-        Longer sides of the reference over that of maps of a scan, to which it is reduced before key points are found.
-    """
+    """Constants of the initial transform."""
 
     long_side: int = 1000
+    """In px: of the pictures in which key points are found first; then twice that."""
     most_pairs: int = 8
+    """Pairs of grey pictures beyond the first that are tried."""
     sure_share: float = 0.3
+    """Share of matches that agree from which the mirror image is not tried."""
     least_likeness: float = 0.8
+    """Dot product of the descriptors of matches near a transform."""
     reach: float = 3.0
+    """In px: residual up to which matches agree."""
     least_inliers: int = 12
     few_inliers: int = 40
+    """`least_inliers`, `few_inliers`: matches that have to agree; fewer than these are worth a wide search."""
     scales: tuple[float, float] = (0.14, 7.0)
+    """Target px per reference px of a plausible map."""
     least_contradiction: float = 8.0
     contradiction_share: float = 0.01
+    """`least_contradiction`, `contradiction_share`: reference px, and share of the longer side, by which pairs by hand
+    contradict key points."""
     candidates: int = 3
+    """Sets of pairs of another program that are tried."""
     least_pairs: int = 6
+    """Pairs of such a set: four determine a homography, two more agree with it."""
     pair_share: float = 0.005
+    """Share of the longer side up to which they agree, as far as a search on coarse grids makes good."""
     coarse_sampling: tuple[float, ...] = (2.0, 4.0)
+    """Longer sides of the reference over that of maps of a scan, to which it is reduced before key points are found."""
 
 
 SETTINGS = InitialSettings()
@@ -101,32 +81,22 @@ SETTINGS = InitialSettings()
 
 @dataclass(frozen=True)
 class InitialTransform:
-    """Initial map of one sensor and the matches on which it rests.
-
-    Parameters
-    ----------
-    transform : Transform
-        Reference px → native px of the sensor.
-    reference, target : ndarray, (n, 2)
-        All matches that were tried, in px of either image; `kept` marks those that agree.
-    kept : ndarray of bool, (n,)
-    mirrored : bool
-    reason : ndarray of str, (n,), optional
-        `HandMark` of each match.
-    by_outlines : bool
-        Whether no key points agreed, and blocks were matched by the directions of their edges.
-    by_pairs : bool
-        Whether no key points agreed, and the matches are pairs of another program.
-    """
+    """Initial map of one sensor and the matches on which it rests."""
 
     transform: Transform
+    """Reference px → native px of the sensor."""
     reference: np.ndarray
     target: np.ndarray
+    """`reference`, `target`: (n, 2). All matches that were tried, in px of either image; `kept` marks those that agree."""
     kept: np.ndarray
+    """(n,)."""
     mirrored: bool
     reason: np.ndarray | None = None
+    """(n,). `HandMark` of each match."""
     by_outlines: bool = False
+    """Whether no key points agreed, and blocks were matched by the directions of their edges."""
     by_pairs: bool = False
+    """Whether no key points agreed, and the matches are pairs of another program."""
 
     @property
     def count(self) -> int:
@@ -319,8 +289,6 @@ def _magsac(
     p: np.ndarray, q: np.ndarray, mirror: bool, reach: float = SETTINGS.reach
 ) -> tuple[Homography | None, np.ndarray]:
     """Return the homography p → q and which matches agree within `reach` px of p, (n,) bool; None where there is none."""
-    import cv2
-
     settings = cv2.UsacParams()
     settings.threshold, settings.confidence = reach, 0.9999
     settings.maxIterations, settings.randomGeneratorState = 20000, 0
@@ -369,19 +337,20 @@ def implausible(
     values, determinant = _local_shape(transform, box, mirrored)
     low, high = scales
     scale = float(np.median(values))
-    ratio = describe_sampling(scale)
     if not _is_steady(values, determinant) or ((values > low) & (values < high)).all():
-        what = "the map of this sensor folds, or stretches more than a camera can"
-        found = f"windows that match over {percent(share)} of the reference"
-        found += f"; {ratio}" if is_unlike(scale) else ""
-        fix = advice_on_shape(share, scale)
-        return Problem("E_FOLD", what, field=sensor, found=found, fix=fix)
+        return Problem(
+            "E_FOLD",
+            "the map of this sensor folds, or stretches more than a camera can",
+            field=sensor,
+            found=f"windows that match over {percent(share)} of the reference",
+            fix=BY_HAND,
+        )
     return Problem(
         "E_SCALE",
         "this sensor samples the object too unlike the reference to be registered",
         field=sensor,
-        found=ratio,
-        expected=f"at most {(1 / low if scale < 1 else high):.0f} to one",
+        found=f"{scale:.2g} of its px to one of the reference",
+        expected=f"{low:.2g} to {high:.2g}",
         fix=f"{BETWEEN}.",
     )
 
@@ -411,8 +380,6 @@ def _rematch(
     """Match again, each point only against those where the first map expects its partner."""
     if not len(ours) or not len(theirs):
         return first
-    from scipy.spatial import cKDTree
-
     reach = max(6.0, 0.015 * max(shape)) * first.scale
     expected = np.nan_to_num(first.transform(ours.points), nan=-1e9)
     count = min(12, len(theirs))
@@ -483,7 +450,6 @@ def seed_with_points(
         By key points alone.
     by_hand : ManualPoints
         Of this sensor.
-    reference, target : CameraFeatures
 
     Returns
     -------
@@ -525,13 +491,9 @@ def fit_initial_transform(pairs: np.ndarray) -> InitialTransform:
     """
     p, q = pairs[:, :2], pairs[:, 2:]
     affine = Affine.fit(p, q)
-    mirrored = bool(np.linalg.det(affine.matrix[:, :2]) < 0)
-    turned = np.broadcast_to(np.diag([1.0, -1.0 if mirrored else 1.0]), (len(p), 2, 2))
-    similarity = fit_similarity(
-        Observations(p, q, turned, np.broadcast_to(np.eye(2), turned.shape))
-    )
+    mirrored, kept = bool(np.linalg.det(affine.matrix[:, :2]) < 0), np.ones(len(p), bool)
+    similarity = fit_plane("similarity", p, q)
     reach = SETTINGS.reach * _scale(similarity, p)
-    kept = np.ones(len(p), bool)
     for chosen in (similarity, affine):
         if np.linalg.norm(chosen(p) - q, axis=1).max() <= reach:
             return InitialTransform(chosen, p, q, kept, mirrored)
@@ -557,19 +519,14 @@ def begin_with(
 
 @dataclass(frozen=True)
 class StartPairs:
-    """Pairs of another program beside the map that was found.
-
-    Parameters
-    ----------
-    given, agreeing : int
-        How many there are, and how many agree with the map within 0.5 % of the longer side of the reference, at least 3 px.
-    used : bool
-        Whether they started the search; not where the pictures alone gave the map.
-    """
+    """Pairs of another program beside the map that was found."""
 
     given: int
     agreeing: int
+    """`given`, `agreeing`: how many there are, and how many agree with the map within 0.5 % of the longer side of the
+    reference, at least 3 px."""
     used: bool
+    """Whether they started the search; not where the pictures alone gave the map."""
 
 
 def _pair_reach(shape: tuple[int, ...]) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform, solve_2x2
-from levkas.registration.alignment import declared_map, read_alignments
+from levkas.registration.alignment import declared_map, distance_between, read_alignments
 from levkas.registration.bands import by_wavelength, present_bands, sqrt_images
 from levkas.registration.chromatic import zero_displacement
 from levkas.registration.coarse_to_fine import (
@@ -61,11 +61,8 @@ if TYPE_CHECKING:
 def register_levkas(request: Request, options: LevkasOptions) -> Registration:
     """Register every band of the target to the reference band; deterministic.
 
-    Raises
-    ------
-    RegistrationRefused
-        Where no initial transform is found (``E_MATCHES``), or too little of the frames can be compared
-        (``E_WINDOWS``).
+    Raises RegistrationRefused where no initial transform is found (``E_MATCHES``), or too little of the frames can be
+    compared (``E_WINDOWS``).
     """
     base = (
         request.prepared()
@@ -224,13 +221,8 @@ def _agreeing(sensor: RegisteredSensor) -> int:
 
 
 def _apart(sensor: RegisteredSensor, declared: Transform, shape: tuple[int, int]) -> float:
-    """Return how far a sensor's map lies from its declared alignment, px of the sensor, the median over the reference's frame."""
-    if sensor.base is None:
-        return 0.0
-    x, y = np.meshgrid(*(np.linspace(0, n - 1, 9) for n in shape[::-1]))
-    points = np.stack([x, y], -1).reshape(-1, 2)
-    miss = np.linalg.norm(sensor.base(points) - declared(points), axis=1)
-    return float(np.median(np.nan_to_num(miss, nan=np.inf)))
+    """Return how far a sensor's map lies from its declared alignment, px of the sensor."""
+    return 0.0 if sensor.base is None else distance_between(sensor.base, declared, shape)
 
 
 def _of_all_maps(
@@ -298,7 +290,6 @@ def _model(sensor: RegisteredSensor) -> dict[str, Any]:
         "sensor": sensor.name,
         "base": found.selected.name if found else placed.model if placed else "identity",
         "scores": found.selected.scores if found else {},
-        "selections": found.selections if found else [],
         "chromatic": sensor.chromatic.kind,
         "mirrored": bool(sensor.initial.mirrored)
         if sensor.initial

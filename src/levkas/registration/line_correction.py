@@ -43,35 +43,26 @@ of the distance of odd and even lines, which a hundred times more makes 12 %."""
 
 @dataclass(frozen=True, eq=False)
 class LineCorrection:
-    """Where the lines of a picture lie in the picture put right.
-
-    Parameters
-    ----------
-    lines : {"rows", "columns"}
-        What a line is.
-    shift, slope : ndarray, (lines, 2), px
-        How far the middle of each line lies along and across the lines, and how much farther its end does.
-    ends : (float, float), px
-        Places along the lines between which they were measured: at the last one `slope` is added, at the first one subtracted.
-    spacing : float, lines
-        Of the densest knots.
-    error : float, px
-        Standard error of the course, root mean square of both axes: by how much the inner and outer parts of lines disagree on it.
-    scale : float
-        Px of the picture per reference px.
-    before : LineDisplacement
-        As it was measured before anything was put right.
-
-    """
+    """Where the lines of a picture lie in the picture put right."""
 
     lines: Literal["rows", "columns"]
+    """What a line is."""
     shift: np.ndarray
     slope: np.ndarray
+    """`shift`, `slope`: (lines, 2), px. How far the middle of each line lies along and across the lines, and how much
+    farther its end does."""
     ends: tuple[float, float]
+    """In px: places along the lines between which they were measured: at the last one `slope` is added, at the first one
+    subtracted."""
     spacing: float
+    """In lines: of the densest knots."""
     error: float
+    """In px: standard error of the course, root mean square of both axes: by how much the inner and outer parts of lines
+    disagree on it."""
     scale: float
+    """Px of the picture per reference px."""
     before: LineDisplacement
+    """As it was measured before anything was put right."""
 
     @property
     def uneven(self) -> float:

@@ -17,67 +17,52 @@ Pairs = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class CourseSettings:
-    """Constants of the course.
-
-    Parameters
-    ----------
-    least_lines : int
-        That are registered in two parts at least.
-    degree : int
-        Of the polynomial along the scan that is taken out of each part: a map is off smoothly, too.
-    stray : float
-        In typical shifts, the median of all: so far out a shift has half its weight.
-    least_deviations, least_slope : float
-        Covariance of the parts, and that of the slopes, in standard deviations by chance, from which lines are displaced.
-        Of 250 honest pairs, real and simulated, few covariances had more than 2, and slopes, which two pairs of
-        parts show where six show the mean, 4 at most.
-    common_edges, averaged : float; int, lines
-        Mean correlation, along the scan, of how much detail the parts show, averaged over some lines, from which they are no
-        independent witnesses: below 0.1 of 95 % of painted scans, 0.25 to 0.8 of nine in ten grids of tiles, 0.15 to 0.5 of
-        icons whose frames run along the lines.
-    most_beside, noise_information : float; float, 1/px²
-        Share of the lines that may lie beside such edges, and median information of the others, so that these
-        count: on icons 8 to 40 % and 9 to 27, of the lines between tiles 1 to 8, as noise that is matched with noise has. Of
-        some lines that alone are displaced, at the rim of what both pictures show, less is left out, too.
-    beside_weight : float
-        Of lines beside such edges.
-    edge_lines : int
-        So far from an edge along the lines other sharpness and noise feign a displacement. On grids of tiles that explains
-        half of the covariance and more, of painted scans 0.23 at most.
-    outer, few : float
-        Share of the covariance that the two outer parts have at least, and that is left without the share of lines, `few`,
-        that have most of it: else some lines alone are displaced.
-    near_lines, gap_lines : int
-        That are averaged to find these lines. Of single ones, noise would choose: without a tenth of them 0.2 to 0.4 of a
-        weak wobble is left, without a tenth of means of seven 0.5 to 0.75, and 0.2 of a few lines; of 5 or 13 the same.
-        Such lines that are closer than `gap_lines` belong together.
-    least_share : float
-        Of the covariance that blocks, or edges along the lines, explain, for it to be theirs.
-    block, most_of_blocks : int, lines; float, reference px
-        Side of the blocks of JPEG; the displacement that they feign at most: 0.1 at quality 50, 0.27 at 15.
-    alike : float
-        A part that lies off the middle of all by more than this is left of it strays.
-    """
+    """Constants of the course."""
 
     least_lines: int = 32
+    """That are registered in two parts at least."""
     degree: int = 3
+    """Of the polynomial along the scan that is taken out of each part: a map is off smoothly, too."""
     stray: float = 8.0
+    """In typical shifts, the median of all: so far out a shift has half its weight."""
     least_deviations: float = 4.0
     least_slope: float = 6.0
+    """`least_deviations`, `least_slope`: covariance of the parts, and that of the slopes, in standard deviations by chance,
+    from which lines are displaced. Of 250 honest pairs, real and simulated, few covariances had more than 2, and slopes,
+    which two pairs of parts show where six show the mean, 4 at most."""
     common_edges: float = 0.15
     averaged: int = 3
+    """`common_edges`, `averaged`: in lines: mean correlation, along the scan, of how much detail the parts show, averaged
+    over some lines, from which they are no independent witnesses: below 0.1 of 95 % of painted scans, 0.25 to 0.8 of nine
+    in ten grids of tiles, 0.15 to 0.5 of icons whose frames run along the lines."""
     edge_lines: int = 8
+    """So far from an edge along the lines other sharpness and noise feign a displacement. On grids of tiles that explains
+    half of the covariance and more, of painted scans 0.23 at most."""
     most_beside: float = 0.4
     noise_information: float = 8.0
+    """`most_beside`, `noise_information`: 1/px². Share of the lines that may lie beside such edges, and median information
+    of the others, so that these count: on icons 8 to 40 % and 9 to 27, of the lines between tiles 1 to 8, as noise that
+    is matched with noise has. Of some lines that alone are displaced, at the rim of what both pictures show, less is left
+    out, too."""
     beside_weight: float = 0.05
+    """Of lines beside such edges."""
     outer: float = 0.4
     few: float = 0.1
+    """`outer`, `few`: share of the covariance that the two outer parts have at least, and that is left without the share of
+    lines, `few`, that have most of it: else some lines alone are displaced."""
     near_lines: int = 7
     gap_lines: int = 24
+    """`near_lines`, `gap_lines`: that are averaged to find these lines. Of single ones, noise would choose: without a tenth
+    of them 0.2 to 0.4 of a weak wobble is left, without a tenth of means of seven 0.5 to 0.75, and 0.2 of a few lines; of
+    5 or 13 the same. Such lines that are closer than `gap_lines` belong together."""
     least_share: float = 0.5
+    """Of the covariance that blocks, or edges along the lines, explain, for it to be theirs."""
     block: int = 8
     most_of_blocks: float = 0.3
+    """`block`, `most_of_blocks`: in lines; float, reference px: side of the blocks of JPEG; the displacement that they feign
+    at most: 0.1 at quality 50, 0.27 at 15."""
     alike: float = 0.6
+    """A part that lies off the middle of all by more than this is left of it strays."""
 
 
 SETTINGS = CourseSettings()

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -32,46 +31,32 @@ from levkas.registration.verification import predict
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
 
-Picture = Literal["target", "reference", "either"]
 Lines = Literal["rows", "columns"]
 
 
 @dataclass(frozen=True)
 class LineSettings:
-    """Constants of the measurement.
-
-    Parameters
-    ----------
-    ends : tuple of float
-        Where the parts of a line begin and end, as shares of what it shows. The outer ones are as narrow as the border
-        of an icon: a ledge within it displaces the others alone.
-    least_samples, most_samples : int, px
-        Of a part: fewer determine nothing, and of more the middle is used, which gives 0.03 to 0.1 px.
-    rounds : int
-        Gauss-Newton steps, each of 1 px at most; two or three suffice for 1 px, four for 3 px.
-    prior, most : float, px
-        Standard deviation of displacements before any measurement, which holds lines without detail; beyond `most`
-        a line is lost.
-    second_course : float
-        Where the other picture has this share of the deviations, either may be the one that is displaced.
-    scales : (float, float)
-        Native px per reference px of maps that are looked at.
-    nodes : int
-        A side, by which a map is made a cubic.
-    most_drawn : int
-        Lines whose displacement a record lists.
-    """
+    """Constants of the measurement."""
 
     ends: tuple[float, ...] = (0, 1 / 8, 1 / 2, 7 / 8, 1)
+    """Where the parts of a line begin and end, as shares of what it shows. The outer ones are as narrow as the border of an
+    icon: a ledge within it displaces the others alone."""
     least_samples: int = 16
     most_samples: int = 200
+    """`least_samples`, `most_samples`: in px: of a part: fewer determine nothing, and of more the middle is used, which
+    gives 0.03 to 0.1 px."""
     rounds: int = 5
+    """Gauss-Newton steps, each of 1 px at most; two or three suffice for 1 px, four for 3 px."""
     prior: float = 2.0
     most: float = 6.0
-    second_course: float = 0.3
+    """`prior`, `most`: in px: standard deviation of displacements before any measurement, which holds lines without detail;
+    beyond `most` a line is lost."""
     scales: tuple[float, float] = (0.05, 20.0)
+    """Native px per reference px of maps that are looked at."""
     nodes: int = 24
+    """A side, by which a map is made a cubic."""
     most_drawn: int = 1000
+    """Lines whose displacement a record lists."""
 
 
 SETTINGS = LineSettings()
@@ -79,55 +64,35 @@ SETTINGS = LineSettings()
 
 @dataclass(frozen=True)
 class LineDisplacement:
-    """Displacement of the lines of one picture against one another.
+    """Displacement of the lines of one picture against one another, beside what another picture predicts."""
 
-    Parameters
-    ----------
-    picture : {"target", "reference", "either"}
-        Whose lines they are; where lines of both are parallel nothing decides.
-    lines : {"rows", "columns"}
-        What a line is in its native px.
-    count : int
-        Lines that could be registered.
-    deviations : float
-        Covariance of the parts of lines, in standard deviations by chance.
-    along, across : float, reference px
-        Root mean square of the common displacement along the lines and across them.
-    largest : float, reference px
-        Of a single line, once noise is allowed for.
-    noise : float, reference px
-        Standard deviation with which one line is measured.
-    displaced : bool
-        Whether lines are displaced beyond chance.
-    displacement : ndarray, (n, 2), reference px
-        Of every line as measured, along and across; NaN where unknown.
-    common_edges : bool
-        Whether all parts show their detail in the same lines, so that nothing is known across them.
-    step : int, reference px
-        Of the grid on which it was measured.
-    slope : bool
-        Whether lines turn (across) or stretch (along) about their middles; sizes and `displacement` are those of their ends.
-    parts : LineShifts or None
-        Of displaced lines of the target, beside the smooth map nearest to its map.
-    of_ends : tuple of bool
-        Whether lines are displaced beyond chance as a whole (False), turn or stretch about their middles (True), or both.
-    """
-
-    picture: Picture
     lines: Lines
+    """What a line is in its native px."""
     count: int
+    """Lines that could be registered."""
     deviations: float
+    """Covariance of the parts of lines, in standard deviations by chance."""
     along: float
     across: float
+    """`along`, `across`: in reference px: root mean square of the common displacement along the lines and across them."""
     largest: float
+    """In reference px: of a single line, once noise is allowed for."""
     noise: float
+    """In reference px: standard deviation with which one line is measured."""
     displaced: bool
+    """Whether lines are displaced beyond chance."""
     displacement: np.ndarray
+    """(n, 2), reference px. Of every line as measured, along and across; NaN where unknown."""
     common_edges: bool = False
+    """Whether all parts show their detail in the same lines, so that nothing is known across them."""
     step: int = 1
+    """In reference px: of the grid on which it was measured."""
     slope: bool = False
+    """Whether lines turn (across) or stretch (along) about their middles; sizes and `displacement` are those of their ends."""
     parts: LineShifts | None = None
+    """Of displaced lines of the target, beside the smooth map nearest to its map."""
     of_ends: tuple[bool, ...] = ()
+    """Whether lines are displaced beyond chance as a whole (False), turn or stretch about their middles (True), or both."""
 
     @property
     def rms(self) -> float:
@@ -142,7 +107,6 @@ class LineDisplacement:
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers, JSON-ready, without the displacement of every line."""
         return {
-            "picture": self.picture,
             "lines": self.lines,
             "count": self.count,
             "displaced": self.displaced,
@@ -173,7 +137,7 @@ class LineDisplacement:
 def measure_line_displacement(
     predictors: np.ndarray, image: np.ndarray, transform: Transform, *, step: int = 1
 ) -> LineDisplacement | None:
-    """Measure by how much single lines of a band, or of the reference, are displaced against one another.
+    """Measure by how much single lines of a band are displaced against one another.
 
     Parameters
     ----------
@@ -188,71 +152,40 @@ def measure_line_displacement(
     Returns
     -------
     found : LineDisplacement or None
-        Of rows and columns of either picture those that are displaced most beyond chance; None where too few lines
-        of any show enough.
+        Of rows and columns those that are displaced most beyond chance; None where too few lines of either show enough.
     """
-    found = _measure_pictures(predictors, image, transform, step)
-    if not found:
-        return None
-    best = {
-        name: max(of, key=_deviations)
-        for name in PICTURES
-        if (of := [one for one in found if one.picture == name])
-    }
-    chosen = max(best.values(), key=_deviations)
-    if not chosen.displaced:
-        return chosen
-    least = SETTINGS.second_course * chosen.deviations
-    unsure = sum(one.displaced and one.deviations > least for one in best.values()) > 1
-    if unsure and "target" in best and best["target"].displaced:
-        chosen = best["target"]
-    smooth = _cubic(transform, predictors.shape[1:], step)
-    if chosen.picture == "target" and smooth:
-        chosen = replace(chosen, parts=_beside_smooth(chosen, transform, smooth))
-    else:  # a map puts the lines of the target right
-        chosen = replace(chosen, parts=None)
-    return replace(chosen, picture="either") if unsure else chosen
-
-
-PICTURES: tuple[Picture, ...] = ("target", "reference")
-LINES: tuple[Lines, ...] = ("rows", "columns")
-
-
-def _deviations(found: LineDisplacement) -> tuple[bool, float]:
-    return found.displaced, found.deviations
-
-
-def _measure_pictures(
-    predictors: np.ndarray, image: np.ndarray, transform: Transform, step: int
-) -> list[LineDisplacement]:
-    """Measure rows and columns of both pictures."""
     size = (predictors.shape[1], predictors.shape[2])
     change = transform.jacobian((np.array([[size[1], size[0]]]) * step - 1) / 2)[0]
     if (
         not np.isfinite(change).all()
         or not SETTINGS.scales[0] < abs(np.linalg.det(change)) ** 0.5 < SETTINGS.scales[1]
     ):
-        return []
+        return None
     native = np.linalg.norm(np.linalg.inv(change), axis=0)
-    there = detail_on_grid(image, transform, size, step=step)
-    predicted = predict(predictors, there)
+    predicted = predict(predictors, detail_on_grid(image, transform, size, step=step))
     to_grid = Composed(Inverse(transform), Affine.scaling(1 / step))
-    back = smoothing_warp(predicted, to_grid, (image.shape[0], image.shape[1]))
-    pairs = {
-        "target": (image, back, native),
-        "reference": (predicted, there, np.full(2, float(step))),
-    }
+    scene = smoothing_warp(predicted, to_grid, (image.shape[0], image.shape[1]))
 
-    def measured(picture: Picture, lines: Lines) -> LineDisplacement | None:
-        one, other, sizes = pairs[picture]
+    def measured(lines: Lines) -> LineDisplacement | None:
+        one, other, sizes = image, scene, native
         if lines == "columns":
             one, other, sizes = one.T, other.T, sizes[::-1]
         shifts = _register_lines(one, other)
-        if shifts is None:
-            return None
-        return replace(_describe(shifts, sizes), picture=picture, lines=lines, step=step)
+        return None if shifts is None else replace(_describe(shifts, sizes), lines=lines, step=step)
 
-    return [one for one in each(measured, *zip(*product(PICTURES, LINES), strict=True)) if one]
+    found = [one for one in each(measured, LINES) if one]
+    if not found:
+        return None
+    best = max(found, key=_deviations)
+    smooth = _cubic(transform, size, step) if best.displaced else None
+    return replace(best, parts=smooth and _beside_smooth(best, transform, smooth))
+
+
+LINES: tuple[Lines, ...] = ("rows", "columns")
+
+
+def _deviations(found: LineDisplacement) -> tuple[bool, float]:
+    return found.displaced, found.deviations
 
 
 def _cubic(transform: Transform, shape: Sequence[int], step: int) -> Transform | None:
@@ -282,48 +215,27 @@ def _beside_smooth(
     return LineShifts.of(total, information, middles, shifts.ends)
 
 
-def describe_displacement(numbers: Mapping[str, Any]) -> tuple[str, str]:
-    """Return what `LineDisplacement.to_dict` says of displaced lines, and what to do, in words.
+def describe_displacement(numbers: Mapping[str, Any]) -> str:
+    """Return what `LineDisplacement.to_dict` says of displaced lines, in words.
 
     Examples
     --------
-    >>> numbers = {"picture": "target", "lines": "rows", "rms_px": 0.85}
-    >>> numbers |= {"along_px": 0.85, "across_px": 0.01, "largest_px": 0.94}
-    >>> describe_displacement(numbers)[0].partition(". ")[0]
-    'The lines of this picture are displaced against one another, along the lines: 0.85 px (root mean square), 0.94 px at most'
+    >>> describe_displacement({"lines": "rows", "rms_px": 0.85, "largest_px": 0.94})
+    'The lines are displaced against one another: 0.85 px (root mean square), 0.94 px at most.'
     """
-    head, line, repair = _name_lines(numbers)
-    tail = f"The registration is right in the mean over 40 px, and a single {line} lies off by so much."
-    return f"{head}. {tail}", repair
+    line = "line" if numbers["lines"] == "rows" else "column"
+    return (
+        f"The {line}s are displaced against one another: {numbers['rms_px']:.2f} px (root mean square), "
+        f"{numbers['largest_px']:.2f} px at most."
+    )
 
 
-def describe_correction(numbers: Mapping[str, Any]) -> tuple[str, str]:
-    """Return what `LineCorrection.to_dict` says of lines that a map follows, and what to do where neighbours lie apart, in words."""
-    head, line, repair = _name_lines(numbers["before"])
-    text = f"{head}. The registration follows every {line}, to {numbers['error_px']:.2f} px"
+def describe_correction(numbers: Mapping[str, Any]) -> str:
+    """Return what `LineCorrection.to_dict` says of lines that a map follows, in words."""
+    text = f"{describe_displacement(numbers['before'])} The registration follows them, to {numbers['error_px']:.2f} px"
     if numbers["uneven_px"] > numbers["error_px"]:
         text += f"; a place between two of them shows both, {numbers['uneven_px']:.2f} px (root mean square) to either side"
-    return f"{text}.", repair
-
-
-def _name_lines(numbers: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Return how far lines are displaced, in words, what a line is, and what to do."""
-    whose = {"target": "this picture", "reference": "the reference"}.get(
-        numbers["picture"], "this picture or of the reference"
-    )
-    line = "line" if numbers["lines"] == "rows" else "column"
-    along, across = numbers["along_px"], numbers["across_px"]
-    way = f", along the {line}s" if along > 2 * across else ""
-    way = way or (f", across the {line}s" if across > 2 * along else "")
-    verb = "turn or stretch about their middles" if numbers.get("slope") else "are displaced"
-    return (
-        f"The {line}s of {whose} {verb} against one another{way}: {numbers['rms_px']:.2f} px (root mean square), "
-        f"{numbers['largest_px']:.2f} px at most",
-        line,
-        "A scan that moved unevenly does this, lost lines, interlaced halves, and a program that bent or turned the picture by "
-        "whole pixels: use the file as the camera wrote it, or capture it again. As it is, compare no detail that is finer than "
-        f"{max(numbers['rms_px'], 0.1):.1f} px.",
-    )
+    return f"{text}."
 
 
 # --- every part of every line by itself
@@ -373,7 +285,6 @@ def _describe_one(shifts: LineShifts, sizes: np.ndarray) -> LineDisplacement:
     likely = common * sizes * shown / np.maximum(shown + noise**2, 1e-30)
     along, across = np.sqrt(shown) * sizes * shifts.spread
     return LineDisplacement(
-        "target",
         "rows",
         int(np.isfinite(common).all(1).sum()),
         deviations,

@@ -36,27 +36,19 @@ HIGHPASS_PX = 3.0
 
 @dataclass(frozen=True)
 class WindowShifts:
-    """Shifts of one band against its predictors; one row a window.
-
-    Parameters
-    ----------
-    centres : ndarray, (n, 2), reference px
-    shift : ndarray, (n, 2), reference px
-        e, with target(map(x)) = scene(x + e).
-    information : ndarray, (n, 2, 2), 1/px²
-        Inverse covariance of `shift` under white residuals; zero where a window is unusable.
-    r2 : ndarray, (n,), 0..1
-        Share of the window's variance (after bias and ramp) that the prediction explains.
-    position_sensitivity : ndarray, (k, k)
-        g_i <∇R_j, ∇P> / <∇P, ∇P>: how the prediction's position hangs on those of its predictors, the mean
-        over the windows by their information; zeros where none has any.
-    """
+    """Shifts of one band against its predictors; one row a window."""
 
     centres: np.ndarray
+    """(n, 2), reference px."""
     shift: np.ndarray
+    """(n, 2), reference px. e, with target(map(x)) = scene(x + e)."""
     information: np.ndarray
+    """(n, 2, 2), 1/px². Inverse covariance of `shift` under white residuals; zero where a window is unusable."""
     r2: np.ndarray
+    """(n,), 0..1. Share of the window's variance (after bias and ramp) that the prediction explains."""
     position_sensitivity: np.ndarray
+    """(k, k). g_i <∇R_j, ∇P> / <∇P, ∇P>: how the prediction's position hangs on those of its predictors, the mean over the
+    windows by their information; zeros where none has any."""
 
 
 class Predictor:

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 #: How far two coordinates of one pair may differ, px.
 NEAR_PX = 0.011
-#: Pairs up to which a tree costs more than it saves.
-FEW = 64
 #: Standard deviation of a place that a person points at, native px of either picture.
 HAND_PX = 0.5
 #: Kind of pairs, a field of `ManualPoints` → its mark.
@@ -48,22 +46,6 @@ def _none() -> np.ndarray:
 class ManualPoints:
     """Pairs given by hand for one sensor; each an (n, 4) array of reference x, y and target x, y.
 
-    Parameters
-    ----------
-    added, pinned, restored : ndarray, (n, 4)
-        Pairs that are never removed; `added` are a person's own, the others were found by a method.
-    deleted : ndarray, (n, 4)
-        Pairs that no fit may rest on.
-    checks : ndarray, (n, 4)
-        Pairs that measure and are never fitted.
-    starts : ndarray, (n, 4)
-        Pairs of another program, wrong ones among them: candidates of a start, where the pictures alone are refused.
-    placed : tuple of str
-        Band of the sensor in which each check point was placed, whose map measures it; where it is empty, or
-        one of its names is, the sensor's first band.
-    accepted : bool
-        Whether the map is to be fitted to the pairs that are never removed, and to nothing else.
-
     Examples
     --------
     >>> given = ManualPoints(added=np.array([[1.0, 2.0, 3.0, 4.0]]))
@@ -74,11 +56,19 @@ class ManualPoints:
     added: np.ndarray = field(default_factory=_none)
     pinned: np.ndarray = field(default_factory=_none)
     restored: np.ndarray = field(default_factory=_none)
+    """`added`, `pinned`, `restored`: (n, 4). Pairs that are never removed; `added` are a person's own, the others were found
+    by a method."""
     deleted: np.ndarray = field(default_factory=_none)
+    """(n, 4). Pairs that no fit may rest on."""
     checks: np.ndarray = field(default_factory=_none)
+    """(n, 4). Pairs that measure and are never fitted."""
     starts: np.ndarray = field(default_factory=_none)
+    """(n, 4). Pairs of another program, wrong ones among them: candidates of a start, where the pictures alone are refused."""
     placed: tuple[str, ...] = ()
+    """Band of the sensor in which each check point was placed, whose map measures it; where it is empty, or one of its names
+    is, the sensor's first band."""
     accepted: bool = False
+    """Whether the map is to be fitted to the pairs that are never removed, and to nothing else."""
 
     def __bool__(self) -> bool:
         count = len(self.fixed) + len(self.deleted) + len(self.checks) + len(self.starts)
@@ -91,14 +81,8 @@ class ManualPoints:
 
     def reduced(self, factor: int) -> ManualPoints:
         """Return the pairs with target px of pictures that are smaller by a whole factor."""
-        if factor == 1:
-            return self
         middle = (factor - 1) / 2
-        names = ("added", "pinned", "restored", "deleted", "checks", "starts")
-        parts = {name: getattr(self, name).copy() for name in names}
-        for pairs in parts.values():
-            pairs[:, 2:] = (pairs[:, 2:] - middle) / factor
-        return replace(self, **parts)
+        return self.moved(lambda reference: reference, lambda target: (target - middle) / factor)
 
     def moved(self, reference: Mapper, target: Mapper) -> ManualPoints:
         """Return the pairs with their places in either picture moved, px → px."""
@@ -129,18 +113,13 @@ class ManualPoints:
 
 @dataclass(frozen=True)
 class MarkedMatches:
-    """Pairs of a method and given ones together, each with its mark.
-
-    Parameters
-    ----------
-    reference, target : ndarray, (n, 2)
-    reason : ndarray of str, (n,)
-        A `HandMark`; empty of pairs that are not marked.
-    """
+    """Pairs of a method and given ones together, each with its mark."""
 
     reference: np.ndarray
     target: np.ndarray
+    """`reference`, `target`: (n, 2)."""
     reason: np.ndarray
+    """(n,). A `HandMark`; empty of pairs that are not marked."""
 
     @cached_property
     def dropped(self) -> np.ndarray:
@@ -161,28 +140,11 @@ def nearest_rows(pairs: np.ndarray, among: np.ndarray) -> np.ndarray:
     """
     if not len(pairs) or not len(among):
         return np.full(len(pairs), -1)
-    if len(among) <= FEW:
-        return _near_few(pairs, among)
     from scipy.spatial import cKDTree
 
     reach = np.nextafter(NEAR_PX, 1)
     distance, row = cKDTree(among).query(pairs, p=np.inf, distance_upper_bound=reach)
     return np.where(np.isfinite(distance), row, -1)
-
-
-def _near_few(pairs: np.ndarray, among: np.ndarray) -> np.ndarray:
-    """`nearest_rows` without a tree: few pairs lie beside those that are looked for even in x alone."""
-    order = np.argsort(pairs[:, 0], kind="stable")
-    along = pairs[order, 0]
-    begin = np.searchsorted(along, among[:, 0] - NEAR_PX)
-    end = np.searchsorted(along, among[:, 0] + NEAR_PX, side="right")
-    at, best = np.full(len(pairs), -1), np.full(len(pairs), np.inf)
-    for row, (i, j) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
-        beside = order[i:j]
-        apart = np.abs(pairs[beside] - among[row]).max(1, initial=0)
-        closer = (apart <= NEAR_PX) & (apart < best[beside])
-        at[beside[closer]], best[beside[closer]] = row, apart[closer]
-    return at
 
 
 def measure_checks(checks: np.ndarray, transform: Transform) -> np.ndarray:

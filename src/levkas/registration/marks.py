@@ -46,20 +46,13 @@ LAPLACIAN = np.outer((1, -2, 1), (1, -2, 1)).astype(np.float32) / 6
 
 @dataclass(frozen=True)
 class Marks:
-    """Correlation of the marks of two pictures, beyond chance, whatever its sign.
-
-    Parameters
-    ----------
-    correlation : float, 0..1
-        Without noise.
-    at_most : float, 0..1
-        The same, one standard deviation above what was measured: 0.30 and more of one object, 0.00 to 0.25 of copies
-        by one pattern, 1 where either picture shows nothing that could be compared.
-    windows : int
-    """
+    """Correlation of the marks of two pictures, beyond chance, whatever its sign."""
 
     correlation: float
+    """0..1. Without noise."""
     at_most: float
+    """0..1. The same, one standard deviation above what was measured: 0.30 and more of one object, 0.00 to 0.25 of copies by
+    one pattern, 1 where either picture shows nothing that could be compared."""
     windows: int
 
     def to_dict(self) -> dict[str, float | int]:

@@ -10,37 +10,29 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 
+import cv2
 import numpy as np
 
-from levkas.core.problems import Problem
 from levkas.registration.features import KeyPoints, invert_descriptors, mirror_descriptors
-from levkas.registration.record import RegistrationRefused
+from levkas.registration.record import refusal
 
 #: Largest ratio of nearest to second nearest distance ([lowe2004]_ §7.1): one to one, and mutual.
 RATIO, MUTUAL_RATIO = 0.9, 0.92
 #: Candidates of every key point where matches are sought widely.
 WIDELY = 3
-#: Descriptors of the reference that are compared at once.
-BLOCK_ROWS = 1024
 
 
 @dataclass(frozen=True)
 class Neighbours:
-    """Two nearest target descriptors of every reference descriptor, and nearest reference descriptors.
-
-    Parameters
-    ----------
-    nearest : ndarray of int, (n,)
-    distance, second : ndarray, (n,)
-        To the nearest and to the next; infinite where there is none.
-    back : ndarray of int, (m,)
-        Nearest reference descriptor of every target descriptor.
-    """
+    """Two nearest target descriptors of every reference descriptor, and nearest reference descriptors."""
 
     nearest: np.ndarray
+    """(n,)."""
     distance: np.ndarray
     second: np.ndarray
+    """`distance`, `second`: (n,). To the nearest and to the next; infinite where there is none."""
     back: np.ndarray
+    """(m,). Nearest reference descriptor of every target descriptor."""
 
 
 def match(
@@ -48,9 +40,10 @@ def match(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pair key points by their descriptors.
 
+    Raises RegistrationRefused where there is no such method, or `ratio` is not in (0, 1].
+
     Parameters
     ----------
-    reference, target : KeyPoints
     matching : str
         A key of `MATCHERS`.
     ratio : float
@@ -62,23 +55,16 @@ def match(
         Pairs, ascending by row; no place in either picture is in two of them.
     distance : ndarray, (k,)
         Of the descriptors.
-
-    Raises
-    ------
-    RegistrationRefused
-        Where there is no such method, or `ratio` is not in (0, 1].
     """
     if matching not in MATCHERS or not 0 < ratio <= 1:
         name, value = ("matching", matching) if matching not in MATCHERS else ("ratio", ratio)
         expected = ", ".join(sorted(MATCHERS)) if name == "matching" else "0 < ratio <= 1"
-        raise RegistrationRefused(
-            Problem(
-                "E_VALUE",
-                f"the value of `{name}` is not valid",
-                field=f"registration.{name}",
-                found=value,
-                expected=expected,
-            )
+        raise refusal(
+            "E_VALUE",
+            f"the value of `{name}` is not valid",
+            field=f"registration.{name}",
+            found=value,
+            expected=expected,
         )
     if not len(reference) or not len(target):
         return np.empty(0, int), np.empty(0, int), np.empty(0)
@@ -93,42 +79,18 @@ def find_neighbours(reference: np.ndarray, target: np.ndarray) -> Neighbours:
     """Return exact nearest neighbours of `reference`, (n, d), among `target`, (m, d).
 
     Distances of whole-numbered float32 descriptors are exact, so that the answer does not depend
-    on the number of threads; among equals the first is taken.
+    on the number of threads.
     """
-    n, m = len(reference), len(target)
-    nearest, distance, second = np.empty(n, int), np.empty(n), np.full(n, np.inf)
-    back, back_distance = np.zeros(m, int), np.full(m, np.inf)
-    squares = _squares if reference.dtype != np.uint8 else _hamming_squares
-    for start in range(0, n, BLOCK_ROWS):
-        block = squares(reference[start : start + BLOCK_ROWS], target)
-        here = np.arange(len(block))
-        best = block.argmin(1)
-        nearest[start : start + len(block)] = best
-        least = block.min(0)
-        closer = least < back_distance
-        back[closer] = start + block.argmin(0)[closer]
-        back_distance[closer] = least[closer]
-        distance[start : start + len(block)] = np.sqrt(block[here, best])
-        if m > 1:
-            block[here, best] = np.inf
-            second[start : start + len(block)] = np.sqrt(block.min(1))
-    return Neighbours(nearest, distance, second, back)
-
-
-def _squares(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    products = a @ b.T
-    products *= -2
-    products += np.einsum("ij,ij->i", a, a)[:, None]
-    products += np.einsum("ij,ij->i", b, b)[None, :]
-    return np.maximum(products, 0, out=products)
-
-
-def _hamming_squares(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Squared Hamming distances, so that the root of each is what is compared."""
-    bits_a = np.unpackbits(a, axis=1).astype(np.float32)
-    bits_b = np.unpackbits(b, axis=1).astype(np.float32)
-    different = bits_a.sum(1)[:, None] + bits_b.sum(1)[None, :] - 2 * (bits_a @ bits_b.T)
-    return np.asarray(np.square(different, out=different))
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING if reference.dtype == np.uint8 else cv2.NORM_L2)
+    found = matcher.knnMatch(reference, target, k=2)
+    second = [pair[1].distance if len(pair) > 1 else np.inf for pair in found]
+    back = [one.trainIdx for one in matcher.match(target, reference)]
+    return Neighbours(
+        np.array([pair[0].trainIdx for pair in found], int),
+        np.array([pair[0].distance for pair in found], float),
+        np.array(second, float),
+        np.array(back, int),
+    )
 
 
 def mutual_ratio(found: Neighbours, ratio: float) -> np.ndarray:
@@ -177,24 +139,17 @@ def _one_to_one(reference: np.ndarray, target: np.ndarray, distance: np.ndarray)
 
 @dataclass(frozen=True)
 class TentativeMatches:
-    """Matched places, and how size, direction and descriptor of the two compare; one row a match.
-
-    Parameters
-    ----------
-    reference, target : ndarray, (n, 2), px of either picture
-    growth : ndarray, (n,)
-        Size in the target over that in the reference.
-    turn : ndarray, (n,), degrees
-        Direction in the target less that in the reference; their sum in the mirror.
-    likeness : ndarray, (n,), -1..1
-        Dot product of the descriptors.
-    """
+    """Matched places, and how size, direction and descriptor of the two compare; one row a match."""
 
     reference: np.ndarray
     target: np.ndarray
+    """`reference`, `target`: (n, 2), px of either picture."""
     growth: np.ndarray
+    """(n,). Size in the target over that in the reference."""
     turn: np.ndarray
+    """(n,), degrees. Direction in the target less that in the reference; their sum in the mirror."""
     likeness: np.ndarray
+    """(n,), -1..1. Dot product of the descriptors."""
 
     def __len__(self) -> int:
         return len(self.reference)

@@ -36,42 +36,29 @@ Folds = list[tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class SelectionSettings:
-    """Constants of the selection.
-
-    Parameters
-    ----------
-    rounds : int
-        Of re-weighting observations under the most yielding model.
-    most_judged : int
-        Observations on which models are compared; all of them determine the one that is taken.
-    every : int
-        A fold is every so many-th row and column of blocks.
-    blocks : int
-        Across the longer side.
-    least_block : float
-        Side of a block, in lengths within which windows share pixels.
-    gain : float
-        Share by which a richer model has to lower the held-out error.
-    near, far : float
-        Models whose held-out error is up to so much, as a share, above the best may be right too: where
-        windows were measured, and where none were.
-    least_spline, least_depth_step : int
-        Observations from which a spline, and a step in depth, are tried.
-    stiffness : tuple of float
-        Prices of bending of the splines that are tried.
-    """
+    """Constants of the selection."""
 
     rounds: int = 5
+    """Of re-weighting observations under the most yielding model."""
     most_judged: int = 2000
+    """Observations on which models are compared; all of them determine the one that is taken."""
     every: int = 3
+    """A fold is every so many-th row and column of blocks."""
     blocks: int = 8
+    """Across the longer side."""
     least_block: float = 3.0
+    """Side of a block, in lengths within which windows share pixels."""
     gain: float = 0.01
+    """Share by which a richer model has to lower the held-out error."""
     near: float = 0.1
     far: float = 1.0
+    """`near`, `far`: models whose held-out error is up to so much, as a share, above the best may be right too: where
+    windows were measured, and where none were."""
     least_spline: int = 150
     least_depth_step: int = 120
+    """`least_spline`, `least_depth_step`: observations from which a spline, and a step in depth, are tried."""
     stiffness: tuple[float, ...] = (1e-2, 1e-3)
+    """Prices of bending of the splines that are tried."""
 
 
 SETTINGS = SelectionSettings()
@@ -82,18 +69,6 @@ POLYNOMIALS = {1: "affine", 2: "quadratic", 3: "cubic"}
 class ModelSpec:
     """One model of a base map.
 
-    Parameters
-    ----------
-    family : {"similarity", "polynomial", "homography"}
-    order : int
-        Of a polynomial.
-    lens : bool
-        Brown's radial and tangential terms behind a homography.
-    spline : float or None
-        Price of bending of a smooth spline before the map.
-    depth_step : bool
-        A step in depth before the map.
-
     Examples
     --------
     >>> str(ModelSpec("homography", lens=True, spline=0.01))
@@ -102,9 +77,13 @@ class ModelSpec:
 
     family: str
     order: int = 1
+    """Of a polynomial."""
     lens: bool = False
+    """Brown's radial and tangential terms behind a homography."""
     spline: float | None = None
+    """Price of bending of a smooth spline before the map."""
     depth_step: bool = False
+    """A step in depth before the map."""
 
     def __str__(self) -> str:
         plain = POLYNOMIALS[self.order] if self.family == "polynomial" else self.family
@@ -146,31 +125,21 @@ STANDING = "as it was"
 
 @dataclass(frozen=True)
 class SelectionTerms:
-    """Models that are tried, and the lengths on which windows are compared.
-
-    Parameters
-    ----------
-    spacing : float, reference px
-        Of the spline's knots.
-    apart : float, reference px
-        Windows up to so far from one another, along both axes, share pixels and err alike.
-    cell : float, reference px
-        Side of the cells of the windows.
-    coarse, stiff : bool
-        Neither spline nor step in depth, which are for finer grids; only `STIFF` models.
-    depth_step : bool
-        Whether a step in depth may be looked for.
-    fixed : int
-        So many of the last observations keep their weight, whatever their residual.
-    """
+    """Models that are tried, and the lengths on which windows are compared."""
 
     spacing: float = 0.0
+    """In reference px: of the spline's knots."""
     apart: float = 0.0
+    """In reference px: windows up to so far from one another, along both axes, share pixels and err alike."""
     cell: float = 0.0
+    """In reference px: side of the cells of the windows."""
     coarse: bool = False
     stiff: bool = False
+    """`coarse`, `stiff`: neither spline nor step in depth, which are for finer grids; only `STIFF` models."""
     depth_step: bool = False
+    """Whether a step in depth may be looked for."""
     fixed: int = 0
+    """So many of the last observations keep their weight, whatever their residual."""
 
     def models(self, count: int) -> list[ModelSpec]:
         """Return the plain models that `count` observations determine."""
@@ -206,41 +175,26 @@ class AlternativeModel:
 
 @dataclass(frozen=True)
 class SelectedModel:
-    """Selected model, and the held-out errors of all.
-
-    Parameters
-    ----------
-    spec : ModelSpec or None
-        None where a given map stayed as it was.
-    transform : Transform
-    scores : dict of str to float
-        Held-out error of each model by name: root mean square in reference px under the weights.
-    observations : Observations
-        As fitted: with the common variance floor and robust weights in their information.
-    weights : ndarray, (n,)
-        Robust weight of each observation, 0..1.
-    terms : SelectionTerms
-    folds : tuple of FoldFit
-        The same model fitted without each fold of blocks.
-    alternatives : tuple of AlternativeModel
-        Models that predict blocks nearly as well.
-    fit : callable or None
-        How it was fitted.
-    far_alternatives : callable
-        Returns the models that predict blocks at most twice as badly: where nothing was measured they
-        may be as right.
-    """
+    """Selected model, and the held-out errors of all."""
 
     spec: ModelSpec | None
+    """None where a given map stayed as it was."""
     transform: Transform
     scores: dict[str, float]
+    """Held-out error of each model by name: root mean square in reference px under the weights."""
     observations: Observations
+    """As fitted: with the common variance floor and robust weights in their information."""
     weights: np.ndarray
+    """(n,). Robust weight of each observation, 0..1."""
     terms: SelectionTerms
     folds: tuple[FoldFit, ...] = ()
+    """The same model fitted without each fold of blocks."""
     alternatives: tuple[AlternativeModel, ...] = ()
+    """Models that predict blocks nearly as well."""
     fit: Fit | None = None
+    """How it was fitted."""
     far_alternatives: Callable[[], tuple[AlternativeModel, ...]] = tuple
+    """Returns the models that predict blocks at most twice as badly: where nothing was measured they may be as right."""
 
     @property
     def name(self) -> str:
@@ -308,18 +262,14 @@ def select_model(
 ) -> SelectedModel:
     """Return the model that predicts held-out blocks best.
 
+    Raises ValueError with fewer observations than a similarity needs.
+
     Parameters
     ----------
     observations : Observations
         At least 6 of them.
-    terms : SelectionTerms
     standing : Transform, optional
         A map from elsewhere; it stays where no model predicts blocks better.
-
-    Raises
-    ------
-    ValueError
-        With fewer observations than a similarity needs.
     """
     models = terms.models(len(observations))
     if not models:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy.linalg import solveh_banded
 
 from levkas.core.compiled import njit
 from levkas.geometry.pixel_maps_kernel import spline_sums
@@ -36,21 +37,16 @@ MOST_SCALED = 1000
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Positions of reference points in the target, with their information.
-
-    Parameters
-    ----------
-    points : ndarray, (n, 2), reference px
-    target : ndarray, (n, 2), native px of the target
-    jacobian : ndarray, (n, 2, 2)
-        d(target)/d(reference) there, to quote residuals in reference px.
-    information : ndarray, (n, 2, 2), 1/reference px²
-    """
+    """Positions of reference points in the target, with their information."""
 
     points: np.ndarray
+    """(n, 2), reference px."""
     target: np.ndarray
+    """(n, 2), native px of the target."""
     jacobian: np.ndarray
+    """(n, 2, 2). d(target)/d(reference) there, to quote residuals in reference px."""
     information: np.ndarray
+    """(n, 2, 2), 1/reference px²."""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -246,6 +242,19 @@ def fit_similarity(observations: Observations) -> Affine:
     return Affine(np.column_stack([linear, np.array([x, y]) - linear @ centre]))
 
 
+def fit_plane(model: str, p: np.ndarray, q: np.ndarray) -> Transform:
+    """Fit a "similarity", an "affine" map or a "homography" to pairs p → q, (n, 2) each, all of one weight."""
+    if model == "homography":
+        return Homography.fit(p, q)
+    affine = Affine.fit(p, q)
+    if model == "affine":
+        return affine
+    sign = np.sign(np.linalg.det(affine.matrix[:, :2]))
+    unit = np.broadcast_to(np.eye(2), (len(p), 2, 2))
+    turned = np.broadcast_to(np.diag([1.0, sign]), unit.shape)
+    return fit_similarity(Observations(p, q, turned, unit))
+
+
 @dataclass(frozen=True)
 class Normalisation:
     """Coordinates of about -1..1, of points and of their targets ([hartley1997]_), in which a homography with a lens is fitted."""
@@ -305,8 +314,6 @@ def fit_spline(
     observations: Observations, under: Transform, spacing: float, price: float
 ) -> Transform:
     """Fit a smooth displacement of the reference before `under`, bending at a `price`."""
-    from scipy.linalg import solveh_banded
-
     low, high = observations.points.min(0), observations.points.max(0)
     spacing = max(spacing, float((high - low).max()) / MOST_SPANS)
     columns, rows = np.maximum(np.ceil((high - low) / spacing), 1).astype(int) + 3

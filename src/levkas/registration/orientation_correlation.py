@@ -15,7 +15,9 @@ from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
+import cv2
 import numpy as np
+from scipy import fft
 
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Composed, Inverse
@@ -27,64 +29,46 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OrientationSettings:
-    """Constants of the search; px of the reduced pictures.
-
-    Parameters
-    ----------
-    coarse_side, fine_side, block_side : int, px
-        Longer side of the pictures: in the search over all poses, about the best, and for blocks.
-    smoothing, smoothing_of_blocks : float, px
-        Sigma of the Gaussian before gradients are taken.
-    surround : float, px
-        Sigma over which gradients are set in relation to their surroundings.
-    quadrants, turns : tuple of float, degrees
-        Rotations: each quadrant with each turn about it, and the same half turned.
-    scales : tuple of float
-        Relative to frames that show the same.
-    candidates : int
-        Poses that are refined.
-    apart : (float, float)
-        Degrees, and ratio of scales, beyond which two poses differ.
-    least_ratio : float
-        Correlation of the best pose over that of the best one far from it. 1.00 to 1.22 before other
-        objects, 1.14 to 2.8 before the same (`benchmarks/verdict.py unlike`).
-    least_overlap : float, 0..1
-        Share of the smaller picture's edges that lie within the other.
-    blocks : (int, int)
-        Columns and rows of blocks.
-    reach : int, px
-        How far a block is searched.
-    limits : tuple of float, px
-        Residuals up to which blocks agree on an affine map, one fit after another.
-    agreement : float, px
-        How far a block lies at most from where a map puts it.
-    least_shown : float, 0..1
-        Share of a block that both pictures show.
-    least_blocks, least_share : int, float
-        Blocks that have to agree, and as a share of those that both show: 0 to 0.33 before other objects,
-        0.7 to 1 before the same.
-    """
+    """Constants of the search; px of the reduced pictures."""
 
     coarse_side: int = 96
     fine_side: int = 128
     block_side: int = 256
+    """`coarse_side`, `fine_side`, `block_side`: in px: longer side of the pictures: in the search over all poses, about the
+    best, and for blocks."""
     smoothing: float = 1.2
     smoothing_of_blocks: float = 1.5
+    """`smoothing`, `smoothing_of_blocks`: in px: sigma of the Gaussian before gradients are taken."""
     surround: float = 6.0
+    """In px: sigma over which gradients are set in relation to their surroundings."""
     quadrants: tuple[float, ...] = (0.0, 90.0)
     turns: tuple[float, ...] = (-10.0, -5.0, 0.0, 5.0, 10.0)
+    """`quadrants`, `turns`: in degrees: rotations: each quadrant with each turn about it, and the same half turned."""
     scales: tuple[float, ...] = (0.64, 0.71, 0.8, 0.89, 1.0, 1.12, 1.25, 1.4, 1.57)
+    """Relative to frames that show the same."""
     candidates: int = 6
+    """Poses that are refined."""
     apart: tuple[float, float] = (12.0, 1.28)
+    """Degrees, and ratio of scales, beyond which two poses differ."""
     least_ratio: float = 1.1
+    """Correlation of the best pose over that of the best one far from it. 1.00 to 1.22 before other objects, 1.14 to 2.8
+    before the same (`benchmarks/verdict.py unlike`)."""
     least_overlap: float = 0.35
+    """0..1. Share of the smaller picture's edges that lie within the other."""
     blocks: tuple[int, int] = (6, 5)
+    """Columns and rows of blocks."""
     reach: int = 10
+    """In px: how far a block is searched."""
     limits: tuple[float, ...] = (8.0, 6.0, 4.0, 3.0, 3.0)
+    """In px: residuals up to which blocks agree on an affine map, one fit after another."""
     agreement: float = 2.0
+    """In px: how far a block lies at most from where a map puts it."""
     least_shown: float = 0.5
+    """0..1. Share of a block that both pictures show."""
     least_blocks: int = 12
     least_share: float = 0.5
+    """`least_blocks`, `least_share`: blocks that have to agree, and as a share of those that both show: 0 to 0.33 before
+    other objects, 0.7 to 1 before the same."""
 
 
 SETTINGS = OrientationSettings()
@@ -164,8 +148,6 @@ def edge_directions(image: np.ndarray, valid: np.ndarray, sigma: float) -> EdgeF
     >>> bool(field.values[20, 20].real > 0.3), bool(field.values[20, 60].real < -0.3)
     (True, True)
     """
-    import cv2
-
     soft = cv2.GaussianBlur(np.where(valid, image, 0).astype(np.float32), (0, 0), sigma)
     along, down = cv2.Sobel(soft, cv2.CV_32F, 1, 0), cv2.Sobel(soft, cv2.CV_32F, 0, 1)
     inside = cv2.erode(valid.astype(np.uint8), np.ones((7, 7), np.uint8), borderValue=0) > 0
@@ -228,8 +210,6 @@ class ReducedPictures:
 
     def warped(self, matrix: np.ndarray, shape: tuple[int, ...], sigma: float) -> EdgeField:
         """Return the sum of the fields on a grid of `shape`, of which `matrix`, 2 x 3, takes px to px of these."""
-        import cv2
-
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         size = (shape[1], shape[0])
         spacing = float(np.sqrt(abs(np.linalg.det(matrix[:, :2]))))
@@ -274,8 +254,6 @@ class _Correlator:
         The score is the correlation over what both show, times the root of the share that they share.
         To correlate with a field that is turned by 180 degrees is to convolve with it as it is.
         """
-        from scipy import fft
-
         sides = zip(self._field.values.shape, field.values.shape, strict=True)
         shape = tuple(fft.next_fast_len(a + b, real=True) for a, b in sides)
         if shape not in self._transforms:
@@ -301,8 +279,6 @@ class _Correlator:
 
 def _transforms(field: EdgeField, shape: tuple[int, ...]) -> list[np.ndarray]:
     """Return the transforms of both parts of a field, of its power and of where it is valid."""
-    from scipy import fft
-
     values = field.values
     parts = (values.real, values.imag, np.square(np.abs(values)), field.valid.astype(np.float32))
     return [fft.rfft2(part, shape) for part in parts]
@@ -320,7 +296,6 @@ def find_poses(
 
     Parameters
     ----------
-    ours, theirs : ReducedPictures
     poses : sequence of CoarsePose
         Their shifts are found anew.
     sigma : float, px
@@ -457,8 +432,6 @@ def match_blocks(
     within : ndarray of bool, (h, w), optional
         Where the object lies in the reference.
     """
-    import cv2
-
     sigma, reach = SETTINGS.smoothing_of_blocks, SETTINGS.reach
     ours = ReducedPictures(reference, SETTINGS.block_side, within)
     theirs = ReducedPictures(target, 2 * SETTINGS.block_side)

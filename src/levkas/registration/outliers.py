@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.core.problems import Problem
 from levkas.geometry.transforms import Polynomial, design_matrix, frame_of
-from levkas.registration.record import RegistrationRefused, Trace
+from levkas.registration.record import RegistrationRefused, Trace, refusal
 from levkas.registration.request import check_thresholds
 
 if TYPE_CHECKING:
@@ -31,26 +30,17 @@ LEAST_LEFT = 0.02
 class RemovalTerms:
     """Map and thresholds of a removal.
 
-    Parameters
-    ----------
-    scale : Transform
-        The scale-only map target → reference.
-    reject, stop : float, reference px
-        T1 and T2: pairs farther apart than `reject` under `scale` are cut at once, then the worst
-        pair leaves until none is worse than `stop`.
-    order : int
-        Of the polynomial.
-
-    Raises
-    ------
-    RegistrationRefused
-        Where a threshold is not finite and positive, or `stop` not below `reject`.
+    Raises RegistrationRefused where a threshold is not finite and positive, or `stop` not below `reject`.
     """
 
     scale: Transform
+    """The scale-only map target → reference."""
     reject: float
     stop: float
+    """`reject`, `stop`: in reference px: t1 and T2: pairs farther apart than `reject` under `scale` are cut at once, then
+    the worst pair leaves until none is worse than `stop`."""
     order: int = 3
+    """Of the polynomial."""
 
     def __post_init__(self) -> None:
         problems = check_thresholds(self.reject, self.stop)
@@ -61,31 +51,6 @@ class RemovalTerms:
     def coefficients(self) -> int:
         """Coefficients of the polynomial, for x′ and y′ each."""
         return (self.order + 1) * (self.order + 2) // 2
-
-
-@dataclass(frozen=True, slots=True)
-class RemovalRound:
-    """One fit on the way.
-
-    Parameters
-    ----------
-    number : int
-        From 0; round 0 is the first fit after the cut under scale alone.
-    model : Polynomial
-        Target → reference, fitted to the pairs that were kept.
-    worst : int
-        Index of the pair with the largest error.
-    largest : float, reference px
-        That error.
-    removed : bool
-        Whether `worst` leaves after this round; False only in the last.
-    """
-
-    number: int
-    model: Polynomial
-    worst: int
-    largest: float
-    removed: bool
 
 
 def cut(
@@ -104,59 +69,23 @@ def cut(
     return errors, errors < reject
 
 
-def remove_outliers(
-    target: np.ndarray, reference: np.ndarray, terms: RemovalTerms
-) -> Iterator[RemovalRound]:
-    """Yield a `RemovalRound` for every fit until the largest error is at most ``terms.stop``.
-
-    Parameters
-    ----------
-    target, reference : ndarray, (n, 2)
-        Native px of the target; reference px.
-    terms : RemovalTerms
-
-    Raises
-    ------
-    RegistrationRefused
-        Where fewer pairs than coefficients are left after the cut, or where they lie so that they do
-        not determine the polynomial (on a line, say).
-
-    Notes
-    -----
-    Errors that differ by less than 1e-9 px are equal; of these the pair that comes first by
-    reference x, y, target x, y leaves, so that the order of the pairs does not matter.
-    """
-    kept = cut(target, reference, terms.scale, terms.reject)[1]
-    rounds = _remove(target, reference, terms, kept, np.zeros(len(kept), bool))
-    for number, (model, worst, largest) in enumerate(rounds):
-        yield RemovalRound(number, model, worst, largest, not largest <= terms.stop)
-
-
 @dataclass(frozen=True)
 class Cleaned:
-    """Result of a removal.
-
-    Parameters
-    ----------
-    model : Polynomial
-        Target → reference.
-    kept : ndarray of bool, (n,)
-    round : ndarray of int, (n,)
-        Iteration after which a pair left: 0 in the cut, k + 1 after the fit of round k, -1 kept.
-    residual, leave_one_out : ndarray, (n,), reference px
-        Under `model`, and under the fit without the pair (equal for pairs that were removed).
-    trace : Trace
-    models : ndarray, (rounds, terms, 2)
-        Coefficients of the polynomial of every round; order, centre and spread are `model`'s.
-    """
+    """Result of a removal."""
 
     model: Polynomial
+    """Target → reference."""
     kept: np.ndarray
+    """(n,)."""
     round: np.ndarray
+    """(n,). Iteration after which a pair left: 0 in the cut, k + 1 after the fit of round k, -1 kept."""
     residual: np.ndarray
     leave_one_out: np.ndarray
+    """`residual`, `leave_one_out`: (n,), reference px. Under `model`, and under the fit without the pair (equal for pairs
+    that were removed)."""
     trace: Trace
     models: np.ndarray
+    """(rounds, terms, 2). Coefficients of the polynomial of every round; order, centre and spread are `model`'s."""
 
 
 def clean(
@@ -169,21 +98,24 @@ def clean(
     pinned: np.ndarray | None = None,
     dropped: np.ndarray | None = None,
 ) -> Cleaned:
-    """Run `remove_outliers` to its end and keep its trace.
+    """Remove the worst pair, fit by fit, until the largest error is at most ``terms.stop``, and keep the trace.
+
+    Raises RegistrationRefused where fewer pairs than coefficients are left after the cut, or where they lie so that they do
+    not determine the polynomial (on a line, say); with the trace so far.
 
     Parameters
     ----------
-    target, reference, terms
-        As `remove_outliers` takes them.
+    target, reference : ndarray, (n, 2)
+        Native px of the target; reference px.
     size, target_size : (width, height)
         Of the reference and of the target, for the frames of the paper's Figure 9.
     pinned, dropped : ndarray of bool, (n,), optional
         Pairs that never leave, whatever their error, and pairs that are never used.
 
-    Raises
-    ------
-    RegistrationRefused
-        As `remove_outliers`, with the trace so far.
+    Notes
+    -----
+    Errors that differ by less than 1e-9 px are equal; of these the pair that comes first by
+    reference x, y, target x, y leaves, so that the order of the pairs does not matter.
     """
     stays = np.zeros(len(target), bool) if pinned is None else np.asarray(pinned, bool)
     errors, kept = cut(target, reference, terms.scale, terms.reject)
@@ -292,26 +224,22 @@ def _trace(
 
 
 def _too_few(found: int, terms: RemovalTerms, before: int) -> RegistrationRefused:
-    return RegistrationRefused(
-        Problem(
-            "E_MATCHES",
-            f"order-{terms.order} polynomial needs at least {terms.coefficients} matches, got {found}",
-            field="registration",
-            found=f"{found} of {before} matches are closer than `reject` under scale alone",
-            expected=f"at least {terms.coefficients}",
-            fix="Check that both cameras show the same object with the same side up; if they do, raise `reject`.",
-        )
+    return refusal(
+        "E_MATCHES",
+        f"order-{terms.order} polynomial needs at least {terms.coefficients} matches, got {found}",
+        field="registration",
+        found=f"{found} of {before} matches are closer than `reject` under scale alone",
+        expected=f"at least {terms.coefficients}",
+        fix="Check that both cameras show the same object with the same side up; if they do, raise `reject`.",
     )
 
 
 def _undetermined(found: int, order: int) -> RegistrationRefused:
-    return RegistrationRefused(
-        Problem(
-            "E_MATCHES",
-            f"{found} matches lie on too few lines to determine an order-{order} polynomial",
-            field="registration",
-            found=found,
-            expected="matches spread over the picture",
-            fix="Check that both pictures have detail over the whole object.",
-        )
+    return refusal(
+        "E_MATCHES",
+        f"{found} matches lie on too few lines to determine an order-{order} polynomial",
+        field="registration",
+        found=found,
+        expected="matches spread over the picture",
+        fix="Check that both pictures have detail over the whole object.",
     )

@@ -15,7 +15,6 @@ from threading import RLock
 
 import numpy as np
 
-from levkas.core.problems import Problem
 from levkas.core.threads import each, in_threads
 from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration.bands import (
@@ -36,7 +35,7 @@ from levkas.registration.local_shifts import (
     smoothing_warp,
 )
 from levkas.registration.marks import white_noise, whiteness
-from levkas.registration.record import RegistrationRefused
+from levkas.registration.record import refusal
 
 #: Principal components of reflectance, and of its logarithm; how many of the first are added blurred.
 LINEAR, LOGARITHMIC, BLURRED = 5, 3, 2
@@ -54,21 +53,14 @@ MOST_PREDICTING = 12
 
 @dataclass(frozen=True)
 class PredictorBasis:
-    """Images from which others are predicted.
-
-    Parameters
-    ----------
-    images : ndarray, (k, h, w), float32
-        Principal images in their natural size, so that a ridge weighs on what varies little.
-    loadings : ndarray, (k, bands)
-        Share of each band in each image.
-    groups : ndarray of int, (k,)
-        Images of one group are principal images of one stack.
-    """
+    """Images from which others are predicted."""
 
     images: np.ndarray
+    """(k, h, w), float32. Principal images in their natural size, so that a ridge weighs on what varies little."""
     loadings: np.ndarray
+    """(k, bands). Share of each band in each image."""
     groups: np.ndarray
+    """(k,). Images of one group are principal images of one stack."""
 
     def high_passed(self) -> PredictorBasis:
         """Return the images without their slow parts, blurred copies of the first ones appended.
@@ -310,7 +302,6 @@ class PreparedReference:
 
     Parameters
     ----------
-    bands : sequence of BandImage
     band : str
         Label of the band that defines reference px.
     region : (x, y, width, height), reference px, optional
@@ -331,15 +322,13 @@ class PreparedReference:
     ) -> None:
         self.anchor = next(image for image in bands if image.label == band)
         if not self.anchor.valid.any():
-            raise RegistrationRefused(
-                Problem(
-                    "E_VALUE",
-                    f"the reference band {band} holds nothing",
-                    field="campaign.reference.band",
-                    found=f"{self.anchor.valid.size} pixels that are outside, saturated or of a bad band",
-                    expected="a picture",
-                    fix="Name another band of this camera as the reference.",
-                )
+            raise refusal(
+                "E_VALUE",
+                f"the reference band {band} holds nothing",
+                field="campaign.reference.band",
+                found=f"{self.anchor.valid.size} pixels that are outside, saturated or of a bad band",
+                expected="a picture",
+                fix="Name another band of this camera as the reference.",
             )
         self.own_bands = [image for image in bands if image.sensor == self.anchor.sensor]
         self.images = sqrt_images(bands)

@@ -70,6 +70,11 @@ class RegistrationRefused(Refused):
         return type(self), self.problems, {"trace": self.trace}
 
 
+def refusal(code: str, message: str, **details: Any) -> RegistrationRefused:
+    """Return the refusal of a registration with one problem."""
+    return RegistrationRefused(Problem(code, message, **details))
+
+
 class MatchState(StrEnum):
     """State of a match in the table of matches."""
 
@@ -93,23 +98,6 @@ class HandMark(StrEnum):
 class Matches:
     """Pairs of control points and their state; one row a pair.
 
-    Parameters
-    ----------
-    reference, target : ndarray, (n, 2)
-        Reference px; native px of the target (of its first sensor, where it has several).
-    residual : ndarray, (n,), reference px
-        Distance of the reference point from the mapped target point; NaN where not computed.
-    leave_one_out : ndarray, (n,), reference px
-        The same by a fit without the pair.
-    weight : ndarray, (n,)
-        In the final fit; 0 for a pair that was removed.
-    state : ndarray of str, (n,)
-        A `MatchState`.
-    reason : ndarray of str, (n,)
-        Why it was removed, in a user's words; of a kept pair only its `HandMark`.
-    round : ndarray of int, (n,)
-        Iteration after which it left: 0 is the cut under scale alone; -1 for a kept pair.
-
     Examples
     --------
     >>> m = Matches.of(np.zeros((2, 2)), np.ones((2, 2)))
@@ -119,12 +107,19 @@ class Matches:
 
     reference: np.ndarray
     target: np.ndarray
+    """`reference`, `target`: (n, 2). Reference px; native px of the target (of its first sensor, where it has several)."""
     residual: np.ndarray
+    """(n,), reference px. Distance of the reference point from the mapped target point; NaN where not computed."""
     leave_one_out: np.ndarray
+    """(n,), reference px. The same by a fit without the pair."""
     weight: np.ndarray
+    """(n,). In the final fit; 0 for a pair that was removed."""
     state: np.ndarray
+    """(n,). A `MatchState`."""
     reason: np.ndarray
+    """(n,). Why it was removed, in a user's words; of a kept pair only its `HandMark`."""
     round: np.ndarray
+    """(n,). Iteration after which it left: 0 is the cut under scale alone; -1 for a kept pair."""
 
     @classmethod
     def of(cls, reference: np.ndarray, target: np.ndarray, **known: np.ndarray) -> Matches:
@@ -169,42 +164,29 @@ class Matches:
 
 @dataclass(frozen=True)
 class Trace:
-    """The removal of outliers round by round: the paper's Figures 9 and 10.
-
-    Parameters
-    ----------
-    reject, stop : float, reference px
-        T1 and T2 of the paper.
-    scale : Transform
-        The scale-only map target → reference under which the first cut was made.
-    scale_errors : ndarray, (n,), reference px
-        Error of every match under `scale`.
-    largest : ndarray, (rounds,), reference px
-        Largest error among the kept matches at each round; the last is <= `stop`.
-    removed : ndarray of int, (rounds,)
-        Index of the match that leaves after the round; -1 where none does.
-    corners : ndarray, (rounds, 4, 2), reference px
-        Corners of the target's frame under the model of each round, clockwise from the top left.
-    frame : ndarray, (4, 2), reference px
-        The same corners under `scale`.
-    size : (width, height) of the reference
-    pinned : ndarray of bool, (n,), optional
-        Pairs that a person gave: they stay, whatever their error.
-    order : int
-        Of the polynomial.
-    """
+    """The removal of outliers round by round: the paper's Figures 9 and 10."""
 
     reject: float
     stop: float
+    """`reject`, `stop`: in reference px: t1 and T2 of the paper."""
     scale: Transform
+    """The scale-only map target → reference under which the first cut was made."""
     scale_errors: np.ndarray
+    """(n,), reference px. Error of every match under `scale`."""
     largest: np.ndarray
+    """(rounds,), reference px. Largest error among the kept matches at each round; the last is <= `stop`."""
     removed: np.ndarray
+    """(rounds,). Index of the match that leaves after the round; -1 where none does."""
     corners: np.ndarray
+    """(rounds, 4, 2), reference px. Corners of the target's frame under the model of each round, clockwise from the top
+    left."""
     frame: np.ndarray
+    """(4, 2), reference px. The same corners under `scale`."""
     size: tuple[int, int]
     pinned: np.ndarray | None = None
+    """(n,). Pairs that a person gave: they stay, whatever their error."""
     order: int = 3
+    """Of the polynomial."""
 
     @property
     def rounds(self) -> int:
@@ -242,12 +224,6 @@ class Trace:
 class Sigma:
     """One standard deviation, of each axis, of where a band lies.
 
-    Parameters
-    ----------
-    x, y : ndarray, (n,) and (m,), reference px
-        Of a lattice over the reference's frame.
-    values : ndarray, (m, n), reference px
-
     Examples
     --------
     >>> sigma = Sigma(np.array([0.0, 10.0]), np.array([0.0, 10.0]), np.array([[0.0, 1], [0, 1]]))
@@ -257,7 +233,9 @@ class Sigma:
 
     x: np.ndarray
     y: np.ndarray
+    """`x`, `y`: (n,) and (m,), reference px. Of a lattice over the reference's frame."""
     values: np.ndarray
+    """(m, n), reference px."""
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Return sigma at `points`, (n, 2) reference px → (n,) reference px; the rim's beyond it."""
@@ -291,29 +269,19 @@ def _cell(lattice: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 @dataclass(frozen=True)
 class Verdict:
-    """Decision on a registration, its reasons, and what to do next.
-
-    Parameters
-    ----------
-    decision : {"accept", "warn", "by hand", "refuse"}
-    reasons : tuple of str
-        One sentence each, with the numbers, in a user's words.
-    next_step : str
-        What to do; empty where nothing is to be done.
-    numbers : dict
-        The evidence, by name, JSON-ready.
-    unchecked : float
-        Share of the layer, 0 … 1, that does not show the object, or where nothing confirms the map.
-    outside : float
-        The part of `unchecked` that lies outside the object's outline.
-    """
+    """Decision on a registration, its reasons, and what to do next."""
 
     decision: Decision
     reasons: tuple[str, ...] = ()
+    """One sentence each, with the numbers, in a user's words."""
     next_step: str = ""
+    """What to do; empty where nothing is to be done."""
     numbers: dict[str, Any] = field(default_factory=dict)
+    """The evidence, by name, JSON-ready."""
     unchecked: float = 0.0
+    """Share of the layer, 0 … 1, that does not show the object, or where nothing confirms the map."""
     outside: float = 0.0
+    """The part of `unchecked` that lies outside the object's outline."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready record."""
@@ -329,41 +297,27 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Registration:
-    """One camera registered to the reference band.
-
-    Parameters
-    ----------
-    method : str
-        A key of `levkas.registration.METHODS`.
-    transforms : dict of str to Transform
-        Band label → map from reference px to native px of that band.
-    verdict : Verdict
-    errors : dict
-        Residual statistics, reference px, JSON-ready.
-    matches : Matches
-        Of the target's first sensor; of the reference camera itself there are none.
-    trace : Trace or None
-        Of a method that removes outliers one by one.
-    model : dict
-        ``kind`` and what else describes the model, JSON-ready.
-    sigma : dict of str to Sigma
-        Band label → one standard deviation of where it lies; empty where a method does not know.
-    others : dict of str to Matches
-        Sensor → its matches, for the target's other sensors; empty where a method has none.
-    basis : dict
-        What a map without a trace rests on, `describe_windows` of each sensor, JSON-ready.
-    """
+    """One camera registered to the reference band."""
 
     method: str
+    """A key of `levkas.registration.METHODS`."""
     transforms: dict[str, Transform]
+    """Band label → map from reference px to native px of that band."""
     verdict: Verdict
     errors: dict[str, Any]
+    """Residual statistics, reference px, JSON-ready."""
     matches: Matches
+    """Of the target's first sensor; of the reference camera itself there are none."""
     trace: Trace | None = None
+    """Of a method that removes outliers one by one."""
     model: dict[str, Any] = field(default_factory=dict)
+    """``kind`` and what else describes the model, JSON-ready."""
     sigma: dict[str, Sigma] = field(default_factory=dict)
+    """Band label → one standard deviation of where it lies; empty where a method does not know."""
     others: dict[str, Matches] = field(default_factory=dict)
+    """Sensor → its matches, for the target's other sensors; empty where a method has none."""
     basis: dict[str, Any] = field(default_factory=dict)
+    """What a map without a trace rests on, `describe_windows` of each sensor, JSON-ready."""
 
     def to_dict(self, *, reference: str = "", target: str = "") -> dict[str, Any]:
         """Return the record of CAMERA.json; `reference` and `target` are the names of frames."""
@@ -386,13 +340,10 @@ def describe_windows(
 
     Parameters
     ----------
-    sensor : str
     source : str
         ``"fused"`` where the windows of several bands were put together, else the band.
     band : str
         By which the map was checked.
-    selected : SelectedModel
-    checks : CheckWindows or None
 
     Returns
     -------

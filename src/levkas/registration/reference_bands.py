@@ -49,35 +49,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OwnBandSettings:
-    """Constants of the registration of the reference's own bands.
-
-    Parameters
-    ----------
-    ridges : tuple of float
-        Ridge of the predictions in each round. Bands that are not yet aligned differ by gradients, and a
-        combination of them passes for a shift; the price of small components falls as they come to be
-        paint.
-    first, last : (int, int)
-        Principal components of reflectance, and of its logarithm, before the last round and in it: once
-        bands are aligned, what a few images leave of a band is paint that changes with the wavelength.
-    halves_from : int
-        Bands from which they are predicted in two halves; fewer are predicted one by one.
-    far : float, px
-        Shift of a band from which all are brought near by the reference band alone first.
-    steady : float, px of the grid
-        A grid twice as fine may move no band by more: where noise drowns it, bands that look alike drift
-        together, and farther than that.
-    compared : int
-        Bands in which two grids are compared.
-    """
+    """Constants of the registration of the reference's own bands."""
 
     ridges: tuple[float, ...] = (1e-2, 1e-3, 3e-4, 1e-4)
+    """Ridge of the predictions in each round. Bands that are not yet aligned differ by gradients, and a combination of them
+    passes for a shift; the price of small components falls as they come to be paint."""
     first: tuple[int, int] = (5, 3)
     last: tuple[int, int] = (8, 4)
+    """`first`, `last`: principal components of reflectance, and of its logarithm, before the last round and in it: once
+    bands are aligned, what a few images leave of a band is paint that changes with the wavelength."""
     halves_from: int = 6
+    """Bands from which they are predicted in two halves; fewer are predicted one by one."""
     far: float = 0.5
+    """In px: shift of a band from which all are brought near by the reference band alone first."""
     steady: float = 0.05
+    """In px of the grid: a grid twice as fine may move no band by more: where noise drowns it, bands that look alike drift
+    together, and farther than that."""
     compared: int = 8
+    """Bands in which two grids are compared."""
 
 
 SETTINGS = OwnBandSettings()

@@ -28,50 +28,34 @@ LEAST_SIDE_PX = 16
 
 @dataclass(frozen=True)
 class Request:
-    """Two cameras to be registered; a method uses the fields that it needs.
-
-    Parameters
-    ----------
-    reference, target : sequence of BandImage
-        Of either camera; the same sequence for the reference camera's own bands.
-    reference_band : str
-        Label of the band of `reference` that defines reference px.
-    region : (x, y, width, height), reference px, optional
-        Of the published frame; nothing outside is used or judged.
-    outline : (n, 2) corners, reference px, optional
-        Of the object, where it is declared: nothing outside is used or judged.
-    layer : (4, 2) corners, reference px, optional
-        Of the published frame, of which shares are given; without it the region, or the whole frame.
-    target_region : (x, y, width, height), optional
-        The object in native px of the target's first sensor: scale alone maps one region to the other.
-    given : mapping of sensor name to ManualPoints
-        Pairs given by hand.
-    reference_transforms : mapping of label to Transform, optional
-        Of the reference camera's own bands, from its own registration: saves measuring them again.
-    reference_sigma : mapping of label to Sigma, optional
-        Uncertainty of those.
-    prepared : callable, optional
-        Returns the reference made ready: saves preparing it for every camera.
-    align : mapping of sensor name to (2, 3) matrix or Transform
-        Of a target with several sensors, where it is declared: first sensor's px → this sensor's.
-    one_scan : bool
-        Whether the bands of a sensor of the target are maps of one scan: they share one map, and may be sampled up to 30 times as
-        coarsely as the reference.
-    """
+    """Two cameras to be registered; a method uses the fields that it needs."""
 
     reference: Sequence[BandImage]
     target: Sequence[BandImage]
+    """`reference`, `target`: of either camera; the same sequence for the reference camera's own bands."""
     reference_band: str
+    """Label of the band of `reference` that defines reference px."""
     region: Sequence[float] | None = None
+    """In reference px: of the published frame; nothing outside is used or judged."""
     outline: Corners | None = None
+    """In reference px: of the object, where it is declared: nothing outside is used or judged."""
     layer: Corners | None = None
+    """In reference px: of the published frame, of which shares are given; without it the region, or the whole frame."""
     target_region: Sequence[float] | None = None
+    """The object in native px of the target's first sensor: scale alone maps one region to the other."""
     given: Mapping[str, ManualPoints] = field(default_factory=dict)
+    """Pairs given by hand."""
     reference_transforms: Mapping[str, Transform] | None = None
+    """Of the reference camera's own bands, from its own registration: saves measuring them again."""
     reference_sigma: Mapping[str, Sigma] | None = None
+    """Uncertainty of those."""
     prepared: Callable[[], PreparedReference] | None = None
+    """Returns the reference made ready: saves preparing it for every camera."""
     align: Mapping[str, Any] = field(default_factory=dict)
+    """Of a target with several sensors, where it is declared: first sensor's px → this sensor's."""
     one_scan: bool = False
+    """Whether the bands of a sensor of the target are maps of one scan: they share one map, and may be sampled up to 30
+    times as coarsely as the reference."""
 
     @property
     def is_own(self) -> bool:

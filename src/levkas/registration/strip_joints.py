@@ -1,8 +1,8 @@
 """How one strip of a line scan lies to the next: found in what both saw, to a fraction of a pixel.
 
 A strip is the scan of one pass of the stage; the next pass begins some samples to the right. Each line is
-exposed at once, so that a stage that runs askew or wobbles moves lines as a whole: the offset of two strips is a
-function of the line alone, p ↦ p + t + c(y), with c zero, a slope along the scan or a cubic B-spline.
+exposed at once, so that a stage that runs askew moves lines as a whole: the offset of two strips is a function of the line
+alone, p ↦ p + t + c·y. Where it wobbles they are not joined: each is registered by itself.
 """
 
 from __future__ import annotations
@@ -10,13 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+import cv2
 import numpy as np
 
-from levkas.core.problems import Problem
-from levkas.geometry.spline import SplineShift, spline_weights
 from levkas.geometry.transforms import Affine, Composed
 from levkas.registration.local_shifts import CELL_PX, Predictor, smoothing_warp
-from levkas.registration.record import RegistrationRefused
+from levkas.registration.record import RegistrationRefused, refusal
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -30,6 +29,9 @@ NARROWEST = 16
 LEAST_CORRELATION = 0.7
 LARGEST_ERROR_PX = 0.15
 """Standard error of the offset; beyond it the overlap shows too little."""
+MOST_SCATTER_PX, NOISE = 0.2, 4.0
+"""Of rows of windows about the course: of strips of a stage that wobbles it is more, and more than so many times their own
+noise; they are not joined."""
 MOST_SHIFT = 16
 """Lines that one strip may begin later than the next, at most, and an eighth of them."""
 SCOUT_LINES = 2048
@@ -42,43 +44,28 @@ WHOLE_PX = 0.03
 GAIN = 0.75
 """A richer course has to lower the squared error at bands that were left out to this share."""
 ROUNDS, CONVERGED_PX = 8, 0.002
-KNOTS_PX = (512, 256, 128, 96, 64, 48, 32)
-"""Of the splines that are tried, lines apart."""
-STIFFNESS = 1e-3
-"""Of second differences, as a share of the data's weight; ten times more or less moves no offset by 0.01 px."""
 Greys = tuple[np.ndarray, np.ndarray]
 """Means of the even and of the odd bands, (lines, samples) each, float32, NaN where nothing can be relied on."""
 
 
 @dataclass(frozen=True, eq=False)
 class StripJoint:
-    """Where the right one of two strips lies.
-
-    Parameters
-    ----------
-    transform : Transform
-        Px of the left strip → px of the right one.
-    offset : (x, y), px
-        Where the right strip's first pixel lies in the left one, the mean over the common lines.
-    overlap : float
-        Samples that both saw.
-    course : str
-        ``"whole pixels"``, ``"constant"``, ``"slope"`` or ``"wobble"``: how the offset goes along the scan.
-    swing : float, px
-        Largest departure of the offset from its mean.
-    error : float, px
-        Standard error of the offset.
-    correlation : float
-        Of the greys over the overlap, joined.
-    """
+    """Where the right one of two strips lies."""
 
     transform: Transform
+    """Px of the left strip → px of the right one."""
     offset: tuple[float, float]
+    """In px: where the right strip's first pixel lies in the left one, the mean over the common lines."""
     overlap: float
+    """Samples that both saw."""
     course: str
+    """``"whole pixels"``, ``"constant"`` or ``"slope"``: how the offset goes along the scan."""
     swing: float
+    """In px: largest departure of the offset from its mean."""
     error: float
+    """In px: standard error of the offset."""
     correlation: float
+    """Of the greys over the overlap, joined."""
 
 
 class _Windows(NamedTuple):
@@ -91,31 +78,31 @@ class _Windows(NamedTuple):
 
 @dataclass(frozen=True)
 class _Course:
-    """An offset along the scan: spline coefficients, (n, 2), `spacing` lines apart; of one or two, a line's."""
+    """An offset along the scan, c₀ + c₁ y/`height`: coefficients, (1, 2) or (2, 2) px."""
 
-    spacing: int
+    height: int
     coefficients: np.ndarray
 
     def __call__(self, line: np.ndarray) -> np.ndarray:
-        return np.asarray(_design(line, self.spacing, len(self.coefficients)) @ self.coefficients)
+        return np.asarray(_design(line / self.height, len(self.coefficients)) @ self.coefficients)
 
     @property
     def name(self) -> str:
-        return {1: "constant", 2: "slope"}.get(len(self.coefficients), "wobble")
+        return "constant" if len(self.coefficients) == 1 else "slope"
 
-    def transform(self, start: tuple[int, int]) -> Transform:
+    def transform(self, start: tuple[int, int]) -> Affine:
         """Return px of the left strip → px of the right one, whose first pixel lies at `start` and the course."""
         c = -self.coefficients
-        if len(c) <= 2:
-            slope = c[1] / self.spacing if len(c) == 2 else np.zeros(2)
-            mean = c[0] - start
-            return Affine(np.array([[1.0, slope[0], mean[0]], [0.0, 1 + slope[1], mean[1]]]))
-        spline = SplineShift(np.zeros(2), float(self.spacing), np.repeat(c[:, None], 4, 1))
-        return Composed(spline, Affine(np.array([[1.0, 0, -start[0]], [0, 1, -start[1]]])))
+        slope = c[1] / self.height if len(c) == 2 else np.zeros(2)
+        mean = c[0] - start
+        return Affine(np.array([[1.0, slope[0], mean[0]], [0.0, 1 + slope[1], mean[1]]]))
 
 
 def find_joint(left: Greys, right: Greys) -> StripJoint:
     """Find where the right one of two strips lies.
+
+    Raises RegistrationRefused e_STRIPS where the offset is not certain: no place matches, two places match, or the overlap
+    has too little detail.
 
     Parameters
     ----------
@@ -126,20 +113,15 @@ def find_joint(left: Greys, right: Greys) -> StripJoint:
     -------
     joint : StripJoint
 
-    Raises
-    ------
-    RegistrationRefused
-        E_STRIPS where the offset is not certain: no place matches, two places match, or the overlap has too little detail.
-
     Notes
     -----
     The first 8 samples of the right strip are looked for in the left one; the best places are compared over the
-    whole overlap. From there Lucas-Kanade, window by window, as registration has it. Of a constant, a slope and splines
-    the simplest is taken that predicts the offsets of the bands left out as well as a richer one.
+    whole overlap. From there Lucas-Kanade, window by window, as registration has it. A slope is taken where it predicts the
+    offsets of the bands left out better than a constant.
     """
     overlap, shift = _search(*(_filled(np.mean(pair, 0)) for pair in (left, right)))
     start = left[0].shape[1] - overlap, shift
-    course = _Course(1, np.zeros((1, 2)))
+    course = _Course(left[0].shape[0], np.zeros((1, 2)))
     for _ in range(ROUNDS):
         halves = [
             _measure(a, b, course.transform(start), start[0])
@@ -150,9 +132,13 @@ def find_joint(left: Greys, right: Greys) -> StripJoint:
         before, course = course, _chosen(absolute, left[0].shape[0])
         if np.abs(course(line) - before(line)).max() < CONVERGED_PX:
             break
-    error = _error(absolute, course)
+    error, scatter = _error(absolute, course)
+    if scatter > MOST_SCATTER_PX:
+        raise _apart(
+            f"lines of the strips lie ± {scatter:.2f} px beside one another", "lines that lie still"
+        )
     if course.name == "constant" and np.abs(_fraction(course.coefficients[0])).max() < WHOLE_PX:
-        course = _Course(1, np.round(course.coefficients))
+        course = _Course(course.height, np.round(course.coefficients))
         name = "whole pixels"
     else:
         name = course.name
@@ -190,8 +176,6 @@ def _described(
 
 def _search(a: np.ndarray, b: np.ndarray) -> tuple[int, int]:
     """Return (overlap, shift) in whole px: line y of `a` is line y − shift of `b`."""
-    import cv2
-
     lines = min(a.shape[0], b.shape[0])
     room, tall = min(MOST_SHIFT, lines // 8), min(lines, SCOUT_LINES)
     if min(a.shape[1], b.shape[1]) < LEAST_OVERLAP or tall - 2 * room < LEAST_OVERLAP:
@@ -222,8 +206,6 @@ def _search(a: np.ndarray, b: np.ndarray) -> tuple[int, int]:
 
 def _peaks(scores: np.ndarray) -> Iterator[tuple[int, int]]:
     """Yield rows and columns of the highest places that are higher than all around them, best first."""
-    import cv2
-
     highest = scores >= cv2.dilate(scores, np.ones((5, 5), np.uint8))
     rows, columns = np.nonzero(highest)
     order = np.argsort(-scores[rows, columns], kind="stable")[:PEAKS]
@@ -287,63 +269,40 @@ def _measure(a: np.ndarray, b: np.ndarray, transform: Transform, left: int) -> _
     )
 
 
-def _design(line: np.ndarray, spacing: int, count: int) -> np.ndarray:
-    """Return the weights of `count` coefficients at lines, (n, count)."""
-    if count <= 2:
-        return np.stack([np.ones(len(line)), line / spacing], 1)[:, :count]
-    u = np.clip(line / spacing, 0, count - 3 - 1e-9)
-    first = u.astype(int)
-    basis = np.zeros((len(line), count))
-    weights = spline_weights(u - first)
-    for k in range(4):
-        basis[np.arange(len(line)), first + k] = weights[:, k]
-    return basis
+def _design(place: np.ndarray, count: int) -> np.ndarray:
+    """Return the weights of `count` coefficients at lines, as shares of the scan, (n, count)."""
+    return np.stack([np.ones(len(place)), place], 1)[:, :count]
 
 
-def _fit(windows: _Windows, spacing: int, count: int) -> _Course:
+def _fit(windows: _Windows, height: int, count: int) -> _Course:
     """Fit offsets by weighted least squares with Huber's weights, both axes with their own."""
-    design = _design(windows.line, spacing, count)
-    bend = np.diff(np.eye(count), n=2, axis=0) if count > 2 else np.zeros((0, count))
+    design = _design(windows.line / height, count)
     coefficients = np.empty((count, 2))
     for axis in range(2):
         weight = 1 / np.linalg.inv(windows.information)[:, axis, axis]
         goal, robust = windows.shift[:, axis], np.ones(len(weight))
         for _ in range(10):
-            w = weight * robust
-            normal = design.T @ (w[:, None] * design) + STIFFNESS * w.sum() * bend.T @ bend
-            coefficients[:, axis] = np.linalg.lstsq(normal, design.T @ (w * goal), rcond=None)[0]
-            miss = np.abs(goal - design @ coefficients[:, axis]) * np.sqrt(weight)
+            root = np.sqrt(weight * robust)
+            solved = np.linalg.lstsq(root[:, None] * design, root * goal, rcond=None)[0]
+            miss = np.abs(goal - design @ solved) * np.sqrt(weight)
             robust = np.minimum(
                 1.0, 1.5 * 1.4826 * max(np.median(miss), 1e-12) / np.maximum(miss, 1e-12)
             )
-    return _Course(spacing, coefficients)
+        coefficients[:, axis] = solved
+    return _Course(height, coefficients)
 
 
 def _chosen(halves: Sequence[_Windows], height: int) -> _Course:
-    """Return the simplest course that predicts the other half of the bands as well as a richer one."""
-    both = _together(halves)
-    candidates = [(height, 1), (height, 2)]
-    candidates += [
-        (k, -(-height // k) + 3) for k in KNOTS_PX if k < height and k >= 2 * _pace(both)
-    ]
-    if np.array_equal(halves[0].shift, halves[1].shift):  # one band: nothing is left out
-        candidates = candidates[:2]
-    best, least = candidates[0], np.inf
-    for spacing, count in candidates:
-        if 2 * len(both.line) < 3 * count:
-            continue
+    """Return a constant, or a slope where it predicts the other half of the bands better."""
+    errors = []
+    for count in (1, 2):
         error = 0.0
         for one, other in (halves, halves[::-1]):
-            miss = other.shift - _fit(one, spacing, count)(other.line)
+            miss = other.shift - _fit(one, height, count)(other.line)
             size = np.einsum("ni,nij,nj->n", miss, other.information, miss)
             error += float(np.minimum(size, 9 * max(np.median(size), 1e-12)).sum())
-        if error < GAIN * least:
-            best, least = (spacing, count), error
-    return _fit(both, *best)
-
-
-def _pace(windows: _Windows) -> float:
-    return float(np.median(np.diff(windows.line)))
+        errors.append(error)
+    return _fit(_together(halves), height, 2 if errors[1] < GAIN * errors[0] else 1)
 
 
 def _together(halves: Sequence[_Windows]) -> _Windows:
@@ -353,14 +312,15 @@ def _together(halves: Sequence[_Windows]) -> _Windows:
     return _Windows(one.line, np.linalg.solve(total, goal[..., None])[..., 0], total / 2)
 
 
-def _error(halves: Sequence[_Windows], course: _Course) -> float:
-    """Return the standard error of the offset, px: of the windows' scatter, and of what they promise."""
+def _error(halves: Sequence[_Windows], course: _Course) -> tuple[float, float]:
+    """Return the standard error of the offset, px, by the windows' scatter and by what they promise; and that scatter where it is more than noise, else 0."""
     both = _together(halves)
-    miss = both.shift - course(both.line)
-    share = np.sqrt(min(1.0, 3 * len(course.coefficients) / len(miss)))
-    scatter = 1.4826 * np.median(np.abs(miss), 0) * share
+    scatter = 1.4826 * np.median(np.abs(both.shift - course(both.line)), 0)
+    share = np.sqrt(min(1.0, 3 * len(course.coefficients) / len(both.line)))
     promised = np.sqrt(np.diag(np.linalg.inv(both.information.sum(0))))
-    return float(np.maximum(scatter, promised).max())
+    noise = np.sqrt(np.median(np.diagonal(np.linalg.inv(both.information), 0, 1, 2), 0))
+    beyond = np.where(scatter > NOISE * noise, scatter, 0.0)
+    return float(np.maximum(scatter * share, promised).max()), float(beyond.max())
 
 
 def _fraction(offset: np.ndarray) -> np.ndarray:
@@ -375,13 +335,11 @@ def _apart(
     found: str,
     expected: str = f"an overlap with a correlation of at least {LEAST_CORRELATION}",
 ) -> RegistrationRefused:
-    return RegistrationRefused(
-        Problem(
-            "E_STRIPS",
-            "two strips of a scan cannot be joined",
-            found=found,
-            expected=expected,
-            fix="Check that the names order the strips from left to right and that each overlaps the next. "
-            "Where the stage wobbles, write {column} where their numbers stand in `files`: each is then registered by itself.",
-        )
+    return refusal(
+        "E_STRIPS",
+        "two strips of a scan cannot be joined",
+        found=found,
+        expected=expected,
+        fix="Check that the names order the strips from left to right and that each overlaps the next. "
+        "Where the stage wobbles, write {column} where their numbers stand in `files`: each is then registered by itself.",
     )

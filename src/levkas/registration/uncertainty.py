@@ -24,36 +24,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class UncertaintySettings:
-    """Constants of the uncertainty.
-
-    Parameters
-    ----------
-    lattice : (int, int)
-        Nodes along and down the reference's frame.
-    decimals : int
-        Of sigma, reference px.
-    folds_factor : float
-        The variance over folds is this much too small: of few of them it is uncertain, and what errs
-        alike over more than a block none of them shows. Measured on pairs of pictures
-        (`benchmarks/verdict.py battery`).
-    bands_factor : float
-        The same for a band against its neighbours in wavelength; measured on nine simulated campaigns and two paintings of another
-        simulation: with 1.4 the errors of the reference's own bands are 0.6 to 1.3 sigmas, in the median 0.84.
-        `benchmarks/registration.py` measures both on others.
-    local_share : float
-        Share of the variance of the folds that is taken at the place itself, the rest from the whole
-        frame: nine folds say little of one place.
-    stray : float, px a px
-        How far a map may stray for each px that it reaches beyond what windows confirm; measured on cut
-        and bent pairs (those of `benchmarks/verdict.py classes`).
-    """
+    """Constants of the uncertainty."""
 
     lattice: tuple[int, int] = (9, 7)
+    """Nodes along and down the reference's frame."""
     decimals: int = 5
+    """Of sigma, reference px."""
     folds_factor: float = 1.4
+    """The variance over folds is this much too small: of few of them it is uncertain, and what errs alike over more than a
+    block none of them shows. Measured on pairs of pictures (`benchmarks/verdict.py battery`)."""
     bands_factor: float = 1.4
+    """The same for a band against its neighbours in wavelength; measured on nine simulated campaigns and two paintings of
+    another simulation: with 1.4 the errors of the reference's own bands are 0.6 to 1.3 sigmas, in the median 0.84.
+    `benchmarks/registration.py` measures both on others."""
     local_share: float = 0.5
+    """Share of the variance of the folds that is taken at the place itself, the rest from the whole frame: nine folds say
+    little of one place."""
     stray: float = 0.06
+    """In px a px: how far a map may stray for each px that it reaches beyond what windows confirm; measured on cut and bent
+    pairs (those of `benchmarks/verdict.py classes`)."""
 
 
 SETTINGS = UncertaintySettings()
@@ -79,7 +68,6 @@ def measure_sigma(
     shape : (height, width) of the reference
     labels : sequence of str
         Bands, in the order of `chromatic`.
-    chromatic : ChromaticShifts
     selected : SelectedModel, optional
         The base map; the reference's own sensor has none.
     reference : mapping of label to Sigma, optional

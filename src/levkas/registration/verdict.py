@@ -12,9 +12,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from levkas.registration.advice import LOOK, describe_placement, percent
+from levkas.registration.advice import (
+    LEAST_OUTSIDE,
+    LOOK,
+    Numbers,
+    checked_share,
+    describe_placement,
+    object_share,
+    percent,
+)
 from levkas.registration.record import Decision, Verdict
-from levkas.registration.shares import LEAST_OUTSIDE, Numbers, checked_share, object_share
 from levkas.registration.verdict_rules import (
     MATCHES,
     ONLY,
@@ -34,8 +41,7 @@ def judge_matches(numbers: dict[str, Any]) -> Verdict:
         f"{numbers['window_median']:.2f} px. The held-out error is {numbers['held_out_median']:.2f} px."
     )
     objections = [
-        (one.reason, one.on_matches or one.next_step, one.decision)
-        for one in objections_to(numbers, MATCHES)
+        (one.reason, one.next_step, one.decision) for one in objections_to(numbers, MATCHES)
     ]
     objections += _outside_of_outline(1 - object_share(numbers))
     verdict = _decide(objections, (praise,), numbers, _unchecked(numbers))
@@ -75,6 +81,22 @@ def judge_windows(numbers: Mapping[str, Numbers]) -> Verdict:
         reasons=reasons + verdict.reasons,
         next_step=LOOK,
         unchecked=1.0,
+    )
+
+
+def worst_of(verdicts: Mapping[str, Verdict]) -> Verdict:
+    """Return the verdict on a camera by those on its sensors: the worst decision, with the reasons of all that have it."""
+    if len(verdicts) == 1:
+        return next(iter(verdicts.values()))
+    worst = max((v.decision for v in verdicts.values()), key=("accept", "warn", "refuse").index)
+    chosen = {name: v for name, v in verdicts.items() if v.decision == worst}
+    return Verdict(
+        worst,
+        tuple(_where(name) + reason for name, one in chosen.items() for reason in one.reasons),
+        next(iter(chosen.values())).next_step,
+        {name: one.numbers for name, one in verdicts.items()},
+        max(one.unchecked for one in verdicts.values()),
+        max(one.outside for one in verdicts.values()),
     )
 
 

@@ -15,23 +15,17 @@ import numpy as np
 
 from levkas.registration.advice import (
     BY_HAND,
-    LITTLE,
     LOOK,
     OTHER,
     POINTS,
     REGION,
-    advice_on_shape,
-    describe_sampling,
-    is_unlike,
-    percent,
-)
-from levkas.registration.line_displacement import describe_correction, describe_displacement
-from levkas.registration.shares import (
     Numbers,
     checked_share,
     object_share,
     overlap_share,
+    percent,
 )
+from levkas.registration.line_displacement import describe_correction, describe_displacement
 
 Finding = Literal["refuse", "warn", "unchecked"]
 """Result of one rule: refused, contradicted somewhere, or not checked somewhere, which is only reported."""
@@ -57,91 +51,70 @@ SCAN_LINES = Limits(0.35, 1.0)
 
 @dataclass(frozen=True)
 class VerdictSettings:
-    """Limits of the rules.
-
-    Parameters
-    ----------
-    matches_per_term, sure_matches_per_term : int
-        Matches for each coefficient of a polynomial that are needed; that make up for missing windows.
-    chance_factor : float
-        Matches that are kept, over those kept of places that are paired at random.
-    scales : (float, float)
-        Target px per reference px that a camera can have.
-    anisotropy, area_ratio, second_peak_ratio : Limits
-        Stretch one way over across; largest to smallest local area; correlation of the pictures at the
-        best place elsewhere, relative to here.
-    overlap : Limits
-        Least share of the reference that the target shows.
-    coverage : Limits
-        Least share of the cells that matches or windows confirm, of a map on matches.
-    least_coverage, off_share : float
-        Share of cells confirmed by windows below which, and share of cells off above which, a dense map
-        is refused.
-    least_found, least_found_share, least_agreeing_share : float
-        Windows that have to be found, in number and as a share; share of them that have to agree.
-    sure_share : float
-        Share of all check windows that agree, from which it does not matter how the search was begun.
-    predicted : Limits
-        Least share of check windows that match better than 19 of 20 unrelated windows.
-    good_steps, bad_px, bad_steps : float
-        Held-out error: px of the compared grid that are a warning; reference px, and px of the grid,
-        that are refused. Where the target is coarse, single windows scatter more than the map is off.
-    scatter : float
-        Held-out error over the sigma of single windows up to which their own noise explains it: 0.6 to 1.05
-        of right maps of infrared pictures, 0.8 to 11 of maps that are wrong somewhere.
-    least_cover, least_checked : float
-        Share of the reference below which the compared share is stated; share of what both show
-        below which a map only reaches over too much, and is doubtful.
-    marks : float
-        Correlation of marks in one light that it is not above: of copies by one pattern (`benchmarks/verdict.py classes`).
-    alike : float
-        Cells in one plane differ in how far they are off by at most this share of it.
-    least_outlines, least_outlines_share : int, float
-        Large blocks that have to agree by their outlines, in number and as a share, where windows are not
-        recognised.
-    lines : Limits, reference px, or px of the grid where it is coarser
-        Displacement of single lines, the root mean square of both axes. Honest pictures have 0.04 at
-        most that is more than chance.
-    scan_lines : Limits, px of the grid
-        The same of maps of a scan, of which a line is known to lie up to a third of a px aside: it is reported.
-    align_px : float, px of a sensor
-        From a declared alignment; refocusing moves the sensors of a camera against one another by a px or two.
-    """
+    """Limits of the rules."""
 
     matches_per_term: int = 4
     sure_matches_per_term: int = 10
-    chance_factor: float = 2
+    """`matches_per_term`, `sure_matches_per_term`: matches for each coefficient of a polynomial that are needed; that make
+    up for missing windows."""
     scales: tuple[float, float] = (0.15, 6.7)
+    """Target px per reference px that a camera can have."""
     anisotropy: Limits = ANISOTROPY
     area_ratio: Limits = AREA_RATIO
     second_peak_ratio: Limits = SECOND_PEAK_RATIO
+    """`anisotropy`, `area_ratio`, `second_peak_ratio`: stretch one way over across; largest to smallest local area;
+    correlation of the pictures at the best place elsewhere, relative to here."""
     overlap: Limits = OVERLAP
+    """Least share of the reference that the target shows."""
     coverage: Limits = COVERAGE
+    """Least share of the cells that matches or windows confirm, of a map on matches."""
     least_coverage: float = 0.15
     off_share: float = 0.2
+    """`least_coverage`, `off_share`: share of cells confirmed by windows below which, and share of cells off above which, a
+    dense map is refused."""
     least_found: int = 6
     least_found_share: float = 0.05
     least_agreeing_share: float = 0.6
+    """`least_found`, `least_found_share`, `least_agreeing_share`: windows that have to be found, in number and as a share;
+    share of them that have to agree."""
     sure_share: float = 0.75
+    """Share of all check windows that agree, from which it does not matter how the search was begun."""
     predicted: Limits = PREDICTED
+    """Least share of check windows that match better than 19 of 20 unrelated windows."""
     good_steps: float = 0.25
     bad_px: float = 1.0
     bad_steps: float = 0.3
+    """`good_steps`, `bad_px`, `bad_steps`: held-out error: px of the compared grid that are a warning; reference px, and px
+    of the grid, that are refused. Where the target is coarse, single windows scatter more than the map is off."""
     scatter: float = 1.0
+    """Held-out error over the sigma of single windows up to which their own noise explains it: 0.6 to 1.05 of right maps of
+    infrared pictures, 0.8 to 11 of maps that are wrong somewhere."""
     least_cover: float = 0.5
     least_checked: float = 0.75
+    """`least_cover`, `least_checked`: share of the reference below which the compared share is stated; share of what both
+    show below which a map only reaches over too much, and is doubtful."""
     marks: float = 0.25
-    alike: float = 0.5
+    """Correlation of marks in one light that it is not above: of copies by one pattern (`benchmarks/verdict.py classes`)."""
     least_outlines: int = 14
     least_outlines_share: float = 0.75
+    """`least_outlines`, `least_outlines_share`: large blocks that have to agree by their outlines, in number and as a share,
+    where windows are not recognised."""
     lines: Limits = LINES
+    """In reference px, or px of the grid where it is coarser: displacement of single lines, the root mean square of both
+    axes. Honest pictures have 0.04 at most that is more than chance."""
     scan_lines: Limits = SCAN_LINES
+    """In px of the grid: the same of maps of a scan, of which a line is known to lie up to a third of a px aside: it is
+    reported."""
     align_px: float = 3.0
+    """In px of a sensor: from a declared alignment; refocusing moves the sensors of a camera against one another by a px or
+    two."""
 
 
 SETTINGS = VerdictSettings()
-LEAST_TERMS = 3
-"""Coefficients of a polynomial of order 1, the lowest that is fitted."""
+UNEVEN = (
+    "A scan that moved unevenly does this, lost lines, interlaced halves, and a program that bent or turned the picture by "
+    "whole pixels: use the file as the camera wrote it, or capture it again."
+)
 TRY_LEVKAS = "try the method `levkas`"
 #: Name among the numbers of a sensor without one.
 ONLY = "sensor"
@@ -149,23 +122,13 @@ ONLY = "sensor"
 
 @dataclass(frozen=True)
 class Objection:
-    """One rule's objection to a registration.
-
-    Parameters
-    ----------
-    decision : {"refuse", "warn", "unchecked"}
-    reason, next_step : str
-    on_matches : str
-        The next step for a map on matches, where its method has options that a dense map has not.
-    lacks_evidence : bool
-        Whether nothing contradicts the map, and little could be compared.
-    """
+    """One rule's objection to a registration."""
 
     decision: Finding
     reason: str
     next_step: str
-    on_matches: str = ""
     lacks_evidence: bool = False
+    """Whether nothing contradicts the map, and little could be compared."""
 
 
 def _error_text(error: float) -> str:
@@ -196,17 +159,6 @@ def enough_matches(n: Numbers) -> Objection | None:
         f"Only {n['kept']} matches were kept. A map with {n['terms']} coefficients for each of x and y "
         f"needs at least {least}.",
         f"{OTHER}; if they do, raise `reject` or {TRY_LEVKAS}.",
-    )
-
-
-def more_than_chance(n: Numbers) -> Objection | None:
-    """Refuse matches that are hardly more than random pairs give."""
-    if n["kept"] > SETTINGS.chance_factor * n["chance_kept"]:
-        return None
-    return Objection(
-        "refuse",
-        f"{n['kept']} matches were kept. Of pairs formed at random {n['chance_kept']} are kept: the map may be due to chance.",
-        f"{OTHER}; if they do, lower `reject` or {TRY_LEVKAS}.",
     )
 
 
@@ -272,23 +224,11 @@ def does_not_fold(n: Numbers) -> Objection | None:
         )
     if n["folded"] == 0:
         return None
-    folded, little = percent(n["folded"]), n["overlap"] < LITTLE
-    scale = float(np.sqrt(n["scale_min"] * n["scale_max"])) if "scale_min" in n else 1.0
-    part = f", which is {percent(n['overlap'])} of the reference" if little else ""
-    part += f"; {describe_sampling(scale)}" if is_unlike(scale) else ""
     return Objection(
         "refuse",
-        f"The map folds or is undefined in {folded} of the overlap{part}.",
-        advice_on_shape(n["overlap"], scale),
-        "" if little or is_unlike(scale) else _with_lower_order(n),
+        f"The map folds or is undefined in {percent(n['folded'])} of the overlap.",
+        BY_HAND,
     )
-
-
-def _with_lower_order(n: Numbers) -> str:
-    """Return the advice to fit a polynomial of lower order, where there is one."""
-    is_least = n.get("terms") == LEAST_TERMS
-    other = TRY_LEVKAS if is_least else "lower the order of the polynomial"
-    return f"{OTHER}; if they do, {other}."
 
 
 def has_plausible_shape(n: Numbers) -> Objection | None:
@@ -300,7 +240,7 @@ def has_plausible_shape(n: Numbers) -> Objection | None:
         return Objection(
             "refuse",
             f"The scale of the map is {n['scale_min']:.3g} to {n['scale_max']:.3g}; a camera gives {low:g} to {high:g}.",
-            advice_on_shape(1.0, float(np.sqrt(n["scale_min"] * n["scale_max"]))),
+            BY_HAND,
         )
     decisions = (
         SETTINGS.anisotropy.exceeded_by(n["anisotropy"]),
@@ -327,7 +267,7 @@ def predicts_matches(n: Numbers) -> Objection | None:
             f"The held-out error is {text}: nothing confirms the map between its matches."
             if np.isinf(miss)
             else f"The held-out error is {text}: the map fits its own matches and is wrong between them.",
-            _with_lower_order(n),
+            f"{OTHER}; if they do, lower `order` or {TRY_LEVKAS}.",
         )
     if n["held_out_p90"] > 3 * n["tolerance"]:
         return Objection(
@@ -357,7 +297,6 @@ def windows_agree(n: Numbers) -> Objection | None:
             "refuse",
             f"Only {n['agreeing']} of the {n['found']} check windows that were found agree with the map{median}.",
             BY_HAND,
-            f"{OTHER}; if they do, raise `reject` or {TRY_LEVKAS}.",
         )
     return None
 
@@ -369,7 +308,6 @@ def fits_nowhere_else(n: Numbers) -> Objection | None:
             "refuse",
             "The pictures agree better at another shift: the map is in the wrong place.",
             BY_HAND,
-            f"{OTHER}; if they do, {TRY_LEVKAS}, or {POINTS}.",
         )
     decision = SETTINGS.second_peak_ratio.exceeded_by(n["second_peak_ratio"])
     if decision is None:
@@ -437,7 +375,7 @@ def _off_or_unconfirmed(n: Numbers) -> Objection | None:
         ]
         part = _part(n, n["off_share"] * len(far or n["off"]) / len(n["off"]))
         what = "The map is wrong" if far else "Check windows do not confirm the map"
-        where = f"{_places(far or n['off'])}{_plane(n) if far else ''}"
+        where = f"{_places(far or n['off'])}"
         return Objection("warn", f"{what} in {part} {where}.", REGION)
     if n["coverage"] >= SETTINGS.coverage.warn:
         return None
@@ -451,19 +389,6 @@ def _off_or_unconfirmed(n: Numbers) -> Objection | None:
 def _part(n: Numbers, share: float) -> str:
     """Return a share of what both pictures show of the object as one of the layer, in words."""
     return f"{percent(share * overlap_share(n))} of the layer"
-
-
-def _plane(n: Numbers) -> str:
-    """Describe a common shift of the cells that are off, as of a part in another plane; empty without one."""
-    shifts = np.array(n.get("off_shift") or np.empty((0, 2)), float)
-    if len(shifts) < 2:
-        return ""
-    middle = np.median(shifts, 0)
-    length = float(np.hypot(*middle))
-    apart = np.hypot(*(shifts - middle).T)
-    if not (apart <= max(n["tolerance"], SETTINGS.alike * length)).all():
-        return ""
-    return f", everywhere by about {length:.1f} px: the object has more than one plane, or a part has moved; the map follows the larger part"
 
 
 def is_checked(n: Numbers) -> Objection | None:
@@ -510,28 +435,28 @@ def lines_lie_still(n: Numbers) -> Objection | None:
     Less than the limit is named, and so are lines that the map follows.
     """
     lines, followed = n.get("line_displacement"), n.get("line_correction")
-    found: list[tuple[Finding | None, str, str]] = []
+    found: list[tuple[Finding | None, str]] = []
     if lines and lines["displaced"]:
         limits = SETTINGS.scan_lines if n.get("scales") else SETTINGS.lines
         decision = limits.exceeded_by(lines["rms_px"] / lines["step"])
-        found.append((decision, *describe_displacement(lines)))
+        found.append((decision, describe_displacement(lines)))
     if followed:
         decision = SETTINGS.lines.exceeded_by(followed["uneven_px"] / followed["before"]["step"])
-        found.append((decision, *describe_correction(followed)))
+        found.append((decision, describe_correction(followed)))
     if not found:
         return None
-    decision, _, repair = max(found, key=lambda one: (None, "warn", "refuse").index(one[0]))
-    reasons = " ".join(text for _, text, _ in reversed(found))
-    return Objection(decision or "unchecked", reasons, repair if decision else "")
+    decision = max((one for one, _ in found), key=(None, "warn", "refuse").index)
+    reasons = " ".join(text for _, text in reversed(found))
+    return Objection(decision or "unchecked", reasons, UNEVEN if decision else "")
 
 
 def lies_where_declared(n: Numbers) -> Objection | None:
-    """Warn of a sensor that lies elsewhere than its declared alignment puts it; refuse where that is the map itself."""
+    """Warn of a sensor that lies elsewhere than its declared alignment puts it."""
     apart = n.get("align_apart_px")
     if apart is None or apart <= SETTINGS.align_px:
         return None
     return Objection(
-        "refuse" if n.get("align_is_map") else "warn",
+        "warn",
         f"The sensor lies {apart:.1f} of its px from where the declared `align` puts it.",
         "Correct this sensor's `align` in campaign.toml, or take it out to have it measured.",
     )
@@ -563,9 +488,8 @@ BOTH = MATCHES | WINDOWS
 
 #: Rules in the order of their reasons, and whether the maps that they judge rest on matches or windows.
 RULES: dict[Rule, frozenset[str]] = {
-    lines_lie_still: BOTH,
+    lines_lie_still: WINDOWS,
     enough_matches: MATCHES,
-    more_than_chance: MATCHES,
     begins_with_key_points: WINDOWS,
     better_than_chance: WINDOWS,
     predicts_windows: WINDOWS,

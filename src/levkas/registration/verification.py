@@ -33,39 +33,27 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class VerificationSettings:
-    """Constants of the verification.
-
-    Parameters
-    ----------
-    grid : (int, int)
-        Points over the object at which the shape of a map is measured.
-    cells : (int, int)
-        Cells of the object in which windows have to confirm a map.
-    fine_per_cell, fine_least : int
-        Points along either side of a cell, and how many of them both pictures have to show for the cell
-        to count as shown.
-    most_unchecked : int
-        Rectangles of unchecked parts that are recorded.
-    least_found : int
-        Windows of a cell that have to be found for the cell to be off.
-    block : int, px
-        Side of the blocks in which a picture is predicted: what their gains could feign in a window of
-        40 px is little beside chance.
-    ridge : float
-        Of that prediction, as a share of the mean variance.
-    null_quantile : float
-        Of unrelated windows.
-    """
+    """Constants of the verification."""
 
     grid: tuple[int, int] = (24, 18)
+    """Points over the object at which the shape of a map is measured."""
     cells: tuple[int, int] = (6, 5)
+    """Cells of the object in which windows have to confirm a map."""
     fine_per_cell: int = 4
     fine_least: int = 8
+    """`fine_per_cell`, `fine_least`: points along either side of a cell, and how many of them both pictures have to show for
+    the cell to count as shown."""
     most_unchecked: int = 4
+    """Rectangles of unchecked parts that are recorded."""
     least_found: int = 3
+    """Windows of a cell that have to be found for the cell to be off."""
     block: int = 80
+    """In px: side of the blocks in which a picture is predicted: what their gains could feign in a window of 40 px is little
+    beside chance."""
     ridge: float = 1e-3
+    """Of that prediction, as a share of the mean variance."""
     null_quantile: float = 0.95
+    """Of unrelated windows."""
 
     @property
     def fine(self) -> tuple[int, int]:
@@ -81,24 +69,17 @@ SETTINGS = VerificationSettings()
 
 @dataclass(frozen=True)
 class PermutationTest:
-    """Share of one band's windows that are predicted beyond chance, on a grid about as fine as its picture.
-
-    Parameters
-    ----------
-    shifts : WindowShifts
-        Through the map that is judged.
-    chance : float, 0..1
-        Value of `shifts.r2` that 19 of 20 unrelated windows stay below.
-    evidence : dict
-        ``share_above_chance`` of the windows, ``cover`` of the reference, ``chance_r2``.
-    """
+    """Share of one band's windows that are predicted beyond chance, on a grid about as fine as its picture."""
 
     #: Share of the windows; where fewer are predicted beyond chance, something covers the object.
     PARTLY: ClassVar[float] = 0.8
 
     shifts: WindowShifts
+    """Through the map that is judged."""
     chance: float
+    """0..1. Value of `shifts.r2` that 19 of 20 unrelated windows stay below."""
     evidence: dict[str, float]
+    """``share_above_chance`` of the windows, ``cover`` of the reference."""
 
     @property
     def is_partly_covered(self) -> bool:
@@ -143,7 +124,6 @@ def run_permutation_test(predictor: Predictor, images: Sequence[np.ndarray]) -> 
     evidence = {
         "share_above_chance": float((shifts.r2[used] > level).mean()) if used.any() else 0.0,
         "cover": float(used.sum() / max(able.sum(), 1)),
-        "chance_r2": level,
     }
     return PermutationTest(shifts, level, evidence)
 
@@ -300,22 +280,15 @@ def _enlarged(search: WindowSearch, step: int) -> WindowSearch:
 
 @dataclass(frozen=True)
 class Overlap:
-    """Two pictures and the map between them: which part of the object both show.
-
-    Parameters
-    ----------
-    transform : Transform
-        Reference px → target px.
-    reference, target : ndarray of bool, (h, w)
-        Where each picture is valid.
-    region : (x, y, width, height), reference px, or None
-        Where the object lies.
-    """
+    """Two pictures and the map between them: which part of the object both show."""
 
     transform: Transform
+    """Reference px → target px."""
     reference: np.ndarray
     target: np.ndarray
+    """`reference`, `target`: (h, w). Where each picture is valid."""
     region: tuple[float, ...] | None = None
+    """In reference px, or None: where the object lies."""
 
     @property
     def box(self) -> Box:
@@ -403,17 +376,16 @@ def measure_windows(checks: CheckWindows) -> dict[str, Any]:
     -------
     numbers : dict
         ``windows`` with structure, ``found`` of these, ``agreeing`` of the found;
-        ``window_median``, ``window_p90`` of how far the found ones are off (infinite without any).
+        ``window_median`` of how far the found ones are off (infinite without any).
     """
     found = checks.found
     distance = np.hypot(*checks.shift.T)[found]
-    middle, high = np.percentile(distance, (50, 90)) if found.any() else (np.inf, np.inf)
+    middle = np.median(distance) if found.any() else np.inf
     return {
         "windows": len(found),
         "found": int(found.sum()),
         "agreeing": int(checks.confirmed.sum()),
         "window_median": float(middle),
-        "window_p90": float(high),
     }
 
 
@@ -445,11 +417,10 @@ def measure_cells(
     -------
     numbers : dict
         ``coverage`` 0..1: of the cells that both pictures show and that have structure, the share
-        that is confirmed; ``unsupported``, ``off``, ``outside``: lists of (x, y, width, height),
-        reference px, of the cells where nothing confirms it, where windows lie off it, and that the
-        target does not show; ``off_shift``: by how much windows lie off, (dx, dy) px, in each cell of ``off``. ``checked`` 0..1: of all that both pictures show, with structure or
+        that is confirmed; ``unsupported``, ``off``: lists of (x, y, width, height),
+        reference px, of the cells where nothing confirms it, and where windows lie off it; ``off_shift``: by how much windows lie off, (dx, dy) px, in each cell of ``off``. ``checked`` 0..1: of all that both pictures show, with structure or
         without, the share that is no farther than a window's side from windows that confirm the map;
-        ``checked_box``: the rectangle about that, ``unchecked``: the rectangles about connected parts
+        ``unchecked``: the rectangles about connected parts
         of the rest, the largest first, each with its share of all at the end.
     """
     columns, rows = SETTINGS.cells
@@ -485,7 +456,6 @@ def measure_cells(
         "unsupported": rectangles(judged & ~support & ~off),
         "off": rectangles(judged & off),
         "off_shift": np.round(moved[judged & off], 2).tolist(),
-        "outside": rectangles(~in_view),
         **_measure_checked(box, shown, checks.beyond(fine) == 0),
     }
 
@@ -508,10 +478,8 @@ def _measure_checked(box: Box, shown: np.ndarray, near: np.ndarray) -> dict[str,
     sizes = np.bincount(patches.ravel(), minlength=count + 1)[1:]
     parts = ndimage.find_objects(patches)
     order = np.argsort(-sizes, kind="stable")[: SETTINGS.most_unchecked]
-    whole = ndimage.find_objects(good.astype(int))
     return {
         "checked": float(good.sum() / total),
-        "checked_box": rectangle(whole[0]) if whole else None,
         "unchecked": [[*rectangle(parts[k]), round(float(sizes[k] / total), 4)] for k in order],
     }
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from levkas.core.problems import Problem
 from levkas.geometry.transforms import Transform, solve_2x2
 from levkas.registration.advice import POINTS
 from levkas.registration.depth_step import average_over_windows
@@ -17,7 +15,7 @@ from levkas.registration.manual_points import HAND_PX
 from levkas.registration.model_selection import SelectedModel, SelectionTerms, select_model
 from levkas.registration.models import Observations
 from levkas.registration.predictors import cell_px
-from levkas.registration.record import RegistrationRefused
+from levkas.registration.record import refusal
 
 #: Median of a χ² distribution with two degrees of freedom.
 CHI2_MEDIAN = 1.386
@@ -25,27 +23,18 @@ CHI2_MEDIAN = 1.386
 
 @dataclass(frozen=True)
 class FusionSettings:
-    """Constants of the fusion.
-
-    Parameters
-    ----------
-    least_windows : int
-        Fewer windows determine no base map.
-    overlap : float, cells
-        Windows are three cells wide: those two cells apart still share one.
-    apart : int, cells
-        The next window that shares no pixel with a window.
-    rounds : int
-        Of re-weighting bands against one another, where there are more than two.
-    spacing : float, cells
-        Of the knots of a spline.
-    """
+    """Constants of the fusion."""
 
     least_windows: int = 12
+    """Fewer windows determine no base map."""
     overlap: float = 2.01
+    """In cells: windows are three cells wide: those two cells apart still share one."""
     apart: int = 3
+    """In cells: the next window that shares no pixel with a window."""
     rounds: int = 4
+    """Of re-weighting bands against one another, where there are more than two."""
     spacing: float = 4.0
+    """In cells: of the knots of a spline."""
 
 
 SETTINGS = FusionSettings()
@@ -61,6 +50,8 @@ def fit_base(
     among: np.ndarray | None = None,
 ) -> SelectedModel:
     """Return the base map that the windows of all bands support.
+
+    Raises RegistrationRefused: ``E_WINDOWS``, with fewer than 12.
 
     Parameters
     ----------
@@ -78,23 +69,16 @@ def fit_base(
         Which models may be taken; lengths are filled in here.
     among : ndarray of bool, (n,), optional
         Only of these windows.
-
-    Raises
-    ------
-    RegistrationRefused
-        ``E_WINDOWS``, with fewer than 12.
     """
     common, information = fuse_windows(windows)
     used = has_information(information) & (True if among is None else among)
     if used.sum() < SETTINGS.least_windows:
-        raise RegistrationRefused(
-            Problem(
-                "E_WINDOWS",
-                "too few windows of this sensor match the reference",
-                found=int(used.sum()),
-                expected=f"at least {SETTINGS.least_windows}",
-                fix=f"Check that the frames overlap and that the picture is large enough; if so, {POINTS}.",
-            )
+        raise refusal(
+            "E_WINDOWS",
+            "too few windows of this sensor match the reference",
+            found=int(used.sum()),
+            expected=f"at least {SETTINGS.least_windows}",
+            fix=f"Check that the frames overlap and that the picture is large enough; if so, {POINTS}.",
         )
     points = windows[0].centres[used]
     jacobian = base.jacobian(points)
@@ -186,13 +170,3 @@ def total_information(windows: Sequence[WindowShifts]) -> float | None:
 def has_information(information: np.ndarray) -> np.ndarray:
     """Return which windows, (n, 2, 2), carry any information, (n,) bool."""
     return np.asarray(np.trace(information, axis1=1, axis2=2) > 0)
-
-
-def describe_selection(selected: SelectedModel, step: int) -> dict[str, Any]:
-    """Return the held-out error of every model that was tried at one step, reference px, JSON-ready."""
-    return {
-        "step": step,
-        "windows": len(selected.observations),
-        "model": selected.name,
-        "held_out_px": {name: round(float(score), 5) for name, score in selected.scores.items()},
-    }

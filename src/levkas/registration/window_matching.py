@@ -8,13 +8,13 @@ height is chance is measured on the same pair, with windows searched where they 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from levkas.core.threads import each
-from levkas.geometry.transforms import Composed, Inverse, solve_2x2
+from levkas.geometry.transforms import Composed, Inverse
 from levkas.registration.bands import area_average, pull, region_mask
 from levkas.registration.foreground import nearest_within
 
@@ -24,47 +24,32 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WindowSettings:
-    """Constants of the search; lengths in px of the pictures as they are compared.
-
-    Parameters
-    ----------
-    long_side : int
-        Of the pictures that are compared; larger ones are reduced.
-    window, reach, apart : int
-        Side of a window; how far it is searched; how far another peak has to lie.
-    stride : (int, int)
-        Least and largest distance of windows.
-    windows : int
-        About so many are searched.
-    farthest : float
-        Shifts, as a share of the frame, up to which whole pictures are compared.
-    band : (float, float)
-        Scales between which detail is compared.
-    least_cover : float
-        Share of a window that has to be valid.
-    chance_percent : float
-        Percentile of the peaks of unrelated windows above which a window is found.
-    least_chances : int
-        Unrelated windows by which chance is measured.
-    least_near : int
-        Confirmed windows that have to be near a place: one may be found by chance.
-    reach_cells : float
-        A window of the dense registration is three cells wide, and a frame's rim may be short of one.
-    """
+    """Constants of the search; lengths in px of the pictures as they are compared."""
 
     long_side: int = 800
+    """Of the pictures that are compared; larger ones are reduced."""
     window: int = 40
     reach: int = 12
     apart: int = 4
+    """`window`, `reach`, `apart`: side of a window; how far it is searched; how far another peak has to lie."""
     stride: tuple[int, int] = (8, 24)
+    """Least and largest distance of windows."""
     windows: int = 150
+    """About so many are searched."""
     farthest: float = 0.4
+    """Shifts, as a share of the frame, up to which whole pictures are compared."""
     band: tuple[float, float] = (1.0, 5.0)
+    """Scales between which detail is compared."""
     least_cover: float = 0.9
+    """Share of a window that has to be valid."""
     chance_percent: float = 99.0
+    """Percentile of the peaks of unrelated windows above which a window is found."""
     least_chances: int = 20
+    """Unrelated windows by which chance is measured."""
     least_near: int = 2
+    """Confirmed windows that have to be near a place: one may be found by chance."""
     reach_cells: float = 2.0
+    """A window of the dense registration is three cells wide, and a frame's rim may be short of one."""
 
 
 SETTINGS = WindowSettings()
@@ -72,29 +57,21 @@ SETTINGS = WindowSettings()
 
 @dataclass(frozen=True)
 class WindowSearch:
-    """Windows searched under a map; one row a window inside the overlap that has structure.
-
-    Parameters
-    ----------
-    centres : ndarray, (n, 2), reference px
-    shift : ndarray, (n, 2), reference px
-        From where the map puts the window to where it is found.
-    peak : ndarray, (n,), 0..1
-        Correlation there, whatever its sign.
-    chance : float
-        The peak that 1 % of unrelated windows reach.
-    second_peak_ratio : float, 0..
-        Correlation of the whole pictures at the best place that is not here, relative to here;
-        near 1 where the picture repeats itself.
-    step : float, reference px per working px
-    """
+    """Windows searched under a map; one row a window inside the overlap that has structure."""
 
     centres: np.ndarray
+    """(n, 2), reference px."""
     shift: np.ndarray
+    """(n, 2), reference px. From where the map puts the window to where it is found."""
     peak: np.ndarray
+    """(n,), 0..1. Correlation there, whatever its sign."""
     chance: float
+    """The peak that 1 % of unrelated windows reach."""
     second_peak_ratio: float
+    """0... Correlation of the whole pictures at the best place that is not here, relative to here; near 1 where the picture
+    repeats itself."""
     step: float
+    """Reference px per working px."""
 
     @property
     def found(self) -> np.ndarray:
@@ -106,25 +83,6 @@ class WindowSearch:
 class CheckWindows:
     """Windows of one sensor, searched freely around where its map puts them; one row a window.
 
-    Parameters
-    ----------
-    centres : ndarray, (n, 2), reference px
-    shift : ndarray, (n, 2), reference px
-        From where the map puts the window to where it is found.
-    found : ndarray of bool, (n,)
-        Whether it is recognised beyond chance.
-    tolerance : float, reference px
-        A window that is found within twice that of its place confirms the map.
-    side : float, reference px
-        Of a window; places up to so far from confirmed ones are checked.
-    predicted : ndarray, (m, 2), reference px, optional
-        Windows of the dense registration that are predicted beyond chance, as most around them are. They
-        are smaller and closer, and show more exactly where detail ends.
-    cell : float, reference px
-        How far apart those are.
-    outline : ndarray, (k, 2), reference px, optional
-        Corners of the object: places beside it are as far as the nearest of its own.
-
     Examples
     --------
     >>> checks = CheckWindows(np.array([[0.0, 0], [8, 0]]), np.zeros((2, 2)), np.ones(2, bool), 1.0, 10.0)
@@ -133,13 +91,22 @@ class CheckWindows:
     """
 
     centres: np.ndarray
+    """(n, 2), reference px."""
     shift: np.ndarray
+    """(n, 2), reference px. From where the map puts the window to where it is found."""
     found: np.ndarray
+    """(n,). Whether it is recognised beyond chance."""
     tolerance: float
+    """In reference px: a window that is found within twice that of its place confirms the map."""
     side: float
+    """In reference px: of a window; places up to so far from confirmed ones are checked."""
     predicted: np.ndarray | None = None
+    """(m, 2), reference px. Windows of the dense registration that are predicted beyond chance, as most around them are.
+    They are smaller and closer, and show more exactly where detail ends."""
     cell: float = 0.0
+    """In reference px: how far apart those are."""
     outline: np.ndarray | None = None
+    """(k, 2), reference px. Corners of the object: places beside it are as far as the nearest of its own."""
 
     @property
     def confirmed(self) -> np.ndarray:
@@ -163,16 +130,6 @@ class CheckWindows:
             near = np.asarray(cKDTree(self.predicted).query(points)[0])
             far = np.maximum(far, near - SETTINGS.reach_cells * self.cell)
         return np.asarray(np.maximum(far, 0.0))
-
-    def through(self, before: Transform, after: Transform) -> CheckWindows:
-        """Return the same windows under another map: each lies in the target where it was found.
-
-        `before` is the map under which they were searched, `after` the other one.
-        """
-        miss = before(self.centres + self.shift) - after(self.centres)
-        shift = solve_2x2(after.jacobian(self.centres), miss)
-        known = np.isfinite(shift).all(1)
-        return replace(self, shift=np.where(known[:, None], shift, 1e6), found=self.found & known)
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready record, a list a column."""

@@ -138,9 +138,12 @@ def joined(one: ManualPoints, other: ManualPoints) -> ManualPoints:
 
 
 def _of_capture(campaign: Campaign, capture: Capture, path: Path) -> dict[str, ControlPoints]:
-    from levkas.registration.control_points import PointsRefused
-    from levkas.registration.control_points.dialects import read_points
-    from levkas.registration.control_points.layers import is_table_of_frames, read_table_of_frames
+    from levkas.registration.control_points import (
+        PointsRefused,
+        is_table_of_frames,
+        read_points,
+        read_table_of_frames,
+    )
 
     if is_table_of_frames(path):
         rows = read_table_of_frames(path)

@@ -29,10 +29,7 @@ SCALE_PAIRS, LEAST_SCALE_PAIRS = 8, 3
 """Pairs of neighbours that are tried, and that suffice, to learn how far the stage's unit is in pixels."""
 FEW_TILES = 6
 """Up to so many tiles all pairs are compared: names and positions, which may be wrong, are not needed."""
-HELD_BY_HAND = "placed by hand; the pictures do not confirm it"
 BY_POSITION = "Set pairs beside a neighbour in `levkas inspect CAMPAIGN`, or capture this tile with more overlap."
-OVERLAP_UNKNOWNS = 4
-"""Unknowns an axis of the map between two tiles: at its windows, on average, its variance is so many times that of their mean."""
 RIGID = ("pattern", "sensors", "file")
 """Cameras whose bands are captured at once: they lie alike in all tiles."""
 
@@ -70,14 +67,11 @@ def place_reference(
         if name not in placement.transforms:
             found[name] = left_out(placement.left_out.get(name, "not placed"), size)
             continue
-        onto, sigma = Inverse(placement.transforms[name]), _sigma_beside(placement, name)
+        onto, sigma = Inverse(placement.transforms[name]), placement.sigma[name]
         verdict = Verdict("accept")
         count = sum(len(given.fixed) for pair, given in by_hand.items() if pair[1] == name)
         if name in placement.by_position:
             verdict = Verdict("warn", (placement.by_position[name],), BY_POSITION)
-        if name in placement.by_hand:
-            verdict, count = Verdict("by hand", (HELD_BY_HAND,)), placement.by_hand[name]
-            sigma = max(sigma, placement.sigma[name])
         maps = {label: Composed(onto, one) for label, one in own[name].items()}
         flat = _even(sigma, placement.size)
         found[name] = FoundTile(
@@ -105,19 +99,6 @@ class _Pictures(Mapping[str, "BandImage"]):
 
     def __len__(self) -> int:
         return len(self._names)
-
-
-def _sigma_beside(placement: TilePlacement, name: str) -> float:
-    """Return how well a tile lies on its neighbours, mosaic px: that of its overlaps, shared by both tiles of each.
-
-    How well its place in the frame of the whole mosaic is known, which may be bent as a whole, is in the record of the placement.
-    """
-    beside = [
-        (OVERLAP_UNKNOWNS * one["sigma"] ** 2 + max(one["off"], one["misfit"]) ** 2) / 2
-        for one in placement.overlaps
-        if one["used"] and name in one["tiles"]
-    ]
-    return float(np.sqrt(np.mean(beside))) if beside else placement.sigma[name]
 
 
 def _even(sigma: float, size: tuple[int, int]) -> Sigma:

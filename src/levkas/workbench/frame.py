@@ -21,7 +21,6 @@ from levkas.workbench.session import apply_corrections, refused
 
 if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import Capture, SensorFrames
-    from levkas.registration.record import Matches
     from levkas.workbench.session import CorrectionResult, CorrectionSession
 
 SIDES = ("reference", "target")
@@ -345,22 +344,27 @@ class RegistrationView:
             "png": base64.b64encode(png).decode("ascii"),
         }
 
-    def export(self, dialect: str) -> tuple[str, bytes, list[str]]:
-        """Return the pairs as a file of a dialect, its name first, and what it cannot hold."""
-        from levkas.registration.control_points import DIALECTS, format_points, losses
+    def export(self) -> tuple[str, bytes]:
+        """Return the pairs as a CSV, its name first."""
+        from levkas.registration.control_points import ControlPoints, format_points
 
-        points = self._points(self.session.view.matches)
-        data = format_points(points, dialect)
+        matches = self.session.view.matches
+        points = ControlPoints(
+            matches.reference,
+            matches.target,
+            enabled=matches.state != "removed",
+            check=matches.state == "check",
+        )
         parts = [self.capture.object, self.view.frame]
         stem = "_".join(parts if self.view.is_first else [*parts, self.view.sensor.name])
-        return stem + DIALECTS[dialect].suffix, data, losses(points, dialect)
+        return f"{stem}.csv", format_points(points)
 
-    def take(self, data: bytes, dialect: str | None) -> dict[str, Any]:
+    def take(self, data: bytes) -> dict[str, Any]:
         """Add the pairs of a file: those that are there already stay as they are."""
         from levkas.registration.control_points import parse_points
         from levkas.registration.manual_points import nearest_rows
 
-        points = parse_points(data, dialect=dialect)
+        points = parse_points(data)
         rows = np.hstack([points.reference, points.target])
         matches = self.session.view.matches
         here = np.hstack([matches.reference, matches.target]).reshape(-1, 4)
@@ -371,17 +375,6 @@ class RegistrationView:
             [tuple(row) for row in rows[new & check].tolist()],
         )
         return {"imported": int(new.sum()), "known": int((~new).sum())}
-
-    def _points(self, matches: Matches) -> Any:
-        from levkas.registration.control_points import ControlPoints
-
-        return ControlPoints(
-            matches.reference,
-            matches.target,
-            names=tuple(map(str, self.session.number().tolist())),
-            enabled=matches.state != "removed",
-            check=matches.state == "check",
-        )
 
     def _reach(self, which: str) -> float:
         """How far the map may be off: much where it rests on few pairs."""

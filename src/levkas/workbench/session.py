@@ -32,7 +32,7 @@ from levkas.registration.manual_points import (
     measure_checks,
     nearest_rows,
 )
-from levkas.registration.mirhashemi2019 import SETTINGS, scale_only
+from levkas.registration.mirhashemi2019 import REJECT_SHARE, scale_only
 from levkas.registration.outliers import Cleaned, RemovalTerms, clean, cut
 from levkas.registration.record import HandMark, Matches, MatchState, RegistrationRefused
 from levkas.registration.request import check_outline
@@ -545,7 +545,7 @@ def reject_of(size: tuple[int, int]) -> float:
     >>> round(reject_of((1392, 1040)), 1)
     108.6
     """
-    return float(np.hypot(*size)) * SETTINGS.reject_share
+    return float(np.hypot(*size)) * REJECT_SHARE
 
 
 def order_of(count: int) -> int:

@@ -451,7 +451,6 @@ def test_points_are_saved_and_come_back(bench, tmp_path):
     assert told(page, "session.value.pairs.length") == 242
     (added,) = server.edits.added
     page.locator("#files").click()
-    page.locator("#dialect").select_option("bigwarp")
     with page.expect_download() as download:
         page.locator("#export").click()
     path = tmp_path / download.value.suggested_filename

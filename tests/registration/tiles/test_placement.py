@@ -1,8 +1,5 @@
 """Tiles cut from one texture by known maps, placed again."""
 
-from collections.abc import Mapping
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
@@ -39,23 +36,6 @@ def cut(scene, corner, rng, lens):
     return BandImage.of("1", values.astype(np.float32)), onto
 
 
-class Lazy(Mapping):
-    """Tiles that are made anew whenever they are read, which is counted."""
-
-    def __init__(self, tiles, order):
-        self.tiles, self.order, self.reads = tiles, order, 0
-
-    def __getitem__(self, name):
-        self.reads += 1
-        return self.tiles[name]
-
-    def __iter__(self):
-        return iter(self.order)
-
-    def __len__(self):
-        return len(self.tiles)
-
-
 @pytest.fixture(scope="module")
 def mosaic():
     rng, scene = np.random.default_rng(7), texture(1)
@@ -88,7 +68,6 @@ def test_tiles_lie_where_they_were_cut(mosaic, placed):
     _, truth, _ = mosaic
     off = errors(placed, truth)
     assert off.mean() < 0.25  # tiles of 200 px; most of it bends all of them
-    assert np.sqrt((off**2).mean() / 2) < 2 * np.mean(list(placed.sigma.values()))
     assert off.max() < 0.4
     assert placed.rms < 0.05
 
@@ -102,15 +81,6 @@ def test_what_does_not_belong_is_left_out_with_its_reason(placed):
     )
 
 
-def test_the_box_of_the_mosaic_holds_all_tiles(placed):
-    places = np.concatenate([one(GRID) for one in placed.transforms.values()])
-    width, height = placed.size
-    assert (places.min(0) >= -0.5).all() and (places.min(0) < 1).all()
-    assert (places.max(0) <= np.array([width, height]) - 0.5).all()
-    corner = placed.transforms["r0c0"].jacobian(np.array([[99.5, 79.5]]))[0]
-    np.testing.assert_allclose(corner, np.eye(2), atol=2e-3)  # the first tile is not turned
-
-
 def test_the_record_gives_the_placement_back(placed):
     import json
 
@@ -118,18 +88,6 @@ def test_the_record_gives_the_placement_back(placed):
     for name, one in placed.transforms.items():
         np.testing.assert_allclose(again.transforms[name](GRID), one(GRID), atol=1e-9)
     assert again.sigma == placed.sigma and again.size == placed.size
-
-
-def test_order_and_positions_change_nothing_but_the_work(mosaic):
-    tiles, _, corners = mosaic
-    names = ["r0c0", "r0c1"]
-    few = {name: tiles[name] for name in names}
-    one = place_tiles(Lazy(few, names), starts=corners)
-    lazy = Lazy(few, names[::-1])
-    other = place_tiles(lazy, starts=dict(reversed(corners.items())))
-    assert one.to_dict() == other.to_dict()
-    assert set(one.transforms) == set(names)
-    assert lazy.reads <= 3 * len(names)
 
 
 @pytest.mark.slow
@@ -143,31 +101,10 @@ def test_pairs_by_hand_place_a_tile_that_key_points_do_not(mosaic):
     pairs = np.hstack([places, there])
     assert set(place_tiles(some).left_out) == {"r1c1"}
     started = place_tiles(some, by_hand={("r1c0", "r1c1"): ManualPoints(added=pairs)})
-    assert (started.left_out, started.by_hand) == ({}, {})
-    assert errors(started, truth).max() < 0.6
-
+    assert started.left_out == {} and errors(started, truth).max() < 0.6
     plain = BandImage.of("1", 0.4 + rng.normal(size=clear.shape).astype(np.float32) * 0.01)
-    some = {**tiles, "r1c1": plain}
-    only = ManualPoints(added=pairs[:, [2, 3, 0, 1]])
-    left = place_tiles(some, by_hand={("r1c1", "r1c0"): only}).left_out
-    assert "can be placed by hand" in left["r1c1"]
-    accepted = replace(only, accepted=True)
-    placed = place_tiles(some, by_hand={("r1c1", "r1c0"): accepted})
-    assert placed.by_hand == {"r1c1": 5} and not placed.left_out
-    off = np.linalg.norm(
-        placed.transforms["r1c1"].inverse(placed.transforms["r1c0"](places)) - there, axis=1
-    )
-    assert off.mean() < 1.2  # the pairs, to what a hand points at
-    spread = np.median(np.linalg.norm(errors_of("r1c1", placed, truth), axis=1))
-    assert placed.sigma["r1c1"] > 0.3 and spread < 3 * placed.sigma["r1c1"]
-
-
-def errors_of(name, placement, truth):
-    """How far a tile lies from where it was cut, beside the others, (n, 2)."""
-    others = [one for one in sorted(truth) if one != name]
-    ours, theirs = (np.concatenate([maps[n](GRID) for n in others])
-                    for maps in (placement.transforms, truth))  # fmt: skip
-    return Homography.fit(ours, theirs)(placement.transforms[name](GRID)) - truth[name](GRID)
+    by_hand = {("r1c1", "r1c0"): ManualPoints(added=pairs[:, [2, 3, 0, 1]])}
+    assert set(place_tiles({**tiles, "r1c1": plain}, by_hand=by_hand).left_out) == {"r1c1"}
 
 
 def test_a_tile_without_detail_lies_where_its_position_says(mosaic):

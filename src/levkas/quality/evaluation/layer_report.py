@@ -226,8 +226,7 @@ def read_check_points(
     EvaluationRefused
         Also where no point is of a layer and band of the database.
     """
-    from levkas.registration.control_points import PointsRefused
-    from levkas.registration.control_points.layers import read_frames, used_pairs
+    from levkas.registration.control_points import PointsRefused, read_frames
 
     known = {
         (str(record["object"]), file.stem): tuple(map(str, record.get("bands", ())))
@@ -240,7 +239,7 @@ def read_check_points(
     problems = [p for key in found if (p := _unknown_frame(key, known, path))]
     turned = _turned_frames(found, path, database)
     checks = {
-        (name, layer, band): used_pairs(points)
+        (name, layer, band): np.hstack([points.reference, points.target])[points.enabled]
         for (name, layer, band), points in found.items()
         if (name, layer) in known and band in ("", *known[name, layer])
     }

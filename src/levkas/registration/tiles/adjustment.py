@@ -40,25 +40,17 @@ HELD_PX = 0.01
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows of all overlaps, those of one overlap behind one another.
-
-    Parameters
-    ----------
-    pairs : ndarray of int, (m, 2)
-        Tiles of every overlap, the first lower.
-    overlap : ndarray of int, (n,), ascending
-        To which overlap a window belongs.
-    first, second : ndarray, (n, 2), px
-        Where either tile has it.
-    information : ndarray, (n, 2, 2), 1/px²
-        Of where, in px of the first tile.
-    """
+    """Windows of all overlaps, those of one overlap behind one another."""
 
     pairs: np.ndarray
+    """(m, 2). Tiles of every overlap, the first lower."""
     overlap: np.ndarray
+    """(n,), ascending. To which overlap a window belongs."""
     first: np.ndarray
     second: np.ndarray
+    """`first`, `second`: (n, 2), px. Where either tile has it."""
     information: np.ndarray
+    """(n, 2, 2), 1/px². Of where, in px of the first tile."""
 
     def part(self, mask: np.ndarray) -> Windows:
         """Return the windows that `mask` selects, of the same overlaps."""
@@ -85,42 +77,21 @@ class Windows:
 
 @dataclass(frozen=True)
 class Adjustment:
-    """Tiles after their adjustment.
-
-    Parameters
-    ----------
-    maps : TileMaps
-    residual : ndarray, (n, 2), px of the first tile
-        Of every window: where the second tile puts it less where the first does.
-    weight : ndarray, (n,), 0..1
-        Robust weight of every window.
-    information : ndarray, (n, 2, 2), 1/px²
-        As residuals scatter.
-    covariance : ndarray, (8 n + 8, 8 n + 8)
-        Of all unknowns, in the frame of the whole mosaic ([baarda1973]_): what moves, turns or tilts all of it as one plane is no error of a tile.
-    """
+    """Tiles after their adjustment."""
 
     maps: TileMaps
     residual: np.ndarray
+    """(n, 2), px of the first tile. Of every window: where the second tile puts it less where the first does."""
     weight: np.ndarray
+    """(n,), 0..1. Robust weight of every window."""
     information: np.ndarray
-    covariance: np.ndarray
+    """(n, 2, 2), 1/px². As residuals scatter."""
 
     @property
     def rms(self) -> float:
         """Root mean square of the residuals along an axis, weighted, px."""
         total = (self.weight[:, None] * self.residual**2).sum()
         return float(np.sqrt(total / max(2 * self.weight.sum(), 1e-12)))
-
-    def place_covariance(self, tile: int, points: np.ndarray) -> np.ndarray:
-        """Return the covariance of the places, (n, 2, 2), mosaic px², of `points`, (n, 2), px of a tile."""
-        _, _, own, lens = self.maps.linearised(np.full(len(points), tile), points)
-        slopes = np.concatenate([own, lens], 2)
-        shared = OWN * len(self.maps.own)
-        these = np.r_[OWN * tile : OWN * (tile + 1), shared : shared + LENS]
-        return np.asarray(
-            slopes @ self.covariance[np.ix_(these, these)] @ slopes.transpose(0, 2, 1)
-        )
 
 
 def adjust(
@@ -153,7 +124,7 @@ def adjust(
             break
     residual = windows.residual(maps)
     information, weight = windows.scaled(residual)
-    return Adjustment(maps, residual, weight, information, _in_own_frame(maps, covariance))
+    return Adjustment(maps, residual, weight, information)
 
 
 @dataclass(frozen=True)
@@ -270,29 +241,6 @@ def _at_mean_scale(maps: TileMaps) -> TileMaps:
     own = maps.own.copy()
     own[:, :4] *= maps.frame.spread / size.mean()
     return replace(maps, own=own)
-
-
-def _in_own_frame(maps: TileMaps, covariance: np.ndarray) -> np.ndarray:
-    """Return a covariance as if no tile had been held: without what moves the corners of all tiles as one plane, as a homography does."""
-    count, reach = len(maps.own), maps.frame.spread
-    corners = maps.frame.centre + reach * np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
-    place, _, own, lens = maps.linearised(
-        np.repeat(np.arange(count), 4), np.tile(corners, (count, 1))
-    )
-    middle = place.mean(0)
-    x, y = ((place - middle) / max(float(np.abs(place - middle).max()), 1.0)).T
-    one, nil = np.ones_like(x), np.zeros_like(x)
-    along = [one, nil, x, y, nil, nil, x * x, x * y]
-    down = [nil, one, nil, nil, x, y, x * y, y * y]
-    fields = np.stack([np.stack(along, 1), np.stack(down, 1)], 1).reshape(count, 8, 8)
-    slopes = own.reshape(count, 8, OWN)
-    motion, parts = np.zeros((2, OWN * count + SHARED, 8))
-    motion[:-SHARED] = np.linalg.solve(slopes, fields).reshape(-1, 8)
-    parts[:-SHARED] = (slopes.transpose(0, 2, 1) @ fields).reshape(-1, 8)
-    parts[-SHARED : -SHARED + LENS] = np.einsum("nak,nal->kl", lens.reshape(count, 8, LENS), fields)
-    without = motion @ np.linalg.inv(parts.T @ motion)
-    left = covariance - without @ (parts.T @ covariance)
-    return np.asarray(left - (left @ parts) @ without.T)
 
 
 def overlap_offsets(windows: Windows, adjusted: Adjustment) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy import sparse
 
 from levkas.geometry.transforms import Affine
 
@@ -100,18 +101,8 @@ def components(names: list[str], pairs: list[Pair]) -> list[list[str]]:
     >>> components(["a", "b", "c"], [("a", "c")])
     [['a', 'c'], ['b']]
     """
-    root = {name: name for name in names}
-
-    def top(name: str) -> str:
-        while root[name] != name:
-            root[name] = root[root[name]]
-            name = root[name]
-        return name
-
-    for a, b in pairs:
-        low, high = sorted((top(a), top(b)))
-        root[high] = low
-    parts: dict[str, list[str]] = {}
-    for name in names:
-        parts.setdefault(top(name), []).append(name)
-    return list(parts.values())
+    number = {name: k for k, name in enumerate(names)}
+    ends = np.array([[number[a], number[b]] for a, b in pairs], int).reshape(-1, 2).T
+    graph = sparse.coo_array((np.ones(len(pairs)), (ends[0], ends[1])), (len(names),) * 2)
+    count, part = sparse.csgraph.connected_components(graph, directed=False)
+    return [[name for name in names if part[number[name]] == k] for k in range(count)]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft
+from scipy.spatial import cKDTree
 
 from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration.bands import BandImage, sqrt_images
@@ -31,12 +32,7 @@ CORRELATED_SIDE, REPEATED_SIDE, LEAST_COMMON, APART_PX = 512, 320, 0.01, 6
 
 
 class TilePictures:
-    """Pictures of tiles, read when they are needed; few are held, and key points of all.
-
-    Parameters
-    ----------
-    tiles : mapping of name to BandImage
-    """
+    """Pictures of tiles, read when they are needed; few are held, and key points of all."""
 
     def __init__(self, tiles: Mapping[str, BandImage]) -> None:
         self._tiles = tiles
@@ -101,8 +97,6 @@ def near_pairs(
     >>> near_pairs({"a": (0, 0), "b": (90, 0), "c": (180, 0)}, (100, 50))
     [('a', 'b'), ('b', 'c')]
     """
-    from scipy.spatial import cKDTree
-
     names = sorted(places)
     box = np.tile(np.array(size, float), (len(names), 1))
     corner = np.array([places[name] for name in names], float)

@@ -9,7 +9,7 @@ import numpy as np
 from levkas.geometry.transforms import Affine, Transform
 from levkas.registration.advice import LEAST_PAIRS
 from levkas.registration.bands import BandImage
-from levkas.registration.manual_points import HAND_PX, ManualPoints
+from levkas.registration.manual_points import ManualPoints
 from levkas.registration.tiles.neighbours import (
     STAGE_SHARE,
     TilePictures,
@@ -33,7 +33,6 @@ class OverlapSearch:
 
     Parameters
     ----------
-    tiles : mapping of name to BandImage
     starts : mapping of name to (x, y), px
         Where the first px of a tile lies, of those where it is known.
     by_hand : mapping of (name, name) to ManualPoints
@@ -51,7 +50,6 @@ class OverlapSearch:
         self.starts = {name: starts[name] for name in self.names if name in starts}
         given = _in_order(by_hand)
         self.by_hand = {pair: one for pair, one in given.items() if set(pair) <= set(self.names)}
-        self.unconfirmed: set[Pair] = set()
         self.found: dict[Pair, OverlapWindows] = {}
         self.missed: dict[Pair, str] = {}
 
@@ -67,7 +65,7 @@ class OverlapSearch:
         for pair in self._candidates():
             self._measure_from_key_points(pair)
         for pair, given in self.by_hand.items():
-            self._measure_by_hand(pair, given.added, accepted=given.accepted)
+            self._measure_by_hand(pair, given)
 
     def measure_at(self, pair: Pair, onto: Transform) -> bool:
         """Measure an overlap about where it is predicted, px of the first tile → px of the second; return whether it is found."""
@@ -123,8 +121,8 @@ class OverlapSearch:
         self.missed.pop(pair, None)
         return True
 
-    def _measure_by_hand(self, pair: Pair, pairs: np.ndarray, *, accepted: bool) -> None:
-        """Measure an overlap from where a person's pairs put it; where nothing is found there and they are `accepted`, they are the overlap."""
+    def _measure_by_hand(self, pair: Pair, pairs: np.ndarray) -> None:
+        """Measure an overlap from where a person's pairs put it."""
         begin = similarity(pairs[:, :2], pairs[:, 2:])
         before = self.found.get(pair)
         if before is not None:
@@ -132,30 +130,14 @@ class OverlapSearch:
             if np.hypot(*apart.mean(0)) <= PREDICTED_PX:
                 return
             del self.found[pair]
-        if self._measure(pair, begin, PREDICTED_PX) or not accepted:
-            return
-        missed = np.hypot(*(begin(pairs[:, :2]) - pairs[:, 2:]).T)
-        height, width = self.pictures.shapes[pair[0]]
-        x, y = np.meshgrid(np.arange(0, width, 8), np.arange(0, height, 8))
-        there = begin(np.stack([x.ravel(), y.ravel()], 1).astype(float))
-        height, width = self.pictures.shapes[pair[1]]
-        share = float(((there >= 0) & (there <= [width - 1, height - 1])).all(1).mean())
-        information = np.tile(np.eye(2) / (2 * HAND_PX**2), (len(pairs), 1, 1))
-        self.found[pair] = OverlapWindows(
-            pairs[:, :2], pairs[:, 2:], information, len(pairs), share, begin,
-            float(np.sqrt(np.square(missed).mean() / 2)), np.nan, 1.0,
-        )  # fmt: skip
-        self.unconfirmed.add(pair)
-        self.missed.pop(pair, None)
+        self._measure(pair, begin, PREDICTED_PX)
 
 
-def _in_order(by_hand: Mapping[Pair, ManualPoints]) -> dict[Pair, ManualPoints]:
+def _in_order(by_hand: Mapping[Pair, ManualPoints]) -> dict[Pair, np.ndarray]:
     """Return pairs of two tiles each once, the tiles in name order; those that determine no place are not among them."""
-    found: dict[Pair, ManualPoints] = {}
+    found: dict[Pair, np.ndarray] = {}
     for (first, second), given in sorted(by_hand.items(), key=lambda item: item[0]):
         pairs = given.fixed if first < second else given.fixed[:, [2, 3, 0, 1]]
         pair = (min(first, second), max(first, second))
-        before = found.get(pair, ManualPoints())
-        added, accepted = np.concatenate([before.added, pairs]), before.accepted or given.accepted
-        found[pair] = ManualPoints(added=added, accepted=accepted)
-    return {pair: given for pair, given in found.items() if len(given.added) >= LEAST_PAIRS}
+        found[pair] = np.concatenate([found.get(pair, pairs[:0]), pairs])
+    return {pair: pairs for pair, pairs in found.items() if len(pairs) >= LEAST_PAIRS}

@@ -42,49 +42,31 @@ LEAST_DETAIL = 1.3
 
 @dataclass(frozen=True)
 class OverlapWindows:
-    """What two tiles show both.
-
-    Parameters
-    ----------
-    points, partners : ndarray, (n, 2), px of the first and of the second tile
-        Where both have a window; means of neighbours.
-    information : ndarray, (n, 2, 2), 1/px²
-    windows : int
-        That agree.
-    share : float, 0..1
-        Of the first tile's area.
-    transform : Transform
-        Px of the first → px of the second tile, within the overlap.
-    rms : float, px
-        Of the windows about `transform`.
-    held_out : float, px
-        The same in every other block of windows, about the map of the others.
-    explained : float, 0..1
-        Share of the detail that the other tile explains, the median.
-    """
+    """What two tiles show both."""
 
     points: np.ndarray
     partners: np.ndarray
+    """`points`, `partners`: (n, 2), px of the first and of the second tile. Where both have a window; means of neighbours."""
     information: np.ndarray
+    """(n, 2, 2), 1/px²."""
     windows: int
+    """That agree."""
     share: float
+    """0..1. Of the first tile's area."""
     transform: Transform
+    """Px of the first → px of the second tile, within the overlap."""
     rms: float
-    held_out: float
+    """In px: of the windows about `transform`."""
     explained: float
+    """0..1. Share of the detail that the other tile explains, the median."""
 
 
 @dataclass(frozen=True)
 class NoOverlap:
-    """Why two tiles are not joined.
-
-    Parameters
-    ----------
-    reason : str
-        ``"apart"``: they do not touch; ``"no detail"``: what they share shows none; ``"unlike"``: they show different things.
-    """
+    """Why two tiles are not joined."""
 
     reason: str
+    """``"apart"``: they do not touch; ``"no detail"``: what they share shows none; ``"unlike"``: they show different things."""
 
 
 def measure_overlap(
@@ -296,7 +278,6 @@ def _judged(
         place.share,
         transform,
         float(np.sqrt(np.mean(residual**2))),
-        _held_out(windows, compared.cell, transform),
         float(np.median(compared.found.r2[good])),
     )
 
@@ -316,18 +297,6 @@ def _is_plain(place: _Place, pictures: tuple[np.ndarray, np.ndarray], transform:
         if powers[1] < LEAST_DETAIL * 0.6 * powers[0]:
             return True
     return False
-
-
-def _held_out(windows: Observations, cell: float, transform: Transform) -> float:
-    """Return the rms of windows in every other block about the map of the others, px."""
-    block = np.floor(windows.points / (3 * cell)).astype(int).sum(1) % 2 == 0
-    if min(block.sum(), (~block).sum()) < LEAST_WINDOWS:
-        return float("nan")
-    squares = [
-        windows.part(~part).residuals(_robust_map(windows.part(part), cell, transform)) ** 2
-        for part in (block, ~block)
-    ]
-    return float(np.sqrt(np.median(np.concatenate(squares)) / 0.4549))
 
 
 def _merged(windows: Observations, cell: float) -> Observations:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from levkas.core.machine import steady_libraries
-from levkas.core.problems import Problem
-from levkas.geometry.transforms import Affine, Composed, Inverse
+from levkas.geometry import from_dict
+from levkas.geometry.transforms import Affine, Composed, Inverse, Lens, Transform
 from levkas.registration.bands import BandImage
-from levkas.registration.manual_points import HAND_PX, ManualPoints
-from levkas.registration.placed_by_hand import leverage
-from levkas.registration.record import RegistrationRefused
+from levkas.registration.manual_points import ManualPoints
+from levkas.registration.record import RegistrationRefused, refusal
 from levkas.registration.tiles.adjustment import (
     Adjustment,
     Windows,
@@ -24,38 +23,90 @@ from levkas.registration.tiles.adjustment import (
     overlap_misfits,
     overlap_offsets,
 )
-from levkas.registration.tiles.loops import (
-    components,
-    consistent_pairs,
-    lay_along_tree,
-)
+from levkas.registration.tiles.loops import components, consistent_pairs, lay_along_tree
 from levkas.registration.tiles.neighbours import (
     STAGE_SHARE,
     similarity,
 )
 from levkas.registration.tiles.overlap_search import OverlapSearch, Pair
 from levkas.registration.tiles.tile_maps import OWN, SHARED, TileFrame, TileMaps, similar
-from levkas.registration.tiles.tile_record import TilePlacement
 
 #: Tiles of a mosaic, at most.
 MOST_TILES = 200
+#: Unknowns an axis of the map between two tiles: at its windows, on average, its variance is so many times that of their mean.
+OVERLAP_UNKNOWNS = 4
 #: Share of a tile that another one shows too from which it is there twice.
 TWICE_SHARE = 0.95
 #: Px, and times the common rms, by which an overlap may be off after the adjustment.
 MOST_OFF_PX, MOST_OFF = 1.0, 8.0
 #: Rounds in which overlaps that contradict the adjustment are taken out.
 ROUNDS = 10
-#: Px by which an overlap may be off that rests on pairs by hand.
-MOST_OFF_BY_HAND_PX = 8 * HAND_PX
 #: Longer sides of a tile up to which middles of neighbours are apart; of 15 x 15 places, how many a corner has.
 NEAR, CORNER = 1.05, 3
 #: Of a tile's longer side: how well a stage's position is known at best.
 LEAST_STAGE = 0.002
 REPEATS = "shows detail that repeats itself where it overlaps others"
-BY_HAND_UNLIKE = "shows nothing that its neighbour shows where the pairs by hand put it; it can be placed by hand"
+BY_HAND_UNLIKE = "shows nothing that its neighbour shows where the pairs by hand put it"
 NO_DETAIL = "shows no detail where it overlaps others"
 #: Why overlaps are missing of a tile that is taken where its position says.
 DOUBTFUL = ({"no detail"}, {"repeats"}, {"no detail", "repeats"})
+
+
+@dataclass(frozen=True)
+class TilePlacement:
+    """Where every tile of a painting lies."""
+
+    transforms: dict[str, Transform]
+    """Px of a tile → mosaic px."""
+    size: tuple[int, int]
+    """In mosaic px: of the box about all tiles."""
+    sigma: dict[str, float]
+    """In mosaic px: standard uncertainty of a tile's px along an axis, the root mean square over the tile, in the frame of
+    the whole mosaic."""
+    left_out: dict[str, str]
+    """Why a tile is not placed."""
+    overlaps: list[dict[str, Any]]
+    """Of every pair of tiles that was used or refused: `tiles`, `windows`, `rms` and `sigma` (px), `off`
+    (px after the adjustment, of all windows), `misfit` (px along an axis, of windows beside one another), `used`,
+    `reason`."""
+    lens: Lens | None
+    """Which all tiles share: px put right → px."""
+    rms: float
+    """In px: of all windows after the adjustment, along an axis."""
+    errors: dict[str, float]
+    """In px: in windows left out, of plain homographies (``"none"``) and with a lens."""
+    by_position: dict[str, str] = field(default_factory=dict)
+    """Tiles that no overlap holds and that lie where their position says; why."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready record."""
+        return {
+            "kind": "tiles",
+            "transforms": {name: one.to_dict() for name, one in self.transforms.items()},
+            "size": list(self.size),
+            "sigma": self.sigma,
+            "left_out": self.left_out,
+            "by_position": self.by_position,
+            "overlaps": self.overlaps,
+            "lens": self.lens and self.lens.to_dict(),
+            "rms": self.rms,
+            "errors": self.errors,
+        }
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any]) -> TilePlacement:
+        """Read what `to_dict` wrote."""
+        lens = from_dict(record["lens"]) if record["lens"] else None
+        assert lens is None or isinstance(lens, Lens)
+        transforms = {name: from_dict(one) for name, one in record["transforms"].items()}
+        width, height = record["size"]
+        rest = {
+            key: record[key]
+            for key in (
+                "sigma", "left_out", "overlaps", "rms", "errors", "by_position",
+            )
+        }  # fmt: skip
+        return cls(transforms=transforms, size=(width, height), lens=lens, **rest)
 
 
 def place_tiles(
@@ -67,6 +118,8 @@ def place_tiles(
 ) -> TilePlacement:
     """Place the tiles of a painting beside one another.
 
+    Raises RegistrationRefused: ``E_TILES`` where no two tiles overlap, or of more than 200.
+
     Parameters
     ----------
     tiles : mapping of name to BandImage
@@ -74,8 +127,7 @@ def place_tiles(
     starts : mapping of name to (x, y), px, optional
         Where the first px of a tile lies, to about a tenth of its side.
     by_hand : mapping of (name, name) to ManualPoints, optional
-        Pairs of two tiles, px of the first and of the second. Four say where the overlap lies, which the pictures then show; `accepted` ones
-        are the overlap, where the pictures show none.
+        Pairs of two tiles, px of the first and of the second. Four say where the overlap lies, which the pictures then show.
     lens : bool
         Whether tiles share a lens that is not known.
 
@@ -84,28 +136,31 @@ def place_tiles(
     placement : TilePlacement
         The first tile in name order that is placed is neither turned nor scaled.
 
-    Raises
-    ------
-    RegistrationRefused
-        ``E_TILES`` where no two tiles overlap, or of more than 200.
-
     Notes
     -----
     A block adjustment as photogrammetry has it ([brown1976]_), of windows in place of tie points; docs/explanation/tiles.md describes it.
     """
     if len(tiles) > MOST_TILES:
-        raise RegistrationRefused(
-            Problem(
-                "E_TILES",
-                "there are too many tiles",
-                field="tiles",
-                found=f"{len(tiles)} tiles",
-                expected=f"at most {MOST_TILES}",
-                fix="Join parts of the mosaic by a program for microscopes, and build from these.",
-            )
+        raise refusal(
+            "E_TILES",
+            "there are too many tiles",
+            field="tiles",
+            found=f"{len(tiles)} tiles",
+            expected=f"at most {MOST_TILES}",
+            fix="Join parts of the mosaic by a program for microscopes, and build from these.",
         )
     with steady_libraries():
         return _Mosaic(OverlapSearch(tiles, starts or {}, by_hand or {}), lens).place()
+
+
+def _sigma_beside(name: str, records: list[dict[str, Any]]) -> float:
+    """Return how well a tile lies on its neighbours, mosaic px: that of its overlaps, shared by both tiles of each."""
+    beside = [
+        (OVERLAP_UNKNOWNS * one["sigma"] ** 2 + max(one["off"], one["misfit"]) ** 2) / 2
+        for one in records
+        if one["used"] and name in one["tiles"]
+    ]
+    return float(np.sqrt(np.mean(beside)))
 
 
 class _Mosaic:
@@ -203,13 +258,10 @@ class _Mosaic:
             adjusted = adjust(windows, begin, lens=lens, alike=alike)
             off = overlap_offsets(windows, adjusted)
             size = np.hypot(*off.T)
-            most = np.full(len(pairs), max(MOST_OFF_PX, MOST_OFF * adjusted.rms))
-            by_hand = np.array([pair in self.overlaps.unconfirmed for pair in pairs])
-            most[by_hand] = np.maximum(most[by_hand], MOST_OFF_BY_HAND_PX)
-            if not (size > most).any():
+            worst = int(np.argmax(size))
+            if size[worst] <= max(MOST_OFF_PX, MOST_OFF * adjusted.rms):
                 break
-            worst = pairs[int(np.argmax(size / most))]
-            self.refused[worst] = f"contradicts the others by {size[pairs.index(worst)]:.1f} px"
+            self.refused[pairs[worst]] = f"contradicts the others by {size[worst]:.1f} px"
         return joined, adjusted
 
     def _joined(self) -> tuple[list[str], list[Pair]]:
@@ -234,16 +286,13 @@ class _Mosaic:
 
     def _nothing_joined(self) -> RegistrationRefused:
         reasons = sorted(set(self.overlaps.missed.values()) | set(self.left_out.values()))
-        return RegistrationRefused(
-            Problem(
-                "E_TILES",
-                "no two tiles overlap",
-                field="tiles",
-                found=f"{len(self.names)} tiles"
-                + (f", {'; '.join(reasons[:3])}" if reasons else ""),
-                expected="tiles of one painting, each with detail that a neighbour shows too",
-                fix="Give the positions of the tiles, or capture with more overlap.",
-            )
+        return refusal(
+            "E_TILES",
+            "no two tiles overlap",
+            field="tiles",
+            found=f"{len(self.names)} tiles" + (f", {'; '.join(reasons[:3])}" if reasons else ""),
+            expected="tiles of one painting, each with detail that a neighbour shows too",
+            fix="Give the positions of the tiles, or capture with more overlap.",
         )
 
     def _windows(self, joined: list[str], pairs: list[Pair]) -> Windows:
@@ -286,68 +335,33 @@ class _Mosaic:
         lone, own, stage_px = self._by_position(joined, adjusted.maps)
         maps = replace(adjusted.maps, own=np.concatenate([adjusted.maps.own, own]))
         gauge = self._gauge(maps)
-        transforms, boxes, sigma = {}, [], {}
-        scale = float(np.sqrt(np.linalg.det(gauge.matrix[:, :2])))
+        transforms, boxes = {}, []
         for k, name in enumerate(joined + lone):
             height, width = self.overlaps.pictures.shapes[name]
             x, y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 9))
-            points = np.stack([x.ravel(), y.ravel()], 1)
             transforms[name] = Composed(maps.transform(k), gauge)
-            boxes.append(transforms[name](points))
-            sigma[name] = scale * stage_px
-            if name in joined:
-                spread = adjusted.place_covariance(k, points)
-                sigma[name] = scale * float(np.sqrt(np.trace(spread, axis1=1, axis2=2).mean() / 2))
-        held = self._held_by_hand(joined, pairs)
-        for name in held:
-            sigma[name] = max(sigma[name], scale * self._sigma_by_hand(name))
+            boxes.append(transforms[name](np.stack([x.ravel(), y.ravel()], 1)))
         low = np.floor(np.min([box.min(0) for box in boxes], axis=0) + 0.5)
         high = np.max([box.max(0) for box in boxes], axis=0)
         shift = Affine(np.array([[1.0, 0, -low[0]], [0, 1, -low[1]]]))
         width, height = (np.ceil(high - low - 1e-6) + 1).astype(int).tolist()
         self._explain_missing(joined + lone)
+        records = self._overlap_records(pairs, off, overlap_misfits(windows, adjusted))
+        stage_px *= float(np.sqrt(np.linalg.det(gauge.matrix[:, :2])))
         return TilePlacement(
             {name: Composed(one, shift) for name, one in transforms.items()},
             (width, height),
-            sigma,
+            {n: _sigma_beside(n, records) for n in joined} | dict.fromkeys(lone, stage_px),
             dict(sorted(self.left_out.items())),
-            self._overlap_records(pairs, off, overlap_misfits(windows, adjusted)),
+            records,
             adjusted.maps.lens if lens else None,
             adjusted.rms,
             errors,
             {
-                name: f"{self._why(name)}: its position is known to ± {sigma[name]:.1f} px"
+                name: f"{self._why(name)}: its position is known to ± {stage_px:.1f} px"
                 for name in lone
             },
-            held,
         )
-
-    def _sigma_by_hand(self, name: str) -> float:
-        """Return how well a tile lies that pairs by hand hold, px, the root mean square over it: how exactly a person points, times the leverage of the pairs."""
-        mine = [self.overlaps.found[p].points if p[0] == name else self.overlaps.found[p].partners
-                for p in sorted(self.overlaps.unconfirmed) if name in p]  # fmt: skip
-        if not mine:
-            return 0.0
-        height, width = self.overlaps.pictures.shapes[name]
-        x, y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 9))
-        points = np.stack([x.ravel(), y.ravel()], 1)
-        spread = leverage(points, np.concatenate(mine), "similarity")
-        return HAND_PX * float(np.sqrt(np.trace(spread, axis1=1, axis2=2).mean()))
-
-    def _held_by_hand(self, joined: list[str], pairs: list[Pair]) -> dict[str, int]:
-        """Return the tiles that overlaps of pictures do not join to most others, and how many pairs by hand hold each or those it is joined to."""
-        if not self.overlaps.unconfirmed & set(pairs):
-            return {}
-        parts = components(
-            joined, [pair for pair in pairs if pair not in self.overlaps.unconfirmed]
-        )
-        most = max(parts, key=lambda part: (len(part), [-joined.index(name) for name in part]))
-        held: dict[str, int] = {}
-        for part in parts:
-            by_hand = [p for p in pairs if p in self.overlaps.unconfirmed and set(p) & set(part)]
-            count = sum(self.overlaps.found[p].windows for p in by_hand)
-            held |= dict.fromkeys(part, count) if part is not most else {}
-        return dict(sorted(held.items()))
 
     def _gauge(self, maps: TileMaps) -> Affine:
         """Return the similarity after which the first tile is neither turned nor scaled about its middle."""
@@ -401,7 +415,6 @@ class _Mosaic:
                     "share": one.share,
                     "rms": one.rms,
                     "sigma": float(np.sqrt(np.trace(spread) / 2)),
-                    "held_out": one.held_out if np.isfinite(one.held_out) else None,
                     "off": at.get(pair),
                     "misfit": misfit.get(pair),
                     "used": pair in at,

@@ -21,17 +21,12 @@ OWN, LENS, SHARED = 8, 4, 8
 
 @dataclass(frozen=True)
 class TileFrame:
-    """Coordinates of a tile's px: u = (q − centre)/spread.
-
-    Parameters
-    ----------
-    centre : ndarray, (2,), px
-    spread : float, px
-        Half of the longer side.
-    """
+    """Coordinates of a tile's px: u = (q − centre)/spread."""
 
     centre: np.ndarray
+    """(2,), px."""
     spread: float
+    """In px: half of the longer side."""
 
     @classmethod
     def of_size(cls, size: tuple[int, int]) -> TileFrame:
@@ -41,20 +36,13 @@ class TileFrame:
 
 @dataclass(frozen=True)
 class TileMaps:
-    """Maps of all tiles to the plane of the mosaic.
-
-    Parameters
-    ----------
-    frame : TileFrame
-    own : ndarray, (n, 8), px
-        a, b, tx, ty, e1, e2, w1, w2 of every tile.
-    shared : ndarray, (8,), px
-        Lens, means of e1, e2, w1, w2.
-    """
+    """Maps of all tiles to the plane of the mosaic."""
 
     frame: TileFrame
     own: np.ndarray
+    """(n, 8), px. a, b, tx, ty, e1, e2, w1, w2 of every tile."""
     shared: np.ndarray
+    """(8,), px. Lens, means of e1, e2, w1, w2."""
 
     @property
     def lens(self) -> Lens:

@@ -317,14 +317,14 @@ class Handlers:
 
     def export(self, request: Request, body: dict[str, Any]) -> Response:
         frame = self._frame(request)
-        name, data, losses = frame.export(str(body.get("dialect", "levkas")))
+        name, data = frame.export()
         text = base64.b64encode(data).decode("ascii")
-        return JSONResponse({"ok": True, "name": name, "data": text, "losses": losses})
+        return JSONResponse({"ok": True, "name": name, "data": text})
 
     def import_(self, request: Request, body: dict[str, Any]) -> Response:
         frame = self._frame(request)
         with frame.lock:
-            counts = frame.take(_file(body.get("file")), str(body.get("dialect") or "") or None)
+            counts = frame.take(_file(body.get("file")))
             return _answer({**counts, **describe(frame.session)})
 
     def start_build(self, request: Request, body: dict[str, Any]) -> Response:

@@ -1,4 +1,4 @@
-"""Whole builds of cameras whose lines are displaced, and of sensors with a declared alignment."""
+"""Whole builds of cameras whose lines are displaced."""
 
 import json
 from pathlib import Path
@@ -9,13 +9,8 @@ import tifffile
 from scipy import ndimage
 
 from levkas.building import build
-from levkas.building.plan import read_plan
-from levkas.database.layout import Places
 from levkas.geometry import from_dict
-from levkas.geometry.transforms import Affine
-from levkas.stages import scans, tiles
-from levkas.stages.calibrate import load_calibrated
-from levkas.stages.streaming import ScanRefused
+from levkas.stages import scans
 
 pytestmark = pytest.mark.slow
 SIZE, MARGIN = (300, 230), 60
@@ -37,17 +32,6 @@ kind = "image"
 files = "video/{target}.tif"
 [targets]
 objects = ["panel"]
-"""
-SENSORS = """
-[cameras.NAME]
-kind = "sensors"
-bits = 16
-[[cameras.NAME.sensors]]
-name = "near"
-files = "near/{target}.tif"
-[[cameras.NAME.sensors]]
-name = "far"
-files = "FAR/{target}.tif"
 """
 
 
@@ -136,11 +120,6 @@ def test_maps_of_displaced_lines_lie_right_in_a_build(lines_built):
         assert errors.mean() < 0.1, camera
 
 
-def test_the_report_shows_the_displacement_of_lines(lines_built):
-    report = (lines_built / "objects/panel/report.html").read_text(encoding="utf-8")
-    assert report.count("Displacement of single lines") == 2
-
-
 # --- passes of a scanner that wobble each by itself
 
 
@@ -187,7 +166,7 @@ def test_passes_that_wobble_each_by_itself_are_followed(strips_built):
 
 
 def test_large_passes_are_streamed_to_the_same_bytes(strips_built, tmp_path, monkeypatch):
-    """Without whole passes in memory; where pictures would be too large, registration sees means of blocks."""
+    """Without whole passes in memory."""
     folder = strips_built.parent
     monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
     list(build(folder, output=tmp_path / "streamed"))
@@ -196,99 +175,3 @@ def test_large_passes_are_streamed_to_the_same_bytes(strips_built, tmp_path, mon
     for path in paths:
         streamed = tmp_path / "streamed" / path.relative_to(strips_built)
         assert path.read_bytes() == streamed.read_bytes(), path.name
-    plan = read_plan(folder)
-    (capture,) = [one for one in plan.captures if one.camera == "scan"]
-    native = load_calibrated(capture, plan.campaign, Places(strips_built), {}, None)
-    whole, factor = native.pictures("c1")
-    assert factor == 1
-    monkeypatch.setattr(scans, "LOOKED_AT_PX", 170 * SIZE[1] / 4)
-    means, factor = native.pictures("c1")
-    assert factor == 2
-    blocks = native.pages("c1", "")[0].read(0, SIZE[1]).reshape(SIZE[1] // 2, 2, 85, 2, 2)
-    for band, one in enumerate(means):
-        assert one.label == whole[band].label
-        np.testing.assert_allclose(one.values, blocks[..., band].mean((1, 3)), rtol=1e-5)
-
-
-def test_large_passes_across_the_grid_are_refused(strips_built, monkeypatch):
-    monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
-    plan = read_plan(strips_built.parent)
-    (capture,) = [one for one in plan.captures if one.camera == "scan"]
-    native = load_calibrated(capture, plan.campaign, Places(strips_built), {}, None)
-    maps = {band.label: Affine.identity() for band in native.bands}
-    across = {b: Affine(np.array([[0.0, 1, 0], [1, 0, 0]])) for b in maps}
-    held = tiles.MOST_ROWS * 1.2 * 170 * 2 * 9  # bytes of the lines that rows of the grid need
-    monkeypatch.setattr(tiles, "ASKEW_BYTES", held)
-    native.on_grid(maps, SIZE)
-    with pytest.raises(ScanRefused, match="tile c1 is tilted relative to the grid"):
-        native.on_grid(across, SIZE[::-1])
-
-
-# --- sensors with a declared alignment
-
-
-def turned(degrees, scale):
-    """Return px of the first sensor → px of a small sensor about the same middle, and its size."""
-    angle, size = np.deg2rad(degrees), np.round(np.array(SIZE) * scale).astype(int)
-    rows = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    middle = (np.array(SIZE) - 1) / 2
-    return np.column_stack([rows, (size - 1) / 2 - rows @ middle]), tuple(size.tolist())
-
-
-def inverse(matrix):
-    back = np.linalg.inv(matrix[:, :2])
-    return np.column_stack([back, -back @ matrix[:, 2]])
-
-
-@pytest.fixture(scope="module")
-def sensors_built(tmp_path_factory):
-    """Cameras of two sensors; the second of some is turned, coarse and so noisy that no key points match."""
-    folder, surface = tmp_path_factory.mktemp("sensors"), painting()
-    grey = observed(surface)
-    write_picture(folder / "photo/panel.tif", np.dstack([grey, grey, grey]))
-    write_picture(folder / "near/panel.tif", observed(surface, noise=0.004))
-    hard, size = turned(137, 0.3)
-    write_picture(folder / "hard/panel.tif", observed(surface, inverse(hard), size, noise=0.11))
-    easy = np.array([[1.0, 0.004, 3.0], [-0.004, 1.0, -2.0]])
-    write_picture(folder / "easy/panel.tif", observed(surface, inverse(easy)))
-    near = hard + np.array([[0, 0, 1.5], [0, 0, -1.0]])  # as exact as a person measures it
-    wrong = easy + np.array([[0, 0, 100.0], [0, 0, 0]])
-    tables = CAMPAIGN.partition("[cameras.still]")[0] + '[targets]\nobjects = ["panel"]\n'
-    for name, far, align in (
-        ("measured", "hard", None), ("declared", "hard", near), ("right", "easy", easy),
-        ("wrong", "easy", wrong),
-    ):  # fmt: skip
-        tables += SENSORS.replace("NAME", name).replace("FAR", far)
-        if align is not None:
-            tables += f"align = {np.round(align, 6).tolist()}\n"
-    (folder / "campaign.toml").write_text(tables)
-    list(build(folder, output=folder / "database"))
-    return folder / "database", {"hard": hard, "easy": easy}
-
-
-def test_a_declared_alignment_registers_a_sensor_that_is_refused_without_it(sensors_built):
-    database, truth = sensors_built
-    refused = record_of(database, "measured")["verdict"]
-    assert refused["decision"] == "refuse" and "align" in refused["next_step"]
-    record = record_of(database, "declared")
-    assert record["verdict"]["decision"] != "refuse"
-    points = np.stack(np.meshgrid(np.arange(60, 240, 30.0), np.arange(50, 180, 30.0)), -1)
-    points = points.reshape(-1, 2)
-    found = from_dict(record["bands"]["far"]["transform"])(points)
-    expected = points @ truth["hard"][:, :2].T + truth["hard"][:, 2]
-    assert np.linalg.norm(found - expected, axis=1).mean() < 0.15
-    assert record["verdict"]["numbers"]["far"]["align_apart_px"] == pytest.approx(1.8, abs=0.4)
-
-
-def test_an_alignment_that_is_wrong_by_100_px_is_named_and_does_not_move_the_map(sensors_built):
-    database, truth = sensors_built
-    assert record_of(database, "right")["verdict"]["decision"] == "accept"
-    record = record_of(database, "wrong")
-    verdict = record["verdict"]
-    assert verdict["decision"] == "warn"
-    assert "sensor far: The sensor lies 100.0 of its px" in " ".join(verdict["reasons"])
-    assert "align" in verdict["next_step"]
-    points = np.array([[60.0, 50], [240, 60], [150, 180]])
-    found = from_dict(record["bands"]["far"]["transform"])(points)
-    expected = points @ truth["easy"][:, :2].T + truth["easy"][:, 2]
-    np.testing.assert_allclose(found, expected, atol=0.1)
