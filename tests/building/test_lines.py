@@ -10,7 +10,6 @@ from scipy import ndimage
 
 from levkas.building import build
 from levkas.geometry import from_dict
-from levkas.stages import scans
 
 pytestmark = pytest.mark.slow
 SIZE, MARGIN = (300, 230), 60
@@ -163,15 +162,3 @@ def test_passes_that_wobble_each_by_itself_are_followed(strips_built):
         for band in bands.values():
             errors = np.linalg.norm(from_dict(band["transform"])(shown) - pixels, axis=1)
             assert errors.mean() < 0.1, (name, errors.mean())
-
-
-def test_large_passes_are_streamed_to_the_same_bytes(strips_built, tmp_path, monkeypatch):
-    """Without whole passes in memory."""
-    folder = strips_built.parent
-    monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
-    list(build(folder, output=tmp_path / "streamed"))
-    paths = sorted((strips_built / "objects/panel").rglob("panel_scan*.tif"))
-    assert len(paths) >= 6  # values and flags of the layer and of two passes
-    for path in paths:
-        streamed = tmp_path / "streamed" / path.relative_to(strips_built)
-        assert path.read_bytes() == streamed.read_bytes(), path.name

@@ -134,22 +134,6 @@ def test_strips_are_joined_to_a_twentieth_of_a_pixel(tmp_path, x, y):
     assert np.abs(shift_of(left[beyond], truth[beyond])).max() < 0.05
 
 
-def test_no_seam_is_seen_and_sigma_of_the_overlap_holds(tmp_path):
-    scene = paint(soft=3.0)
-    folder = write_campaign(tmp_path / "c", [strip(scene, 0, 0), strip(scene, 110.37, 0.4)])
-    cube = developed(folder).cubes[""]
-    left, _ = miss(cube, scene)
-    rows = np.s_[8:-8]
-    steps = left[rows].mean((0, 2))
-    assert np.abs(steps[4:-4]).max() < 1e-3, "of 1; that of noise is 1e-4"
-    pull = left[rows] / cube.sigma[rows]
-    for columns in (np.s_[4:105], np.s_[115:145], np.s_[155:250]):
-        assert pull[:, columns].std() == pytest.approx(1, abs=0.06)
-    alone, shared = cube.sigma[rows, 20:100].mean(), cube.sigma[rows, 122:138].mean()
-    assert shared / alone < 0.75, "two strips know more than one"
-    assert not cube.flags[rows, 4:-4].any()
-
-
 def test_a_stage_that_runs_askew_is_followed_and_one_that_wobbles_refused(tmp_path):
     scene = paint(3)
 

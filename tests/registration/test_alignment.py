@@ -76,12 +76,3 @@ def test_a_declared_alignment_begins_where_key_points_find_nothing(studio, camer
     np.testing.assert_allclose(found.transforms["b"](POINTS), hard(POINTS), atol=0.4)
     assert found.verdict.decision != "refuse"
     assert 1.0 < found.verdict.numbers["ccd2"]["align_apart_px"] < 3.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("reference", ["a", pytest.param("b", marks=pytest.mark.exhaustive)])
-def test_other_sensors_of_the_reference_camera_are_checked_too(camera, reference):
-    wrong = {"ccd2": moved(TURN, 30.0, 0.0)}
-    for method in ("levkas", "mirhashemi2019"):
-        found = register(camera, camera, reference_band=reference, align=wrong, method=method)
-        assert found.verdict.decision == "warn"

@@ -1,10 +1,8 @@
 import numpy as np
-import pytest
 
 from levkas.geometry.depth_step import DepthStepShift
 from levkas.geometry.transforms import Affine, Composed, Lens
 from levkas.registration.depth_step import (
-    average_over_windows,
     find_depth_step,
     find_depth_steps,
     fit_with_depth_step,
@@ -91,15 +89,6 @@ def test_a_ledge_displaces_along_either_axis_evenly_and_growing_along_it():
     points = inside.reshape(-1, 2)
     assert fitted.shift[2, 0] == fitted.shift[1, 1] == 0.0
     assert np.abs(fitted(points) - truth.steps[0](points)).max() < 0.02
-
-
-def test_a_window_inside_sees_a_map_where_it_is_and_one_on_the_slope_its_mean():
-    ledge = sunk(0.0, ((1.0, 0.0), (0.0, 0.0), (0.0, 0.0)))
-    places = np.array([[500.0, 380], [162, 380], [60, 380]])
-    assert average_over_windows(ledge, places, CELL)[:, 0] - places[:, 0] == pytest.approx(
-        [1, 0.5, 0], abs=1e-9
-    )
-    assert average_over_windows(VIEW, places, CELL) == pytest.approx(VIEW(places))
 
 
 def test_a_ledge_is_found_beside_a_strong_lens_and_only_there_beside_a_quintic():

@@ -6,7 +6,6 @@ from scipy import ndimage
 
 from levkas.registration.features import DETECTORS, KeyPoints, find_key_points
 from levkas.registration.matching import MATCHERS, find_neighbours, match
-from levkas.registration.record import RegistrationRefused
 
 
 @pytest.fixture(scope="module")
@@ -36,15 +35,6 @@ def test_matches_have_no_bias_between_pictures_of_different_scale(scene):
     assert np.abs(np.median(miss[good], 0)).max() < 0.05
 
 
-def test_the_limit_keeps_the_strongest_of_every_part(scene):
-    scene = scene.copy()
-    scene[:, 320:] *= 0.2
-    image = picture(scene)
-    few = find_key_points(image, everywhere(image), limit=200)
-    assert len(few) == 200
-    assert 60 < (few.points[:, 0] > 320).sum() < 140
-
-
 def test_no_key_point_stands_on_what_is_invalid(scene):
     image, valid = picture(scene), np.ones(scene.shape, bool)
     valid[:, 300:340] = False
@@ -63,12 +53,6 @@ def test_every_detector_matches_a_shifted_picture(scene, detector):
     # ORB places its points on pixels of a pyramid, up to 1.2^7 = 3.6 px apart.
     assert len(rows) > 50 and (miss < (3 if detector == "orb" else 1)).mean() > 0.9
     assert np.median(miss) < 0.5
-
-
-def test_an_unknown_detector_is_refused():
-    with pytest.raises(RegistrationRefused) as refused:
-        find_key_points(np.zeros((20, 20), np.uint8), np.ones((20, 20), bool), detector="kaze")
-    assert refused.value.problems[0].field == "registration.detector"
 
 
 def whole(rng, n, d=16):

@@ -1,6 +1,5 @@
 """Where the object lies: bodies on an even ground, what lies between them, declared outlines."""
 
-import cv2
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -107,33 +106,3 @@ def test_an_outline_that_is_none_or_leaves_the_frame_is_refused(palette, outline
         "outline",
         "registration.outline",
     )
-
-
-def painting_on_a_ground(turn=0.0):
-    """Return a picture of 300 x 340 px: a panel of 160 x 200 px on a dark ground, bright above and darker than it below."""
-    panel = np.linspace(0.95, 0.1, 200, dtype=np.float32)[:, None] * np.ones(160, np.float32)
-    panel[130:] *= 0.5
-    panel += 0.05 * (texture(panel.shape) - 0.5).astype(np.float32) / 0.15
-    matrix = cv2.getRotationMatrix2D((79.5, 99.5), turn, 1.0)
-    matrix[:, 2] += (70, 70)
-    size = (300, 340)
-    share, paint = (
-        cv2.warpAffine(one, matrix, size, flags=cv2.INTER_LINEAR, borderMode=border)
-        for one, border in (
-            (np.ones_like(panel), cv2.BORDER_CONSTANT),
-            (panel, cv2.BORDER_REPLICATE),
-        )
-    )
-    ground = 0.24 + np.random.default_rng(4).normal(0, 0.002, size[::-1])
-    return ndimage.gaussian_filter(ground * (1 - share) + paint * share, 0.8).astype(np.float32)
-
-
-@pytest.mark.parametrize("turn", [0.0, 2.5, -30.0])
-def test_the_sides_of_a_panel_are_known_however_it_lies(turn):
-    area = ObjectArea.of(painting_on_a_ground(turn))
-    assert np.allclose(area.sides, (160, 200), atol=2 if turn else 1)  # stairs of a turned edge
-    corners = np.array([[-80, -100], [80, -100], [80, 100], [-80, 100]]) * 0.98
-    angle = np.radians(turn)
-    places = corners @ [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    inside = np.add(places, [149.5, 169.5])
-    assert (area.edge.min(0) <= inside.min(0)).all() and (area.edge.max(0) >= inside.max(0)).all()

@@ -99,12 +99,6 @@ def test_lines_are_found_displaced_by_what_was_planted(painting, front, shift, r
     )
 
 
-def test_a_weak_wobble_of_a_noisy_scan_is_found(painting, front):
-    for seed in range(2):
-        found = measured(front, scan(painting, across(sine(0.4, 9)), noise=0.06, seed=seed))
-        assert found.displaced and found.rms == pytest.approx(0.4 / 2**0.5, rel=0.3)
-
-
 def test_columns_of_a_scanner_on_its_side_are_lines_too(painting, front):
     picture = scan(painting, across(sine(0.5, 25)))
     swap = Affine(STRAIGHT.matrix[::-1])

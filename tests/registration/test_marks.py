@@ -58,11 +58,3 @@ def test_a_picture_without_marks_is_not_held_against_the_map(noise):
     bare = panel(1, 1, cracked=0, strokes=0)
     found = compare_marks(photograph(panel(1, 1), 1), photograph(bare, 2, noise), EVERYWHERE)
     assert found.at_most >= 0.25
-
-
-def test_marks_are_looked_for_only_where_outlines_confirm_the_map():
-    one, other = photograph(panel(1, 1), 1), photograph(panel(1, 2), 2)
-    left = np.arange(SHAPE[1]) < 300
-    half = np.where(left, one, other).astype(np.float32)
-    assert compare_marks(one, half, EVERYWHERE & left).correlation > 0.9
-    assert compare_marks(one, half, np.zeros(SHAPE, bool)) is None

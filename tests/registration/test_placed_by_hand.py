@@ -69,13 +69,6 @@ def test_sigma_holds_nine_of_ten_errors_of_hands_that_shake():
     assert 0.8 < np.mean(inside) < 0.97
 
 
-def test_a_homography_that_folds_within_the_frame_is_not_taken():
-    corners = np.array([[100.0, 100], [200, 100], [200, 200], [100, 200], [150, 150]])
-    theirs = np.array([[0.0, 0], [100, 0], [70, 20], [30, 20], [50, 14]])  # a horizon is near
-    placed = place_by_hand(ManualPoints(added=np.hstack([corners, theirs])), SHAPE)
-    assert placed.model != "homography"
-
-
 ON_A_LINE = np.linspace(0, 500, 6)[:, None] * [1, 1, 1, 2]
 
 

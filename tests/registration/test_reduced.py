@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from levkas.geometry.transforms import Affine
-from levkas.registration import BandImage, register
-from levkas.registration.reduced import reduce_target
-from levkas.registration.request import Request
+from levkas.registration import register
 
 
 @pytest.mark.slow
@@ -27,15 +24,3 @@ def test_a_macro_of_twelve_px_to_one_is_registered():
     off = (found.transforms["1"](points) - (points - (x, y)) * scale) / scale
     assert np.abs(off).mean() < 0.02
     assert np.abs(off).max() < 0.1
-
-
-def test_what_is_stated_in_px_of_the_target_is_reduced_with_it():
-    bands = [BandImage.of("1", np.ones((40, 80))), BandImage.of("2", np.ones((40, 80)))]
-    shift = np.array([[1.0, 0, 8], [0, 1, -4]])
-    request = Request(bands, bands[:], "1", align={"b": shift}, target_region=(8, 4, 40, 20))
-    reduced = reduce_target(request, 4)
-    assert [one.size for one in reduced.target] == [(20, 10), (20, 10)]
-    assert reduced.target_region == [2, 1, 10, 5]
-    for given in (shift, Affine(shift)):
-        align = reduce_target(Request(bands, bands[:], "1", align={"b": given}), 4).align["b"]
-        assert align(np.array([[3.0, 3.0]])) == pytest.approx(np.array([[5.0, 2.0]]))

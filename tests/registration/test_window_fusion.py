@@ -26,14 +26,3 @@ def test_knowledge_is_that_of_the_noise_whatever_windows_say_of_it():
     expected = 1200 * 2 / SIGMA**2
     assert total_information(observed(still)) == pytest.approx(expected, rel=0.1)
     assert total_information(observed(still, said=0.2 * SIGMA)) == pytest.approx(expected, rel=0.1)
-
-
-def test_neither_a_lens_nor_a_ledge_is_taken_for_noise():
-    def bent(points):
-        away = (points - (320, 240)) / 320
-        lens = 0.5 * away * (away**2).sum(1, keepdims=True)
-        sunk = ((points > 100) & (points < (540, 380))).all(1)
-        return lens + sunk[:, None] * np.array([0.8, -0.3])
-
-    # One triple in four lies across the ledge; the scatter about any polynomial would be tenfold.
-    assert 0.5 < total_information(observed(bent)) / total_information(observed(still)) < 1.0

@@ -142,13 +142,6 @@ def test_a_repeated_ornament_is_placed_by_positions_and_by_nothing_else():
     assert np.abs(apart - (130, 0)).max() < 6  # tiles are turned a little; a period is 60
 
 
-def test_tiles_of_two_paintings_are_refused():
-    rng, lens = np.random.default_rng(0), Lens(np.zeros(2), 100.0)
-    tiles = {str(seed): cut(texture(seed), (50, 50), rng, lens)[0] for seed in (3, 4)}
-    with pytest.raises(RegistrationRefused, match="no two tiles overlap"):
-        place_tiles(tiles)
-
-
 def test_more_than_two_hundred_tiles_are_refused(mosaic):
     tiles, _, _ = mosaic
     with pytest.raises(RegistrationRefused) as refused:
