@@ -397,7 +397,7 @@ def _read(layer, panel, truth, rng):
     other = (4, 4, 23, 23)
 
     def note(name, region, want, **more):
-        made = layer.uncertainty(rectangle=region, **more)
+        made = layer.levkas.uncertainty(rectangle=region, **more)
         found.extend(
             (name, float(v - w), float(u))
             for v, w, u in zip(made.value, np.ravel(want), made.U, strict=True)

@@ -20,7 +20,7 @@ def main(database: Path, output: Path) -> Figure:
         cube = opened[name][CAMERA]
         lab = lab_of(cube.values, cube.wavelength.values)
         untrue = levkas.Flag.OUTSIDE | levkas.Flag.SATURATED | levkas.Flag.GLARE
-        lab[(cube.flags.values & untrue).any(-1)] = np.nan
+        lab[(cube.levkas.flags.values & untrue).any(-1)] = np.nan
         colours.append(lab.reshape(-1, 3))
     cells = gamut_cells(np.concatenate(colours))
     shades, munsell = lab_colours(cells[:, :3]) / 255, munsell_lab()

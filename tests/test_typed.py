@@ -17,11 +17,11 @@ import levkas
 
 database = levkas.opn("icons/database")
 layer = levkas.open("icons/database")["icon1"]["vis"]
-there = layer.transform("grid")
+there = levkas.map_points("icons/database", "icon1", np.zeros((1, 2)), source="grid")
 for step in levkas.build("icons"):
     print(step.line, step.lines)
 spectra = levkas.read_spectra(3)
-print(there(np.zeros((1, 2))), layer.levkas.spectral_angle(spectra[0]).max(), layer.flags)
+print(there, layer.levkas.flags, spectra)
 """
 PLANTED = {6: "opn", 8: "target", 10: "lines", 11: "int"}
 """Line → what its error names."""

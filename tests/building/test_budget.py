@@ -81,7 +81,7 @@ def test_the_parts_of_the_noise_are_those_of_the_published_sigma(campaign):
         rows[name]["size"] for name in ("photons and read noise", "white frames", "dark frames")
     ]
     for band in map(str, layer.band.values):
-        sigma = float(np.median(layer.sigma.sel(band=band)))
+        sigma = float(np.median(layer.levkas.sigma.sel(band=band)))
         assert np.sqrt(sum(part[band] ** 2 for part in parts)) == pytest.approx(sigma, rel=0.15)
 
 
@@ -323,7 +323,7 @@ def test_a_budget_of_another_version_is_refused_with_what_to_do(campaign, tmp_pa
     path.write_text(json.dumps(record))
     layer = read(folder)
     for reads in (
-        lambda: layer.uncertainty(rectangle=REGION),
+        lambda: layer.levkas.uncertainty(rectangle=REGION),
         lambda: levkas.open(folder / "database")["panel"].dataset("cam"),
     ):
         with pytest.raises(Refused, match="Build it again") as refused:
@@ -341,12 +341,12 @@ def test_a_layer_without_provenance_says_that_it_has_no_budget(campaign, tmp_pat
 def test_a_ratio_of_two_bands_knows_the_slope_of_the_whole_spectrum(campaign):
     layer = read(campaign)
     two = [str(band) for band in layer.band.values[1:3]]
-    every = layer.uncertainty(rectangle=REGION)
-    some = layer.uncertainty(rectangle=REGION, bands=two)
+    every = layer.levkas.uncertainty(rectangle=REGION)
+    some = layer.levkas.uncertainty(rectangle=REGION, bands=two)
     assert list(some.band.values) == two
     assert np.allclose(some.u, every.u.sel(band=two))
     with pytest.raises(KeyError):
-        layer.uncertainty(rectangle=REGION, bands=["no band"])
+        layer.levkas.uncertainty(rectangle=REGION, bands=["no band"])
 
 
 def test_what_the_bands_see_is_in_the_fingerprint_of_a_report_that_compares_cameras(

@@ -191,11 +191,11 @@ def test_the_error_of_the_light_is_in_the_budget_and_no_mean_makes_it_smaller(co
     write_frames(copy, {"macbeth": scene}, rng)
     assert summarise(build(copy)).ok
     layer = levkas.open(copy / "database")["panel"]["vis"]
-    few, many = (layer.uncertainty(rectangle=(20, 20, to, to)) for to in (22, 60))
+    few, many = (layer.levkas.uncertainty(rectangle=(20, 20, to, to)) for to in (22, 60))
     light = many.u_by_source.sel(source="chart as white") / many.value
     assert (light > 0.01).all() and (many.u_random < 0.2 * few.u_random).all()
     assert np.allclose(many.u_common / many.value, few.u_common / few.value, rtol=0.2)
-    assert float((layer.sigma / layer).median()) < 0.02
+    assert float((layer.levkas.sigma / layer).median()) < 0.02
 
 
 def test_what_held_out_patches_miss_is_in_the_budget(copy):

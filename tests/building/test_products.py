@@ -206,7 +206,7 @@ def test_a_product_is_published_with_nan_and_its_bad_band_named(tmp_path):
     report = summarise(build(folder))
     assert report.ok, report.text
     cube = levkas.open(folder / "database")["panel"]["scan"]
-    values, flags = cube.values, cube.flags.values
+    values, flags = cube.values, cube.levkas.flags.values
     assert np.array_equal(np.isnan(values), np.broadcast_to(EMPTY[..., None], values.shape))
     assert set(np.unique(flags[..., 0])) == {0, 1} and set(np.unique(flags[..., 2])) == {1 | 8, 8}
     good = [i for i in range(len(NM)) if i != 2]
@@ -223,5 +223,5 @@ def test_values_of_a_layer_without_sigma_are_not_rounded_by_that_of_one_sensor()
     }
     for native in (Native(cubes), Native(cubes).packed()):
         layer = native.on_grid(dict.fromkeys("AB", Affine.identity()), (20, 20))
-        assert layer.sigma is None
+        assert layer.levkas.sigma is None
         assert np.array_equal(layer.values, np.concatenate([codes, codes + 400], axis=2))

@@ -40,7 +40,7 @@ def test_reflectance_is_right_within_its_sigma_on_the_grid(world, camera):
     for band in layer.band.values:
         miss = layer.sel(band=band).values - truth
         assert np.nanmedian(np.abs(miss)[even]) < 0.01
-        good = even & (layer.flags.sel(band=band).values == 0)
+        good = even & (layer.levkas.flags.sel(band=band).values == 0)
         assert good.mean() > 0.1
         assert abs(np.median(miss[good])) < 0.003
 

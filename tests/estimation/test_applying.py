@@ -75,11 +75,11 @@ def test_sigma_is_the_method_s_own_or_the_held_out_error_of_the_band(own_paintin
         list(apply_model(own_paintings, models / f"{name}.npz", name, objects=["icon1"]))
     facts = json.loads((models / "rgb_wiener.json").read_text())
     database = levkas.open(own_paintings)["icon1"]
-    constant = database["rgb_wiener"].sigma.values[20, 20]
-    of_reference = database["vis"].sigma.values[20, 20]
+    constant = database["rgb_wiener"].levkas.sigma.values[20, 20]
+    of_reference = database["vis"].levkas.sigma.values[20, 20]
     beyond = np.sqrt(np.square(facts["sigma"]) - np.square(of_reference))
     np.testing.assert_allclose(constant, beyond, rtol=0.01)  # sigma is stored rounded
-    own = database["rgb_gaussian-process"].sigma.values
+    own = database["rgb_gaussian-process"].levkas.sigma.values
     assert np.nanstd(own[..., 5]) > 0
 
 
@@ -87,14 +87,16 @@ def test_the_mean_of_an_estimated_region_is_no_better_known_than_its_paint(own_p
     for name in ("rgb_wiener", "rgb_gaussian-process"):
         list(apply_model(own_paintings, models / f"{name}.npz", "guess", objects=["icon3"]))
         layer = levkas.open(own_paintings)["icon3"]["guess"]
-        one, many = (layer.uncertainty(rectangle=(20, 20, *end)) for end in ((20, 20), (31, 31)))
-        np.testing.assert_allclose(one.u, layer.sigma.values[20, 20], rtol=1e-3)
+        one, many = (
+            layer.levkas.uncertainty(rectangle=(20, 20, *end)) for end in ((20, 20), (31, 31))
+        )
+        np.testing.assert_allclose(one.u, layer.levkas.sigma.values[20, 20], rtol=1e-3)
         assert (many.u_random < 0.1 * one.u_random).all()
         missed = [found.u_by_source.sel(source="prediction") for found in (one, many)]
         np.testing.assert_allclose(
             missed[1], missed[0], rtol=0.4
         )  # sigma is not the same everywhere
-        apart = layer.uncertainty(
+        apart = layer.levkas.uncertainty(
             rectangle=(20, 20, 31, 31), bands=["590 nm", "610 nm"], of="difference"
         )
         assert apart.u < np.hypot(*many.u.sel(band=["590 nm", "610 nm"]))  # missed alike

@@ -36,8 +36,8 @@ def changed(database, name, camera, setup="", *, values=None, flags=None):
     layer = levkas.open(database)[name][camera, setup]
     bands = tuple(levkas.Band(str(b)) for b in layer.band.values)
     values = layer.values if values is None else values
-    flags = layer.flags.values if flags is None else flags
-    cube = Cube(values, flags, layer.sigma.values, bands)
+    flags = layer.levkas.flags.values if flags is None else flags
+    cube = Cube(values, flags, layer.levkas.sigma.values, bands)
     write_layer(database, Layer(name, camera, setup), cube)
 
 

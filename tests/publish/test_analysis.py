@@ -88,7 +88,7 @@ def test_a_ratio_takes_its_second_band_from_a_layer_of_the_same_light(make, data
         ("vis.ratio-718-R", vis.sel(band="720 nm"), rgb.sel(band="R")),
     ):
         made = open_pages(folder / f"{PLACE}{name}.tif").read_page(0)
-        sound = ((one.flags.values | other.flags.values) & untrusted) == 0
+        sound = ((one.levkas.flags.values | other.levkas.flags.values) & untrusted) == 0
         with np.errstate(all="ignore"):
             ratio = one.values.astype(float) / other.values
         assert np.array_equal(np.isfinite(made), sound & (other.values > 0))

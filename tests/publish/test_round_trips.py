@@ -58,11 +58,11 @@ def test_a_layer_opens_as_it_was_written_from_zarr_and_from_tiff(zarr, cube, sca
             shutil.rmtree(Path(folder, "zarr"))
         opened = levkas.open(folder)["icon"]["cam"]
         same(opened.values, cube.values)
-        same(opened.flags.values, cube.flags)
+        same(opened.levkas.flags.values, cube.flags)
         if cube.sigma is None:
-            assert opened.sigma is None
+            assert opened.levkas.sigma is None
         else:
-            same(opened.sigma.values, cube.sigma)
+            same(opened.levkas.sigma.values, cube.sigma)
         assert list(opened.band.values) == cube.labels
         known = [band.wavelength for band in cube.bands]
         assert np.array_equal(opened.wavelength.values, known, equal_nan=True)

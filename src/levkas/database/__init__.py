@@ -21,8 +21,9 @@ def open(path: str | Path) -> Database:
     Returns
     -------
     database : Database
-        A mapping: object → camera, or (camera, setup) → array of float32, reflectance or counts as its
-        attribute `quantity` says. Pixels are read when they are used.
+        A mapping: object → camera, or (camera, setup) → `xarray.DataArray` of float32, reflectance or counts as its
+        attribute `quantity` says. Pixels are read when they are used. ``array.levkas`` has what lies beside them: see
+        `levkas.database.accessor.LayerAccessor`.
 
     Raises
     ------
@@ -33,7 +34,7 @@ def open(path: str | Path) -> Database:
     --------
     >>> database = open(plates / "database")
     >>> layer = database["one"]["infrared"]
-    >>> layer.dims, layer.shape, layer.flags.dtype.name
+    >>> layer.dims, layer.shape, layer.levkas.flags.dtype.name
     (('y', 'x', 'band'), (200, 240, 1), 'uint8')
     """
     from levkas.database.reader import Database

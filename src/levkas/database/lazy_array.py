@@ -16,7 +16,7 @@ from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_json
 from levkas.database.catalogue import DatabaseRefused
 from levkas.database.containment import check_inside
-from levkas.database.remote import RemotePath
+from levkas.database.remote import RemotePath, zarr_store
 from levkas.database.tiff_pages import DAMAGE, TiffPages, open_pages
 
 if TYPE_CHECKING:
@@ -80,13 +80,12 @@ class ZarrArray(LazyArray):
     def _array(self) -> zarr.Array[Any]:
         import zarr
 
-        store: Any = str(self.path)
-        if isinstance(self.path, RemotePath):
-            from levkas.database.remote_zarr import RemoteArrayStore
-
-            store = RemoteArrayStore(self.path)
         try:
-            return zarr.open_array(store, mode="r", zarr_format=3)
+            if isinstance(self.path, RemotePath):
+                with self.path.store.requesting(self.path.key):
+                    store = zarr_store(self.path)
+                    return zarr.open_array(store, path=self.path.key, mode="r", zarr_format=3)
+            return zarr.open_array(str(self.path), mode="r", zarr_format=3)
         except DAMAGE as error:
             raise DatabaseRefused(_damaged(self.path / "zarr.json", error)) from error
 
@@ -95,9 +94,12 @@ class ZarrArray(LazyArray):
 
     def _read(self, key: tuple[Any, ...]) -> np.ndarray:
         places = self._places(key)
-        if all(len(p) for p in places) and not isinstance(self.path, RemotePath):
-            self._check_shards([(int(p[0]), int(p[-1])) for p in places])
         try:
+            if isinstance(self.path, RemotePath):
+                with self.path.store.requesting(self.path.key):
+                    return np.asarray(self._array.oindex[key])
+            if all(len(p) for p in places):
+                self._check_shards([(int(p[0]), int(p[-1])) for p in places])
             return np.asarray(self._array.oindex[key])
         except DAMAGE as error:
             raise DatabaseRefused(_damaged(self.path, error)) from error
@@ -137,8 +139,6 @@ def _reopen_tiff(path: Path) -> TiffPixels:
 
 def is_described(path: Path) -> bool:
     """Whether a folder is a group or an array of Zarr 3."""
-    if isinstance(path, RemotePath):
-        return path.describe() is not None
     return (path / "zarr.json").is_file()
 
 
@@ -152,7 +152,7 @@ def read_description(path: Path) -> dict[str, Any]:
     """
     place = path / "zarr.json"
     try:
-        record = path.describe() if isinstance(path, RemotePath) else read_json(place)
+        record = read_json(place)
         shape, grid = record["shape"], record["chunk_grid"]["configuration"]["chunk_shape"]
         _require_accepted(record)
         codecs = [codec.get("configuration") or {} for codec in record["codecs"]]

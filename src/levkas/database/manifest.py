@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import itertools
 import os
 import re
 import unicodedata
@@ -40,7 +39,7 @@ _LINE = re.compile(r"([0-9a-fA-F]{64}) [ *](.+)")
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """One file as the manifest has it; `size` in bytes, None where a foreign one does not say."""
+    """One file as the manifest has it; `size` in bytes."""
 
     name: str
     sha256: str
@@ -57,7 +56,7 @@ class Manifest:
     files : dict
         Relative path with ``/`` → `Listed`.
     bytes : int
-        Of all files together; those of unknown size count nothing.
+        Of all files together.
     problems : tuple of Problem
         What is wrong with the manifest itself; empty where it is whole.
     """
@@ -112,7 +111,7 @@ def write_manifest(
 
 
 def read_manifest(path: str | Path) -> Manifest:
-    """Read a manifest, ours or any in BagIt's format; damage in it is returned, never raised.
+    """Read a manifest; damage in it is returned, never raised, and nothing of a damaged one is.
 
     It is read line by line; its files, and no second copy of its text, are in memory.
     """
@@ -132,33 +131,19 @@ def read_manifest(path: str | Path) -> Manifest:
 
 
 def _read(path: Path, file: BinaryIO) -> Manifest:
-    """Read an open manifest, and compare its lines with its head where it is one of ours."""
+    """Read an open manifest, and compare its lines with its head."""
     lines = iter(lambda: file.readline(LONGEST_LINE), b"")
-    head = next(lines, b"")
-    if not head:
-        return _damaged(path, "it is empty")
-    stated = _HEAD.fullmatch(head.removesuffix(b"\n").decode("ascii", "replace"))
+    head = next(lines, b"").removesuffix(b"\n").decode("ascii", "replace")
+    stated = _HEAD.fullmatch(head)
     if stated is None:
-        comments: list[bytes] = []
-        manifest = _parse(path, _noting(itertools.chain([head], lines), comments))
-        if comments:
-            return _damaged(path, "its first line has changed", manifest)
-        return manifest
+        return _damaged(path, "its first line is not that of a build")
     digest = hashlib.sha256()
     manifest = _parse(path, _hashing(lines, digest))
     if digest.hexdigest() != stated.group(3):
-        return _damaged(path, "its lines have changed", manifest)
+        return _damaged(path, "its lines have changed")
     if (len(manifest.files), manifest.bytes) != (int(stated.group(1)), int(stated.group(2))):
-        return _damaged(path, "its totals of files and bytes differ from its lines", manifest)
+        return _damaged(path, "its totals of files and bytes differ from its lines")
     return manifest
-
-
-def _noting(lines: Iterable[bytes], comments: list[bytes]) -> Iterator[bytes]:
-    """Yield lines, and note the first that is a comment."""
-    for line in lines:
-        if not comments and any(part.startswith(b"#") for part in line.splitlines()):
-            comments.append(line)
-        yield line
 
 
 def _hashing(lines: Iterable[bytes], digest: hashlib._Hash) -> Iterator[bytes]:
@@ -238,7 +223,7 @@ def _parse(path: Path, lines: Iterable[bytes]) -> Manifest:
     total = sum(entry.size or 0 for entry in files.values())
     manifest = Manifest(path, files, total)
     if wrong:
-        return _damaged(path, f"{wrong} lines cannot be read, the first is {first}", manifest)
+        return _damaged(path, f"{wrong} lines cannot be read, the first is {first}")
     return manifest
 
 
@@ -251,12 +236,11 @@ def _decode(name: str) -> str:
     return name.removeprefix("./").replace("%25", "%")
 
 
-def _damaged(path: Path, why: str, manifest: Manifest | None = None) -> Manifest:
+def _damaged(path: Path, why: str) -> Manifest:
     problem = Problem(
         "E_DAMAGED",
         f"the manifest is damaged: {why}",
         file=str(path),
         fix="Copy it again, or build the database again to write it.",
     )
-    files = manifest.files if manifest else {}
-    return Manifest(path, files, manifest.bytes if manifest else 0, (problem,))
+    return Manifest(path, {}, problems=(problem,))

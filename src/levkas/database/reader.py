@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray
 
 from levkas.core.problems import Problem
+from levkas.database.accessor import LayerAccessor
 from levkas.database.catalogue import (
     NAME,
     DatabaseRefused,
@@ -23,13 +24,11 @@ from levkas.database.catalogue import (
 )
 from levkas.database.containment import check_inside, check_plain_names
 from levkas.database.described import open_tiff
-from levkas.database.layer_array import LayerArray
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.opening import open_layer
 from levkas.database.spectral_tiff import METADATA
 
-if TYPE_CHECKING:
-    from levkas.database.pixel_frames import FrameMap
+xarray.register_dataarray_accessor("levkas")(LayerAccessor)
 
 
 class Database(Mapping[str, "Object"]):
@@ -96,15 +95,15 @@ def _first_of(names: Collection[str], most: int = 100) -> str:
 
 
 @dataclass(frozen=True, repr=False)
-class Object(Mapping[Any, "LayerArray"]):
+class Object(Mapping[Any, xarray.DataArray]):
     """One object: ``object["lctf-vis"]``, and under another setup ``object["d80", "45-degree"]``."""
 
     path: Path
     name: str
     layers: tuple[tuple[str, str], ...]
 
-    def __getitem__(self, key: str | tuple[str, str]) -> LayerArray:
-        return LayerArray(open_layer(self.path, self._layer(key)))
+    def __getitem__(self, key: str | tuple[str, str]) -> xarray.DataArray:
+        return open_layer(self.path, self._layer(key))
 
     def __iter__(self) -> Iterator[Any]:
         return iter([(camera, setup) if setup else camera for camera, setup in self.layers])
@@ -119,14 +118,6 @@ class Object(Mapping[Any, "LayerArray"]):
         layers = ", ".join(layer_name(*layer) for layer in self.layers)
         return f"<levkas object {self.name}: {layers or 'no layers'}>"
 
-    def flags(self, camera: str, setup: str = "") -> xarray.DataArray:
-        """Return the flags of a layer, uint8 (y, x, band)."""
-        return self[camera, setup].flags
-
-    def sigma(self, camera: str, setup: str = "") -> xarray.DataArray | None:
-        """Return sigma of a layer, float32 (y, x, band), or None where it is not known."""
-        return self[camera, setup].sigma
-
     def dataset(self, camera: str, setup: str = "") -> xarray.Dataset:
         """Return a layer as one `xarray.Dataset`, lazily: ``values``, ``flags`` and, where it is known, ``sigma``.
 
@@ -137,8 +128,8 @@ class Object(Mapping[Any, "LayerArray"]):
         from levkas.database.region_uncertainty import budget_variables, read_budget
 
         values = self[camera, setup]
-        parts = {"values": values, "flags": values.flags, "sigma": values.sigma}
-        known = {name: xarray.DataArray(part) for name, part in parts.items() if part is not None}
+        parts = {"values": values, "flags": values.levkas.flags, "sigma": values.levkas.sigma}
+        known = {name: part for name, part in parts.items() if part is not None}
         budget = read_budget(self.path, self._layer((camera, setup)))
         rows = budget_variables(budget, values.band)
         facts = {"Conventions": "CF-1.11", "title": f"{self.name}, {values.name}"}
@@ -173,12 +164,6 @@ class Object(Mapping[Any, "LayerArray"]):
         facts = {"units": "reference px", "long_name": "one standard deviation of the position"}
         places = {k: np.arange(n) for k, n in zip(("y", "x"), values.shape, strict=True)}
         return xarray.DataArray(values, places, ("y", "x"), "position_sigma", facts)
-
-    def transform(self, source: str, target: str) -> FrameMap:
-        """Return the map between two frames of pixels, as `levkas.database.pixel_frames.find_map` does."""
-        from levkas.database.pixel_frames import find_map
-
-        return find_map(self.path, self.name, source, target)
 
     def _layer(self, key: str | tuple[str, str]) -> LayerId:
         camera, setup = (key, "") if isinstance(key, str) else key

@@ -1,15 +1,10 @@
-"""Every damage of a database found, and the file named.
-
-With a manifest every file is hashed and compared; without one, or with a damaged one, files are
-decoded and compared, which finds less: a flipped bit in an uncompressed TIFF that no catalogue has the
-hash of is not found.
-"""
+"""Every damage of a database found, and the file named: each file is hashed and compared with the manifest."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +15,9 @@ from levkas.core.problems import Problem
 from levkas.database.catalogue import NAME as CATALOGUE
 from levkas.database.catalogue import DatabaseRefused, database_of, no_database, read_catalogue
 from levkas.database.containment import find_escapes
-from levkas.database.decoding import check_structure
 from levkas.database.manifest import (
     NAME,
     Listed,
-    Manifest,
     is_partial,
     list_files,
     plain,
@@ -66,15 +59,12 @@ class ValidationReport:
     checked : int
         Files.
     problems : tuple of Problem
-        At most one or two a file; empty where all is as it was published.
-    manifest : bool
-        Whether hashes were compared; without, only structure was.
+        At most one a file; empty where all is as it was published. Of a manifest that is missing or damaged that alone.
     """
 
     root: Path
     checked: int
     problems: tuple[Problem, ...] = field(default=())
-    manifest: bool = True
 
     @property
     def ok(self) -> bool:
@@ -84,14 +74,13 @@ class ValidationReport:
     @property
     def text(self) -> str:
         """Two lines for people."""
-        how = "hashes compared" if self.manifest else "no manifest: structure only"
         files = len({p.file for p in self.problems})
         end = "all intact" if self.ok else f"{files} damaged, missing or foreign"
-        return f"{self.root}: {self.checked} files checked ({how}), {end}"
+        return f"{self.root}: {self.checked} files checked, {end}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return what `--json` adds to the problems."""
-        return {"checked": self.checked, "manifest": self.manifest}
+        return {"checked": self.checked}
 
 
 def validate(
@@ -105,8 +94,7 @@ def validate(
     Parameters
     ----------
     database : path
-        A folder as `levkas build` writes it, that of the campaign that it was built from, or one of the same kind by other
-        hands; or the address of such a one that has a manifest.
+        A folder as `levkas build` writes it, that of the campaign that it was built from, or the address of a database.
     threads : int, optional
         For hashing; default: `levkas.core.machine.count_threads`.
     draw : callable
@@ -124,11 +112,9 @@ def validate(
     levkas.database.catalogue.DatabaseRefused: this folder does not exist...
     """
     root = database_of(database)
-    manifest = _find_manifest(root)
     steps = draw(check_files(root, threads=threads))
     problems = _once(p for step in steps for p in step.problems)
-    trusted = manifest is not None and not manifest.problems
-    return ValidationReport(root, len([s for s in steps if s.name]), tuple(problems), trusted)
+    return ValidationReport(root, len([s for s in steps if s.name]), tuple(problems))
 
 
 def check_files(database: str | Path, *, threads: int | None = None) -> Iterator[Checked]:
@@ -137,42 +123,29 @@ def check_files(database: str | Path, *, threads: int | None = None) -> Iterator
     Raises DatabaseRefused where there is no database at all.
     """
     root = database_of(database)
-    manifest = _find_manifest(root)
+    if not any((root / name).is_file() for name in (NAME, CATALOGUE)):
+        raise no_database(root, f"a folder with {CATALOGUE} and {NAME}")
+    manifest = read_manifest(root / NAME)
+    if manifest.problems:
+        yield Checked(NAME, manifest.problems)
+        return
     names = list_files(root)
-    count = threads or (THREADS if is_remote(root) else count_threads())
     escapes = {str(p.file): p for p in find_escapes(root, names)}
     for name in (n for n in names if str(root / n) in escapes):
         yield Checked(name, (escapes[str(root / name)],), total=len(names))
     names = [name for name in names if str(root / name) not in escapes]
-    if manifest is not None:
-        files = {n: f for n, f in manifest.files.items() if str(root / n) not in escapes}
-        manifest = replace(manifest, files=files)
-    if manifest is not None and not manifest.problems:
-        yield from _by_hash(root, manifest, names, count)
-    else:
-        yield from _by_structure(root, manifest, names, count)
+    files = {n: f for n, f in manifest.files.items() if str(root / n) not in escapes}
+    count = threads or (THREADS if is_remote(root) else count_threads())
+    yield from _by_hash(root, files, names, count)
 
 
-def _find_manifest(root: Path) -> Manifest | None:
-    """Read the manifest; refuse a folder that is no database."""
-    found = (root / NAME).is_file()
-    if not found and not (root / CATALOGUE).is_file() and not (root / "objects").is_dir():
-        raise no_database(root, f"a folder with {CATALOGUE}, {NAME} or objects/")
-    if not found and not is_remote(root):
-        return None
-    manifest = read_manifest(root / NAME)
-    if is_remote(root) and manifest.problems:  # to decode every file, each would come over the net
-        raise DatabaseRefused(*manifest.problems)
-    return manifest
-
-
-# --- by hash ----------------------------------------------------------------------------------
-
-
-def _by_hash(root: Path, manifest: Manifest, names: list[str], threads: int) -> Iterator[Checked]:
+def _by_hash(
+    root: Path, files: Mapping[str, Listed], names: list[str], threads: int
+) -> Iterator[Checked]:
     """Compare every file with the manifest."""
-    files = manifest.files.items()  # an older build listed what viewers left
-    listed = {plain(n): one for n, one in files if not DROPPINGS.fullmatch(n.split("/")[-1])}
+    # An older build listed what viewers left.
+    kept = {n: one for n, one in files.items() if not DROPPINGS.fullmatch(n.split("/")[-1])}
+    listed = {plain(n): one for n, one in kept.items()}
     there = {plain(name): name for name in names if name != NAME}
     missing = [listed[key] for key in listed if key not in there]
     extra = [there[key] for key in there if key not in listed]
@@ -268,48 +241,6 @@ def _hash(path: Path) -> str:
         return f"cannot be read: {error.strerror or error}"
     except RemoteRefused as refused:
         return f"cannot be read: {refused.problems[0].message}"
-
-
-# --- by structure -----------------------------------------------------------------------------
-
-
-def _by_structure(
-    root: Path, manifest: Manifest | None, names: list[str], threads: int
-) -> Iterator[Checked]:
-    """Decode what there is, and use what a damaged manifest still says."""
-    done, total, kept = 0, len(names), frozenset(names) - ({NAME} if manifest else frozenset())
-    ours = False
-    for step in check_structure(root, kept):
-        done, ours = done + bool(step.name), step.ours or ours
-        yield Checked(step.name, step.problems, done, total)
-    if manifest is not None:
-        more = manifest.problems + tuple(_check_damaged_manifest(root, manifest, names, threads))
-        yield Checked(NAME, more, total, total)
-    elif ours:
-        lacking = [name for name in (CATALOGUE, NAME) if name not in names]
-        why = "it is missing, so its content could not be checked"
-        missing = tuple(_problem(root, name, "E_MISSING", why) for name in lacking)
-        yield Checked("", missing, total, total)
-
-
-def _check_damaged_manifest(
-    root: Path, manifest: Manifest, names: list[str], threads: int
-) -> Iterator[Problem]:
-    """Yield what a damaged manifest proves all the same: a hash that is wholly another, a file that is gone."""
-    here = set(names)
-    entries = [e for e in manifest.files.values() if e.name in here]
-    with ThreadPoolExecutor(max(1, threads)) as pool:
-        hashes = list(pool.map(lambda e: _hash(root / e.name), entries))
-    for entry, digest in zip(entries, hashes, strict=True):
-        # Of a hash that a damage changed most digits stay; another one shares four of 64 by chance.
-        if sum(map(str.__eq__, entry.sha256, digest)) <= 32:
-            details = {"found": f"sha256 {digest}", "expected": entry.sha256}
-            yield _problem(root, entry.name, "E_DAMAGED", "its bytes have changed", **details)
-    unknown = [n for n in names if n not in manifest.files and n != NAME]
-    hashes_of_unknown = {_hash(root / n) for n in unknown}
-    for entry in manifest.files.values():
-        if entry.name not in here and entry.sha256 not in hashes_of_unknown:
-            yield _problem(root, entry.name, "E_MISSING", "it is missing")
 
 
 def _problem(root: Path, name: str, code: str, why: str, **more: Any) -> Problem:

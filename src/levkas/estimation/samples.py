@@ -21,7 +21,6 @@ from levkas.estimation.training import ARRAYS, Training
 if TYPE_CHECKING:
     import xarray
 
-    from levkas.database.layer_array import LayerArray
     from levkas.database.reader import Database
 
 LEFT_OUT = Flag.OUTSIDE | Flag.SATURATED | Flag.GLARE | Flag.MOVED | Flag.NEAR
@@ -108,7 +107,7 @@ class SampleSource:
         height, width = self.layer(name, self.target).shape[:2]
         return max(1, ceil(sqrt(height * width / self.most)))
 
-    def layer(self, name: str, layer: str) -> LayerArray:
+    def layer(self, name: str, layer: str) -> xarray.DataArray:
         """Open a layer of a painting."""
         key = LayerId.parse(name, layer)
         return self.database[name][key.camera, key.setup]
@@ -172,7 +171,7 @@ class SampleSource:
         painting = self.database[name]
         found = []
         for camera, setup in painting.layers:
-            flags = thinned(painting.flags(camera, setup), step)
+            flags = thinned(painting[camera, setup].levkas.flags, step)
             found.append(np.asarray(is_flagged(flags, Flag.GLARE).any(2)))
             if setup and (camera, "") in painting.layers:
                 lit, default = (
@@ -184,10 +183,12 @@ class SampleSource:
         return np.logical_or.reduce(found)
 
 
-def read_lattice(layer: LayerArray, step: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+def read_lattice(
+    layer: xarray.DataArray, step: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return values, usable pixels and sigma of every `step`-th row and column of a layer."""
-    sigma = layer.sigma
-    left_out = np.asarray(is_flagged(thinned(layer.flags, step), LEFT_OUT).any(2))
+    sigma = layer.levkas.sigma
+    left_out = np.asarray(is_flagged(thinned(layer.levkas.flags, step), LEFT_OUT).any(2))
     return thinned(layer, step), ~left_out, None if sigma is None else thinned(sigma, step)
 
 

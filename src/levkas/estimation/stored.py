@@ -20,8 +20,6 @@ from levkas.estimation.uncertainty import ModelErrors
 if TYPE_CHECKING:
     import xarray
 
-    from levkas.database.layer_array import LayerArray
-
 
 @dataclass(frozen=True)
 class StoredModel:
@@ -186,7 +184,7 @@ def read_model(path: Path) -> StoredModel:
         ) from None
 
 
-def bands_of(layer: LayerArray) -> tuple[Band, ...]:
+def bands_of(layer: xarray.DataArray) -> tuple[Band, ...]:
     """Return the bands of an opened layer."""
     columns = (layer.band.values, layer.wavelength.values, layer.fwhm.values)
     return tuple(Band(str(b), float(w), float(f)) for b, w, f in zip(*columns, strict=True))

@@ -28,7 +28,8 @@ from levkas.database.region_uncertainty import read_budget
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from levkas.database.layer_array import LayerArray
+    import xarray
+
     from levkas.estimation.model import Model
 
 PREDICTION, NOISE = "prediction", "noise"
@@ -155,7 +156,7 @@ class Channels(NamedTuple):
     rows: tuple[ErrorSource, ...]
 
 
-def channels_of(opened: LayerArray, layer: str, rows: Iterable[ErrorSource]) -> Channels:
+def channels_of(opened: xarray.DataArray, layer: str, rows: Iterable[ErrorSource]) -> Channels:
     """Describe the channels of an opened layer."""
     labels = [str(label) for label in opened.band.values]
     wavelengths = np.asarray(opened.wavelength.values, float)

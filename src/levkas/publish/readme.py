@@ -170,7 +170,7 @@ In Python with Levkas, which brings flags, sigma and maps between the pixels of 
 import levkas
 
 cube = levkas.open(".")["{first.object}"][{key}]  # xarray.DataArray (y, x, band)
-spectrum, flags = cube[80, 40], cube.flags[80, 40]
+spectrum, flags = cube[80, 40], cube.levkas.flags[80, 40]
 ```
 
 Without it:

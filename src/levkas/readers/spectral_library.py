@@ -93,8 +93,19 @@ def read_spectra(
 def write_spectra(path: str | Path, spectra: xarray.DataArray) -> list[Path]:
     """Write a library of spectra, as `read_spectra` returns them: ``.sli`` with its header for ENVI, or ``.csv``.
 
-    One spectrum alone may be (wavelength,). Returns the files, the header last. Raises ValueError of another suffix or
-    other dimensions, WriteRefused where the disk refuses.
+    One spectrum alone may be (wavelength,).
+
+    Returns
+    -------
+    written : list of Path
+        The files, the header last.
+
+    Raises
+    ------
+    ValueError
+        Of another suffix or other dimensions.
+    WriteRefused
+        Where the disk refuses.
 
     Examples
     --------

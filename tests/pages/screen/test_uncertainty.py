@@ -97,7 +97,7 @@ def expected(database, **shape):
     region = make_region(None, shape.get("rectangle"), shape.get("circle"))
     name = LayerId("icon1", "vis")
     budget = read_budget(database, name)
-    pixels = Pixels(layer.values, layer.flags.values, layer.sigma.values)
+    pixels = Pixels(layer.values, layer.levkas.flags.values, layer.levkas.sigma.values)
     bands = [
         Band(str(label), float(nm))
         for label, nm in zip(layer.band.values, layer.wavelength.values, strict=True)
@@ -195,7 +195,7 @@ def test_a_built_database_has_the_same_uncertainty_in_the_viewer_and_in_python(
     a, b = page.evaluate("levkasViewer.state.regions.value")[0]["points"]
     corners = [round(v) for v in (*map(min, a, b), *map(max, a, b))]
     layer = levkas.open(database)["panel"]["cam"]
-    found = layer.uncertainty(rectangle=corners)
+    found = layer.levkas.uncertainty(rectangle=corners)
     band = int(page.get_by_label("Band of the histogram").input_value())
     u = float(found.u[band])
     # Neighbours share noise as in a rectangle of even noise.

@@ -607,9 +607,9 @@ def test_regions_have_the_numbers_of_the_database(browser, viewer, address):
     (a, b), (centre, edge) = shapes[0]["points"], shapes[1]["points"]
     corners = [round(v) for v in (*map(min, a, b), *map(max, a, b))]
     expected = [
-        layer.region(rectangle=corners),
-        layer.region(circle=(*centre, float(np.hypot(*np.subtract(edge, centre))))),
-        layer.region([tuple(point) for point in shapes[2]["points"]]),
+        layer.levkas.region(rectangle=corners),
+        layer.levkas.region(circle=(*centre, float(np.hypot(*np.subtract(edge, centre))))),
+        layer.levkas.region([tuple(point) for point in shapes[2]["points"]]),
     ]
     for numbers, one in zip(found, expected, strict=True):
         assert int(numbers["n"]) == int(one["n"][2]) > 100
@@ -651,7 +651,7 @@ def test_a_region_can_be_given_up_and_made_without_a_mouse(browser, viewer, addr
     # Most of it are whole tiles, whose sums were published.
     (numbers,) = region_numbers(page)
     layer = levkas.open(viewer)["icon1"]["vis"]
-    expected = layer.region(rectangle=[0, 0, grid["width"] - 1, grid["height"] - 1])
+    expected = layer.levkas.region(rectangle=[0, 0, grid["width"] - 1, grid["height"] - 1])
     band = int(page.get_by_label("Band of the histogram").input_value())
     assert int(numbers["n"]) == int(expected["n"][band])
     assert float(numbers["mean"]) == pytest.approx(float(expected["mean"][band]), rel=1e-9)

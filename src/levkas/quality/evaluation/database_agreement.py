@@ -13,7 +13,6 @@ from levkas.core.cube import Flag, is_flagged
 from levkas.core.problems import Problem, unknown_name
 from levkas.database.catalogue import DatabaseRefused
 from levkas.database.described import LayerRows
-from levkas.database.layer_array import LayerArray
 from levkas.database.layout import LayerId
 from levkas.database.opening import open_layer
 from levkas.database.reader import Database
@@ -31,6 +30,8 @@ from levkas.quality.evaluation.change import Changes, apparent_place, find_chang
 from levkas.readers.spectra import parse_spectra
 
 if TYPE_CHECKING:
+    import xarray
+
     from levkas.geometry.transforms import Transform
 
 NEAR_NM = 1.0
@@ -180,14 +181,14 @@ def _compare(
     return ObjectAgreement(name, other, tuple(pairs), changes, compared, error)
 
 
-Layers = Mapping[LayerId, LayerArray]
+Layers = Mapping[LayerId, "xarray.DataArray"]
 
 
 def _layers_of(database: Database, name: str) -> Layers:
     """Return the layers of an object that hold reflectance, the reference first."""
     found = database[name]
     ids = [LayerId(name, camera, setup) for camera, setup in found.layers]
-    arrays = {layer: LayerArray(open_layer(database.path, layer)) for layer in ids}
+    arrays = {layer: open_layer(database.path, layer) for layer in ids}
     arrays = {k: a for k, a in arrays.items() if a.attrs.get("quantity") == "reflectance"}
     if not arrays:
         raise DatabaseRefused(
@@ -211,12 +212,15 @@ def _lead(layers: Layers) -> LayerId:
     return max(layers, key=rank)
 
 
-def _picture(array: LayerArray) -> np.ndarray:
+def _picture(array: xarray.DataArray) -> np.ndarray:
     """Return the mean of some bands of a layer, (h, w) float32, NaN where one is not sound."""
     nm = np.nan_to_num(np.atleast_1d(array.wavelength.values), nan=550.0)
     some = np.argsort(np.abs(nm - 550), kind="stable")[:3]
     part = array.isel(band=np.sort(some))
-    values, flags = part.transpose("y", "x", "band").values, part.flags.transpose("y", "x", "band")
+    values, flags = (
+        part.transpose("y", "x", "band").values,
+        part.levkas.flags.transpose("y", "x", "band"),
+    )
     picture = values.mean(-1, dtype=np.float32)
     picture[is_flagged(flags.values, Flag.OUTSIDE).any(-1)] = np.nan
     return np.ascontiguousarray(picture)
@@ -300,14 +304,17 @@ def _same_bands(
     return None
 
 
-def _changes(first: LayerArray, second: LayerArray, move: Transform, rate: float) -> Changes | None:
+def _changes(
+    first: xarray.DataArray, second: xarray.DataArray, move: Transform, rate: float
+) -> Changes | None:
     """Find what changed from the first to the second, on the first's grid; None where the noise of one is not known."""
     from scipy.ndimage import gaussian_filter
 
-    if first.sigma is None or second.sigma is None:
+    if first.levkas.sigma is None or second.levkas.sigma is None:
         return None
     (values, flags, sigma), (others, marks, spread) = (
-        [_rows(part) for part in (array, array.flags, array.sigma)] for array in (first, second)
+        [_rows(part) for part in (array, array.levkas.flags, array.levkas.sigma)]
+        for array in (first, second)
     )
     there = warp(
         others.astype(np.float32),
@@ -335,9 +342,9 @@ def _rows(part: Any) -> np.ndarray:
     return np.asarray(part.transpose("y", "x", "band").values)
 
 
-def _place_variance(array: LayerArray) -> float:
+def _place_variance(array: xarray.DataArray) -> float:
     """Return the variance of the place of a layer's middle, px², of either axis; a hundredth of a pixel at least."""
-    root, layer = array.levkas._place
+    root, layer = array.levkas.place
     middle = np.array([[array.sizes["x"] / 2, array.sizes["y"] / 2]])
     known = position_sigmas(root, layer, [str(array.band.values[0])], middle)[0, 0]
     return float(max(np.nan_to_num(known), 0.01) ** 2)

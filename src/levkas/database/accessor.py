@@ -12,8 +12,6 @@ import numpy as np
 import xarray
 
 from levkas.core.problems import Problem, Refused
-from levkas.database.catalogue import NAME as CATALOGUE
-from levkas.database.catalogue import read_catalogue
 from levkas.database.layout import LayerId
 from levkas.database.opening import has_sigma, open_layer, place_of
 
@@ -30,7 +28,6 @@ SAMPLES = 16
 """Rows and columns that are compared to know whether values are those of the layer; a change of all, or of a large part, is found."""
 
 
-@xarray.register_dataarray_accessor("levkas")
 class LayerAccessor:
     """``array.levkas``: what lies beside the pixels of an array of a layer.
 
@@ -62,7 +59,7 @@ class LayerAccessor:
         ValueError
             Where the values are not those of the layer any more: sigma is not that of 100 times the values.
         """
-        if not has_sigma(*self._place):
+        if not has_sigma(*self.place):
             return None
         if not self._is_unchanged():
             raise ValueError(
@@ -76,7 +73,7 @@ class LayerAccessor:
         """The published picture of these pixels, sRGB, uint8 (y, x, rgb) or (y, x)."""
         from PIL import Image
 
-        root, layer = self._place
+        root, layer = self.place
         with Image.open(io.BytesIO((root / f"{layer.path}.png").read_bytes())) as picture:
             pixels = np.asarray(picture)
         dims = ("y", "x", "rgb")[: pixels.ndim]
@@ -95,7 +92,7 @@ class LayerAccessor:
         """
         from levkas.database.pixel_frames import find_map
 
-        root, layer = self._place
+        root, layer = self.place
         whole = open_layer(root, layer)
         for axis in ("x", "y"):
             _positions(self._array, whole, axis)
@@ -187,7 +184,7 @@ class LayerAccessor:
                 make_region(*(beside.get(k) for k in ("polygon", "rectangle", "circle")))
             )
         array = _with_bands(self._array)
-        means, unknown = _uncertain_means(array, *self._place, regions)
+        means, unknown = _uncertain_means(array, *self.place, regions)
         labels = [str(label) for label in array.band.values]
         wavelengths = np.atleast_1d(array.wavelength.values).astype(float)
         if bands is not None:  # of all bands before, which show how steep the spectrum is
@@ -295,14 +292,8 @@ class LayerAccessor:
         return _by_pixel(self._array, None, angle)
 
     @property
-    def verdict(self) -> str:
-        """What the catalogue states of the layer: ``"accept"``, ``"warn"`` …; empty where there is none."""
-        root, layer = self._place
-        listed = read_catalogue(root) if (root / CATALOGUE).is_file() else ()
-        return next((entry.verdict for entry in listed if entry.layer == layer), "")
-
-    @property
-    def _place(self) -> tuple[Path, LayerId]:
+    def place(self) -> tuple[Path, LayerId]:
+        """Database and layer of these pixels; raises ValueError where that is lost."""
         place = place_of(self._array)
         if place is None:
             raise ValueError(
@@ -312,7 +303,7 @@ class LayerAccessor:
         return place
 
     def _beside(self, kind: str) -> xarray.DataArray:
-        whole = open_layer(*self._place, kind)
+        whole = open_layer(*self.place, kind)
         made = self._selected(whole, ("y", "x", "band"))
         if kind == "sigma" and "units" in self._array.attrs:
             made.attrs["units"] = self._array.attrs["units"]
@@ -320,7 +311,7 @@ class LayerAccessor:
 
     def _is_unchanged(self) -> bool:
         """Return whether the values are those of the layer, in whatever type; NaN may stand for any."""
-        root, layer = self._place
+        root, layer = self.place
         if self._array.encoding.get("source") == f"{root}/{layer.object}/{layer.name}":
             return True
         steps = {d: slice(None, None, max(1, n // SAMPLES)) for d, n in self._array.sizes.items()}
@@ -335,60 +326,6 @@ class LayerAccessor:
         picked = whole.isel({axis: _positions(self._array, whole, axis) for axis in axes})
         order = [dim for dim in self._array.dims if dim in picked.dims]
         return picked.transpose(*order, ...)
-
-
-class LayerArray(xarray.DataArray):
-    """A `xarray.DataArray` (y, x, band), read on request, with what lies beside it at hand: see `LayerAccessor`.
-
-    Coordinates ``x`` and ``y`` are pixels of the grid, of a crop too, and every method takes places by them. What xarray makes of it
-    that is no `LayerArray` has the same as ``array.levkas``.
-    """
-
-    __slots__ = ()
-
-    levkas: LayerAccessor
-
-    @property
-    def flags(self) -> xarray.DataArray:
-        """As `LayerAccessor.flags`."""
-        return self.levkas.flags
-
-    @property
-    def sigma(self) -> xarray.DataArray | None:
-        """As `LayerAccessor.sigma`."""
-        return self.levkas.sigma
-
-    def transform(self, source: str, target: str) -> FrameMap:
-        """As `LayerAccessor.transform`."""
-        return self.levkas.transform(source, target)
-
-    def region(self, *args: Any, **options: Any) -> xarray.Dataset:
-        """As `LayerAccessor.region`."""
-        return self.levkas.region(*args, **options)
-
-    def uncertainty(self, *args: Any, **options: Any) -> xarray.Dataset:
-        """As `LayerAccessor.uncertainty`."""
-        return self.levkas.uncertainty(*args, **options)
-
-    def sel(self, indexers: Any = None, *args: Any, **options: Any) -> LayerArray:
-        """Select by label, as xarray does; by ``wavelength`` too, in nm."""
-        wanted = {**(indexers or {}), **options}
-        array: Any = super()
-        if "wavelength" in wanted and "wavelength" not in self.xindexes:
-            if not np.isfinite(self.wavelength.values).all():
-                bands = ", ".join(map(str, np.atleast_1d(self.band.values)))
-                raise KeyError(
-                    f"{self.layer.item()} has bands without a wavelength; its bands are: {bands}"
-                )
-            array = xarray.DataArray.sortby(self, "wavelength").set_xindex("wavelength")
-        selected: LayerArray = array.sel(indexers, *args, **options)
-        return selected
-
-    def _repr_html_(self) -> str:
-        """Return the picture of these pixels, their verdict and flags, above what xarray shows of any array."""
-        from levkas.database.notebook import describe_in_html
-
-        return describe_in_html(self) + super()._repr_html_()
 
 
 def _by_pixel(
@@ -517,29 +454,17 @@ def _with_bands(array: xarray.DataArray) -> xarray.DataArray:
 def _positions(array: xarray.DataArray, whole: xarray.DataArray, axis: str) -> Any:
     """Return where the pixels of an array lie along an axis of the whole layer.
 
-    Raises
-    ------
-    ValueError
-        Where its coordinate is lost, or is none of the layer's.
+    Raises ValueError where its coordinate is lost, or is none of the layer's.
     """
     if axis not in array.coords:
         raise ValueError(
             f"this array has lost the coordinate {axis}, which says of which pixels it is"
         )
     known = array.coords[axis]
-    values = known.values
-    if axis == "band":
-        there = {str(label): place for place, label in enumerate(whole.band.values)}
-        places = np.array([there.get(str(label), -1) for label in np.atleast_1d(values)])
-        places = places.reshape(np.shape(values))
-    else:
-        whole_steps = values.dtype.kind in "iu" or bool(np.all(values == np.round(values)))
-        places = values.astype(np.int64) if whole_steps else np.full(values.shape, -1)
-    if ((places < 0) | (places >= whole.sizes[axis])).any():
+    places = whole.get_index(axis).get_indexer(np.ravel(known.values)).reshape(known.shape)
+    if (places < 0).any():
         raise ValueError(f"the coordinate {axis} of this array is not that of the layer's pixels")
-    steps = np.unique(np.diff(places)) if places.ndim == 1 and len(places) > 1 else np.array([1])
-    if places.ndim == 1 and len(places) and len(steps) == 1 and steps[0] > 0:
-        even = slice(int(places[0]), int(places[-1]) + 1, int(steps[0]))
-        if known.dims == (axis,):
-            return even
+    steps = np.unique(np.diff(places)) if known.dims == (axis,) else ()
+    if len(steps) == 1 and steps[0] > 0:  # by which fewer pixels are read than by a list
+        return slice(int(places[0]), int(places[-1]) + 1, int(steps[0]))
     return xarray.DataArray(places, dims=known.dims) if known.dims else int(places)
