@@ -9,7 +9,6 @@ import xarray
 import levkas
 from levkas.core.cube import Band, Cube
 from levkas.core.files import write_json
-from levkas.core.problems import Refused
 from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer
 from levkas.database.regions import RegionRefused
@@ -194,20 +193,6 @@ def test_computed_values_keep_flags_and_regions_and_lose_sigma(layers, change):
         _ = made.levkas.sigma
 
 
-@pytest.mark.parametrize(
-    "lose",
-    [
-        lambda a: a.mean("x"),
-        lambda a: a.coarsen(x=2).mean(),
-        lambda a: a[:, 5:].drop_vars("x"),
-        lambda a: a.mean("band"),
-    ],
-)
-def test_means_of_pixels_have_no_flags(layers, lose):
-    with pytest.raises(ValueError):
-        _ = lose(layers["vis"]).levkas.flags
-
-
 def test_a_layer_is_one_dataset_of_values_flags_and_sigma(layers):
     data = layers.dataset("vis")
     assert list(data) == ["values", "flags", "sigma"] and data.attrs["Conventions"].startswith(
@@ -225,26 +210,3 @@ def test_the_preview_of_a_crop_is_that_of_the_whole_there(layers):
     whole, part = layers["vis"].levkas.preview, layers["vis"][10:30, 5:50:2].levkas.preview
     assert whole.dtype == np.uint8 and whole.shape[:2] == SHAPE[:2]
     np.testing.assert_array_equal(part.values, whole.values[10:30, 5:50:2])
-
-
-def test_a_region_of_a_crop_is_that_of_the_whole_there(layers):
-    whole, part = layers["vis"], layers["vis"][10:50, 20:70]
-    there = whole.levkas.region(circle=(35, 25, 6), bins=8)
-    assert part.levkas.region(circle=(35, 25, 6), bins=8).identical(there)
-    band = part.sel(band="550 nm")
-    assert (
-        band.levkas.region(circle=(35, 25, 6))["mean"].item()
-        == there["mean"].sel(band="550 nm").item()
-    )
-    for other in (part.isel(x=3), part[:0], part[25:]):  # no rows; none of the circle's
-        with pytest.raises(Refused):
-            other.levkas.region(circle=(35, 25, 6))
-
-
-def test_layers_and_crops_of_one_grid_are_aligned_by_it(layers):
-    one, other = layers["vis"][10:30], layers["nir"][20:40]
-    apart = one.drop_vars(["wavelength", "fwhm"]) - other.drop_vars(["wavelength", "fwhm"])
-    assert apart.y.values.tolist() == list(range(20, 30))
-    np.testing.assert_array_equal(
-        apart.values, layers["vis"].values[20:30] - layers["nir"].values[20:30]
-    )

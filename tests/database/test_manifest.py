@@ -39,11 +39,6 @@ def test_the_same_folder_gives_the_same_bytes_and_is_not_written_twice(folder):
     assert (folder / NAME).stat().st_mtime_ns == stamp
 
 
-def test_known_hashes_are_taken_as_they_are(folder):
-    manifest = write_manifest(folder, {"b.txt": "0" * 64})
-    assert manifest.files["b.txt"].sha256 == "0" * 64
-
-
 def test_unfinished_files_and_what_browsers_leave_are_not_published(folder):
     (folder / "a/.DS_Store").write_bytes(b"x")
     (folder / "c.tif.partial-0123abcd").write_bytes(b"x")

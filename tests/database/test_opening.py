@@ -3,7 +3,6 @@ import pickle
 import shutil
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from levkas.core.rounding import round_sigma
 from levkas.database.catalogue import (
     COLUMNS,
     DatabaseRefused,
-    Entry,
     read_catalogue,
     write_catalogue,
 )
@@ -144,15 +142,6 @@ def test_a_sigma_that_cannot_be_read_is_refused_and_not_unknown(tmp_path, form, 
     assert thing["d80", "45-degree"].levkas.sigma is None
 
 
-def test_another_setup_is_another_layer(opened):
-    thing = opened["icon1"]
-    assert set(thing) == {"vis", "d80", ("d80", "45-degree")}
-    np.testing.assert_array_equal(thing["d80"].values, RGB.values)
-    np.testing.assert_array_equal(thing["d80", "45-degree"].values, LAMP.values)
-    assert np.isnan(thing["d80"].wavelength.values).all()
-    assert thing["d80"].band.values.tolist() == ["R", "G", "B"]
-
-
 def test_names_that_are_not_there_are_said_with_those_that_are(opened):
     with pytest.raises(KeyError):
         opened["icon2"]
@@ -166,17 +155,6 @@ def test_an_array_can_be_sent_to_another_process(opened):
     cube = pickle.loads(pickle.dumps(opened["icon1"]["vis"][3:5]))
     np.testing.assert_array_equal(cube.values, VIS.values[3:5])
     np.testing.assert_array_equal(cube.levkas.flags.values, VIS.flags[3:5])
-
-
-def test_the_files_are_those_of_the_contract(database):
-    names = {p.relative_to(database).as_posix() for p in database.rglob("*") if p.is_file()}
-    stems = ("icon1_vis", "icon1_d80", "icon1_d80_45-degree")
-    expected = {
-        f"objects/icon1/{s}{k}" for s in stems for k in (".tif", ".flags.tif", ".sigma.tif", ".png")
-    }
-    expected.remove("objects/icon1/icon1_d80_45-degree.sigma.tif")
-    assert {n for n in names if not n.startswith("zarr/")} == expected | {"catalogue.csv"}
-    assert (database / "zarr/icon1.zarr/d80@45-degree/values/zarr.json").is_file()
 
 
 def test_tag_65000_holds_centres_or_centroids_or_numbers(database):
@@ -278,23 +256,6 @@ def test_pixels_and_labels_that_are_damaged_or_missing_are_refused(tmp_path, nam
     with pytest.raises(DatabaseRefused) as refused:
         _ = levkas.open(tmp_path / "db")["icon1"].dataset("vis")[name].values
     assert refused.value.problems[0].file == str(chunk)
-
-
-def test_threads_read_one_array_together(opened):
-    cube = opened["icon1"]["vis"]
-    with ThreadPoolExecutor(8) as pool:
-        rows = list(pool.map(lambda y: cube[y].values, range(60)))
-    np.testing.assert_array_equal(np.stack(rows), VIS.values)
-
-
-def test_of_many_objects_the_first_are_named(tmp_path):
-    row = ("", 1, 8, 8, 2.0, "counts", "accept", "a" * 64)
-    write_catalogue(tmp_path, [Entry(f"o{n:04d}", "photo", *row) for n in range(1000)])
-    database = levkas.open(tmp_path)
-    assert len(database) == 1000 and list(database["o0777"]) == ["photo"]
-    with pytest.raises(KeyError):
-        database["o9"]
-    assert repr(database).endswith("o0099 and 900 more>")
 
 
 @pytest.mark.parametrize(

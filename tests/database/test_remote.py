@@ -16,7 +16,6 @@ from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer
 from levkas.database.manifest import write_manifest
 from levkas.database.pixel_frames import find_map
-from levkas.database.remote import RemoteRefused
 from levkas.database.store import write_index
 from levkas.database.validation import validate
 from levkas.geometry.transforms import Affine
@@ -194,16 +193,6 @@ def test_keys_are_never_printed_not_even_those_that_are_refused(s3, serving, mon
         found = CliRunner().invoke(command, [words[0], "s3://museum/icons", *words[1:]])
         assert found.exit_code == 1
         assert "KEYKEYKEY" not in found.output and "SECRETSECRET" not in found.output
-
-
-def test_a_server_without_ranges_is_refused(serving, database):
-    def plain(environ, start_response):
-        path = database / environ["PATH_INFO"].lstrip("/").encode("latin-1").decode()
-        start_response("200 OK" if path.is_file() else "404 Not Found", [])
-        return [path.read_bytes()] if path.is_file() else []
-
-    with pytest.raises(RemoteRefused):
-        levkas.open(serving(plain))
 
 
 @pytest.mark.slow

@@ -1,9 +1,5 @@
-import io
 import warnings
-import zlib
-from pathlib import Path
 
-import imagecodecs
 import numpy as np
 import pytest
 import tifffile
@@ -15,7 +11,6 @@ from levkas.database import spectral_tiff
 from levkas.database.credits import Credits
 from levkas.database.spectral_tiff import (
     TiffHeader,
-    encode_strip,
     read_mtiff,
     read_stiff,
     read_tiff_pages,
@@ -98,19 +93,6 @@ def test_the_bytes_do_not_depend_on_threads_or_on_how_rows_come(tmp_path, monkey
         monkeypatch.setenv("LEVKAS_THREADS", str(threads))
         write(tmp_path / f"{threads} {step}.tif", cube, step=step)
     assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
-
-
-def test_rows_whose_memory_is_used_again_are_written_as_they_came(tmp_path):
-    cube = smooth_cube()
-    buffer = np.empty((50, *cube.shape[1:]), np.float32)
-
-    def reused():
-        for row in range(0, 150, 50):
-            buffer[...] = cube[row : row + 50]
-            yield buffer
-
-    write_pages(tmp_path / "a.tif", reused(), TiffHeader(cube.shape[:2], range(5)))
-    np.testing.assert_array_equal(read_tiff_pages(tmp_path / "a.tif"), cube)
 
 
 def test_rows_and_bands_are_read_alone(tmp_path):
@@ -227,15 +209,6 @@ def test_a_missing_strip_is_an_error_not_zeros(tmp_path):
         read_stiff(tmp_path / "a.tif")
 
 
-def test_what_is_no_tiff_is_refused(tmp_path):
-    for name, data in {"empty": b"", "text": b"not a picture", "head": b"II*\0\x08\0\0\0"}.items():
-        (tmp_path / name).write_bytes(data)
-        with pytest.raises(TiffRefused):
-            open_pages(tmp_path / name)
-    with pytest.raises(TiffRefused):
-        open_pages(tmp_path / "nowhere.tif")
-
-
 @settings(max_examples=12, deadline=None)
 @given(
     st.dictionaries(
@@ -255,34 +228,3 @@ def test_masks_are_read_as_they_were_written(tmp_path_factory, masks):
     read = read_mtiff(path)
     assert read.keys() == masks.keys()
     assert all(np.array_equal(read[k], masks[k]) and read[k].dtype == bool for k in masks)
-
-
-def test_bilevel_masks_of_others_are_read(tmp_path):
-    mask = np.random.default_rng(2).random((13, 21)) > 0.5
-    with tifffile.TiffWriter(tmp_path / "m.tif") as tiff:
-        tiff.write(mask, photometric="minisblack", extratags=[(65001, "s", 0, "Gold", True)])
-    np.testing.assert_array_equal(read_mtiff(tmp_path / "m.tif")["Gold"], mask)
-
-
-def test_pillow_reads_the_render_with_its_profile(tmp_path):
-    from PIL import Image
-
-    write(tmp_path / "a.tif", smooth_cube(20, 30, 2))
-    with Image.open(io.BytesIO(Path(tmp_path / "a.tif").read_bytes())) as image:
-        np.testing.assert_array_equal(np.asarray(image), RGB)
-        assert image.info["icc_profile"][36:40] == b"acsp"
-
-
-@pytest.mark.parametrize("width", [1, 2, 17, 700])
-def test_strips_of_floats_come_back_to_the_bit(width):
-    rows = np.random.default_rng(width).normal(0, 1, (5, width)).astype(np.float32)
-    rows[1, 0], rows[2, -1], rows[3, 0] = np.nan, np.inf, -0.0
-    bytes_ = np.frombuffer(zlib.decompress(encode_strip(rows)), np.uint8).reshape(5, 4 * width)
-    found = imagecodecs.floatpred_decode(bytes_.view(np.float32), axis=-1)
-    assert found.tobytes() == rows.tobytes()
-
-
-def test_flags_take_hardly_any_room():
-    flags = np.zeros((256, 1024), np.uint8)
-    flags[40:90, 100:300] = 2
-    assert len(encode_strip(flags)) < 3000

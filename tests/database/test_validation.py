@@ -1,7 +1,5 @@
 import json
 import shutil
-import sys
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -11,7 +9,7 @@ from levkas.cli import app
 from levkas.core.cube import Band, Cube
 from levkas.core.digests import hash_file
 from levkas.core.files import write_json
-from levkas.database.catalogue import DatabaseRefused, write_catalogue
+from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer
 from levkas.database.manifest import NAME, write_manifest
 from levkas.database.store import write_index
@@ -155,25 +153,6 @@ def test_of_a_manifest_that_is_missing_or_damaged_that_alone_is_reported(databas
         (database / NAME).write_bytes(change(data))
     (problem,) = validate(database).problems
     assert (problem.code, problem.file) == ("E_DAMAGED", str(database / NAME))
-
-
-def test_as_many_files_are_hashed_at_a_time_as_threads_may_work(database, monkeypatch):
-    found = []
-
-    class Pool(ThreadPoolExecutor):
-        def __init__(self, count):
-            found.append(count)
-            super().__init__(count)
-
-    monkeypatch.setattr(sys.modules[validate.__module__], "ThreadPoolExecutor", Pool)
-    monkeypatch.setenv("LEVKAS_THREADS", "5")
-    assert validate(database).ok and validate(database, threads=1).ok
-    assert found == [5, 1]
-
-
-def test_a_folder_that_is_no_database_is_refused(tmp_path):
-    with pytest.raises(DatabaseRefused):
-        validate(tmp_path)
 
 
 def test_the_command_reports_as_the_contract_says(database):

@@ -46,27 +46,6 @@ def test_mirror_comes_before_the_turn():
     assert placed(Grid(FRAME, mirror=True, rotate=90))[0] == [29, 39]
 
 
-def test_quarter_turn_agrees_with_numpy_rot90():
-    image = np.arange(12).reshape(3, 4)
-    grid = Grid((4, 3), mirror=True, rotate=90)
-    x, y = np.meshgrid(np.arange(3), np.arange(4))
-    p = grid.transform(np.stack([x.ravel(), y.ravel()], 1)).astype(int)
-    turned = image[p[:, 1], p[:, 0]].reshape(4, 3)
-    assert np.array_equal(turned, np.rot90(image[:, ::-1], -1))
-
-
-def test_half_a_right_angle_has_the_bounding_box_of_a_rhombus():
-    grid = Grid((40, 40), rotate=45)
-    # The diagonal of 40 px: 56.57, rounded up; the top left corner of the frame is topmost.
-    assert grid.size == (57, 57)
-    assert np.allclose(grid.bounds, 40 * np.sqrt(2))
-    top = grid.transform(np.array([[20 * np.sqrt(2) - 0.5, -0.5]]))
-    assert np.allclose(top, [[-0.5, -0.5]])
-    # The centre of the frame is the centre of the box.
-    centre = grid.transform(np.array([[20 * np.sqrt(2) - 0.5] * 2]))
-    assert np.allclose(centre, [[19.5, 19.5]])
-
-
 def test_thirty_degrees_by_hand():
     grid = Grid((40, 30), rotate=30)
     # Corner (40, 0) goes to (34.641, 20), corner (0, 30) to (-15, 25.981): the box begins at -15.
@@ -86,12 +65,6 @@ def test_scaling_keeps_pixel_corners():
     points = grid.transform(np.array([[0.0, 0.0], [-0.5, -0.5], [9.5, 4.5]]))
     # x = 10 + (x' + 0.5)·2 − 0.5: pixel 0 covers reference pixels 10 and 11.
     assert np.allclose(points, [[10.5, 5.5], [9.5, 4.5], [29.5, 14.5]])
-
-
-def test_other_proportions_scale_each_side_on_its_own():
-    grid = Grid(FRAME, output=(80, 15))
-    assert np.allclose(np.diag(grid.transform.matrix), [0.5, 2.0])
-    assert np.allclose(grid.transform(np.array([[79.5, 14.5]])), [[39.5, 29.5]])
 
 
 @given(

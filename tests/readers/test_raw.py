@@ -72,13 +72,6 @@ def test_exposure_sensitivity_date_and_model_are_read(tmp_path):
     assert facts.captured == "2019-02-08T17:43:35"
 
 
-@pytest.mark.parametrize("stated", [None, "0000:00:00 00:00:00", "1970:01:01 00:00:00"])
-def test_a_raw_without_a_date_has_none(tmp_path, stated):
-    """LibRaw has 0 s since 1970 of it, which is a day of 1969 west of Greenwich."""
-    extra = [] if stated is None else [(306, "s", 20, stated, True)]
-    assert read_facts(write_dng(tmp_path / "a.dng", MOSAIC, extra=extra)).captured is None
-
-
 def test_the_compression_curve_of_a_camera_is_undone(tmp_path):
     table = np.round(np.linspace(0, 1, 683) ** 2 * 4095).astype(int)
     codes = RNG.integers(0, 683, (64, 96)).astype(np.uint16)
@@ -148,11 +141,6 @@ def test_raw_images_that_libraw_would_change_are_refused(tmp_path):
     write_linear(tmp_path / "planes.dng", planes, planarconfig=2)
     assert refusal(floats).field == "SampleFormat"
     assert refusal(tmp_path / "planes.dng").field == "PlanarConfiguration"
-
-
-def test_blacks_of_colours_that_differ_are_no_single_black(tmp_path):
-    facts = read_facts(write_linear(tmp_path / "linear.dng", COLOURS, black=(60, 64, 66)))
-    assert facts.black is None and facts.black_unclear
 
 
 def test_a_raw_that_is_cut_or_none_is_refused(tmp_path):

@@ -213,9 +213,3 @@ def test_the_five_lenses_say_their_bands_levels_and_exposures(real_data):
     # 12 bits times 16: the brightest code in all five aerial frames is 65520.
     frame = read_frame(real_data / "rededge-5lens/IMG_0001_1.tif")
     assert frame.shape == (960, 1280) and frame.max() == facts[0].saturation == 65520
-
-
-def test_a_packbits_frame_of_the_filter_wheel_is_what_tifffile_reads(real_data):
-    path = next((real_data / "filterwheel-disks/frames").glob("*550nm_500ms*"))
-    values = read_frame(path)
-    assert values.shape == (344, 408) and np.array_equal(values, tifffile.imread(path))

@@ -152,11 +152,3 @@ def test_a_small_first_page_is_a_preview_and_said(tmp_path, order, big):
     assert (facts.shape, facts.pages) == (frame.shape, 1)
     assert len(facts.notes) == 1
     assert np.array_equal(read_frame(path), frame)
-
-
-def test_pages_of_about_one_size_are_all_images(tmp_path):
-    path = tmp_path / "a.tif"
-    with tifffile.TiffWriter(path) as tiff:
-        tiff.write(STACK[0][2:, 2:], metadata=None)
-        tiff.write(STACK[1], metadata=None)
-    assert read_facts(path).pages == 2 and not read_facts(path).notes
