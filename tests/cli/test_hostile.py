@@ -309,7 +309,7 @@ def database(made_database, tmp_path):
 
 def opened(root):
     database = levkas.open(root)["icon1"]
-    for array in (database["d80"], database["d80"].flags, database["d80"].sigma):
+    for array in (database["d80"], database["d80"].levkas.flags, database["d80"].levkas.sigma):
         array[10, 10].values.tolist()
     database.position_sigma("d80")
 
