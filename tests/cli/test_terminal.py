@@ -79,13 +79,10 @@ MISTAKES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("command", ["build", "status"])
 @pytest.mark.parametrize(("old", "new", "code", "fix"), MISTAKES, ids=[m[1] for m in MISTAKES])
-def test_a_mistake_is_one_message_of_three_lines_before_any_stage(
-    campaign, command, old, new, code, fix
-):
+def test_a_mistake_is_one_message_of_three_lines_before_any_stage(campaign, old, new, code, fix):
     folder = campaign(old, new)
-    status, out, err = run(command, folder)
+    status, out, err = run("build", folder)
     assert status == 1 and out == ""
     what, where, do = err.splitlines()
     assert what.startswith(f"{code}: ") and where.startswith("  where: ") and do == f"  do: {fix}"
@@ -135,73 +132,6 @@ def test_a_build_ends_with_the_verdict_of_each_layer_that_it_did(tmp_path):
     assert "reference" not in again
 
 
-def test_a_campaign_that_is_not_there_is_said_so(tmp_path):
-    for path, found in ((tmp_path / "no", "no such folder"), (tmp_path, "a folder without")):
-        status, _, err = run("build", path)
-        assert status == 1 and "no campaign was found here" in err and found in err
-
-
-def test_an_object_that_is_not_there_is_refused_with_the_nearest(campaign):
-    status, _, err = run("build", campaign(), "--object", "icon2")
-    assert status == 1 and err.splitlines()[-1] == "  do: Did you mean 'icon1'?"
-
-
-def test_why_a_stage_is_stale_has_no_hashes(campaign):
-    folder = campaign()
-    run("build", folder)
-    (folder / "campaign.toml").write_text(TOML.replace("0.99", "0.98"))
-    _, out, _ = run("status", folder)
-    assert "stale" in out and not re.search(r"[0-9a-f]{12}", out.replace(str(folder), ""))
-
-
-# --- map ------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def mapped(tmp_path):
-    """A database of two layers and nothing but their maps."""
-    from levkas.core.files import write_json
-    from levkas.geometry.transforms import Affine
-
-    same = Affine.identity().to_dict()
-    for camera in ("vis", "nir"):
-        record = {
-            "object": "icon1", "camera": camera, "setup": "",
-            "reference": {"camera": "vis", "band": "550 nm", "size": [80, 60]},
-            "target": {"camera": camera, "band": "550 nm"},
-            "grid": {"size": [80, 60], "transform": same},
-            "verdict": {"decision": "accept", "reasons": []},
-            "bands": {"550 nm": {"transform": same, "size": [80, 60]}},
-        }  # fmt: skip
-        write_json(tmp_path / f"objects/icon1/registration/{camera}.json", record)
-    return tmp_path
-
-
-def test_points_outside_are_counted_in_a_warning(mapped):
-    (mapped / "points.csv").write_text("x,y\n1,2\n1000,2\n3,-40\n")
-    status, out, err = run("map", mapped, "icon1", mapped / "points.csv", "--to", "nir")
-    assert status == 0 and out.splitlines()[2:] == ["nan,nan", "nan,nan"]
-    assert err.startswith("warning: 2 of 3 points lie outside")
-
-
-@pytest.mark.parametrize(
-    ("words", "reported"),
-    [
-        (("icon1", "missing.csv"), "no such file"),
-        (("icon1", "latin.csv"), "a byte that is not UTF-8 in line 3"),
-        (("icon2", "points.csv"), "Did you mean 'icon1'?"),
-        (("icon1", "points.csv", "--to", "nirr"), "Did you mean 'nir'?"),
-        (("icon1", "points.csv", "--to", "nir:560"), "Did you mean '550 nm'?"),
-    ],
-)
-def test_map_says_what_is_wrong_and_ends_with_1(mapped, monkeypatch, words, reported):
-    (mapped / "points.csv").write_text("x,y\n1,2\n")
-    (mapped / "latin.csv").write_bytes(b"x,y\n1,2\n\xe9,3\n")
-    monkeypatch.chdir(mapped)
-    status, out, err = run("map", mapped, *words)
-    assert status == 1 and out == "" and reported in err and len(err.splitlines()) <= 3
-
-
 # --- bar and help ---------------------------------------------------------------------------------
 
 
@@ -239,27 +169,6 @@ def test_the_bar_shows_the_frames_that_a_stage_reads(tmp_path):
         yield Step(Key("a", "d", stage="calibrate"), "fresh", done=1, total=2)
 
     assert "0:00, 3 frames; " in drawn(steps())
-
-
-def test_the_bar_says_while_loops_are_compiled():
-    from numba.core import event
-
-    from levkas.core.compiled import njit
-
-    shown = []
-
-    class Bar(event.Listener):
-        def on_start(self, event):
-            shown.append(drawn(steps))
-
-        def on_end(self, event):
-            pass
-
-    steps = [Step(Key("a", "c", stage="register"), "running", done=0, total=1)]
-    with event.install_listener("numba:compile", Bar()):
-        njit(lambda number: number + 1).compile("int64(int64)")
-    assert ["compiling, once; 0:00 in all" in one for one in shown] == [True]
-    assert "compiling" not in drawn(steps)
 
 
 def test_a_refusal_above_the_bar_is_three_lines():

@@ -16,18 +16,8 @@ NOT_ONE = re.compile(r"(?:Value error, )?'(?P<value>[^']*)' is not one of (?P<ch
 """What typer writes of a choice that is none."""
 Needs = dict[str, tuple[str, ...]]
 NEEDS: dict[str, Needs] = {
-    "chart": {"--overwrite": ("--output",)},
-    "estimate": {"--overwrite": ("--output",)},
     "evaluate": {"--frame": ("--points",)},
-    "map": {"--overwrite": ("--output",)},
-    "agree": {"--overwrite": ("--output",)},
-    "plan exposure": {
-        "--setup-name": ("--setup",),
-        "--report": ("--setup",),
-        "--overwrite": ("--report",),
-    },
-    "plan light": {"--overwrite": ("--report",)},
-    "radiometry": {"--overwrite": ("--output",)},
+    "plan exposure": {"--setup-name": ("--setup",), "--report": ("--setup",)},
 }
 """Command → option → others, one of which it needs."""
 EXCLUDES: dict[str, Needs] = {

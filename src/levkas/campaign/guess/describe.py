@@ -582,38 +582,17 @@ def find_white_table(root: Path, tables: Sequence[str]) -> str | None:
 
 
 def with_sensitivity(camera: CameraGuess, root: Path, tables: Sequence[str]) -> CameraGuess:
-    """Give a camera the table with its name, and its channels the names in it where they fit."""
+    """Give a camera the table with its name."""
     if not camera.traits.is_broad:
         return camera
     for table in tables:
         if camera.name.casefold() not in Path(table).stem.casefold():
             continue
         names, rows = _read(root / table)
-        if not len(rows) or len(names) < 2:
-            continue
-        keys = {**camera.keys, "sensitivity": Guess(table, "the table with its name")}
-        sensors = _renamed(camera.sensors, names[1:])
-        return replace(camera, keys=keys, sensors=sensors, unknown=_still(camera, sensors))
+        if len(rows) and len(names) > 1:
+            keys = {**camera.keys, "sensitivity": Guess(table, "the table with its name")}
+            return replace(camera, keys=keys)
     return camera
-
-
-def _renamed(sensors: tuple[SensorGuess, ...], names: Sequence[str]) -> tuple[SensorGuess, ...]:
-    """Name the channels of sensors in the order of a table's columns, where there are as many."""
-    counts = [len(s.keys["bands"].value) for s in sensors if "bands" in s.keys]
-    if not sensors or len(counts) != len(sensors) or sum(counts) != len(set(names)):
-        return sensors
-    at, renamed = 0, []
-    for sensor, count in zip(sensors, counts, strict=True):
-        bands = Guess(tuple(names[at : at + count]), "from the table of sensitivities")
-        renamed.append(replace(sensor, keys={**sensor.keys, "bands": bands}))
-        at += count
-    return tuple(renamed)
-
-
-def _still(camera: CameraGuess, sensors: tuple[SensorGuess, ...]) -> tuple[str, ...]:
-    """Return what remains unknown with a table of sensitivities."""
-    renamed = sensors != camera.sensors
-    return tuple(text for text in camera.unknown if not (renamed and "sees;" in text))
 
 
 def _read(path: Path) -> tuple[list[str], np.ndarray]:

@@ -101,17 +101,18 @@ def _sizes(document: Document) -> Iterator[Problem]:
     objects = document.targets.objects or document.objects
     lightings = 1 + len(document.setups)
     patterns = max((len(camera.patterns) for camera in cameras.values()), default=0)
-    for field, count, most, what in (
-        ("cameras", len(cameras), MOST_CAMERAS, "cameras"),
-        ("setups", lightings, MOST_CAMERAS, "lightings"),
+    sizes = (
+        ("cameras", "cameras", len(cameras), MOST_CAMERAS),
+        ("setups", "lightings", lightings, MOST_CAMERAS),
         (
             "targets.objects",
+            "objects times cameras",
             max(1, len(objects)) * len(cameras),
             MOST_LAYERS,
-            "objects times cameras",
         ),
-        ("cameras", patterns, MOST_PATTERNS, "patterns for one camera"),
-    ):
+        ("cameras", "patterns for one camera", patterns, MOST_PATTERNS),
+    )
+    for field, what, count, most in sizes:
         if count > most:
             fix = "Divide it into several campaigns."
             yield Problem("E_SIZE", f"too many {what}", None, field, count, f"at most {most}", fix)
@@ -123,12 +124,8 @@ def _sizes(document: Document) -> Iterator[Problem]:
 def _names(document: Document) -> Iterator[Problem]:
     cameras, reference = document.cameras, document.campaign.reference.camera
     if reference not in cameras:
-        yield value_problem(
-            "campaign.reference.camera",
-            "the reference camera is not declared",
-            reference,
-            f"one of {listed(cameras)}",
-            closest_match(reference, cameras),
+        yield _unknown(
+            "campaign.reference.camera", "the reference camera is not declared", reference, cameras
         )
     elif cameras[reference].traits.is_scanned and cameras[reference].has_tiles:
         yield value_problem(
@@ -203,71 +200,34 @@ def _targets(document: Document) -> Iterator[Problem]:
     for name in islice(
         sorted(document.objects.keys() - set(known)), MOST_COMPARED // max(1, len(known))
     ):
-        if near := closest_match(name, known):
-            yield value_problem(
-                f"objects.{name}",
-                "this object is not listed in targets.objects",
-                name,
-                listed(known),
-                near,
+        if closest_match(name, known):
+            yield _unknown(
+                f"objects.{name}", "this object is not listed in targets.objects", name, known
             )
 
 
 def _boxes(document: Document) -> Iterator[Problem]:
     """Yield rectangles of slanted edges and light traps of a target that is not listed, or of an unknown camera."""
     targets = document.targets
-    for target, frames in targets.edges.items():
-        if target not in targets.charts:
-            yield value_problem(
-                f"targets.edges.{target}",
-                "this target has slanted edges and is not listed in targets.charts",
-                target,
-                listed(tuple(targets.charts))
-                or f'charts = {{ {target} = "edges" }}, which has no colour chart',
-            )
-        yield from _frames_of_boxes(document, f"targets.edges.{target}", frames)
-    for target, frames in targets.traps.items():
-        if target not in targets.charts and target not in (targets.objects or (target,)):
-            yield value_problem(
-                f"targets.traps.{target}",
-                "this target has a light trap and is listed neither in targets.charts nor in targets.objects",
-                target,
-                listed((*targets.charts, *(targets.objects or ()))),
-                f'Write charts = {{ {target} = "trap" }} where it shows nothing else.',
-            )
-        yield from _frames_of_boxes(document, f"targets.traps.{target}", frames)
-        for frame in frames:
-            camera = document.cameras.get(frame.partition(":")[0].partition("@")[0])
-            if camera is not None and not camera.has_frames:
-                yield value_problem(
-                    f"targets.traps.{target}",
-                    f"stray light is not measured in what a camera of kind {camera.kind!r} captures",
-                    frame,
-                    fix="Take the frame out.",
-                )
-
-
-def _frames_of_boxes(document: Document, field: str, frames: Iterable[str]) -> Iterator[Problem]:
-    for frame in frames:
-        layer, _, _ = frame.partition(":")
-        camera, _, setup = layer.partition("@")
-        if camera not in document.cameras:
-            cameras = tuple(document.cameras)
-            near = closest_match(camera, cameras)
-            yield value_problem(
-                field,
-                "unknown camera",
-                frame,
-                listed(cameras),
-                near,
-            )
-        elif setup and setup not in document.setups:
-            yield value_problem(
-                field,
-                "unknown setup",
-                frame,
-                listed(tuple(document.setups)),
-            )
+    for kind, tables, known in (
+        ("edges", targets.edges, tuple(targets.charts)),
+        ("traps", targets.traps, (*targets.charts, *(targets.objects or targets.traps))),
+    ):
+        for target, frames in tables.items():
+            field = f"targets.{kind}.{target}"
+            if target not in known:
+                fix = f'Write charts = {{ {target} = "{kind.rstrip("s")}" }} where it shows nothing else.'
+                yield _unknown(field, "this target is not listed", target, known, fix)
+            for frame in frames:
+                name, _, setup = frame.partition(":")[0].partition("@")
+                camera = document.cameras.get(name)
+                if camera is None:
+                    yield _unknown(field, "unknown camera", name, document.cameras)
+                elif setup and setup not in document.setups:
+                    yield _unknown(field, "unknown setup", setup, document.setups)
+                elif kind == "traps" and not camera.has_frames:
+                    message = f"stray light is not measured in what a camera of kind {camera.kind!r} captures"
+                    yield value_problem(field, message, frame, fix="Take the frame out.")
 
 
 # --- setups, registration, files ---------------------------------------------------------------
@@ -308,12 +268,8 @@ def _setups(document: Document) -> Iterator[Problem]:
             field = f"setups.{setup}.cameras.{name}"
             camera = document.cameras.get(name)
             if camera is None:
-                yield value_problem(
-                    field,
-                    "a setup names a camera that is not declared",
-                    name,
-                    f"one of {listed(document.cameras)}",
-                    closest_match(name, document.cameras),
+                yield _unknown(
+                    field, "a setup names a camera that is not declared", name, document.cameras
                 )
                 continue
             for text in own.files:
@@ -446,6 +402,15 @@ def value_problem(
     return Problem("E_VALUE", message, field=field, found=found, expected=expected, fix=fix)
 
 
+def _unknown(
+    field: str, message: str, name: str, known: Collection[str], fix: str | None = None
+) -> Problem:
+    """Return the problem of a name that is none of those known, with the nearest of them."""
+    return value_problem(
+        field, message, name, f"one of {listed(known)}", closest_match(name, known) or fix
+    )
+
+
 def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
     """Yield what does not fit together in the table `where`, such as ``cameras.nir``."""
     for key, kinds in keys_of_others(camera.kind).items():
@@ -465,30 +430,20 @@ def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
         yield from check_pattern(f"{where}.files", text, camera.kind)
     for key, stated in (("positions", camera.positions), ("level_tiles", camera.level_tiles)):
         if stated and not camera.has_tiles:
-            yield value_problem(
-                f"{where}.{key}",
-                f"the camera has no tiles: {key} has no meaning",
-                stated,
-                "{tile}, or {row} and {column}, in `files`",
-            )
+            expected = "{tile}, or {row} and {column}, in `files`"
+            yield value_problem(f"{where}.{key}", "the camera has no tiles", stated, expected)
     yield from _wavelengths(where, camera)
     mosaic = camera.pattern if camera.traits.bands_in == "pattern" else None
     yield from _channels(where, mosaic, camera.bands)
     if camera.black is not None and camera.saturation and camera.black >= camera.saturation:
+        expected = f"< {camera.saturation:g}"
         yield value_problem(
-            f"{where}.black",
-            "black is not below saturation",
-            camera.black,
-            f"< {camera.saturation:g}",
+            f"{where}.black", "black is not below saturation", camera.black, expected
         )
     for name in camera.overrule:
         if name not in OVERRULED:
-            yield value_problem(
-                f"{where}.overrule",
-                "this is no fact that files are compared by",
-                name,
-                f"one of {listed(OVERRULED)}",
-                closest_match(name, OVERRULED),
+            yield _unknown(
+                f"{where}.overrule", "this is no fact that files are compared by", name, OVERRULED
             )
     dark, white = set(camera.dark or ()), set(camera.white_names or ())
     if dark & white:
@@ -503,28 +458,15 @@ def _white_chart(where: str, camera: CameraKeys, charts: Collection[str]) -> Ite
     if white is None:
         return
     if not camera.traits.by_chart:
-        why = (
-            "a line scan has no frame from which to measure the light"
-            if camera.traits.is_scanned
-            else "it is not calibrated"
-        )
-        yield value_problem(
-            f"{where}.chart",
-            f"a camera of kind {camera.kind!r} cannot be calibrated by a chart: {why}",
-            white.chart,
-            " or ".join(f'kind = "{name}"' for name, kind in KINDS.items() if kind.by_chart),
-            "Capture a white, or write white = [].",
-        )
+        message = f"a camera of kind {camera.kind!r} cannot be calibrated by a chart"
+        able = " or ".join(f'kind = "{name}"' for name, kind in KINDS.items() if kind.by_chart)
+        fix = "Capture a white, or write white = []."
+        yield value_problem(f"{where}.chart", message, white.chart, able, fix)
     if white.chart not in charts and kind_of_chart(white.chart) is None:
+        message = "this is neither a declared chart target nor the name of a known chart"
+        fix = 'Declare it: charts = { macbeth = "ColorChecker24" } in [targets].'
         known = [*charts, *sorted(set(CHARTS.values()))]
-        yield value_problem(
-            f"{where}.chart",
-            "this is neither a declared chart target nor the name of a known chart",
-            white.chart,
-            f"one of {listed(known)}",
-            closest_match(white.chart, known)
-            or 'Declare it: charts = { macbeth = "ColorChecker24" } in [targets].',
-        )
+        yield _unknown(f"{where}.chart", message, white.chart, known, fix)
 
 
 def _sensors(where: str, camera: CameraKeys) -> Iterator[Problem]:
@@ -551,11 +493,8 @@ def _sensors(where: str, camera: CameraKeys) -> Iterator[Problem]:
 def _sensor_alignment(where: str, sensors: tuple[SensorKeys, ...]) -> Iterator[Problem]:
     identity = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     if sensors and sensors[0].align not in ("measure", identity):
-        yield value_problem(
-            f"{where}.sensors.{sensors[0].name}.align",
-            "the other sensors are aligned to the first sensor",
-            fix="Take it out.",
-        )
+        field = f"{where}.sensors.{sensors[0].name}.align"
+        yield value_problem(field, "the others are aligned to the first sensor", fix="Take it out.")
 
 
 def check_pattern(field: str, text: str, kind: str) -> Iterator[Problem]:
@@ -571,23 +510,14 @@ def check_pattern(field: str, text: str, kind: str) -> Iterator[Problem]:
         yield value_problem(field, "the pattern has no {target}", text, "raw/NAME/{target}/*.tif")
     for name, kinds in fields_of_others(kind).items():
         if name in fields:
-            owners = " or ".join(map(repr, kinds))
-            message = f"only a camera of kind {owners} has {{{name}}}"
+            message = f"only a camera of kind {' or '.join(map(repr, kinds))} has {{{name}}}"
             yield value_problem(field, message, text, fix="Write * instead.")
     if "tile" in fields and fields & {"row", "column"}:
-        yield value_problem(
-            field,
-            "a tile has one name: {tile}, or its {row} and {column}",
-            text,
-            fix="Write * in place of the other.",
-        )
+        message = "a tile has one name: {tile}, or its {row} and {column}"
+        yield value_problem(field, message, text, fix="Write * in place of the other.")
     if "object" in fields and not KINDS[kind].is_calibrated:
-        yield value_problem(
-            field,
-            "an image has neither darks nor whites, which {object} is for",
-            text,
-            fix="Take it out.",
-        )
+        message = "an image has neither darks nor whites, which {object} is for"
+        yield value_problem(field, message, text, fix="Take it out.")
 
 
 def _wavelengths(where: str, camera: CameraKeys) -> Iterator[Problem]:
@@ -596,18 +526,16 @@ def _wavelengths(where: str, camera: CameraKeys) -> Iterator[Problem]:
         return
     field = f"{where}.wavelengths"
     if not centres and isinstance(keys, Range):
-        yield value_problem(
-            field,
-            f"{keys.start:g} to {keys.stop:g} nm is not a whole number of steps of {keys.step:g} nm",
+        message = (
+            f"{keys.start:g} to {keys.stop:g} nm is not a whole number of steps of {keys.step:g} nm"
         )
+        yield value_problem(field, message)
     elif not centres:
-        yield value_problem(
-            field, "the list is empty", fix="Remove it: the files give their wavelengths."
-        )
+        fix = "Remove it: the files give their wavelengths."
+        yield value_problem(field, "the list is empty", fix=fix)
     elif len(set(centres)) < len(centres):
-        yield value_problem(
-            field, "a wavelength is listed twice", Counter(centres).most_common(1)[0][0]
-        )
+        twice = Counter(centres).most_common(1)[0][0]
+        yield value_problem(field, "a wavelength is listed twice", twice)
     elif odd := [nm for nm in centres if not is_plausible(nm)]:
         expected = f"{RANGE_NM[0]:g} to {RANGE_NM[1]:g}, in nm"
         yield value_problem(field, "no camera has a band there", odd[0], expected)
