@@ -288,10 +288,9 @@ def test_frames_of_no_numbers_end_in_no_traceback(tmp_path, value):
 
 
 @pytest.mark.parametrize("content", [b"", b"[" * (2 << 20), b"," * (2 << 20), b"\xff\xfe" * 100])
-def test_hostile_tables_of_points_are_refused_soon(content, tmp_path):
+def test_hostile_tables_of_points_are_refused_soon(content, tmp_path, made_database):
     (tmp_path / "points.csv").write_bytes(content)
-    refused = run("points", "convert", tmp_path / "points.csv", tmp_path / "out.csv")
-    assert refused.exit_code == 1
+    assert run("map", made_database, "icon1", tmp_path / "points.csv").exit_code == 1
 
 
 # --- databases ---------------------------------------------------------------------------------

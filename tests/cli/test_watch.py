@@ -66,14 +66,12 @@ def test_good_frames_end_with_0_and_json_lists_them(home):
 
 
 @pytest.mark.parametrize("how", ["--once", "--json"])
-@pytest.mark.parametrize("what", ["missing", "empty", "file", "no picture", "no pattern fits"])
+@pytest.mark.parametrize("what", ["missing", "no picture", "no pattern fits"])
 def test_without_a_frame_nothing_is_judged_and_that_at_once(home, how, what):
     folder = home.parent / "there"
     if what == "no pattern fits":
         folder = home
         tifffile.imwrite(home / "raw" / "other.tif", np.zeros((8, 8), np.uint16))
-    elif what == "file":
-        folder.write_text("no folder")
     elif what != "missing":
         folder.mkdir()
     if what == "no picture":
@@ -86,13 +84,3 @@ def test_without_a_frame_nothing_is_judged_and_that_at_once(home, how, what):
         (problem,) = said["problems"]
         assert not said["ok"] and problem["file"] == str(folder)
         assert problem["code"] == ("E_UNREADABLE" if what == "missing" else "E_NO_FRAMES")
-
-
-def test_a_declared_camera_without_a_frame_is_missing(home):
-    text = CAMPAIGN.replace('objects = ["icon"]\n', "")
-    more = '[cameras.xray]\nkind = "image"\nfiles = "raw/xray/{target}.tif"\n'
-    (home / "campaign.toml").write_text(text.replace("[targets]", f"{more}[targets]"))
-    for k, (name, level) in enumerate({"dark": 64, "white": 3000, "icon": 1500}.items()):
-        put(home, f"{name}_550nm_1.tif", level, k)
-    session = json.loads(run(str(home), "--json").stdout)["session"]
-    assert [item["what"] for item in session["missing"] if "xray" in item["what"]] == ["xray"]
