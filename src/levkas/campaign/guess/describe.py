@@ -437,7 +437,7 @@ def _scale_keys(group: CameraGroup, samples: Samples, notes: CameraNotes) -> dic
     facts = group.frames[0].facts
     if facts.dtype != "uint16" or facts.kind == "raw":
         return {}
-    full = samples.full_scale(group)
+    full = samples.full_scale(group.of_role)
     if facts.saturation:
         return _full_keys(full, facts.saturation)
     found = [

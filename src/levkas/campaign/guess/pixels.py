@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 
@@ -17,9 +17,7 @@ from levkas.core.problems import Refused
 
 if TYPE_CHECKING:
     from levkas.calibration.full_scale import FullScale
-    from levkas.campaign.guess.groups import CameraGroup
     from levkas.campaign.guess.listing import CaptureFile
-    from levkas.campaign.guess.names import NamedFile
 
 LARGEST_TILE = 5
 LEAST_SPAN = 0.06
@@ -314,6 +312,14 @@ def spread(things: Sequence[T], count: int) -> list[T]:
     return [things[int(i)] for i in np.unique(places)] if things else []
 
 
+class Framed(Protocol):
+    """A frame, whatever it is called."""
+
+    @property
+    def file(self) -> CaptureFile:
+        """The capture."""
+
+
 class Samples:
     """Statistics of frames by path, decoded on first use."""
 
@@ -337,17 +343,17 @@ class Samples:
                 self._known[capture.path] = None
         return self._known[capture.path]
 
-    def of_some(self, frames: Sequence[NamedFile], count: int) -> list[Statistics]:
+    def of_some(self, frames: Sequence[Framed], count: int) -> list[Statistics]:
         """Return the statistics of up to `count` frames, spread over all."""
         found = (self.of(frame.file) for frame in spread(frames, count))
         return [statistics for statistics in found if statistics is not None]
 
-    def full_scale(self, group: CameraGroup) -> FullScale | None:
-        """Return the counts at which frames of a camera pile up; None where they do not."""
+    def full_scale(self, of_role: Callable[[str], Sequence[Framed]]) -> FullScale | None:
+        """Return the counts at which frames of a camera pile up, by their roles; None where they do not."""
         looked = {
             role: [
                 self._codes[frame.file.path]
-                for frame in spread(group.of_role(role), MOST_SAMPLED)
+                for frame in spread(of_role(role), MOST_SAMPLED)
                 if self.of(frame.file) is not None
             ]
             for role in ("object", "chart", "white", "dark")

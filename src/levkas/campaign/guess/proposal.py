@@ -185,10 +185,10 @@ def _with_questions(
     others, _ = group_cameras(named, "")
     open_cameras = list(cameras)
     for question in questions:
-        asked = {capture.path for capture in question.files}
-        shares = [len(asked & {f.path for f in group.frames}) for group in groups]
+        files = {capture.path for capture in question.files}
+        shares = [len(files & {f.path for f in group.frames}) for group in groups]
         own = shares.index(max(shares))
-        bands = next((g for g in others if asked & {f.path for f in g.frames}), None)
+        bands = next((g for g in others if files & {f.path for f in g.frames}), None)
         decided = groups[own].of_role("dark", "white")  # by their histograms
         if bands is not None and not decided:
             beside = [g.name for g, share in zip(groups, shares, strict=True) if share]
