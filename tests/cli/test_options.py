@@ -100,7 +100,6 @@ def place(tmp_path_factory, made_database):
     tifffile.imwrite(root / "photo/panel.tif", pixels, photometric="rgb", metadata=None)
     tifffile.imwrite(root / "white.tif", rng.integers(2000, 2400, (40, 50)).astype(np.uint16))
     (root / "points.csv").write_text("x,y\n1,2\n")
-    (root / "checks.csv").write_text("reference_x,reference_y,x,y\n1,2,1,2\n")
     (root / "campaign.toml").write_text(
         '[campaign]\nreference = "photo:G"\n[cameras.photo]\nkind = "image"\nfiles = "photo/{target}.tif"\n'
     )
@@ -167,6 +166,6 @@ def test_options_of_a_cube_or_a_database_are_refused_with_a_campaign(place):
 )
 def test_the_name_that_may_be_meant_is_named(words, meant, place, made_database):
     paths = {"ROOT": place, "DB": made_database, "BENCH": BENCH, "WHITE": place / "white.tif",
-             "POINTS": place / "points.csv", "CHECKS": place / "checks.csv", "OUT": place / "out"}  # fmt: skip
+             "POINTS": place / "points.csv", "OUT": place / "out"}  # fmt: skip
     refused = CliRunner().invoke(app, [str(paths.get(word, word)) for word in words])
     assert refused.exit_code == 1 and repr(meant) in refused.output
