@@ -204,9 +204,3 @@ def test_a_layer_is_one_dataset_of_values_flags_and_sigma(layers):
     assert data["values"].attrs["units"] == data["sigma"].attrs["units"] == "1"
     assert data.wavelength.attrs["units"] == "nm" and "standard_name" in data.wavelength.attrs
     assert not data["values"].variable._in_memory and not data["sigma"].variable._in_memory
-
-
-def test_the_preview_of_a_crop_is_that_of_the_whole_there(layers):
-    whole, part = layers["vis"].levkas.preview, layers["vis"][10:30, 5:50:2].levkas.preview
-    assert whole.dtype == np.uint8 and whole.shape[:2] == SHAPE[:2]
-    np.testing.assert_array_equal(part.values, whole.values[10:30, 5:50:2])

@@ -7,7 +7,6 @@ from levkas.database.manifest import (
     NAME,
     Listed,
     _to_bytes,
-    list_files,
     read_manifest,
     write_manifest,
 )
@@ -37,13 +36,6 @@ def test_the_same_folder_gives_the_same_bytes_and_is_not_written_twice(folder):
     write_manifest(folder, threads=3)
     assert (folder / NAME).read_bytes() == first
     assert (folder / NAME).stat().st_mtime_ns == stamp
-
-
-def test_unfinished_files_and_what_browsers_leave_are_not_published(folder):
-    (folder / "a/.DS_Store").write_bytes(b"x")
-    (folder / "c.tif.partial-0123abcd").write_bytes(b"x")
-    assert "a/.DS_Store" not in list_files(folder)
-    assert len(write_manifest(folder).files) == 3
 
 
 def test_sha256sum_reads_the_manifest(tmp_path):

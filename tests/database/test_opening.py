@@ -1,5 +1,4 @@
 import json
-import pickle
 import shutil
 import subprocess
 import sys
@@ -140,21 +139,6 @@ def test_a_sigma_that_cannot_be_read_is_refused_and_not_unknown(tmp_path, form, 
     with pytest.raises(Refused):
         _ = thing["vis"].levkas.sigma.values
     assert thing["d80", "45-degree"].levkas.sigma is None
-
-
-def test_names_that_are_not_there_are_said_with_those_that_are(opened):
-    with pytest.raises(KeyError):
-        opened["icon2"]
-    with pytest.raises(KeyError):
-        opened["icon1"]["nir"]
-    with pytest.raises(KeyError):
-        opened["../icon1"]
-
-
-def test_an_array_can_be_sent_to_another_process(opened):
-    cube = pickle.loads(pickle.dumps(opened["icon1"]["vis"][3:5]))
-    np.testing.assert_array_equal(cube.values, VIS.values[3:5])
-    np.testing.assert_array_equal(cube.levkas.flags.values, VIS.flags[3:5])
 
 
 def test_tag_65000_holds_centres_or_centroids_or_numbers(database):

@@ -85,19 +85,6 @@ def test_a_path_through_the_reference_is_the_composition(database):
     np.testing.assert_allclose(mapped, polynomial(2.7, 9)(reference), atol=1e-9)
 
 
-def test_a_camera_alone_is_its_reference_channel(database):
-    point = np.array([[100.0, 50.0]])
-    for one, other in (
-        ("d80", "d80:G"),
-        ("vis", "vis:550nm"),
-        ("d80@45-degree", "d80@45-degree:G"),
-    ):
-        np.testing.assert_array_equal(
-            map_points(database, "icon1", point, source="vis", target=one),
-            map_points(database, "icon1", point, source="vis", target=other),
-        )
-
-
 def test_outside_what_is_known_is_nan_in_the_same_rows(database):
     text = "x,y\n10,20\n-0.6,5\n39.4,49.4\n40,10\nnan,nan\n"
     rows = map_table(database, "icon1", text, source="grid", target="vis").splitlines()

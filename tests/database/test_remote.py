@@ -195,30 +195,6 @@ def test_keys_are_never_printed_not_even_those_that_are_refused(s3, serving, mon
         assert "KEYKEYKEY" not in found.output and "SECRETSECRET" not in found.output
 
 
-@pytest.mark.slow
-def test_evaluate_export_and_map_read_an_address(remote, database, tmp_path):
-    address, _ = remote
-    run = CliRunner().invoke
-    one, other = (run(command, ["evaluate", str(d), "--json"]) for d in (database, address))
-    assert one.exit_code == other.exit_code == 0, other.output
-    assert one.stdout == other.stdout
-    for place_, out in ((database, "here"), (address, "there")):
-        words = ["export", str(place_), "--for", "envi", "-o", str(tmp_path / out)]
-        assert run(command, words).exit_code == 0
-    files = sorted(p.relative_to(tmp_path / "here") for p in (tmp_path / "here").rglob("*"))
-    assert files
-    for file in files:
-        if file.suffix and file.suffix != ".json":
-            assert (tmp_path / "here" / file).read_bytes() == (
-                tmp_path / "there" / file
-            ).read_bytes()
-    points = tmp_path / "points.csv"
-    points.write_text("x,y\n1,2\n")
-    words = ["icon 1é", "--to", "d80@45-degree", str(points)]
-    mapped = run(command, ["map", address, words[0], words[3], *words[1:3]])
-    assert mapped.stdout == "x,y\n1.000000,2.000000\n", mapped.output
-
-
 def test_names_that_lead_elsewhere_are_refused(web, database, tmp_path):
     text = (database / "catalogue.csv").read_text().replace("icon 1é", "../../secret", 1)
     (tmp_path / "catalogue.csv").write_text(text)

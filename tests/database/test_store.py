@@ -58,16 +58,6 @@ def test_xarray_opens_a_layer_with_its_labels(tmp_path):
     assert chunk["compressors"][-1].to_dict()["name"] == "crc32c"
 
 
-def test_a_layer_without_sigma_or_centres_is_opened_too(tmp_path):
-    cube = cube_of(sigma=False, bands=3)
-    plain = Cube(cube.values, cube.flags, None, (Band("R"), Band("G"), Band("B")), "counts")
-    write_layer_store(tmp_path / "a.zarr", "cam", plain)
-    data = opened(tmp_path / "a.zarr", consolidated=False)
-    assert set(data.data_vars) == {"values", "flags"}
-    assert np.isnan(data.wavelength.values).all()
-    assert data["values"].attrs["quantity"] == "counts"
-
-
 @pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(

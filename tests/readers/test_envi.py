@@ -173,11 +173,6 @@ def test_a_setting_is_read_however_its_key_is_written(tmp_path, row, field, valu
     assert getattr(header_facts(tmp_path, row), field) == value
 
 
-def test_a_list_of_exposures_of_another_length_is_refused(tmp_path):
-    problem = refusal(write_envi(tmp_path, CUBE, extra="tint = {10, 20}"))
-    assert (problem.code, problem.field, problem.found) == ("E_BAND_COUNT", "tint", "2 numbers")
-
-
 @pytest.mark.parametrize(
     ("units", "written", "read"),
     [
@@ -269,12 +264,6 @@ def test_header_and_data_find_each_other(tmp_path):
     assert refusal(tmp_path / "other.bin").code == "E_UNREADABLE"
     path = write_envi(tmp_path, CUBE, extra="data file = other.bin")
     assert open_envi(path).data.name == "other.bin"
-
-
-def test_a_library_of_spectra_has_its_wavelengths_along_the_samples(real_data):
-    facts = read_facts(real_data / "spectra/pigments/__speclib_averages.hdr")
-    assert facts.shape == (1592, 186, 1) and len(facts.wavelengths) == 186
-    assert facts.wavelengths[0] == pytest.approx(405.369888)
 
 
 @pytest.mark.parametrize("name", ["4-22-22_right_same_B73_top_00", "white_reference_crop"])

@@ -102,16 +102,6 @@ def test_a_reader_is_added_by_a_row(tmp_path, monkeypatch):
     assert np.array_equal(read_frame(path), CODES)
 
 
-def test_reading_leaves_the_file_and_its_folder_as_they_were(tmp_path):
-    path = tmp_path / "frame.tif"
-    tifffile.imwrite(path, CODES)
-    before = (path.read_bytes(), path.stat().st_mtime_ns)
-    values = read_frame(path)
-    values += 1  # the caller's own copy
-    assert (path.read_bytes(), path.stat().st_mtime_ns) == before
-    assert [p.name for p in tmp_path.iterdir()] == ["frame.tif"]
-
-
 def test_facts_of_an_untouched_file_are_read_once_and_of_a_changed_one_anew(tmp_path, monkeypatch):
     path, opened, reader = tmp_path / "frame.png", [], frames._call
 
@@ -188,21 +178,6 @@ def test_one_flipped_bit_in_the_pixels_of_a_png_is_found_wherever_it_is(tmp_path
         assert refusal(path)
 
 
-def test_pixels_for_fewer_rows_than_declared_are_refused(tmp_path):
-    path = write_png(tmp_path / "short.png", [bytes(9)] * 5, width=9)
-    head = struct.pack(">IIBBBBB", 9, 8, 8, 0, 0, 0, 0)
-    path.write_bytes(PNG + chunk(b"IHDR", head) + path.read_bytes()[33:])
-    assert refusal(path).code == "E_UNREADABLE"
-
-
-def test_the_nine_band_mosaic_and_the_kinect_read_as_opencv_reads_them(real_data):
-    board = real_data / "silios-kinect/board"
-    mosaic = read_frame(board / "2020511_multispectral_camera.png")
-    assert mosaic.shape == (1024, 1280) and mosaic.dtype == np.uint8
-    colour = read_frame(board / "2020511_kinect_hd_rgb.png")
-    assert np.array_equal(colour[..., ::-1], cv2.imread(str(board / "2020511_kinect_hd_rgb.png")))
-
-
 # --- JPEG ----------------------------------------------------------------------------------------
 
 
@@ -232,15 +207,6 @@ def test_orientation_is_ignored_and_exposure_and_date_are_read(tmp_path):
     assert facts.captured == "2019-02-08T17:43:35+01:00"
 
 
-def test_damaged_exif_costs_the_facts_and_not_the_photograph(tmp_path):
-    path = write_photo(tmp_path / "photo.jpg")
-    data = path.read_bytes()
-    junk = b"Exif\0\0MM\0*\xff\xff\xff\xff" + bytes(range(200))
-    path.write_bytes(data[:2] + b"\xff\xe1" + struct.pack(">H", len(junk) + 2) + junk + data[2:])
-    assert read_frame(path).shape == (48, 64, 3)
-    assert read_facts(path).exposure_s is None
-
-
 def test_a_cut_photograph_with_a_whole_thumbnail_is_refused(tmp_path):
     thumbnail = io.BytesIO()
     Image.fromarray(PHOTO[::4, ::4]).save(thumbnail, "jpeg")
@@ -251,11 +217,6 @@ def test_a_cut_photograph_with_a_whole_thumbnail_is_refused(tmp_path):
     assert read_frame(path).shape == (48, 64, 3)
     path.write_bytes(whole[:-40])
     assert refusal(path).code == "E_TRUNCATED"
-
-
-def test_four_inks_are_refused(tmp_path):
-    Image.fromarray(PHOTO).convert("CMYK").save(tmp_path / "print.jpg")
-    assert refusal(tmp_path / "print.jpg").field == "frame header"
 
 
 # --- samples of a TIFF that do not count ---------------------------------------------------------

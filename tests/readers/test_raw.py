@@ -80,13 +80,6 @@ def test_the_compression_curve_of_a_camera_is_undone(tmp_path):
     assert np.array_equal(read_frame(path), table[codes].astype(np.uint16))
 
 
-def test_only_the_visible_area_is_read(tmp_path):
-    extra = [(50829, "I", 4, (2, 4, 62, 94), True)]
-    path = write_dng(tmp_path / "a.dng", MOSAIC, extra=extra)
-    assert np.array_equal(read_frame(path), MOSAIC[2:62, 4:94])
-    assert read_facts(path).shape == (60, 90)
-
-
 def write_linear(path, colours, black=(64,), **more):
     tags = [
         (50706, "B", 4, (1, 4, 0, 0), True),
@@ -188,10 +181,6 @@ def test_a_tile_that_libraw_would_leave_as_zeros_is_refused(tmp_path, spoil):
     spoil(data, starts, counts)
     path.write_bytes(data)
     assert refusal(path).code == refusal(path, read_facts).code == "E_TRUNCATED"
-
-
-def test_a_mosaic_of_zeros_alone_was_not_decoded(tmp_path):
-    assert refusal(write_dng(tmp_path / "a.dng", np.zeros((64, 96), np.uint16)))
 
 
 def test_one_decoder_reads_many_files_and_another_follows_a_dead_one(tmp_path, monkeypatch):

@@ -75,10 +75,7 @@ COLUMNS = ALL_COLUMNS[:-2]
 def database_of(path: str | Path) -> Path:
     """Return the database that a path means: itself, or the output of a campaign where it is one's folder or campaign.toml.
 
-    Raises
-    ------
-    CampaignInvalid
-        Where campaign.toml cannot be used.
+    Raises CampaignInvalid where campaign.toml cannot be used.
     """
     found = place(path)
     if is_remote(found) or (found / NAME).is_file():

@@ -60,7 +60,6 @@ def find_escapes(root: Path, names: Iterable[str]) -> Iterator[Problem]:
 
     Parameters
     ----------
-    root : Path
     names : iterable of str
         Files below it and links to folders, relative with ``/``, as `list_files` has them.
 
@@ -89,10 +88,7 @@ def find_escapes(root: Path, names: Iterable[str]) -> Iterator[Problem]:
 def check_inside(root: Path, *paths: Path) -> None:
     """Refuse files of a database that lie, all links followed, outside it; those that are not there pass.
 
-    Raises
-    ------
-    LinkRefused
-        ``E_LINK`` with every such file.
+    Raises LinkRefused: ``E_LINK`` with every such file.
     """
     if not isinstance(root, Path):
         return

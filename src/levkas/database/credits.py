@@ -17,7 +17,6 @@ class Credits:
 
     Parameters
     ----------
-    title, creator, rights, description : str
     date : str
         ISO 8601, of the capture. Never from the clock.
     """

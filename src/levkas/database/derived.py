@@ -74,7 +74,6 @@ def check_new_layer(
 
     Parameters
     ----------
-    database : Database
     having : sequence of str
         Objects that have the sources.
     layer : str
@@ -84,9 +83,7 @@ def check_new_layer(
     kind, field : str
         Of the new layer, and the argument that names it.
 
-    Raises
-    ------
-    DatabaseRefused
+    Raises DatabaseRefused.
     """
     try:
         check_plain_names(layer)

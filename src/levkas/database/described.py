@@ -113,8 +113,6 @@ class LayerRows:
     ----------
     root : Path
         The database.
-    layer : LayerId
-    described : Described
     pages : dict of str to TiffPages
         Of values, flags and, where noise is known, sigma.
     """

@@ -54,7 +54,6 @@ class Layer:
         `setup` is empty for the default one.
     px_per_mm : float
         NaN where the sampling is not known.
-    credits : Credits
     centroids : mapping of label to float, nm
         Of the sensitivities of channels without a centre wavelength, for tag 65000.
     kind : str
@@ -127,8 +126,6 @@ def write_layer(
 
     Parameters
     ----------
-    database : path
-    layer : Layer
     rows : Cube or CubeRows
         On the grid.
     verdict : str
@@ -147,10 +144,7 @@ def write_layer(
     files : tuple of Path
         All that was written, files only.
 
-    Raises
-    ------
-    WriteRefused
-        Where the disk refuses; all files are then the old ones, unless it refuses a name.
+    Raises WriteRefused where the disk refuses; all files are then the old ones, unless it refuses a name.
     """
     database = Path(database)
     base = database / "objects" / layer.object / layer.stem

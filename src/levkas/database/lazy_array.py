@@ -59,10 +59,7 @@ class LazyArray(BackendArray):
 class ZarrArray(LazyArray):
     """An array of a layer's group; shards that are missing or lie elsewhere are refused.
 
-    Raises
-    ------
-    DatabaseRefused
-        Where its description is damaged, or declares chunks that no memory holds.
+    Raises DatabaseRefused where its description is damaged, or declares chunks that no memory holds.
     """
 
     def __init__(self, path: Path, root: Path) -> None:
@@ -145,10 +142,7 @@ def is_described(path: Path) -> bool:
 def read_description(path: Path) -> dict[str, Any]:
     """Read the description of an array of Zarr 3.
 
-    Raises
-    ------
-    DatabaseRefused
-        Where it cannot be read, or declares chunks that no memory holds.
+    Raises DatabaseRefused where it cannot be read, or declares chunks that no memory holds.
     """
     place = path / "zarr.json"
     try:

@@ -52,7 +52,6 @@ class Manifest:
 
     Parameters
     ----------
-    path : Path
     files : dict
         Relative path with ``/`` → `Listed`.
     bytes : int
@@ -74,7 +73,6 @@ def write_manifest(
 
     Parameters
     ----------
-    database : path
     known : mapping, optional
         Relative path with ``/`` → SHA-256, of files that were hashed when they were written: they
         are not read again, and damage since then will be found.
@@ -86,10 +84,7 @@ def write_manifest(
     manifest : Manifest
         With the number and the size of the files. An unchanged one is not written anew.
 
-    Raises
-    ------
-    WriteRefused
-        Where the disk refuses.
+    Raises WriteRefused where the disk refuses.
     """
     root, known = Path(database), known or {}
     names = [name for name in list_files(root) if name != NAME and not is_partial(name)]

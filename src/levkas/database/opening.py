@@ -30,9 +30,7 @@ def open_layer(root: Path, layer: LayerId, kind: str = "values") -> xarray.DataA
         and are lost where pixels of several layers are joined. The encoding `source` goes with the values, and is
         lost where they are computed anew.
 
-    Raises
-    ------
-    DatabaseRefused, TiffRefused
+    Raises DatabaseRefused, TiffRefused.
     """
     group = root / layer.group
     if is_described(group):

@@ -68,9 +68,7 @@ class Frame:
 def parse_frame(text: str) -> Frame:
     """Read ``grid``, ``CAMERA``, ``CAMERA:BAND``, ``CAMERA@SETUP`` or ``CAMERA@SETUP:BAND``, of tiles ``CAMERA#TILE:BAND``.
 
-    Raises
-    ------
-    MappingRefused
+    Raises MappingRefused.
 
     Examples
     --------
@@ -160,16 +158,12 @@ def find_map(
 
     Parameters
     ----------
-    database : path
     name : str
         The object.
     source, target : str or Frame
         As in `parse_frame`; a camera alone means its reference channel.
 
-    Raises
-    ------
-    MappingRefused
-        Where a frame is not there, or its registration was refused.
+    Raises MappingRefused where a frame is not there, or its registration was refused.
     """
     records = Records(database_of(database), name)
     frames = [f if isinstance(f, Frame) else parse_frame(f) for f in (source, target)]
@@ -184,10 +178,8 @@ def find_position_sigma(
 
     Parameters
     ----------
-    database : path
     name : str
         The object.
-    camera, setup : str
     band : str, optional
         The camera's reference channel without it.
 
@@ -197,9 +189,7 @@ def find_position_sigma(
         One standard deviation of either axis; NaN where the band does not see the object. None
         where the record has none.
 
-    Raises
-    ------
-    MappingRefused
+    Raises MappingRefused.
     """
     records, frame = Records(database_of(database), name), Frame(camera, setup, band or "")
     grid = records.pixels(Frame())
@@ -324,10 +314,7 @@ def map_table(
 
     `file` is where the text was read from, for refusals; points that lie outside are ``nan,nan``.
 
-    Raises
-    ------
-    MappingRefused
-        Also where a row is not two numbers; all such rows are listed, at most ten.
+    Raises MappingRefused also where a row is not two numbers; all such rows are listed, at most ten.
     """
     points = read_points(text, file=file)
     mapped = map_points(database, name, points, source=source, target=target)

@@ -49,7 +49,6 @@ class LayerBudget:
 
     Parameters
     ----------
-    sources : tuple of ErrorSource
     correlation : ndarray, (2r + 1, 2r + 1)
         Of the noise of a pixel with that of its neighbours on the grid, 1 in the middle: they were interpolated from the same pixels.
     """
@@ -61,10 +60,7 @@ class LayerBudget:
 def read_budget(root: Path, layer: LayerId) -> LayerBudget:
     """Return the budget of a layer by its object's provenance, or by the record of what it was made of; an empty one where none says anything.
 
-    Raises
-    ------
-    DatabaseRefused
-        ``E_DAMAGED`` where that is none.
+    Raises DatabaseRefused: ``E_DAMAGED`` where that is none.
     """
     made_of = _record_of(root, layer)
     path = made_of or root / "objects" / layer.object / PROVENANCE
@@ -225,16 +221,12 @@ def mean_of_region(
     Parameters
     ----------
     pixels : Pixels, (h, w, bands)
-    bands : sequence of Band
     region : Region
         In px of `pixels`.
     correlation : ndarray, (2r + 1, 2r + 1)
         Of the noise of neighbours.
 
-    Raises
-    ------
-    RegionRefused
-        ``E_REGION`` where no pixel lies within.
+    Raises RegionRefused: ``E_REGION`` where no pixel lies within.
 
     Notes
     -----
@@ -349,10 +341,7 @@ def combine(
         Of the bands.
     first, second : Uncertain, (n,)
 
-    Raises
-    ------
-    RegionRefused
-        ``E_VALUE`` where it cannot be made of them.
+    Raises RegionRefused: ``E_VALUE`` where it cannot be made of them.
     """
     if of == "mean" and second is None:
         return first, [*labels]

@@ -117,10 +117,7 @@ def region_statistics(
         pixels; ``pixels``, all of the region on the grid. With `bins`: ``histogram`` (band, bin) and the
         coordinate ``edges``.
 
-    Raises
-    ------
-    RegionRefused
-        ``E_REGION`` where no pixel of the layer lies within.
+    Raises RegionRefused: ``E_REGION`` where no pixel of the layer lies within.
     """
     import xarray
 

@@ -63,14 +63,10 @@ def read_registration(path: Path, *, needed: tuple[str, ...] = ()) -> dict[str, 
 
     Parameters
     ----------
-    path : Path
     needed : tuple of str
         Parts that must be there; all others may be absent.
 
-    Raises
-    ------
-    RecordRefused
-        Where it cannot be read, or a part of it is of another kind than a registration writes.
+    Raises RecordRefused where it cannot be read, or a part of it is of another kind than a registration writes.
     """
     try:
         record = read_json(path)

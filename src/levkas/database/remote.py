@@ -37,10 +37,7 @@ def place(path: str | Path) -> Path:
 
     It is a `RemotePath` then, of which all that reads a database needs no more than of a `Path`.
 
-    Raises
-    ------
-    RemoteRefused
-        Where the address is none that is read, or holds a password.
+    Raises RemoteRefused where the address is none that is read, or holds a password.
 
     Examples
     --------

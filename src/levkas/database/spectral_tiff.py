@@ -60,7 +60,6 @@ class TiffHeader:
         sRGB render for page 0.
     px_per_mm : float, optional
         Sampling, for the resolution tags.
-    credits : Credits
     """
 
     shape: tuple[int, int]
@@ -189,7 +188,6 @@ class PageSpool:
     ----------
     handle : binary file, for reading and writing
     shape : (height, width, bands)
-    dtype : numpy dtype
     pool : ThreadPoolExecutor
         For compression; the bytes are the same for any number of threads.
     """

@@ -73,10 +73,7 @@ class LayerWriter:
     ) -> None:
         """Append rows, each array (rows, width, bands).
 
-        Raises
-        ------
-        ValueError
-            Where sigma is missing or not expected, or the rows are more than the layer has.
+        Raises ValueError where sigma is missing or not expected, or the rows are more than the layer has.
         """
         blocks = {"values": values, "flags": flags} | ({} if sigma is None else {"sigma": sigma})
         if blocks.keys() != self._arrays.keys() or any(
@@ -139,16 +136,12 @@ def writing_layer(
     name : str
         As `layer_name` gives it.
     shape : (height, width, bands)
-    bands : sequence of Band
     attributes : mapping
         Of the values: quantity, object, camera, setup, px_per_mm.
     sigma : bool
         Whether sigma is written too.
 
-    Raises
-    ------
-    WriteRefused
-        Where the disk refuses; the layer that was there is still there.
+    Raises WriteRefused where the disk refuses; the layer that was there is still there.
     """
     import zarr
 

@@ -122,14 +122,10 @@ def open_pages(path: str | Path, *, uniform: bool = True) -> TiffPages:
 
     Parameters
     ----------
-    path : path
     uniform : bool
         Whether all band pages must have one size and type, and page 0 may be an RGB render.
 
-    Raises
-    ------
-    TiffRefused
-        ``E_UNREADABLE``, ``E_TRUNCATED`` (data or pages missing), ``E_SIZE`` (pages that differ).
+    Raises TiffRefused: ``E_UNREADABLE``, ``E_TRUNCATED`` (data or pages missing), ``E_SIZE`` (pages that differ).
     """
     path = Path(path) if isinstance(path, str) else path
     with opening_tiff(path) as pages:
@@ -144,10 +140,7 @@ def open_pages(path: str | Path, *, uniform: bool = True) -> TiffPages:
 def opening_tiff(path: Path) -> Iterator[list[TiffPage]]:
     """Open all pages of a TIFF whose directories and strips lie in the file; its errors are refusals.
 
-    Raises
-    ------
-    TiffRefused
-        Also where the block that uses the pages raises what damaged files lead tifffile to.
+    Raises TiffRefused also where the block that uses the pages raises what damaged files lead tifffile to.
     """
     try:
         if path.exists() and not path.is_file():  # to open a pipe waits for ever

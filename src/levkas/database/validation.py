@@ -55,7 +55,6 @@ class ValidationReport:
 
     Parameters
     ----------
-    root : Path
     checked : int
         Files.
     problems : tuple of Problem
@@ -100,10 +99,7 @@ def validate(
     draw : callable
         Consumes the steps; the command line draws them.
 
-    Raises
-    ------
-    DatabaseRefused
-        Where there is no database at all.
+    Raises DatabaseRefused where there is no database at all.
 
     Examples
     --------

@@ -122,7 +122,6 @@ class TilePart:
 
     Parameters
     ----------
-    name : str
     columns : slice
         Of the grid.
     values, flags, variance : ndarray, (rows, columns, bands)
@@ -176,7 +175,6 @@ def join(
 
     Parameters
     ----------
-    parts : sequence of TilePart
     shape : (rows, width, bands)
     seams : Seams, optional
         Takes what parts differ by.

@@ -56,7 +56,6 @@ class Lattice:
 
     Parameters
     ----------
-    transform : Transform
     table : ndarray or None
         (rows, segments, 10): coefficients of 1, t, t², t³ of x and of y along a segment, source px, and the scales along
         x and y, source px per grid px. None: the maps are evaluated at every pixel.

@@ -30,7 +30,6 @@ def invert(transform: Transform, points: np.ndarray, start: np.ndarray) -> np.nd
 
     Parameters
     ----------
-    transform : Transform
     points, start : ndarray, (n, 2), px
 
     Returns

@@ -49,10 +49,7 @@ Shape = tuple[int | None, ...]
 def read_npy(path: Path, shape: Shape) -> np.ndarray:
     """Read an array as ``numpy.save`` writes it, of a given shape; None for a side of any length.
 
-    Raises
-    ------
-    UnreadableCapture
-        Where it is of another shape, of no numbers, or cut; none of it is read then.
+    Raises UnreadableCapture where it is of another shape, of no numbers, or cut; none of it is read then.
     """
     with _reading(path, "an array as numpy.save writes it"):
         stored = np.load(path, mmap_mode="r", allow_pickle=False)
@@ -65,9 +62,7 @@ def read_npy(path: Path, shape: Shape) -> np.ndarray:
 def read_npz(path: Path, *, most: int) -> dict[str, np.ndarray]:
     """Read arrays as ``numpy.savez`` writes them, by name; `most` bytes of all of them, decompressed.
 
-    Raises
-    ------
-    UnreadableCapture
+    Raises UnreadableCapture.
     """
     with _reading(path, "arrays as numpy.savez writes them"), zipfile.ZipFile(path) as archive:
         members = archive.infolist()
@@ -87,10 +82,7 @@ def read_hdf5(path: Path, name: str, shape: Shape) -> np.ndarray:
     chunks that are all there, as they are or behind shuffle and deflate. External files, links and virtual data sets
     could lead to any file of this computer, and are refused, as are all other filters.
 
-    Raises
-    ------
-    UnreadableCapture
-        ``E_MISSING`` without h5py.
+    Raises UnreadableCapture: ``E_MISSING`` without h5py.
     """
     h5py = _h5py(path)
     with _reading(path, f"an HDF5 file or MATLAB 7.3 with {name!r}"), h5py.File(path, "r") as file:
@@ -120,10 +112,7 @@ def list_hdf5(path: Path, group: str = "") -> dict[str, tuple[int, ...]]:
 
     Only hard links are followed: others could lead to any file of this computer.
 
-    Raises
-    ------
-    UnreadableCapture
-        ``E_MISSING`` without h5py.
+    Raises UnreadableCapture: ``E_MISSING`` without h5py.
     """
     h5py = _h5py(path)
     found: dict[str, tuple[int, ...]] = {}

@@ -94,7 +94,6 @@ def black_facts(
 
     Parameters
     ----------
-    page : tifffile page
     visible : (top, left, bottom, right)
         Of the page, px: the frame that is read.
     top : float, optional

@@ -48,7 +48,6 @@ class EnviFile:
     ----------
     facts : Facts
         `path` is the header, `shape` is (lines, samples, bands).
-    data : Path
     offset : int
         Bytes before the first sample.
     layout : str
@@ -126,10 +125,7 @@ class EnviFile:
 def open_envi(path: str | Path) -> EnviFile:
     """Open a cube by its header or its data file; sizes are checked, no pixel is read.
 
-    Raises
-    ------
-    UnreadableCapture
-        Where a needed field is missing or absurd, or the data do not fit the header.
+    Raises UnreadableCapture where a needed field is missing or absurd, or the data do not fit the header.
     """
     path = Path(path)
     beside = path if path.suffix.lower() == ".hdr" else find_header(path)

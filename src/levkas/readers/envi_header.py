@@ -202,10 +202,8 @@ def find_data(header: EnviHeader, needed: int) -> Path:
 def parse_header(path: Path) -> EnviHeader:
     """Parse an ENVI header: keys in lower case, ``{…}`` as lists of text, comments left out.
 
-    Raises
-    ------
-    UnreadableCapture
-        Where it is no ENVI header, a list has no end, or two lines of the layout contradict each other.
+    Raises UnreadableCapture where it is no ENVI header, a list has no end, or two lines of the layout contradict each
+    other.
     """
     header = EnviHeader(path, {})
     rows = _rows(path)
@@ -292,10 +290,7 @@ def _bare(text: str) -> str:
 def exposure_facts(header: EnviHeader, bands: int) -> dict[str, Any]:
     """Return `exposure_s`, `band_times_s` and `exposure_unclear`, as `Facts` has them.
 
-    Raises
-    ------
-    UnreadableCapture
-        E_BAND_COUNT where a list of exposures has another length than the bands.
+    Raises UnreadableCapture: E_BAND_COUNT where a list of exposures has another length than the bands.
 
     Examples
     --------

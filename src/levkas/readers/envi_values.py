@@ -19,10 +19,7 @@ GAINS = (
 def value_facts(header: EnviHeader, dtype: np.dtype[Any], bands: int) -> dict[str, Any]:
     """Return `nodata`, `reflectance_scale`, `bad_bands` and `notes`, as `Facts` has them.
 
-    Raises
-    ------
-    UnreadableCapture
-        E_BAND_COUNT where a list has another length than the bands.
+    Raises UnreadableCapture: E_BAND_COUNT where a list has another length than the bands.
 
     Examples
     --------

@@ -45,12 +45,10 @@ class Facts:
 
     Parameters
     ----------
-    path : Path
     kind : str
         ``"tiff"``, ``"png"``, ``"jpeg"``, ``"raw"``, ``"raw-colours"`` (a linear DNG), ``"envi"``, of cubes in containers ``"hdf5-cube"`` or ``"mat"``, or of a stack of maps ``"ripple"`` or ``"hdf5"``.
     shape : tuple of int
         (h, w) or (h, w, samples) of one page; for ENVI and stacks of maps (lines, samples, bands).
-    dtype : str
     pages : int
         Full-size pages of a TIFF; previews and masks are not counted.
     bits : int or None
@@ -63,7 +61,6 @@ class Facts:
         What a file states of its black that cannot be understood; `black` is None then.
     pattern : str or None
         Letters of the tile that repeats over the visible area, row by row: ``"RGGB"``; 36 of X-Trans.
-    exposure_s, iso : float or None
     band_times_s : tuple of float or None
         Exposures band by band, where an ENVI header lists several; `exposure_s` is None then.
     exposure_unclear : str or None
@@ -72,8 +69,6 @@ class Facts:
         ISO 8601, local time of the camera unless the file states an offset.
     make, model, serial : str or None
         Maker, model and number of the camera; placeholders such as ``"Unknown"`` are None.
-    f_number, focal_mm : float or None
-    lens : str or None
     white_balance : str or None
         EXIF's ``"auto"`` or ``"manual"``.
     orientation : int or None
@@ -89,10 +84,8 @@ class Facts:
         Value of reflectance 1.0 in every band, of a file of reflectance.
     bad_bands : tuple of int or None
         Indices of bands that the file calls bad.
-    band_names : tuple of str or None
     page_labels : tuple of str or None
         Labels of pages that are no names of bands, but may be: those of files, as ImageJ writes them.
-    interleave : str or None
     encoded : str or None
         Tone curve that the file states of its codes, which are not proportional to light then.
     notes : tuple of str
@@ -250,7 +243,6 @@ def check_expansion(
 
     Parameters
     ----------
-    path : Path
     samples, itemsize : int
         Of all pages, and bytes of each sample.
     stored : int
@@ -258,10 +250,7 @@ def check_expansion(
     most : int
         Bytes that one stored byte may become.
 
-    Raises
-    ------
-    UnreadableCapture
-        ``E_SIZE`` with the decoded size.
+    Raises UnreadableCapture: ``E_SIZE`` with the decoded size.
     """
     needed = samples * itemsize
     if samples <= SMALL_SAMPLES or needed <= most * stored or chosen_memory() is not None:
@@ -281,10 +270,7 @@ def check_expansion(
 def check_memory(path: Path, samples: int, itemsize: int) -> None:
     """Refuse a frame that does not fit in memory, before it is decoded.
 
-    Raises
-    ------
-    UnreadableCapture
-        ``E_MEMORY`` with the decoded size and the bound.
+    Raises UnreadableCapture: ``E_MEMORY`` with the decoded size and the bound.
     """
     needed = samples * (itemsize + IN_WORK)
     if samples <= SMALL_SAMPLES // 2 or (bound := memory_bound()) is None or needed <= bound:

@@ -109,10 +109,7 @@ def kind_of(path: str | Path) -> str:
     A header beside decides that ``.raw``, ``.dat``, ``.img``, … are ENVI; without one ``.raw`` is
     taken for a camera raw.
 
-    Raises
-    ------
-    UnreadableCapture
-        Where there is no such file, or it is none of these.
+    Raises UnreadableCapture where there is no such file, or it is none of these.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -194,10 +191,7 @@ def read_facts(path: str | Path) -> Facts:
     No pixel is decoded, but for camera raw, whose levels LibRaw has only after. Facts of a file that
     was not touched since are read once a process.
 
-    Raises
-    ------
-    UnreadableCapture
-        With the file, what was found and what was expected.
+    Raises UnreadableCapture with the file, what was found and what was expected.
     """
     path = Path(path)
     try:
@@ -275,10 +269,7 @@ def read_plane(path: str | Path, *, page: int | None = None) -> np.ndarray:
 
     Parameters are those of `read_frame`.
 
-    Raises
-    ------
-    UnreadableCapture
-        As `read_frame`; ``E_BAND_COUNT`` where the samples of a pixel differ.
+    Raises UnreadableCapture as `read_frame`; ``E_BAND_COUNT`` where the samples of a pixel differ.
     """
     values = read_frame(path, page=page)
     if values.ndim == 2:
@@ -304,7 +295,6 @@ def read_sample(path: str | Path, *, most: int = LARGEST_SAMPLE) -> np.ndarray:
 
     Parameters
     ----------
-    path : path
     most : int
         Samples. Of PNG, JPEG, camera raw and a TIFF in one strip all are decoded, few are returned.
 
@@ -314,9 +304,7 @@ def read_sample(path: str | Path, *, most: int = LARGEST_SAMPLE) -> np.ndarray:
         As `read_frame` reads them. Blocks begin at multiples of 60 px, so that the tiles of a mosaic
         go on through them.
 
-    Raises
-    ------
-    UnreadableCapture
+    Raises UnreadableCapture.
     """
     facts = read_facts(path)
     if facts.kind == "envi" or prod(facts.shape) <= most:

@@ -280,10 +280,7 @@ def _check_parts(path: Path) -> None:
 
     Of other compressions LibRaw complains itself.
 
-    Raises
-    ------
-    UnreadableCapture
-        ``E_TRUNCATED`` where a part is missing, reaches past the end or does not begin as it should.
+    Raises UnreadableCapture: ``E_TRUNCATED`` where a part is missing, reaches past the end or does not begin as it should.
     """
     with _opened(path, MOSAIC, LINEAR) as pages:
         for page in pages:

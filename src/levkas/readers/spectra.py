@@ -26,10 +26,7 @@ def parse_spectra(text: str, columns: int | None = None) -> tuple[np.ndarray, li
     head : list of str
         Of the columns; empty without a header.
 
-    Raises
-    ------
-    ValueError
-        For text that is no number behind the header, and rows of several lengths.
+    Raises ValueError for text that is no number behind the header, and rows of several lengths.
 
     Examples
     --------

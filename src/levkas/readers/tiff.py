@@ -107,7 +107,6 @@ def read_tiff_parts(path: Path, rows: Sequence[Span], columns: Sequence[Span]) -
 
     Parameters
     ----------
-    path : Path
     rows, columns : sequence of (start, stop)
         In order, not over one another.
     """

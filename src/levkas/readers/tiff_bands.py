@@ -30,7 +30,6 @@ def band_facts(tiff: Any, pages: Sequence[Any], samples: int) -> dict[str, Any]:
 
     Parameters
     ----------
-    tiff : tifffile.TiffFile
     pages : sequence of tifffile page
         Its images, bands where there are several.
     samples : int

@@ -71,10 +71,7 @@ def kinds_of_pages(path: Path) -> list[int]:
 def directories_of(path: Path) -> list[Directory]:
     """Return every directory in the chain; some hundred bytes a page are read.
 
-    Raises
-    ------
-    UnreadableCapture
-        Where the chain leaves the file, or turns back on itself: a decoder would follow it for ever.
+    Raises UnreadableCapture where the chain leaves the file, or turns back on itself: a decoder would follow it for ever.
     """
     with path.open("rb") as handle:
         size = handle.seek(0, 2)

@@ -42,7 +42,6 @@ class Centres:
 
     Parameters
     ----------
-    nm, fwhm : tuple of float or None
     note : str
         In which unit they were taken, where that is not the one that the file states.
     unclear : str
