@@ -10,7 +10,6 @@ from levkas.colour.observer import tables
 from levkas.colour.srgb import (
     SRGB_TO_XYZ,
     camera_matrix,
-    counts_white,
     encode_srgb,
     find_rendering,
     observer_under,
@@ -135,17 +134,6 @@ def test_a_camera_with_bell_curves_is_near_in_colour_and_exact_in_white():
     assert missed < 0.25
     assert np.median(error) < 2.0
     assert find_rendering([Band(c) for c in "RGB"], sensitivity=(GRID, table)).colour
-
-
-def test_counts_are_scaled_and_photographs_are_not():
-    values = np.full((50, 50, 1), 3000, np.float32)
-    values[:25] = 30
-    rendering = find_rendering([Band("xray")])
-    white = counts_white(values, rendering)
-    assert white == 3000
-    assert rendering(values, white=white)[40, 0].tolist() == [255, 255, 255]
-    photo = find_rendering([Band(name) for name in "RGB"], encoded=True)
-    assert photo(np.float32([[[10, 100, 255]]]), white=255)[0, 0].tolist() == [10, 100, 255]
 
 
 def test_the_profile_is_srgb_for_little_cms():

@@ -44,12 +44,6 @@ def test_linear_methods_are_fitted_to_every_pixel_of_paint(paintings):
     np.testing.assert_allclose(model.model.coefficients, expected, atol=1e-6)
 
 
-def test_parameters_are_chosen_on_whole_paintings_or_blocks_of_one(paintings):
-    paint = Paintings(SampleSource(Database(paintings), "vis", 10**9), ("rgb",), 1)
-    two, one = (paint.training(names) for names in (["icon1", "icon2"], ["icon1"]))
-    assert len(np.unique(two.groups)) == 2 < len(np.unique(one.groups)) == 16
-
-
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_report_whatever_the_threads(paintings, monkeypatch):
     found = []

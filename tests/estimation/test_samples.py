@@ -22,15 +22,6 @@ def test_flagged_pixels_are_on_neither_side(paintings):
     assert (10, 12) not in places and (0, 0) not in places and (10, 13) in places
 
 
-def test_samples_are_the_values_of_the_layers_at_their_places(paintings):
-    samples = source_of(paintings, most=400).read("icon2", ["rgb", "cam2"])
-    vis = levkas.open(paintings)["icon2"]["vis"].values
-    rgb = levkas.open(paintings)["icon2"]["rgb"].values
-    np.testing.assert_array_equal(samples.spectra, vis[samples.rows, samples.columns])
-    np.testing.assert_array_equal(samples.responses[:, :3], rgb[samples.rows, samples.columns])
-    assert samples.responses.shape[1] == 6 and set(samples.rows % 3) == {0}
-
-
 def changed(database, name, camera, setup="", *, values=None, flags=None):
     """Write a layer again with other values or flags."""
     layer = levkas.open(database)[name][camera, setup]

@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 
 from levkas.core.problems import Refused
-from levkas.estimation.training import (
-    Training,
-    held_out_residuals,
-    sample_weights,
-    select_training,
-)
+from levkas.estimation.training import Training, held_out_residuals, select_training
 
 
 @pytest.fixture
@@ -49,16 +44,6 @@ def test_what_is_chosen_covers_the_responses_better_than_chance(rng):
         return np.linalg.norm(responses[:, None] - samples, axis=2).min(1).max()
 
     assert farthest(chosen) < 0.6 * farthest(drawn)
-
-
-def test_sigma_of_responses_counts_by_the_slope(rng):
-    """Spectra grow three times as fast as responses: 0.1 there is 0.3 here."""
-    x = rng.uniform(0, 1, (400, 1))
-    noisy = np.arange(400) % 2 == 0
-    sigma = np.where(noisy, 0.1, 0.05)[:, None]
-    y = 3 * x + rng.normal(0, 1, x.shape) * 3 * sigma
-    weights = sample_weights(Training(x, y, sigma))
-    assert weights[~noisy].mean() / weights[noisy].mean() == pytest.approx(4, rel=0.25)
 
 
 @pytest.mark.parametrize("grouped", [False, True])

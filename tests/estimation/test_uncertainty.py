@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from levkas.calibration.error_sources import (
-    COVERAGE,
-    ErrorSource,
-    MeanSpectrum,
-    uncertain_mean,
-)
+from levkas.calibration.error_sources import COVERAGE, ErrorSource, MeanSpectrum, uncertain_mean
 from levkas.estimation.methods import METHODS
 from levkas.estimation.scores import MethodScore, PixelErrors
 from levkas.estimation.training import Training

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from levkas.planning import PlanRefused, load_setup, plan_dose, plan_exposure
+from levkas.planning import PlanRefused, load_setup, plan_exposure
 from levkas.planning.exposure_plan import electron_rates
 from levkas.planning.spectra import GRID
 
@@ -56,11 +56,3 @@ def test_channels_of_one_sensor_share_a_time_and_bands_of_a_tunable_filter_do_no
     assert max(c.share_of_full for c in found["msbs"].channels) == pytest.approx(0.85)
     tuned = [c.share_of_full for c in found["lctf-vis"].channels if not c.too_long]
     assert max(tuned) == pytest.approx(0.85) == pytest.approx(min(tuned))
-
-
-def test_dose_is_light_times_hours_against_the_class(rewritten):
-    path = rewritten(("focus_min = 15", "focus_min = 15\nhours = 2"), ("medium", "high"))
-    dose = plan_dose(load_setup(path))
-    assert dose.lux_hours == pytest.approx(2 * dose.illuminance_lx)
-    assert dose.share_of_year == pytest.approx(dose.lux_hours / 15_000)
-    assert dose.uv_uw_per_lm < 75

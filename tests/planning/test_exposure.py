@@ -104,7 +104,6 @@ white = {{ names = "white", reflectance = 0.98 }}
 
 
 def test_the_brightest_pixel_is_never_taken_for_the_full_scale(tmp_path, rng):
-    """A quarter of a 12-bit camera's range, stored in 16 bits: the full scale is given, in the file or in campaign.toml."""
     frame = white(10_000, 0.1, rng)
     write(tmp_path / "raw/white", "a.tif", frame)
     with pytest.raises(NoAdvice) as refused:

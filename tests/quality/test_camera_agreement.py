@@ -8,11 +8,7 @@ import pytest
 from levkas.calibration.error_sources import ErrorSource, MeanSpectrum, uncertain_mean
 from levkas.database.layout import LayerId
 from levkas.pages.agreement import describe_agreement
-from levkas.quality.evaluation.camera_agreement import (
-    PatchMeans,
-    compare_all,
-    compare_layers,
-)
+from levkas.quality.evaluation.camera_agreement import PatchMeans, compare_all, compare_layers
 
 PLACES = np.array([(12 * k, 24) for k in range(30)])
 TONES = np.linspace(0.3, 1.0, len(PLACES))

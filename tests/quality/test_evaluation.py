@@ -89,15 +89,3 @@ def test_truth_that_does_not_fit_its_description_is_refused(tmp_path):
     np.save(tmp_path / "icon_nir_px.npy", np.zeros((3, 5, 2)))
     assert list(read_truth(tmp_path, "icon", "nir").bands) == ["800 nm", "900 nm"]
     assert read_truth(tmp_path, "icon", "rgb") is None
-
-
-def test_the_grey_picture_of_a_large_layer_is_every_other_pixel(tmp_path, monkeypatch):
-    from levkas.database import grey
-
-    values = np.random.default_rng(4).random((37, 50, 3), dtype=np.float32)
-    flags = np.zeros(values.shape, np.uint8)
-    monkeypatch.setattr(grey, "MOST_SAMPLES", 600)
-    assert grey.grey_step(37, 50) == 2
-    parts = [grey.grey_of(values[a:b], flags[a:b], a, 2) for a, b in ((0, 5), (5, 6), (6, 37))]
-    mean = np.concatenate([part[0] for part in parts])
-    np.testing.assert_allclose(mean, values[::2, ::2].mean(2), rtol=1e-6)

@@ -52,8 +52,7 @@ def test_a_campaign_has_raw_files_truth_and_a_campaign_toml(tiny):
     assert len(list((folder / "raw/lctf-vis/icon1").glob("*nm_00.tif"))) == 16
     assert (folder / "raw/45-degree/d80/icon1/DSC_1000.tif").is_file()
     frame = tifffile.imread(folder / "raw/d80/icon1/DSC_1000.tif")
-    assert frame.dtype == np.uint16
-    assert frame.shape == (262, 390)
+    assert (frame.dtype, frame.shape) == (np.uint16, (262, 390))
     assert frame.max() <= 4095
 
 

@@ -10,10 +10,7 @@ from levkas.simulation.icon import paint_icon
 from levkas.simulation.lighting import SETUPS, compose, light
 from levkas.simulation.optics import base_to_band, panel_to_base
 from levkas.simulation.painting import Painting, Panel
-from levkas.simulation.pigments import (
-    PIGMENTS,
-    WAVELENGTHS,
-)
+from levkas.simulation.pigments import PIGMENTS, WAVELENGTHS
 
 PANEL = Panel(radius_mm=3000.0, depth_mm=3.0, border_mm=34.0, bevel_mm=6.0)
 

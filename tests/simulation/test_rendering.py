@@ -74,16 +74,6 @@ def test_discs_lie_where_the_map_says(discs, motion, wavelength, supersampling):
     assert np.hypot(*miss.T).max() < 0.02
 
 
-def test_a_uniform_board_gives_its_value_and_the_surroundings_theirs():
-    view = camera()
-    image = render(
-        Texture(np.full((540, 720), 0.5, np.float32), PX_PER_MM), tabulate(view, PANEL),
-        np.eye(2, 3), surroundings=0.04,
-    )  # fmt: skip
-    assert image[133, 181] == pytest.approx(0.5, abs=1e-6)
-    assert image[2, 2] == pytest.approx(0.04, abs=1e-6)
-
-
 def test_the_edge_of_the_board_is_an_area_average():
     flat, plain = (
         Panel(width_mm=20.0, height_mm=20.0),

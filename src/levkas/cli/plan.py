@@ -46,8 +46,9 @@ def light(
     record = light_record(setup, name, optimised=optimise)
     if report is not None:
         from levkas.pages.plan import write_report
+        from levkas.planning.loading import load_setup
 
-        record["report"] = str(write_report(report, record.setup, name))
+        record["report"] = str(write_report(report, load_setup(setup), name))
     print_report("plan light", as_json, True, [], **record)
     if not as_json:
         typer.echo(light_text(record))

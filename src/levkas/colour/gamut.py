@@ -69,11 +69,6 @@ def gamut_cells(lab: np.ndarray, *, step: float = 1.0) -> np.ndarray:
     step : float
         Side of a cell, ΔE.
 
-    Returns
-    -------
-    cells : ndarray, (n, 4), float64
-        L, a, b of the cells' centres, sorted, and how many colours are in each.
-
     Examples
     --------
     >>> gamut_cells(np.array([[50.2, 0.1, 0.4], [49.9, -0.2, 0.0], [70, 5, 5]])).tolist()
@@ -95,12 +90,7 @@ def lab_colours(lab: np.ndarray) -> np.ndarray:
 
 
 def munsell_lab() -> np.ndarray:
-    """Return CIELAB under D65 of the real colours of the Munsell renotation, (2734, 3).
-
-    Notes
-    -----
-    `data/munsell_real.csv`: xyY under illuminant C, adapted to D65 by Bradford.
-    """
+    """Return CIELAB under D65 of the real colours of the Munsell renotation, (2734, 3)."""
     table = read_table("munsell_real.csv")
     x, y, luminance = table[:, 0], table[:, 1], table[:, 2] / 100
     xyz = np.stack([x / y, np.ones(len(y)), (1 - x - y) / y], 1) * luminance[:, None]

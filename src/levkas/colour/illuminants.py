@@ -18,12 +18,6 @@ SECOND_RADIATION = 1.438776877e7
 def planck(wavelengths: np.ndarray, kelvin: float) -> np.ndarray:
     """Return the relative power of a black body, 1 at 560 nm.
 
-    Parameters
-    ----------
-    wavelengths : ndarray, (n,), nm
-    kelvin : float
-        Temperature, > 0.
-
     Examples
     --------
     Halogen has four times as much red as blue:
@@ -39,21 +33,9 @@ def planck(wavelengths: np.ndarray, kelvin: float) -> np.ndarray:
 
 
 def daylight(kelvin: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return a phase of daylight by its correlated colour temperature, 4,000 to 25,000 K.
+    """Return a phase of daylight by its correlated colour temperature, 4,000 to 25,000 K: nm, 300 to 830, and power, 100 at 560 nm.
 
     D50 is 5,002.8 K and D65 6,503.6 K, for the radiation constant was corrected since.
-
-    Returns
-    -------
-    wavelengths : ndarray, (54,), nm
-        300 to 830.
-    power : ndarray, (54,)
-        100 at 560 nm.
-
-    Raises
-    ------
-    ValueError
-        Outside 4,000 to 25,000 K.
 
     Notes
     -----
@@ -79,11 +61,6 @@ def illuminant(name: str) -> tuple[np.ndarray, np.ndarray] | None:
     """Return a CIE illuminant by its name, or None where there is none such.
 
     A, E and phases of daylight (D40 to D99) are computed; B, C, FL, HP, LED and ID are tables, 380 to 780 nm.
-
-    Returns
-    -------
-    wavelengths, power : ndarray, (n,)
-        nm; relative.
 
     Examples
     --------
@@ -117,15 +94,6 @@ def light_on_grid(light: Light) -> np.ndarray:
     light : str or (wavelengths (n,), power (n,))
         A name of `illuminant`, a black body such as ``"4000 K"``, or a measured spectrum, nm; beyond
         its ends it keeps its first and last value.
-
-    Returns
-    -------
-    power : ndarray, (401,)
-
-    Raises
-    ------
-    ValueError
-        Where the name is not known, or the spectrum has no power.
 
     Examples
     --------

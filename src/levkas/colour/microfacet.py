@@ -17,13 +17,6 @@ GOLD_INDEX = 0.3172 + 2.8375j
 def fresnel(cosine: np.ndarray | float, index: complex) -> tuple[np.ndarray, np.ndarray]:
     """Return the reflectance of an interface for light across (s) and along (p) its plane.
 
-    Parameters
-    ----------
-    cosine : ndarray
-        Of the angle of incidence.
-    index : complex
-        Refractive index over that outside; imaginary for a metal.
-
     Examples
     --------
     >>> [round(float(r), 4) for r in fresnel(1.0, 1.5)]

@@ -27,13 +27,6 @@ def relighting_matrix(
 ) -> np.ndarray:
     """Return the matrix from narrow bands to linear sRGB under a light.
 
-    Parameters
-    ----------
-    wavelengths : (bands,), nm
-    light : as in `levkas.colour.illuminants.light_on_grid`
-    adapted : bool
-        Whether the eye is used to the light (Bradford), or sees it beside D65.
-
     Returns
     -------
     matrix : ndarray, (bands, 3), float32
@@ -53,18 +46,6 @@ def relight(
     adapted: bool = True,
 ) -> np.ndarray:
     """Show reflectance as it looks under a light.
-
-    Parameters
-    ----------
-    values : ndarray, (…, bands)
-        Reflectance; NaN is black.
-    wavelengths, light, adapted
-        As of `relighting_matrix`.
-
-    Returns
-    -------
-    rgb : ndarray, (…, 3), uint8
-        sRGB.
 
     Examples
     --------

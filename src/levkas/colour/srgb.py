@@ -38,10 +38,6 @@ WORST_COLOUR_SHARE = 0.25
 def observer_under(light: Light = "D65") -> tuple[np.ndarray, np.ndarray]:
     """Return the CIE 1931 2° observer times a light.
 
-    Parameters
-    ----------
-    light : as in `levkas.colour.illuminants.light_on_grid`
-
     Returns
     -------
     wavelengths : ndarray, (401,), nm
@@ -63,12 +59,6 @@ def observer_under(light: Light = "D65") -> tuple[np.ndarray, np.ndarray]:
 
 def xyz_weights(wavelengths: Sequence[float] | np.ndarray, light: Light = "D65") -> np.ndarray:
     """Weigh narrow bands to XYZ under a light.
-
-    Parameters
-    ----------
-    wavelengths : (bands,), nm
-        In any order.
-    light : as in `levkas.colour.illuminants.light_on_grid`
 
     Returns
     -------
@@ -178,10 +168,6 @@ def find_rendering(
         Of a broad-band camera: a least-squares matrix to XYZ is used.
     encoded : bool
         Whether the values are display values already.
-
-    Returns
-    -------
-    rendering : Rendering
     """
     good = [i for i, band in enumerate(bands) if not band.bad]
     if 0 < len(good) < len(bands):  # a bad band has no part in any picture
@@ -217,12 +203,6 @@ def counts_white(values: np.ndarray, rendering: Rendering, *, step: int = 4) -> 
 
 def camera_matrix(wavelengths: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, float]:
     """Fit the matrix from a camera's flat-fielded channels to XYZ under D65.
-
-    Parameters
-    ----------
-    wavelengths : ndarray, (n,), nm
-    table : ndarray, (n, channels)
-        Relative spectral sensitivities, any scale.
 
     Returns
     -------

@@ -24,11 +24,7 @@ from levkas.database.manifest import write_manifest
 from levkas.database.reader import Database
 from levkas.database.region_uncertainty import mean_correlation, read_budget
 from levkas.estimation.methods import find_method
-from levkas.estimation.samples import (
-    read_lattice,
-    require_layers,
-    side_by_side,
-)
+from levkas.estimation.samples import read_lattice, require_layers, side_by_side
 from levkas.estimation.stored import StoredModel, read_model
 from levkas.estimation.uncertainty import SAMPLES, Estimate, channels_of
 

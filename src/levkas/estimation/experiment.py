@@ -13,19 +13,9 @@ from levkas.core.machine import steady_libraries
 from levkas.core.problems import Problem, Refused
 from levkas.database.reader import Database
 from levkas.estimation.methods import METHODS, EstimationMethod, Model
-from levkas.estimation.plan import (
-    ExperimentPlan,
-    choose_layers,
-    choose_methods,
-    wavelengths_of,
-)
+from levkas.estimation.plan import ExperimentPlan, choose_layers, choose_methods, wavelengths_of
 from levkas.estimation.report import EstimationReport, SourceReport
-from levkas.estimation.samples import (
-    PaintSamples,
-    SampleSource,
-    require_layers,
-    training_of,
-)
+from levkas.estimation.samples import PaintSamples, SampleSource, require_layers, training_of
 from levkas.estimation.scores import MethodScore, PixelErrors, score_pixels
 from levkas.estimation.splits import EstimationFold, split_paintings
 from levkas.estimation.stored import StoredModel, bands_of

@@ -40,12 +40,6 @@ def delta_e(
 ) -> np.ndarray:
     """Return ΔE2000 of the colours of spectra under a light, 2° observer, (…,).
 
-    Parameters
-    ----------
-    wavelengths : (bands,), nm
-    illuminant : str
-        As in `levkas.colour.illuminants.light_on_grid`: D65, A.
-
     Examples
     --------
     Between neutral greys ΔE2000 is ΔL* / S_L; a reflectance of 0.184187 has L* = 50:

@@ -113,13 +113,7 @@ class SampleSource:
         return self.database[name][key.camera, key.setup]
 
     def read(self, name: str, sources: Sequence[str]) -> PaintSamples:
-        """Read the samples of a painting whose responses are the channels of some layers.
-
-        Raises
-        ------
-        EstimationRefused
-            Where the layers are of other sizes, or see no pixel of paint together.
-        """
+        """Read the samples of a painting whose responses are the channels of some layers."""
         target = self.layer(name, self.target)
         layers = [self.layer(name, source) for source in sources]
         if any(layer.shape[:2] != target.shape[:2] for layer in layers):
@@ -240,13 +234,7 @@ def training_of(parts: Sequence[PaintSamples]) -> Training:
 
 
 def require_layers(database: Database, layers: Sequence[str], field: str) -> list[str]:
-    """Return the objects that have all of some layers of measured reflectance.
-
-    Raises
-    ------
-    EstimationRefused
-        For a layer that no object has, or one in counts, or one that was itself estimated.
-    """
+    """Return the objects that have all of some layers of measured reflectance."""
     having: dict[str, set[str]] = {}
     for name in database:
         for camera, setup in database[name].layers:

@@ -68,13 +68,10 @@ class MethodScore:
     ----------
     errors : tuple of PixelErrors
         One a test painting of a fold.
-    seconds : float
-        Of fitting and estimating; not part of any record.
     """
 
     method: str
     errors: tuple[PixelErrors, ...]
-    seconds: float = 0.0
 
     def values(self, metric: str, *, name: str = "") -> np.ndarray:
         """Return the errors of all pixels, of one painting or of all."""

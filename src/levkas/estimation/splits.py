@@ -26,11 +26,6 @@ def split_paintings(
 ) -> tuple[EstimationFold, ...]:
     """Leave one painting out in turn, or take the training and test paintings that are given.
 
-    Raises
-    ------
-    EstimationRefused
-        For an unknown painting, one on both sides, and where a side has none.
-
     Examples
     --------
     >>> [(fold.name, fold.train) for fold in split_paintings(["a", "b", "c"])]

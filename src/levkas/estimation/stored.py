@@ -118,13 +118,7 @@ class StoredModel:
         return [path, path.with_suffix(".json")]
 
     def require_channels(self, channels: int, path: Path) -> None:
-        """Refuse a model whose arrays do not lead from so many channels to its bands.
-
-        Raises
-        ------
-        Refused
-            ``E_CHANNELS``, or ``E_MODEL`` where its arrays do not fit together.
-        """
+        """Refuse a model whose arrays do not lead from so many channels to its bands."""
         responses = np.full((2, channels), 0.5)
         try:
             with np.errstate(all="ignore"):
@@ -150,13 +144,7 @@ class StoredModel:
 
 
 def read_model(path: Path) -> StoredModel:
-    """Read a model and its facts.
-
-    Raises
-    ------
-    Refused
-        Where either file is missing or damaged, or they are of two models.
-    """
+    """Read a model and its facts."""
     method, model = load_model(path)
     record = read_json(path.with_suffix(".json"))
     try:

@@ -83,13 +83,7 @@ class Training:
 
 
 def require_samples(training: Training, coefficients: int, method: str) -> None:
-    """Refuse to fit more coefficients a band than there are samples.
-
-    Raises
-    ------
-    Refused
-        With code ``E_TOO_FEW_SAMPLES``.
-    """
+    """Refuse to fit more coefficients a band than there are samples."""
     if len(training) < coefficients:
         raise Refused(
             Problem(
@@ -154,13 +148,7 @@ def held_out_errors(
     targets: np.ndarray,
     ridges: Sequence[float] | np.ndarray,
 ) -> list[float]:
-    """Return the weighted mean square error for each ridge, over samples held out.
-
-    Parameters
-    ----------
-    vectors, values, targets, ridges
-        As of `held_out_residuals`; of the regression in which a sample counts by `sample_weights`.
-    """
+    """Return the weighted mean square error for each ridge, over samples held out."""
     at, weights = training.judged(), sample_weights(training)
     root = np.sqrt(weights)[at, None]
     residuals = held_out_residuals(vectors, values, targets, ridges, training.groups, at)

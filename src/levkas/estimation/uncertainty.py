@@ -16,12 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from levkas.calibration.error_sources import (
-    ErrorSource,
-    MeanSpectrum,
-    Part,
-    uncertain_mean,
-)
+from levkas.calibration.error_sources import ErrorSource, MeanSpectrum, Part, uncertain_mean
 from levkas.database.layout import LayerId
 from levkas.database.region_uncertainty import read_budget
 
@@ -177,14 +172,7 @@ def slopes_of(model: Model, responses: np.ndarray) -> np.ndarray:
 def carry_on(
     model: Model, responses: np.ndarray, channels: Sequence[Channels], labels: Sequence[str]
 ) -> list[ErrorSource]:
-    """Return rows of the channels' budgets as rows of estimated spectra, one for every draw of an error.
-
-    Parameters
-    ----------
-    responses : ndarray, (n, channels)
-        Pixels at which slopes are taken.
-    labels : sequence of str
-        Of the estimated bands.
+    """Return rows of the channels' budgets as rows of estimated spectra, one for every draw of an error, by slopes at responses, (n, channels).
 
     Notes
     -----
@@ -213,11 +201,7 @@ def carry_on(
 
 
 def _row_of(
-    source: ErrorSource,
-    part: Part,
-    moved: np.ndarray,
-    spectra: np.ndarray,
-    labels: Sequence[str],
+    source: ErrorSource, part: Part, moved: np.ndarray, spectra: np.ndarray, labels: Sequence[str]
 ) -> ErrorSource:
     """Return by how much one error moves estimated spectra, (n, bands) both, as a row."""
     square = np.maximum(np.square(spectra).sum(0), 1e-12)
@@ -351,15 +335,7 @@ class Estimate:
 def noise_of_residuals(
     slopes: np.ndarray, noise: np.ndarray | None, measured: np.ndarray | None
 ) -> np.ndarray:
-    """Return the covariance, (bands, bands), that noise of responses and of measured spectra gives to held-out errors.
-
-    Parameters
-    ----------
-    slopes : ndarray, (n, bands, channels)
-    noise : ndarray, (n, channels), or None
-    measured : ndarray, (m, bands), or None
-        Standard deviations.
-    """
+    """Return the covariance, (bands, bands), of held-out errors by noise, standard deviations, of responses and measured spectra."""
     made = np.zeros((slopes.shape[1],) * 2)
     if noise is not None:
         carried = slopes * noise[:, None]

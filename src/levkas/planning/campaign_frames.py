@@ -64,13 +64,7 @@ def _frames_below(folder: Path) -> list[Path]:
 def stack_of(
     files: Sequence[Path], *, saturation: float | None = None, exposure_s: float | None = None
 ) -> Template:
-    """Average frames as `average` does; what is no finite number counts as the median of the others.
-
-    Raises
-    ------
-    Refused
-        UnreadableCapture; ``E_VALUE`` where there is no finite number at all.
-    """
+    """Average frames as `average` does; what is no finite number counts as the median of the others."""
     frames = (read_frame(file) for file in files)
     try:
         return close_gaps(average(frames, saturation=saturation, exposure_s=exposure_s))

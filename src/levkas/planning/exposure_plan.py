@@ -76,11 +76,6 @@ def plan_exposure(setup: StudioSetup, name: str | None = None) -> list[CameraExp
     ----------
     name : str, optional
         Of the lighting; the first without one.
-
-    Raises
-    ------
-    PlanRefused
-        Where the light's strength is not known: no lamp's `power_w`, no `illuminance_lx`.
     """
     lighting = setup.lighting(name)
     spectrum = irradiance_spectrum(setup, lighting)
@@ -88,13 +83,7 @@ def plan_exposure(setup: StudioSetup, name: str | None = None) -> list[CameraExp
 
 
 def irradiance_spectrum(setup: StudioSetup, lighting: Lighting) -> np.ndarray:
-    """Return the spectral irradiance at the object's middle, W/m²/nm at `spectra.GRID`.
-
-    Raises
-    ------
-    PlanRefused
-        Where the strength of the light is not given.
-    """
+    """Return the spectral irradiance at the object's middle, W/m²/nm at `spectra.GRID`."""
     up = np.array([0.0, 0.0, 1.0])
     parts = [float(illuminate([lamp], np.zeros(3), up)) for lamp in lighting.lamps]
     if lighting.illuminance_lx is None and not all(x.measured for x in lighting.lamps):
@@ -259,13 +248,7 @@ class Dose:
 def plan_dose(
     setup: StudioSetup, name: str | None = None, *, exposures: list[CameraExposure] | None = None
 ) -> Dose:
-    """Return what the object of a setup file gets under one lighting, all cameras together.
-
-    Raises
-    ------
-    PlanRefused
-        Where there is no such lighting, or its strength is not given.
-    """
+    """Return what the object of a setup file gets under one lighting, all cameras together."""
     lighting, session = setup.lighting(name), setup.bench.session
     spectrum = irradiance_spectrum(setup, lighting)
     exposures = plan_exposure(setup, name) if exposures is None else exposures

@@ -19,16 +19,7 @@ MARGIN = 0.04
 
 
 def magnification(focal_mm: float, distance_mm: float) -> float:
-    """Return the size of the image over that of the object.
-
-    Raises
-    ------
-    ValueError
-        Where the object is not beyond the focal length.
-
-    >>> round(1 / magnification(60.0, 1850.0), 2)
-    29.83
-    """
+    """Return the size of the image over that of the object."""
     if distance_mm <= focal_mm:
         raise ValueError(f"no image: {distance_mm:g} mm is within the focal length {focal_mm:g} mm")
     return focal_mm / (distance_mm - focal_mm)
@@ -67,18 +58,6 @@ def diffraction_mtf(
     wavelength_nm: float | np.ndarray, f_number: float, m: float, pitch_um: float
 ) -> np.ndarray:
     """Return the contrast that diffraction leaves at the sensor's Nyquist frequency.
-
-    Parameters
-    ----------
-    wavelength_nm : float or ndarray
-    f_number : float
-        As set on the lens.
-    m : float
-        Magnification.
-
-    Returns
-    -------
-    mtf : same shape, 0 to 1
 
     Examples
     --------

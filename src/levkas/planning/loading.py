@@ -35,13 +35,7 @@ if TYPE_CHECKING:
 
 
 def load_setup(path: str | Path) -> StudioSetup:
-    """Read a setup file and put its lamps and cameras in their places.
-
-    Raises
-    ------
-    PlanRefused
-        With every problem: misspelt, out of range or contradictory.
-    """
+    """Read a setup file and put its lamps and cameras in their places."""
     path = find_setup(path)
     bench = _validate(path)
     problems: list[Problem] = []
@@ -55,13 +49,7 @@ def load_setup(path: str | Path) -> StudioSetup:
 
 
 def find_setup(path: str | Path) -> Path:
-    """Return the setup file that a path means: itself, or the only TOML file of a folder.
-
-    Raises
-    ------
-    PlanRefused
-        Where a folder holds none or several.
-    """
+    """Return the setup file that a path means: itself, or the only TOML file of a folder."""
     path = Path(path).resolve()
     if not path.is_dir():
         return path
@@ -196,13 +184,7 @@ FAINT = 0.01
 def place_camera(
     name: str, keys: StudioCameraKeys, bench: Bench, root: Path, *, file: str
 ) -> StudioCamera:
-    """Return a camera in its place.
-
-    Raises
-    ------
-    PlanRefused
-        Where it has no place or two, or its sensitivities cannot be read.
-    """
+    """Return a camera in its place."""
     at = f"cameras.{name}"
     if (keys.distance_mm is None) == (keys.place_mm is None):
         raise PlanRefused(

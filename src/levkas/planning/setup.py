@@ -150,13 +150,7 @@ class StudioSetup:
         return self.bench.object
 
     def lighting(self, name: str | None = None) -> Lighting:
-        """Return a lighting by name, the first without one.
-
-        Raises
-        ------
-        PlanRefused
-            Where there is none such.
-        """
+        """Return a lighting by name, the first without one."""
         if name is None:
             return next(iter(self.lightings.values()))
         if name not in self.lightings:

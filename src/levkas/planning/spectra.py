@@ -120,11 +120,6 @@ def read_spectrum(name: str, keys: SpectrumKeys, root: Path, *, file: str) -> Sp
         Folder of the setup file.
     file : str
         The setup file, for messages.
-
-    Raises
-    ------
-    PlanRefused
-        Where it has no source or two, cannot be read, or cannot be in nanometres.
     """
     field = f"spectra.{name}"
     given = [k for k in ("planck_k", "cie", "csv", "transmittance") if getattr(keys, k) is not None]
@@ -181,11 +176,6 @@ def read_table(path: Path, *, field: str, file: str) -> tuple[np.ndarray, np.nda
     table : ndarray, (n, columns)
     labels : list of str
         Of the columns; empty without a header.
-
-    Raises
-    ------
-    PlanRefused
-        Where it cannot be read, or its wavelengths cannot be nanometres.
     """
     try:
         table, head = parse_spectra(

@@ -11,34 +11,18 @@ from levkas.planning.exposure_plan import plan_dose, plan_exposure
 from levkas.planning.framing import Framing, plan_framing
 from levkas.planning.light import compare_lightings, plan_light
 from levkas.planning.loading import load_setup
-from levkas.planning.setup import StudioSetup
-
-
-class LightRecord(dict[str, Any]):
-    """Report of `levkas plan light`; `setup` is the file it was computed from."""
-
-    def __init__(self, setup: StudioSetup, **facts: Any) -> None:
-        super().__init__(**facts)
-        self.setup = setup
 
 
 def light_record(
     path: str | Path, name: str | None = None, *, optimised: bool = False
-) -> LightRecord:
-    """Return the plan of one lighting, the others beside it, and the optimum where it is wanted.
-
-    Raises
-    ------
-    PlanRefused
-        Where the setup file cannot be planned.
-    """
+) -> dict[str, Any]:
+    """Return the plan of one lighting, the others beside it, and the optimum where it is wanted."""
     setup = load_setup(path)
-    record = LightRecord(
-        setup,
-        light=plan_light(setup, name).to_dict(),
-        setups=[p.to_dict() for p in compare_lightings(setup)],
-        contradictions=[c for f in plan_framing(setup) for c in f.contradictions],
-    )
+    record: dict[str, Any] = {
+        "light": plan_light(setup, name).to_dict(),
+        "setups": [p.to_dict() for p in compare_lightings(setup)],
+        "contradictions": [c for f in plan_framing(setup) for c in f.contradictions],
+    }
     if optimised:
         from levkas.planning.optimisation import optimise
 
@@ -126,13 +110,7 @@ def framing_text(found: list[Framing]) -> str:
 
 
 def exposure_record(path: str | Path, name: str | None = None) -> dict[str, Any]:
-    """Return exposures and dose of one lighting.
-
-    Raises
-    ------
-    PlanRefused
-        Where the setup file cannot be planned, or the strength of the light is not given.
-    """
+    """Return exposures and dose of one lighting."""
     setup = load_setup(path)
     exposures = plan_exposure(setup, name)
     return {

@@ -11,7 +11,6 @@ from levkas.cli import app
 from levkas.core.problems import Refused
 from levkas.pages.emva1288 import render_examination
 from levkas.quality.emva1288 import examine_with_seed
-from levkas.quality.emva1288.facts import describe_frame
 
 CAMPAIGN = """
 [campaign]
@@ -106,12 +105,6 @@ def folder(tmp_path_factory):
     return planted(tmp_path_factory.mktemp("radiometry") / "campaign", current=0.0)
 
 
-def test_a_white_without_a_dark_of_its_exposure_is_doubted(folder, tmp_path):
-    doubted = planted(tmp_path / "c", darks=(0.1,), whites=(10.0,), panels=(0.1,))
-    counts = [len(examine_with_seed(one).sensors[0].notes) for one in (folder, doubted)]
-    assert counts[1] > counts[0]
-
-
 def tunable(folder, *, shots):
     """A tunable filter with a time, and a dark, for each band."""
     sensor = Sensor()
@@ -188,15 +181,6 @@ def test_the_command_writes_nothing_unless_asked_and_the_same_page_for_a_seed(fo
     assert gain["low"] < gain["value"] < gain["high"] and gain["unit"] == "DN/e⁻"
     text = page.read_text()
     assert "//" not in text and text == render_examination(examine_with_seed(folder, seed=3))
-
-
-def test_raw_facts_of_frames(folder, real_data):
-    facts = describe_frame(folder / "raw" / "white_1s_0.tif")
-    assert (facts.size, facts.bits) == ("384 x 256", 16) and not facts.levels.curved
-    # 12 bits at the upper end of 16
-    facts = describe_frame(real_data / "rededge-5lens" / "IMG_0000_1.tif")
-    assert facts.levels.spacing == 16
-    assert (facts.black, facts.white, facts.iso) == (4800, 65520, 100)
 
 
 def test_a_foreign_simulated_camera_comes_back(two_paintings, tmp_path):

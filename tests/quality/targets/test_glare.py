@@ -4,7 +4,7 @@ from scipy.ndimage import gaussian_filter
 
 from levkas.core.cube import Flag
 from levkas.quality.image_quality.dynamic_range import scene_ranges, sensor_stops
-from levkas.quality.image_quality.glare import Glare, find_glare, flag_glare, mark_glare
+from levkas.quality.image_quality.glare import find_glare, mark_glare
 from levkas.quality.image_quality.sharpness import band_sharpness, edge_blur
 
 
@@ -56,18 +56,6 @@ def test_brighter_than_paint_in_any_band_is_glare_beyond_the_noise():
     sigma[0, 3] = 0.05
     found = find_glare(paint, clear(paint), sigma)
     assert found.bright.tolist() == [[False, True, True, False]]
-
-
-def test_the_flag_is_set_in_every_band_and_leaves_others():
-    flags = np.full((1, 3, 3), Flag.NEAR | Flag.GLARE, np.uint8)
-    one = np.array([[True, False, False]])
-    flag_glare(flags, Glare(one, ~one & False, np.array([[True, True, False]])))
-    assert flags[0, :, 0].tolist() == [
-        Flag.NEAR | Flag.GLARE,
-        Flag.NEAR | Flag.VEILED,
-        Flag.NEAR,  # what resampling had spread is judged anew
-    ]
-    assert (flags == flags[..., :1]).all()
 
 
 def test_bands_that_do_not_yet_lie_on_one_another_are_marked_each_by_itself():

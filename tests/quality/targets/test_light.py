@@ -41,12 +41,6 @@ def test_the_rectangle_lies_about_the_brightest_place():
     assert len(column) == field.levels.shape[0]
 
 
-def test_a_single_line_is_a_field_one_block_high():
-    field = light_field(np.linspace(500, 1000, 330)[None])
-    assert field.levels.shape[0] == 1 and field.rectangle[3] == 1
-    assert field.uniformity == pytest.approx(0.5, abs=0.02)
-
-
 def test_a_saturated_white_and_one_without_light_are_refused():
     full = np.zeros((50, 60), bool)
     full[:10] = True

@@ -46,13 +46,6 @@ def test_other_charts_and_whites_of_another_reflectance_are_no_stray_light():
         assert stray.worst is None
 
 
-def test_a_broad_channel_is_compared_with_the_mean_of_the_greys_and_infrared_with_nothing():
-    means = np.stack([one_chart(1, 0.03).mean(1), one_chart(1)[:, 2]], 1)
-    stray = measure_stray_light(means, np.array([np.nan, 900.0]), CLASSIC, reference_of(CLASSIC))
-    assert stray.shares[0] == pytest.approx(0.03, abs=0.004)
-    assert np.isnan(stray.shares[1]) and stray.worst == 0
-
-
 def test_a_trap_shows_the_share_to_a_quarter_whatever_the_form_of_the_stray_light():
     found = []
     for seed, (reach, power) in product((1, 2, 3), ((20, None), (60, None), (60, 3), (200, 3))):

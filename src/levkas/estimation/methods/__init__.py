@@ -21,14 +21,7 @@ from levkas.estimation.methods.wiener import fit_wiener
 from levkas.estimation.model import EstimationMethod, Model
 from levkas.readers.arrays import DAMAGE, read_npz
 
-__all__ = [
-    "METHODS",
-    "EstimationMethod",
-    "Model",
-    "find_method",
-    "load_model",
-    "save_model",
-]
+__all__ = ["METHODS", "EstimationMethod", "Model", "find_method", "load_model", "save_model"]
 
 VERSION = 3
 """Of stored models; another is refused."""
@@ -49,13 +42,7 @@ METHODS = {method.name: method for method in ROWS}
 
 
 def find_method(name: str) -> EstimationMethod:
-    """Return a method by its name.
-
-    Raises
-    ------
-    Refused
-        With code ``E_METHOD`` for a name that no method has.
-    """
+    """Return a method by its name."""
     if name not in METHODS:
         raise Refused(
             Problem(
@@ -79,18 +66,7 @@ def save_model(path: str | Path, method: str, model: Model) -> None:
 
 
 def load_model(path: str | Path) -> tuple[str, Model]:
-    """Read a fitted model.
-
-    Returns
-    -------
-    method : str
-    model : Model
-
-    Raises
-    ------
-    Refused
-        With code ``E_MODEL`` where the file is not such a model, or one of another version.
-    """
+    """Read a fitted model."""
     try:
         arrays = read_npz(Path(path), most=LARGEST)
         method, version = str(arrays["method"]), int(arrays["version"])

@@ -65,11 +65,6 @@ def block_statistics(
         Counts without light, for that.
     clipped : bool
         Use blocks with pixels at black, too.
-
-    Returns
-    -------
-    blocks : dict of Blocks
-        By channel; the n-th block is the same place in every stack of that shape.
     """
     rows, columns = (1, 1) if pattern is None else channel_table(pattern).shape
     names = ("",) if pattern is None else channel_names(pattern)

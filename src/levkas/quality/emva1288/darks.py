@@ -60,13 +60,6 @@ class DarkModel:
 
     Level = black + current·t, and the fixed pattern's variance = a + b·t², as current differs from sensel
     to sensel.
-
-    Attributes
-    ----------
-    first : Dark
-        The shortest whose noise over time is known, else the shortest.
-    black, current : float
-        Counts at no time, counts a second; NaN a second where the exposures are too alike.
     """
 
     def __init__(self, darks: Sequence[Dark]) -> None:

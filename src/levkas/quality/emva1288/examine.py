@@ -14,9 +14,7 @@ from levkas.calibration.sensor_notes import describe_sensor
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.problems import Problem, Refused, unknown_name
 from levkas.quality.emva1288.facts import FrameFacts, describe_frame
-from levkas.quality.emva1288.photon_transfer import (
-    measure_sensor,
-)
+from levkas.quality.emva1288.photon_transfer import measure_sensor
 from levkas.quality.emva1288.report import Examination, SensorReport
 
 if TYPE_CHECKING:
@@ -99,11 +97,7 @@ def _report(sensor: SensorStacks, rng: np.random.Generator) -> SensorReport:
     if bench.saturation is None or (not stated and 0 < top <= bench.saturation / 4):
         return _unknown(sensor.camera, [_no_full_scale(sensor)])
     facts = replace(
-        facts,
-        bits=bits,
-        white=bench.saturation,
-        black=sensor.bench.black,
-        pattern=_pattern(sensor),
+        facts, bits=bits, white=bench.saturation, black=sensor.bench.black, pattern=_pattern(sensor)
     )
     channels, problems = {}, []
     for channel in dict.fromkeys([*sensor.whites, *sensor.scenes]):

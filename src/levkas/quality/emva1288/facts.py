@@ -15,17 +15,7 @@ from levkas.readers.tiff import read_tiff_pages
 
 @dataclass(frozen=True)
 class FrameFacts:
-    """One frame.
-
-    Parameters
-    ----------
-    bits : int or None
-        Declared in the file; else what the top code needs.
-    black, white : float or None
-        Levels that the file declares, counts.
-    levels : Levels or None
-        Of whole codes; None for real numbers.
-    """
+    """One frame."""
 
     file: str
     size: str
@@ -52,12 +42,7 @@ class FrameFacts:
 
 
 def describe_frame(path: str | Path) -> FrameFacts:
-    """Read one file, all its pages, and describe it.
-
-    Raises
-    ------
-    UnreadableCapture
-    """
+    """Read one file, all its pages, and describe it."""
     facts = read_facts(Path(path))
     levels, bits = None, facts.bits
     if facts.dtype in ("uint8", "uint16"):

@@ -32,21 +32,7 @@ ROWS = (
 
 @dataclass(frozen=True)
 class SensorReport:
-    """One sensor.
-
-    Parameters
-    ----------
-    facts : FrameFacts
-        Of the first frame of the first object.
-    levels : Levels
-        Of all frames that were looked at.
-    channels : dict of PhotonTransfer
-        By channel of the mosaic; one without a name for a plain sensor.
-    light : list of (str, Drift)
-        Stacks of two shots or more, and how steady their light was.
-    problems : list of Problem
-        Why something could not be measured.
-    """
+    """One sensor."""
 
     camera: str
     sensor: str

@@ -25,19 +25,7 @@ Key = tuple[str | None, float | None]
 
 @dataclass
 class SensorStacks:
-    """Stacks of one sensor, reduced to blocks by channel.
-
-    Parameters
-    ----------
-    darks : dict of list of Dark
-        By channel.
-    whites, scenes : dict of list of Blocks
-        By channel.
-    light : list of (name, Drift)
-        Of every stack of two shots or more.
-    reached : bool
-        Whether any shot saturates.
-    """
+    """Stacks of one sensor, reduced to blocks by channel."""
 
     camera: str
     name: str

@@ -14,9 +14,7 @@ from levkas.calibration.drift import CellMeans, measure_drift
 from levkas.calibration.sensor_context import SensorContext, exposure_of
 from levkas.calibration.templates import CalibrationRefused, average
 from levkas.core.problems import Problem
-from levkas.quality.emva1288.blocks import (
-    Blocks,
-)
+from levkas.quality.emva1288.blocks import Blocks
 from levkas.quality.emva1288.sensor_stacks import (
     SensorStacks,
     by_exposure,
@@ -45,11 +43,6 @@ def gather(campaign: Campaign, captures: Sequence[Capture], camera: str) -> Iter
     ----------
     captures : sequence of Capture
         Of this camera; templates are those of the first, objects those of all.
-
-    Raises
-    ------
-    Refused
-        UnreadableCapture or CalibrationRefused, with the files in question.
     """
     for number, frames in enumerate(captures[0].sensors):
         objects = [(c.object, c.sensors[number].object) for c in captures]

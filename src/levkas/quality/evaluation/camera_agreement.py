@@ -99,20 +99,7 @@ class PatchMeans:
 
 @dataclass(frozen=True, eq=False)
 class BandAgreement:
-    """How one band of a layer agrees with another layer's spectrum.
-
-    Parameters
-    ----------
-    wavelength : float, nm
-    ratio, spread : float
-        Median over patches of the band over what the other layer predicts; their standard deviation, by the median deviation.
-    expected_ratio : float
-        Median of |Eₙ|.
-    values : ndarray, (p,)
-        Ratio of every patch; NaN where one is not known.
-    expected : ndarray, (p,)
-        |Eₙ| of every patch; the same.
-    """
+    """How one band of a layer agrees with another layer's spectrum."""
 
     band: str
     wavelength: float
@@ -382,8 +369,7 @@ def _band(label: str, centre: float, ratios: np.ndarray, expected: np.ndarray) -
 
 
 def compare_all(
-    layers: Sequence[PatchMeans],
-    sensitivities: Mapping[str, Sensitivities],
+    layers: Sequence[PatchMeans], sensitivities: Mapping[str, Sensitivities]
 ) -> tuple[PairAgreement, ...]:
     """Compare all pairs of layers, the one with fewer bands against the spectrum of the other.
 
@@ -408,17 +394,7 @@ def agreement_in(
     sensitivities: Mapping[str, Sensitivities],
     registrations: Mapping[str, dict[str, Any]] | None = None,
 ) -> tuple[PairAgreement, ...]:
-    """Compare the layers of one object of a database that hold reflectance; the first says where it is even.
-
-    Parameters
-    ----------
-    root : Path
-        The database.
-    layers : sequence of LayerId
-        The reference first.
-    registrations : mapping by name of the layer, optional
-        Records that were read already.
-    """
+    """Compare the layers of one object of a database that hold reflectance; the first says where it is even."""
     opened = [LayerRows.open(root, layer) for layer in layers]
     opened = [rows for rows in opened if rows.quantity == "reflectance"]
     if len(opened) < 2:

@@ -27,17 +27,7 @@ HALVINGS = 24
 
 @dataclass(frozen=True, eq=False)
 class Changes:
-    """Pixels that changed.
-
-    Parameters
-    ----------
-    mask, known : ndarray, (h, w), bool
-        Changed, and compared.
-    rate : float
-        Share of unchanged pixels that are marked.
-    areas : tuple of (x, y, width, height, difference)
-        Rectangles about the largest connected areas, px, and their mean difference over the bands.
-    """
+    """Pixels that changed."""
 
     mask: np.ndarray
     known: np.ndarray

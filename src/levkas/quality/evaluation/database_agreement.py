@@ -40,19 +40,7 @@ NEAR_NM = 1.0
 
 @dataclass(frozen=True, eq=False)
 class ObjectAgreement:
-    """How two databases agree about one object.
-
-    Parameters
-    ----------
-    name, other : str
-        The object in each.
-    changes : Changes or None
-        None where no layer of one has the bands of one of the other.
-    compared : str
-        The layers in which changes were looked for.
-    error_px : float or None
-        Held-out error of the registration of the other to the first, px of the first's grid.
-    """
+    """How two databases agree about one object."""
 
     name: str
     other: str
@@ -227,10 +215,7 @@ def _picture(array: xarray.DataArray) -> np.ndarray:
 
 
 def _measured(
-    database: Database,
-    layer: LayerId,
-    places: np.ndarray,
-    at: Transform | None,
+    database: Database, layer: LayerId, places: np.ndarray, at: Transform | None
 ) -> PatchMeans:
     """Measure the patches of a layer, with errors that are this database's own."""
     budget = read_budget(database.path, layer)

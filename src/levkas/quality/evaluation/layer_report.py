@@ -213,18 +213,6 @@ def read_check_points(
         program that `levkas.registration.control_points` reads.
     frame : str, optional
         OBJECT/CAMERA[@SETUP][:BAND] of such a file.
-
-    Returns
-    -------
-    checks : dict
-        Of layers and bands that the database has.
-    problems : list of Problem
-        One for each other.
-
-    Raises
-    ------
-    EvaluationRefused
-        Also where no point is of a layer and band of the database.
     """
     from levkas.registration.control_points import PointsRefused, read_frames
 
@@ -299,10 +287,7 @@ def checks_by_band(
 
 
 def _assess_layer(
-    output: Path,
-    record: dict[str, Any],
-    truth_folder: Path,
-    checks: Checks,
+    output: Path, record: dict[str, Any], truth_folder: Path, checks: Checks
 ) -> dict[str, Any]:
     name, camera, setup = record["object"], record["camera"], record.get("setup", "")
     layer = layer_name(camera, setup)

@@ -20,11 +20,6 @@ def native_files(
     """Return the files with the native pixels of a layer, by the names of its sensors and tiles.
 
     They are those of the database unless another `folder` is given.
-
-    Raises
-    ------
-    ComparisonRefused
-        Where the database has none.
     """
     from levkas.database.described import open_tiff
     from levkas.database.layout import Places

@@ -135,15 +135,7 @@ def uncertainty_of_mean(values: np.ndarray, places: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Truth:
-    """Where points of the reference band lie in every band of one camera.
-
-    Parameters
-    ----------
-    reference : ndarray, (n, 2)
-        Reference px.
-    bands : dict of str to ndarray, (n, 2)
-        Native px of each band.
-    """
+    """Where points of the reference band lie in every band of one camera."""
 
     reference: np.ndarray
     bands: dict[str, np.ndarray]
@@ -155,11 +147,6 @@ def read_truth(
     """Read the truth of one object and camera, or one of its tiles, CAMERA#TILE; None where there is none.
 
     `points`, (n, 2), is where the points lie in reference px, where that is no single frame (`places_by_tiles`).
-
-    Raises
-    ------
-    UnreadableCapture
-        Where the arrays do not fit `truth.json`.
     """
     reference, target = folder / f"{name}_ref_px.npy", folder / f"{name}_{camera}_px.npy"
     known = target.is_file() and (folder / "truth.json").is_file()
@@ -176,15 +163,6 @@ def places_by_tiles(folder: Path, name: str, record: Mapping[str, Any]) -> np.nd
     """Return where the points of a truth lie in the frame that the reference camera's tiles were placed in, (n, 2) px.
 
     Each by the tile in whose frame it lies deepest, which is the one that is published; NaN where no tile shows it.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the truth.
-    name : str
-        The object.
-    record : mapping
-        Of the reference camera's registration.
     """
     camera, band = record["reference"]["camera"], record["reference"]["band"]
     places: np.ndarray | None = None

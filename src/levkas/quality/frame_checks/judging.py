@@ -153,10 +153,7 @@ class FrameJudge:
         return judged
 
 
-def judge(
-    frames: Iterable[FrameOfSet],
-    rules: SetRules = SetRules(),
-) -> dict[str, list[Finding]]:
+def judge(frames: Iterable[FrameOfSet], rules: SetRules = SetRules()) -> dict[str, list[Finding]]:
     """Return the findings of the frames of one sensor under one setup, by name; `FrameJudge` does it again and again.
 
     Examples

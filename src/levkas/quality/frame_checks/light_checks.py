@@ -102,19 +102,7 @@ def check_exposure(
     full: float | None,
     exposure_s: float | None = None,
 ) -> list[Finding]:
-    """Check how much of the scale a white, object or chart uses.
-
-    Parameters
-    ----------
-    role : str
-        Other than dark.
-    names : sequence of str
-        Of the channels.
-    black, full : float, float or None
-        Counts without light and at full scale.
-    exposure_s : float, optional
-        Then the advice has seconds.
-    """
+    """Check how much of the scale, from `black` to `full` counts, a white, object or chart uses; `names` are its channels'."""
     worst_one = int(frame.full_share.argmax())
     share = float(frame.full_share[worst_one])
     limits = CLIPPED["white" if role == "white" else "object"]
@@ -163,13 +151,7 @@ def check_dark(
     scale: float | None,
     before: FrameMeasures | None = None,
 ) -> list[Finding]:
-    """Check that a dark is dark, even, and as the dark before it of the same time.
-
-    Parameters
-    ----------
-    black, scale : float, optional
-        Stated black level and full scale, counts.
-    """
+    """Check that a dark is dark, even, and as the one `before` it of the same time; `black` and `scale`, counts, are stated."""
     level = float(np.median(dark.level))
     noise = max(float(np.nanmedian(dark.noise)), QUIET_COUNTS)
     apart = dark.cells - np.median(dark.cells, (1, 2), keepdims=True)
@@ -216,17 +198,7 @@ def check_white_frame(
     before: FrameMeasures | None = None,
     scene: FrameMeasures | None = None,
 ) -> list[Finding]:
-    """Check that a white is lit, smooth, even, as the one before it, and free of the object.
-
-    Parameters
-    ----------
-    black : float
-        Counts without light.
-    before : FrameMeasures, optional
-        The white before it of the same camera and band.
-    scene : FrameMeasures, optional
-        Of the object of the same band.
-    """
+    """Check that a white is lit, smooth, even, as the one `before` it of its band, and free of the object, its `scene`."""
     template = _template(white.picture)
     try:
         check_white(template, np.full((1, 1), black), None, None)

@@ -109,11 +109,6 @@ def sensel_noise(
     table : ndarray, (rows, columns), int
         Channel at each place of the pattern.
 
-    Returns
-    -------
-    found : list of (noise, snr)
-        As of `BandRange`, channel by channel.
-
     Examples
     --------
     >>> flat, none = np.full((4, 4), 0.5), np.zeros((4, 4), np.uint8)

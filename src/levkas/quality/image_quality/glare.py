@@ -85,10 +85,6 @@ def find_glare(
     gains : ndarray, (bands,), optional
         What `setup_gains` gives of the whole layers, where these are some of their rows.
 
-    Returns
-    -------
-    glare : Glare
-
     Notes
     -----
     One band suffices for glare: a mirror spares none, and varnish adds its 4 % to each. Each pixel is
@@ -120,11 +116,6 @@ def find_glare(
 
 def mark_glare(values: np.ndarray, flags: np.ndarray, sigma: np.ndarray | None = None) -> None:
     """Set GLARE in `flags`, in place, band by band: where bands do not yet lie on one another.
-
-    Parameters
-    ----------
-    values, flags, sigma
-        As for `find_glare`.
 
     Examples
     --------
@@ -219,16 +210,6 @@ def setup_gains(
     values: np.ndarray, flags: np.ndarray, paint: np.ndarray, known: np.ndarray
 ) -> np.ndarray:
     """Return the median ratio of two setups, band by band, within 0.8 … 1.25; 1 where there is little.
-
-    Parameters
-    ----------
-    values, flags, paint, known : ndarray, (h, w, bands)
-        One setup and the other, with their flags, pixel on pixel; some of the pixels are enough.
-        Glare is on too few to move the median, or is added to all.
-
-    Returns
-    -------
-    gains : ndarray, (bands,), float32
 
     Examples
     --------

@@ -80,12 +80,6 @@ def light_field(white: np.ndarray, *, saturated: np.ndarray | None = None) -> Li
         scanner is a field one block high.
     saturated : ndarray of bool like `white`, optional
 
-    Raises
-    ------
-    LightRefused
-        ``E_WHITE_SATURATED`` where more than 1 % of the white is saturated: the light would look
-        flatter than it is. ``E_WHITE_DARK`` where the white is not above dark.
-
     Notes
     -----
     What is measured is light times vignetting of the lens, which flat-fielding divides out together.
@@ -184,20 +178,7 @@ PLACES = 4
 
 
 def choose_places(pictures: Sequence[np.ndarray]) -> tuple[int, list[tuple[int, int]]]:
-    """Choose places to compare: where pictures differ most, and where they have most detail.
-
-    Parameters
-    ----------
-    pictures : sequence of ndarray, (h, w, 3), uint8
-        Of one size.
-
-    Returns
-    -------
-    side : int
-        Of a close-up, px.
-    corners : list of (x, y)
-        Their top left pixels; none laps over another.
-    """
+    """Choose places to compare: where pictures differ most, and where they have most detail."""
     stack = np.stack([p.astype(np.float32).mean(2) for p in pictures])
     height, width = stack.shape[1:]
     side = max(8, min(SIDE, height // 3, width // 3))

@@ -54,13 +54,6 @@ def band_sharpness(
 ) -> list[Sharpness]:
     """Measure the focus of every band on the picture's own edges.
 
-    Parameters
-    ----------
-    values : ndarray, (h, w, bands)
-        Native px, not resampled. The middle 768 x 768 px are looked at.
-    left_out : ndarray of bool like `values`, optional
-        Where edges are none of the picture's: glare, saturation.
-
     Examples
     --------
     >>> from scipy.ndimage import gaussian_filter

@@ -11,14 +11,10 @@ of the response.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
-
-if TYPE_CHECKING:
-    pass
 
 OVERSAMPLED = 4
 """Bins of the edge spread function a pixel."""
@@ -114,13 +110,6 @@ def measure_edge(
     saturated : ndarray of bool like `plane`, optional
     period : int
         Of the mosaic that the values were interpolated from: sensels of the band lie so many px apart.
-
-    Raises
-    ------
-    EdgeRefused
-        ``E_EDGE_ANGLE`` where the edge leans by less than 2 or more than 30 degrees, ``E_EDGE_CONTRAST`` where
-        its sides differ too little, ``E_EDGE_SATURATED``, ``E_EDGE_SHORT`` where the region is too small for
-        its lean, ``E_EDGE_MISSING`` where no straight edge runs through the region.
 
     Examples
     --------

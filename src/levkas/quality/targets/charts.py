@@ -80,11 +80,6 @@ CHARTS = {
 def chart_of(name: str) -> Chart:
     """Return a chart by its name, or a word of `levkas look`; spaces, hyphens and case do not matter.
 
-    Raises
-    ------
-    ChartRefused
-        ``E_CHART_KIND``.
-
     Examples
     --------
     >>> chart_of("ColorChecker Classic").patches[:2], chart_of("colour-checker SG").rows, chart_of("Farbkarte").rows
@@ -152,11 +147,6 @@ def parse_reference(text: str, chart: Chart, *, file: str = "") -> ChartReferenc
         The header names patches by column and row: ``A:1`` or ``A1``. Per cent are recognised by their size.
     file : str
         For messages.
-
-    Raises
-    ------
-    ChartRefused
-        ``E_CHART_REFERENCE`` where patches are missing or numbers are none.
     """
     try:
         table, head = parse_spectra(text)
@@ -209,10 +199,6 @@ def place_patches(
     sampled : float
         Side of an area over the pitch.
 
-    Returns
-    -------
-    areas : ndarray, (n, 4, 2), px
-
     Raises
     ------
     ChartRefused
@@ -258,11 +244,6 @@ def place_patches(
 
 def parse_corners(text: str) -> np.ndarray:
     """Return four corners from ``x,y,x,y,x,y,x,y``, (4, 2).
-
-    Raises
-    ------
-    ChartRefused
-        ``E_VALUE``.
 
     Examples
     --------

@@ -9,11 +9,7 @@ import numpy as np
 
 from levkas.core.cube import Flag, is_flagged
 from levkas.core.problems import Problem
-from levkas.quality.image_quality.slanted_edge import (
-    EdgeRefused,
-    EdgeResponse,
-    measure_edge,
-)
+from levkas.quality.image_quality.slanted_edge import EdgeRefused, EdgeResponse, measure_edge
 from levkas.quality.targets.charts import EDGES
 from levkas.quality.targets.indicators import IndicatorRow, indicator
 
@@ -35,11 +31,6 @@ class EdgePlace(NamedTuple):
 def parse_edges(texts: Sequence[str]) -> tuple[EdgePlace, ...]:
     """Return slanted edges from ``x,y,width,height``.
 
-    Raises
-    ------
-    EdgeRefused
-        ``E_VALUE``.
-
     Examples
     --------
     >>> parse_edges(["10,20,60,80"])
@@ -60,22 +51,7 @@ def parse_edges(texts: Sequence[str]) -> tuple[EdgePlace, ...]:
 
 @dataclass(frozen=True, eq=False)
 class EdgeTable:
-    """Spatial frequency response of all bands across one edge.
-
-    Parameters
-    ----------
-    axis : {"x", "y"}
-    response : ndarray, (bands, frequencies)
-        NaN where a band was refused.
-    sfr50, sfr10 : ndarray, (bands,)
-        Cycles/px.
-    efficiency, most : ndarray, (bands,)
-        Sampling efficiency, 0 … 1; largest modulation.
-    shift : ndarray, (bands,)
-        Place of the edge about the bands' mean, px normal to the edge.
-    refused : dict
-        By band, why its response could not be measured.
-    """
+    """Spatial frequency response of all bands across one edge."""
 
     label: str
     axis: str

@@ -82,13 +82,6 @@ def locate_chart(
         Spectra to compare with, band by band where wavelengths are known.
     corners : (4, 2), optional
         Centres of the corner patches, px, clockwise from the first patch.
-
-    Raises
-    ------
-    ChartRefused
-        ``E_CHART_MISSING`` where none is found, ``E_CHART_ORDER`` where patches do not rank as
-        those of the chart in any band, ``E_CHART_FRAME``,
-        ``E_CHART_SIZE``; ``E_CHART_DETECTOR`` where this OpenCV has no detector.
     """
     known = corners is not None
     found = np.asarray(corners, float).reshape(4, 2) if known else find_corners(values, chart)
@@ -142,20 +135,7 @@ def locate_in_cube(
     corners: np.ndarray | None = None,
     near: np.ndarray | None = None,
 ) -> Located:
-    """Locate a chart in the cube of one sensor.
-
-    Parameters
-    ----------
-    chart, reference, corners
-        As for `locate_chart`.
-    near : ndarray, (4, 2), optional
-        Corners, px, that another sensor of the camera gave. Where the patches rank otherwise than
-        the published ones, as in the infrared, corners within half a pitch of these are taken.
-
-    Raises
-    ------
-    ChartRefused
-    """
+    """Locate a chart in the cube of one sensor."""
     wavelengths = np.array([band.wavelength for band in cube.bands], float)
     try:
         return locate_chart(cube.values, wavelengths, chart, reference, corners=corners)
@@ -236,12 +216,6 @@ def rank_agreement(
     (`LEAST_AGREEMENT`), or the best of all where none does. Broad channels are compared with the
     patches' luminance, the best of them and their mean. Where all bands lie beyond the reference, in the
     infrared, the grey patches alone are compared.
-
-    Returns
-    -------
-    agreement : float
-    bands : ndarray, (bands,)
-        NaN where nothing is published of a band.
     """
     bands = np.full(len(wavelengths), np.nan)
     wanted = None if reference is None else reference.at(wavelengths)
@@ -282,13 +256,7 @@ def _rank_correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def find_corners(values: np.ndarray, chart: Chart) -> np.ndarray:
-    """Return the centres of the corner patches as OpenCV's detector sees them, in some order.
-
-    Raises
-    ------
-    ChartRefused
-        ``E_CHART_DETECTOR``, ``E_CHART_MISSING``.
-    """
+    """Return the centres of the corner patches as OpenCV's detector sees them, in some order."""
     import cv2
 
     if not hasattr(cv2, "mcc"):

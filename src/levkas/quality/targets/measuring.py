@@ -14,17 +14,8 @@ from levkas.colour.gamut import delta_e_2000, xyz_to_lab
 from levkas.colour.srgb import SRGB_TO_XYZ, observer_under, visible_coverage, xyz_weights
 from levkas.core.cube import Band, Cube, Flag, is_flagged
 from levkas.core.json_safe import rounded
-from levkas.quality.targets.charts import (
-    Chart,
-    ChartReference,
-    pixels_of,
-)
-from levkas.quality.targets.edges import (
-    EdgeFindings,
-    EdgePlace,
-    join_findings,
-    measure_named,
-)
+from levkas.quality.targets.charts import Chart, ChartReference, pixels_of
+from levkas.quality.targets.edges import EdgeFindings, EdgePlace, join_findings, measure_named
 from levkas.quality.targets.indicators import (
     IndicatorRow,
     WhiteEvenness,
@@ -51,7 +42,6 @@ from levkas.quality.targets.stray_light import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from levkas.quality.targets.charts import Chart, ChartReference
     from levkas.quality.targets.patches import Preblur
 
 DIGITS = 5
@@ -77,15 +67,7 @@ class Sighting:
 
 
 def decode_sighting(sighting: Sighting, chart: Chart, top: float) -> Sighting:
-    """Return the sighting of a chart in a photograph as light, 0 … 1, with what its codes resolve.
-
-    Parameters
-    ----------
-    sighting : Sighting
-        Its values are the codes of the photograph.
-    top : float
-        The greatest code: 255 of 8 bits.
-    """
+    """Return the sighting of a chart in a photograph, whose greatest code is `top`, as light, 0 … 1, with what its codes resolve."""
     means = sighting.located.means / top
     curve = find_curve(means, chart)
     light = curve.decode(sighting.cube.values / top).astype(np.float32)
@@ -106,29 +88,7 @@ def decode_sighting(sighting: Sighting, chart: Chart, top: float) -> Sighting:
 
 @dataclass(frozen=True, eq=False)
 class ChartMeasure:
-    """Measurement of a chart by one camera under one setup.
-
-    Parameters
-    ----------
-    name : str
-        Target and layer, or file.
-    sightings : tuple of Sighting
-        A sensor each.
-    table : PatchTable
-        Over all bands.
-    preblurs : tuple of Preblur or None
-        A band each; None for demosaiced values.
-    colours : Colours or None
-        None where there are no reference spectra, or no visible band.
-    rows : tuple of Row
-        Indicators.
-    edges : EdgeFindings
-        Spatial frequency response and shifts of the bands.
-    stray : StrayLight or None
-        None where there are no reference spectra, or no reflectance.
-    trapped : str
-        What light traps beside the chart show.
-    """
+    """Measurement of a chart by one camera under one setup."""
 
     name: str
     chart: Chart

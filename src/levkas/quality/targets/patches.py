@@ -226,15 +226,6 @@ def find_preblur(noise: np.ndarray | Sequence[np.ndarray], *, fitted: int = 1) -
         Parameters that were fitted to each area: 1 for its mean, 3 for a plane. They take away
         correlation with what they fit, which is put back.
 
-    Returns
-    -------
-    preblur : Preblur
-
-    Raises
-    ------
-    ValueError
-        Where no area has more than 5 pixels along both sides.
-
     Examples
     --------
     >>> rng = np.random.default_rng(1); white = rng.standard_normal((200, 200))

@@ -44,11 +44,6 @@ class Curve(NamedTuple):
 def find_curve(means: np.ndarray, chart: Chart) -> Curve:
     """Find from the grey scale of a chart whether a photograph is linear or encoded as sRGB.
 
-    Parameters
-    ----------
-    means : ndarray, (patches, channels)
-        Of its values, 0 … 1.
-
     Examples
     --------
     >>> from levkas.quality.targets.charts import CHARTS

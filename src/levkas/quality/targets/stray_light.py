@@ -76,10 +76,7 @@ class StrayLight(NamedTuple):
 
 
 def measure_stray_light(
-    means: np.ndarray,
-    wavelengths: np.ndarray,
-    chart: Chart,
-    reference: ChartReference,
+    means: np.ndarray, wavelengths: np.ndarray, chart: Chart, reference: ChartReference
 ) -> StrayLight:
     """Measure stray light from the grey patches of a chart.
 
