@@ -17,6 +17,7 @@ from levkas.cli import app
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from sigma_of_builds import Camera, write_campaign
 
+pytestmark = pytest.mark.slow
 SHAPE = (150, 190)
 CHANGED = np.s_[60:72, 100:112]
 
@@ -60,7 +61,6 @@ def agree(databases, other, *more):
     return result.exit_code, json.loads(result.stdout)["objects"][0]
 
 
-@pytest.mark.slow
 def test_two_sessions_of_one_panel_agree_and_nothing_changed(databases):
     code, found = agree(databases, "again")
     (pair,) = found["pairs"]
@@ -69,7 +69,6 @@ def test_two_sessions_of_one_panel_agree_and_nothing_changed(databases):
     assert found["changes"]["share"] < 0.02
 
 
-@pytest.mark.slow
 def test_colour_cameras_of_unknown_sensitivities_are_not_compared_and_do_not_agree(tmp_path):
     pair = [str(made(tmp_path / name, seed=k, kind="mosaic")) for k, name in enumerate("ab")]
     done = CliRunner().invoke(app, ["agree", *pair, "--json"])
@@ -80,7 +79,6 @@ def test_colour_cameras_of_unknown_sensitivities_are_not_compared_and_do_not_agr
     assert said["objects"][0]["changes"]["share"] < 0.02  # of bands of one name
 
 
-@pytest.mark.slow
 def test_a_white_that_was_brighter_contradicts_and_is_no_change(databases, tmp_path):
     code, found = agree(databases, "dim", "-o", tmp_path / "out")
     assert code == 1 and not found["agrees"]
