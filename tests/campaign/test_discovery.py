@@ -202,6 +202,19 @@ ROWS = {
         f"{WHOLE}\ndatabase/icon9/450nm.tif\ndatabase.kept/icon8/450nm.tif", VIS.replace("raw/{target}", "**/{target}"), BOTH,
         {"icon1/vis": (*TWO, 2, 2, 2)},
     ),
+    **{
+        f"wavelengths in {unit or 'what is plausible'}": (
+            f"raw/icon1/{names}.tif", VIS.replace("{wavelength}nm*", f"{before}{{wavelength}}{unit}"), "",
+            {"icon1/vis": ("450 nm", "1050 nm", 2, 0, 0)},
+        )
+        for before, unit, names in (("", "um", "{0.450,1.05}um"), ("", "nm", "{450,1050}nm"), ("w", "", "w{0.45,1.05}"))
+    },
+    **{
+        f"no wavelength: {name}": (
+            f"raw/icon1/{name}.tif", VIS.replace("{wavelength}nm*", pattern), "", {"icon1/vis": "E_VALUE"},
+        )
+        for pattern, name in (("{wavelength}um", "450um"), ("{wavelength}nm", "0.45nm"), ("F{wavelength}", "F3"))
+    },
 }  # fmt: skip
 
 
@@ -437,14 +450,6 @@ def test_an_object_that_is_only_there_in_another_case_is_refused(tmp_path):
     assert refusals["icon2", "photo", ""].problems[0].found == "Photo/icon2.tif"
 
 
-def test_files_beside_the_frames_in_another_case_are_no_fault_of_a_capture_that_is_whole(tmp_path):
-    touch(tmp_path, "photo/icon1.tif", "Photo/icon1.tif", "photo/Icon3.tif")
-    captures, refusals = find_captures(
-        campaign(tmp_path, PHOTO, 'objects = ["icon1"]', reference="photo")
-    )
-    assert ([c.object for c in captures], refusals) == (["icon1"], {})
-
-
 # --- what files state of their bands -------------------------------------------------------------
 
 
@@ -496,32 +501,3 @@ def test_wavelengths_that_cannot_be_are_refused_unless_others_are_declared(tmp_p
     assert "0.01 to 0.03" in problem.found and "wavelengths" in problem.fix
     (capture,) = found_in(tmp_path, CUBE + "wavelengths = [400, 500, 600]\n", "")
     assert capture.bands[0].wavelength == 400
-
-
-@pytest.mark.parametrize(
-    ("pattern", "names", "centres"),
-    [
-        ("{wavelength}um.tif", ["0.450um.tif", "1.05um.tif"], [450, 1050]),
-        ("{wavelength}nm.tif", ["450nm.tif", "1050nm.tif"], [450, 1050]),
-        ("{wavelength}.tif", ["450.tif", "1050.tif"], [450, 1050]),
-        ("w{wavelength}.tif", ["w0.45.tif", "w1.05.tif"], [450, 1050]),
-    ],
-)
-def test_a_wavelength_in_a_name_is_in_the_unit_behind_it(tmp_path, pattern, names, centres):
-    touch(tmp_path, *(f"raw/icon1/{name}" for name in names))
-    (capture,) = found_in(tmp_path, VIS.replace("{wavelength}nm*.tif", pattern), "")
-    assert [band.wavelength for band in capture.bands] == centres
-
-
-@pytest.mark.parametrize(
-    ("pattern", "name"),
-    [
-        ("{wavelength}um.tif", "450um"),
-        ("{wavelength}nm.tif", "0.45nm"),
-        ("F{wavelength}.tif", "F3"),
-    ],
-)
-def test_a_number_that_is_no_wavelength_in_its_unit_is_refused(tmp_path, pattern, name):
-    touch(tmp_path, f"raw/icon1/{name}.tif")
-    problem = problem_of(tmp_path, VIS.replace("{wavelength}nm*.tif", pattern), "")
-    assert problem.code == "E_VALUE" and name in problem.file and "{band}" in problem.fix

@@ -6,7 +6,6 @@ import tifffile
 
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.campaign.discovery.find_captures import find_captures, find_charts
-from levkas.readers import frames
 
 TARGETS = 'dark = "dark"\nwhite = "white"\n'
 SESSIONS = """[campaign]
@@ -152,15 +151,6 @@ def test_of_several_whites_the_nearest_before_and_after_an_object_are_used_and_s
     assert found["icon3"].remarks == (f"{used} 2 h before it",)
 
 
-def test_shots_of_one_white_are_averaged_whatever_their_times(tmp_path):
-    for minute in range(5):  # nothing else was captured between them
-        touch(tmp_path, f"white_{minute}.tif", time=f"09:{10 * minute:02}:00")
-    touch(tmp_path, "dark_1.tif", time="08:59:00")
-    touch(tmp_path, "icon1_1.tif", time="11:00:00")
-    found, _ = find(tmp_path, FLAT)
-    assert len(found["icon1"].white) == 5 and not found["icon1"].remarks
-
-
 def test_bands_captured_in_turns_have_one_white_each(tmp_path):
     text = FLAT.replace('bands = ["grey"]\n', "").replace("_{shot}", "_{wavelength}nm_{shot}")
     for hour, nm in enumerate((450, 550, 650), 8):
@@ -237,21 +227,6 @@ def test_the_name_of_no_object_that_is_there_is_refused_where_nothing_else_serve
     found, refusals = find(tmp_path, SESSIONS)
     assert not found
     assert refusals["icon1", "cam", ""].problems[0].code == "E_TEMPLATE_MISSING"
-
-
-def test_a_dark_of_all_objects_that_cannot_be_read_is_opened_once(tmp_path, monkeypatch):
-    touch(tmp_path, *(f"{n}_550nm.tif" for n in ("dark", "white", "icon1", "icon2", "icon3")))
-    (tmp_path / "dark_550nm.tif").write_bytes(b"II*\0 nothing else")
-    opened = []
-    read_facts = frames.read_facts
-    monkeypatch.setattr(frames, "read_facts", lambda p: opened.append(p.name) or read_facts(p))
-    text = FLAT.replace("shot", "wavelength").replace("}.tif", "}nm.tif")
-    found, refusals = find(tmp_path, text.replace('bands = ["grey"]\n', ""))
-    assert not refusals
-    assert [names(sensor.dark) for sensor in found.values()] == [
-        [f"{tmp_path.name}/dark_550nm.tif"]
-    ] * 3
-    assert opened == ["dark_550nm.tif"]
 
 
 def test_frames_of_a_setup_and_of_none_stand_in_the_order_of_their_paths(tmp_path):

@@ -1,12 +1,9 @@
 import os
 import unicodedata
 
-import pytest
-
 from levkas.campaign.discovery import file_index as module
 from levkas.campaign.discovery.file_index import (
     FolderListings,
-    FolderUnreadable,
     find_files,
     nearest,
 )
@@ -116,12 +113,3 @@ def test_the_nearest_names_are_shown(tmp_path):
     assert nearest(tmp_path, pattern)[1][0] == "550.tif"
     folder, near = nearest(tmp_path, Pattern.parse("rwa/{target}/*.tif"))
     assert folder == tmp_path and near == ["raw"]
-
-
-@pytest.mark.skipif(
-    not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may read every folder"
-)
-def test_a_folder_that_may_not_be_read_is_said(tmp_path):
-    (tmp_path / "raw").mkdir(mode=0o000)
-    with pytest.raises(FolderUnreadable):
-        find_files(tmp_path, ["raw/{target}.tif"])
