@@ -23,10 +23,6 @@ def look(folder: str | Path) -> Proposal:
 
     Nothing is written. What the files do not show is listed as unknown.
 
-    Parameters
-    ----------
-    folder : path
-
     Returns
     -------
     proposal : Proposal
